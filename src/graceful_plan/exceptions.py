@@ -1,0 +1,109 @@
+"""Errors that misuse raises. A problem without a solution is a `PlanResult` with a status instead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from graceful_plan.result import PlanResult
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"
+
+
+class GracefulPlanError(Exception):
+    """Base of every error that this library raises on purpose."""
+
+
+class UnknownNameError(GracefulPlanError, KeyError):
+    """A name that does not exist where it was looked up.
+
+    Args:
+        kind: What the name should have been, e.g. "keyframe".
+        name: The name given.
+        valid: The names that exist.
+    """
+
+    def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
+        self.kind, self.name, self.valid = kind, name, tuple(sorted(valid))
+        super().__init__(f"unknown {kind} {name!r}; valid: {_listed(self.valid)}")
+
+    def __str__(self) -> str:
+        return str(self.args[0])  # KeyError would show the repr
+
+
+class ShapeError(GracefulPlanError, ValueError):
+    """An array of the wrong shape."""
+
+    def __init__(self, name: str, shape: tuple[int, ...], expected: str) -> None:
+        self.name, self.shape, self.expected = name, shape, expected
+        super().__init__(f"{name} has shape {shape}, expected {expected}")
+
+
+class NonFiniteError(GracefulPlanError, ValueError):
+    """A NaN or infinite number where a finite one is needed."""
+
+    def __init__(self, name: str, index: tuple[int, ...]) -> None:
+        self.name, self.index = name, index
+        super().__init__(f"{name} is not finite at index {index}")
+
+
+class SettingError(GracefulPlanError, ValueError):
+    """A setting outside of its range."""
+
+    def __init__(self, name: str, value: object, expected: str) -> None:
+        self.name, self.value, self.expected = name, value, expected
+        super().__init__(f"{name} = {value!r}, expected {expected}")
+
+
+class SceneError(GracefulPlanError, ValueError):
+    """A scene file or model that is broken, hostile or inconsistent.
+
+    Args:
+        message: What is wrong and, where there are some, the valid names.
+        file: The file it is in, if it is in one.
+        line: The line in that file, from 1.
+    """
+
+    def __init__(self, message: str, *, file: str | None = None, line: int | None = None) -> None:
+        self.message, self.file, self.line = message, file, line
+        where = "" if file is None else f"{file}:{line}: " if line is not None else f"{file}: "
+        super().__init__(where + message)
+
+
+class UnsupportedError(SceneError):
+    """A model feature that the planner cannot represent."""
+
+
+class FormatError(GracefulPlanError, ValueError):
+    """A file or text that is not what it should be."""
+
+    def __init__(self, source: str, problem: str) -> None:
+        self.source, self.problem = source, problem
+        super().__init__(f"{source}: {problem}")
+
+
+class RetimingError(GracefulPlanError, RuntimeError):
+    """A path that cannot be timed within the limits; `plan` turns it into RETIMING_FAILED."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)
+
+
+class CostError(GracefulPlanError, ValueError):
+    """A cost that breaks its contract: wrong shape, negative or not finite."""
+
+    def __init__(self, cost: object, problem: str) -> None:
+        self.cost, self.problem = cost, problem
+        super().__init__(f"{type(cost).__name__}: {problem}")
+
+
+class PlanningFailed(GracefulPlanError, RuntimeError):
+    """Raised by `PlanResult.unwrap` when there is no trajectory."""
+
+    def __init__(self, result: PlanResult) -> None:
+        self.result = result
+        super().__init__(f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else ""))
