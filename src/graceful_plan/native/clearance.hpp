@@ -1,0 +1,221 @@
+// Spheres that ride on links against exact primitives, convex hulls and each other.
+// Every pair of a link and an obstacle is first tried with bounding spheres; most of the time that is all.
+
+static inline F dot(const Vec<F>& a, const float b[3]) { return a.x * b[0] + a.y * b[1] + a.z * b[2]; }
+
+static inline Vec<F> local(const Obstacle& o, const Vec<F>& point) {
+  Vec<F> d = {point.x - o.p[0], point.y - o.p[1], point.z - o.p[2]};
+  return {d.x * o.R[0] + d.y * o.R[3] + d.z * o.R[6], d.x * o.R[1] + d.y * o.R[4] + d.z * o.R[7],
+          d.x * o.R[2] + d.y * o.R[5] + d.z * o.R[8]};
+}
+
+static inline F box_distance(const float half[3], const Vec<F>& p) {
+  F x = absolute(p.x) - half[0], y = absolute(p.y) - half[1], z = absolute(p.z) - half[2];
+  F ox = relu(x), oy = relu(y), oz = relu(z);
+  F inside = maximum(x, maximum(y, z));
+  return square_root(ox * ox + oy * oy + oz * oz) + minimum(inside, F{});
+}
+
+static inline F cylinder_distance(float radius, float half, const Vec<F>& p) {
+  F r = square_root(p.x * p.x + p.y * p.y) - radius, z = absolute(p.z) - half;
+  F out_r = relu(r), out_z = relu(z);
+  return square_root(out_r * out_r + out_z * out_z) + minimum(maximum(r, z), F{});
+}
+
+static inline F capsule_distance(float radius, float half, const Vec<F>& p) {
+  F z = p.z - minimum(maximum(p.z, F{} - half), F{} + half);
+  return square_root(p.x * p.x + p.y * p.y + z * z) - radius;
+}
+
+// Outside: Newton on the convex secular equation (Eberly, "Distance from a point to an ellipse, an ellipsoid") from
+// below, so that the result never exceeds the distance. Inside: (k - 1) r_min, right in sign and a bound in size.
+static inline F ellipsoid_distance(const float r[3], const Vec<F>& p) {
+  const F y[3] = {p.x, p.y, p.z};
+  F k2 = {};
+  for (int i = 0; i < 3; ++i) k2 += y[i] * y[i] * (1.f / (r[i] * r[i]));
+  float r_min = r[0] < r[1] ? r[0] : r[1];
+  r_min = r_min < r[2] ? r_min : r[2];
+  F k = square_root(k2);
+  F t = relu((k - 1.f) * (r_min * r_min));
+  for (int step = 0; step < 8; ++step) {
+    F g = F{} - 1.f, slope = {};
+    for (int i = 0; i < 3; ++i) {
+      F inverse = 1.f / (t + r[i] * r[i]);
+      F u = r[i] * y[i] * inverse;
+      g += u * u;
+      slope += u * u * inverse;
+    }
+    t += relu(g / (2.f * slope + 1e-20f));
+  }
+  F d2 = {};
+  for (int i = 0; i < 3; ++i) {
+    F d = y[i] * t / (t + r[i] * r[i]);
+    d2 += d * d;
+  }
+  F lower_bound = (k - 1.f) * r_min;
+  return k > 1.f ? maximum(square_root(d2) - 1e-6f, lower_bound) : lower_bound;
+}
+
+static inline F segment_squared(const Vec<F>& p, const float a[3], const float b[3]) {
+  const float e[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
+  const float inverse = 1.f / (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + 1e-20f);
+  Vec<F> d = {p.x - a[0], p.y - a[1], p.z - a[2]};
+  F s = minimum(maximum(dot(d, e) * inverse, F{}), F{} + 1.f);
+  F x = d.x - s * e[0], y = d.y - s * e[1], z = d.z - s * e[2];
+  return x * x + y * y + z * z;
+}
+
+// Above a face's prism its plane is nearest, else one of its edges: the sign tests against the three edge planes tell.
+static inline F triangle_squared(const Vec<F>& p, const Triangle& t, F height) {
+  F edge = minimum(segment_squared(p, t.a, t.b), minimum(segment_squared(p, t.b, t.c), segment_squared(p, t.c, t.a)));
+  MaskF over = ~MaskF{};
+  const float* corner[4] = {t.a, t.b, t.c, t.a};
+  for (int k = 0; k < 3; ++k) {
+    const float *a = corner[k], *b = corner[k + 1];
+    const float e[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
+    const float inward[3] = {t.normal[1] * e[2] - t.normal[2] * e[1], t.normal[2] * e[0] - t.normal[0] * e[2],
+                             t.normal[0] * e[1] - t.normal[1] * e[0]};
+    over &= (p.x - a[0]) * inward[0] + (p.y - a[1]) * inward[1] + (p.z - a[2]) * inward[2] >= 0.f;
+  }
+  return over ? height * height : edge;
+}
+
+static inline F mesh_distance(const Tables& tables, const Obstacle& o, const Vec<F>& p) {
+  F deepest = F{} - 1e30f, nearest = F{} + 1e30f;
+  for (int k = 0; k < o.n_triangle; ++k) {
+    const Triangle& t = tables.triangle[o.first_triangle + k];
+    F height = dot(p, t.normal) - t.offset;
+    deepest = maximum(deepest, height);
+    nearest = minimum(nearest, triangle_squared(p, t, height));
+  }
+  return deepest > 0.f ? square_root(nearest) : deepest;
+}
+
+static inline F signed_distance(const Tables& tables, const Obstacle& o, const Vec<F>& point) {
+  switch (o.kind) {
+    case kPlane: return local(o, point).z;
+    case kSphere: return square_root(squared_distance(point, {F{} + o.p[0], F{} + o.p[1], F{} + o.p[2]})) - o.size[0];
+    case kCapsule: return capsule_distance(o.size[0], o.size[1], local(o, point));
+    case kEllipsoid: return ellipsoid_distance(o.size, local(o, point));
+    case kCylinder: return cylinder_distance(o.size[0], o.size[1], local(o, point));
+    case kBox: return box_distance(o.size, local(o, point));
+    default: return mesh_distance(tables, o, point);
+  }
+}
+
+// Whether a sphere touches; for the box, by far the commonest, without a square root.
+static inline MaskF touches(const Tables& tables, const Obstacle& o, const Vec<F>& centre, float radius) {
+  if (o.kind != kBox) return signed_distance(tables, o, centre) < radius;
+  Vec<F> p = local(o, centre);
+  F x = relu(absolute(p.x) - o.size[0]), y = relu(absolute(p.y) - o.size[1]), z = relu(absolute(p.z) - o.size[2]);
+  return x * x + y * y + z * z < radius * radius;
+}
+
+static inline MaskF near_bound(const Obstacle& o, const Vec<F>& centre, F reach) {
+  if (o.bound[3] < 0.f) return ~MaskF{};
+  F r = reach + o.bound[3];
+  F dx = centre.x - o.bound[0], dy = centre.y - o.bound[1], dz = centre.z - o.bound[2];
+  return dx * dx + dy * dy + dz * dz < r * r;
+}
+
+// World positions of bounding spheres, and of spheres as far as somebody asked for them.
+struct Placed {
+  const Tables& tables;
+  const Frame<F>* X_W;
+  Vec<F> bound[kMaxLinks];
+  Vec<F> sphere[kMaxSpheres];
+  bool ready[kMaxLinks];
+
+  Placed(const Tables& t, const Frame<F>* X) : tables(t), X_W(X) {
+    for (int g = 0; g < t.n_group; ++g) {
+      bound[g] = transform(X[t.group[g].frame], t.group[g].bound);
+      ready[g] = false;
+    }
+  }
+  const Vec<F>* spheres(int g) {
+    const Group& group = tables.group[g];
+    if (!ready[g])
+      for (int k = group.first; k < group.first + group.count; ++k) sphere[k] = transform(X_W[group.frame], tables.sphere + 4 * k);
+    ready[g] = true;
+    return sphere;
+  }
+};
+
+// Which lanes collide. With `first_hit` it returns as soon as any lane does: one bad state spoils an edge.
+template <bool first_hit> static inline MaskF collides(const Tables& tables, const Frame<F>* X_W, float margin) {
+  Placed placed(tables, X_W);
+  MaskF hit = {};
+  for (int g = tables.n_group - 1; g >= 0; --g) {  // the far links move most: test them first
+    const Group& group = tables.group[g];
+    if (group.link == 0) continue;
+    const float reach = group.bound[3] + margin;
+    for (int j = 0; j < tables.n_obstacle; ++j) {
+      const Obstacle& o = tables.obstacle[j];
+      if (o.ignores >> group.link & 1) continue;
+      if (!any(near_bound(o, placed.bound[g], F{} + reach))) continue;
+      if (!any(touches(tables, o, placed.bound[g], reach))) continue;
+      const Vec<F>* sphere = placed.spheres(g);
+      for (int k = group.first; k < group.first + group.count; ++k) hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + margin);
+      if (first_hit ? any(hit) : all(hit)) return hit;
+    }
+  }
+  for (int p = 0; p < tables.n_pair; ++p) {
+    const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
+    const Group &ga = tables.group[a], &gb = tables.group[b];
+    const float reach = ga.bound[3] + gb.bound[3] + margin;
+    if (!any(squared_distance(placed.bound[a], placed.bound[b]) < reach * reach)) continue;
+    const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
+    for (int k = ga.first; k < ga.first + ga.count; ++k) {
+      const float ra = tables.sphere[4 * k + 3] + margin, rb = ra + gb.bound[3];
+      if (!any(squared_distance(sa[k], placed.bound[b]) < rb * rb)) continue;
+      for (int m = gb.first; m < gb.first + gb.count; ++m) {
+        const float r = ra + tables.sphere[4 * m + 3];
+        hit |= squared_distance(sa[k], sb[m]) < r * r;
+      }
+    }
+    if (first_hit ? any(hit) : all(hit)) return hit;
+  }
+  return hit;
+}
+
+// Who is nearest in each lane: sphere `a` against obstacle `b`, or against sphere -1 - b.
+struct Nearest {
+  F distance;
+  MaskF a, b;
+
+  void update(F d, int sphere, int other) {
+    MaskF closer = d < distance;
+    distance = closer ? d : distance;
+    a = closer ? MaskF{} + sphere : a;
+    b = closer ? MaskF{} + other : b;
+  }
+};
+
+static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
+  Placed placed(tables, X_W);
+  Nearest best = {F{} + 1e9f, MaskF{} - 1, MaskF{}};
+  for (int g = tables.n_group - 1; g >= 0; --g) {
+    const Group& group = tables.group[g];
+    if (group.link == 0) continue;
+    for (int j = 0; j < tables.n_obstacle; ++j) {
+      const Obstacle& o = tables.obstacle[j];
+      if (o.ignores >> group.link & 1) continue;
+      if (!any(near_bound(o, placed.bound[g], relu(best.distance + group.bound[3])))) continue;
+      if (!any(signed_distance(tables, o, placed.bound[g]) - group.bound[3] < best.distance)) continue;
+      const Vec<F>* sphere = placed.spheres(g);
+      for (int k = group.first; k < group.first + group.count; ++k)
+        best.update(signed_distance(tables, o, sphere[k]) - tables.sphere[4 * k + 3], k, j);
+    }
+  }
+  for (int p = 0; p < tables.n_pair; ++p) {
+    const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
+    const Group &ga = tables.group[a], &gb = tables.group[b];
+    F gap = square_root(squared_distance(placed.bound[a], placed.bound[b])) - (ga.bound[3] + gb.bound[3]);
+    if (!any(gap < best.distance)) continue;
+    const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
+    for (int k = ga.first; k < ga.first + ga.count; ++k)
+      for (int m = gb.first; m < gb.first + gb.count; ++m)
+        best.update(square_root(squared_distance(sa[k], sb[m])) - (tables.sphere[4 * k + 3] + tables.sphere[4 * m + 3]), k, -1 - m);
+  }
+  return best;
+}

@@ -1,0 +1,115 @@
+// W configurations side by side: GCC/Clang vector types and the few functions on them that the kernels need.
+// Included once per instruction set, inside its own namespace, so that no inline function is shared between them.
+
+#if defined(__AVX512F__)
+constexpr int kWidth = 64;
+#elif defined(__AVX2__)
+constexpr int kWidth = 32;
+#else
+constexpr int kWidth = 16;
+#endif
+
+template <class T> struct Vector;
+template <> struct Vector<float> {
+  typedef float type __attribute__((vector_size(kWidth)));
+  typedef int32_t mask __attribute__((vector_size(kWidth)));
+};
+template <> struct Vector<double> {
+  typedef double type __attribute__((vector_size(kWidth)));
+  typedef int64_t mask __attribute__((vector_size(kWidth)));
+};
+template <class T> using Lanes = typename Vector<T>::type;
+template <class T> using Mask = typename Vector<T>::mask;
+template <class T> constexpr int kLanes = kWidth / int(sizeof(T));
+
+using F = Lanes<float>;
+using MaskF = Mask<float>;
+
+static inline bool any(MaskF m) {
+#if defined(__AVX512F__)
+  return _mm512_movepi32_mask((__m512i)m) != 0;
+#elif defined(__AVX2__)
+  return _mm256_movemask_ps((__m256)m) != 0;
+#elif defined(__SSE2__)
+  return _mm_movemask_ps((__m128)m) != 0;
+#else
+  int32_t all = 0;
+  for (int i = 0; i < kLanes<float>; ++i) all |= m[i];
+  return all != 0;
+#endif
+}
+static inline bool all(MaskF m) { return !any(~m); }
+
+template <class V> static inline V relu(V a) { return a > 0 ? a : V{}; }
+template <class V> static inline V absolute(V a) { return a < 0 ? -a : a; }
+template <class V> static inline V minimum(V a, V b) { return a < b ? a : b; }
+template <class V> static inline V maximum(V a, V b) { return a > b ? a : b; }
+
+static inline F square_root(F a) {
+#if defined(__AVX512F__)
+  return (F)_mm512_sqrt_ps((__m512)a);
+#elif defined(__AVX2__)
+  return (F)_mm256_sqrt_ps((__m256)a);
+#elif defined(__SSE2__)
+  return (F)_mm_sqrt_ps((__m128)a);
+#else
+  F r;
+  for (int i = 0; i < kLanes<float>; ++i) r[i] = __builtin_sqrtf(a[i]);
+  return r;
+#endif
+}
+
+// Sine and cosine by reduction to [-pi/4, pi/4] in two or three steps (Cody and Waite) and Cephes' polynomials.
+// The rounding trick leaves the quadrant in the low bits of the sum. Good to 1e-7 and 1e-15 for |x| < 1000.
+static inline void sine_cosine(F x, F& s, F& c) {
+  const float magic = 12582912.f;  // 1.5 * 2^23
+  F shifted = x * 0.6366197723675814f + magic;
+  MaskF quadrant = (MaskF)shifted;
+  F k = shifted - magic;
+  F r = ((x - k * 1.5703125f) - k * 4.837512969970703e-4f) - k * 7.549789954891882e-8f;
+  F z = r * r;
+  F sp = r + r * z * (-1.6666654611e-1f + z * (8.3321608736e-3f + z * -1.9515295891e-4f));
+  F cp = 1.f - 0.5f * z + z * z * (4.166664568298827e-2f + z * (-1.388731625493765e-3f + z * 2.443315711809948e-5f));
+  MaskF swap = (quadrant & 1) != 0;
+  F sv = swap ? cp : sp, cv = swap ? sp : cp;
+  s = (quadrant & 2) != 0 ? -sv : sv;
+  c = ((quadrant + 1) & 2) != 0 ? -cv : cv;
+}
+static inline void sine_cosine(Lanes<double> x, Lanes<double>& s, Lanes<double>& c) {
+  using D = Lanes<double>;
+  const double magic = 6755399441055744.0;  // 1.5 * 2^52
+  D shifted = x * 0.63661977236758134308 + magic;
+  Mask<double> quadrant = (Mask<double>)shifted;
+  D k = shifted - magic;
+  D r = (x - k * 1.57079632673412561417e+00) - k * 6.07710050650619224932e-11;
+  D z = r * r;
+  D sp = r + r * z * (-1.66666666666666307295e-1 + z * (8.33333333332211858878e-3 + z * (-1.98412698295895385996e-4 +
+         z * (2.75573136213857245213e-6 + z * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10)))));
+  D cp = 1.0 - 0.5 * z + z * z * (4.16666666666665929218e-2 + z * (-1.38888888888730564116e-3 + z * (2.48015872888517045348e-5 +
+         z * (-2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 + z * -1.13585365213876817300e-11)))));
+  Mask<double> swap = (quadrant & 1) != 0;
+  D sv = swap ? cp : sp, cv = swap ? sp : cp;
+  s = (quadrant & 2) != 0 ? -sv : sv;
+  c = ((quadrant + 1) & 2) != 0 ? -cv : cv;
+}
+
+template <class V> struct Vec {
+  V x, y, z;
+};
+template <class V> struct Frame {
+  V R[9];  // row-major
+  Vec<V> p;
+};
+
+template <class V, class T> static inline Vec<V> rotate(const Frame<V>& X, const T v[3]) {
+  return {X.R[0] * v[0] + X.R[1] * v[1] + X.R[2] * v[2], X.R[3] * v[0] + X.R[4] * v[1] + X.R[5] * v[2],
+          X.R[6] * v[0] + X.R[7] * v[1] + X.R[8] * v[2]};
+}
+template <class V, class T> static inline Vec<V> transform(const Frame<V>& X, const T v[3]) {
+  Vec<V> r = rotate(X, v);
+  return {X.p.x + r.x, X.p.y + r.y, X.p.z + r.z};
+}
+template <class V> static inline V squared_distance(const Vec<V>& a, const Vec<V>& b) {
+  V dx = a.x - b.x, dy = a.y - b.y, dz = a.z - b.z;
+  return dx * dx + dy * dy + dz * dz;
+}

@@ -1,0 +1,82 @@
+// The read-only tables of a scene, as the kernels see them. Owned by `Scene` in bindings.cpp; made by compile.py.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+namespace gp {
+
+constexpr int kMaxLinks = 48;
+constexpr int kMaxJoints = 32;
+constexpr int kMaxSpheres = 1024;
+constexpr int kMaxParts = 128;
+constexpr int kMaxComponents = 3;
+constexpr int kMaxEntities = 512;
+
+enum Kind : int32_t { kPlane, kSphere, kCapsule, kEllipsoid, kCylinder, kBox, kMesh };
+
+// A link with joint -1 shares the frame of its parent; compile.py sees to it that its X_PL is the identity.
+struct Link {
+  int32_t parent, joint, slide, frame;
+  double R[9], p[3];  // X_PL; for the base X_WB
+};
+
+// The spheres of one link, behind one bounding sphere.
+struct Group {
+  int32_t link, frame, first, count;
+  float bound[4];
+};
+
+struct Obstacle {
+  int32_t kind, first_triangle, n_triangle;
+  uint64_t ignores;  // bit l: link l may touch it
+  float R[9], p[3], size[3], bound[4];
+};
+
+struct Triangle {
+  float a[3], b[3], c[3], normal[3], offset;
+};
+
+struct Part {  // a box of a component, riding on a frame
+  int32_t component, frame;
+  double R[9], p[3], half[3];
+};
+
+struct Target {  // an axis-aligned box of an entity
+  int32_t entity;
+  double lower[3], upper[3];
+};
+
+struct Tables {
+  int32_t n_joint, n_link, n_group, n_obstacle, n_pair, n_part, n_target, n_component, n_entity;
+  const Link* link;
+  const Group* group;
+  const float* sphere;  // x y z r, in the frame of the group's link
+  const Obstacle* obstacle;
+  const Triangle* triangle;
+  const int32_t* pair;  // pairs of groups
+  const Part* part;
+  const Target* target;
+  const double* target_area;  // per entity, over all of its boxes
+  const uint32_t* moved_by;   // per link: bit j set if joint j moves it
+};
+
+// One instruction set's kernels. q is row-major [n, n_joint]; severity is [n_component, n_entity].
+struct Kernels {
+  const char* isa;
+  int lanes;
+  void (*link_poses)(const Tables&, const double* q, size_t n, double* X_WL);
+  void (*free_states)(const Tables&, const double* q, size_t n, double margin, uint8_t* free);
+  void (*free_edges)(const Tables&, const double* q0, const double* q1, size_t n, double step, double margin, uint8_t* free);
+  void (*clearance)(const Tables&, const double* q, size_t n, double* clearance, double* gradient);
+  void (*interaction)(const Tables&, const double* q, size_t n, double* probability);
+  void (*impact)(const Tables&, const double* severity, const double* q, size_t n, double* impact);
+  void (*edge_costs)(const Tables&, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost);
+};
+
+extern const Kernels kernels_baseline;
+#if defined(__x86_64__)
+extern const Kernels kernels_v3;
+extern const Kernels kernels_v4;
+#endif
+
+}  // namespace gp
