@@ -1,0 +1,116 @@
+"""Rounded polylines: the curves that retiming travels.
+
+At a corner of a polyline the direction jumps, so a robot would have to stop there. A parabola that is tangent to both
+segments replaces the corner: the direction then turns evenly, the second derivative is constant on the parabola and
+zero on the straight rest. It is the blend of smallest curvature for the distance by which it cuts the corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from graceful_plan.path import Path
+
+Array = np.ndarray
+
+SHORTEST_SEGMENT = 1e-5
+"""Vertices nearer than this [rad] to the one before are merged: no robot can tell them apart."""
+
+_BLENDED_SHARE = 0.475
+"""Of a segment, what a blend at one end may take; what is left in the middle is not too short to be timed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One stretch of the curve: a line, or a parabola that turns the direction from `tangent` to `tangent + turn`."""
+
+    length: float
+    """In terms of the curve's parameter [rad]; on lines that is arc length."""
+    start: Float[Array, " nq"]
+    tangent: Float[Array, " nq"]
+    turn: Float[Array, " nq"]
+    """Zero for a line."""
+    stops_after: bool
+    """Whether a sharp corner follows, which only a robot at rest can pass."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurveGrid:
+    """Samples of a curve at both ends of small intervals, where derivatives may differ from the left and the right."""
+
+    s: Float[Array, " n+1"]
+    """Parameter of the grid points [rad]."""
+    q: Float[Array, "n+1 nq"]
+    slope: Float[Array, "n 2 nq"]
+    """dq/ds at the beginning and at the end of each interval."""
+    bend: Float[Array, "n 2 nq"]
+    """d2q/ds2 at the beginning and at the end of each interval [1/rad]."""
+    stop: Bool[Array, " n+1"]
+    """Grid points where the motion must rest: the ends and sharp corners."""
+
+
+def merge_near_vertices(path: Path) -> Float[Array, "n nq"]:
+    """Drop vertices nearer than `SHORTEST_SEGMENT` to the last one kept; the first and the last vertex always stay."""
+    kept = [path.q[0]]
+    for q in path.q[1:]:
+        if np.linalg.norm(q - kept[-1]) >= SHORTEST_SEGMENT:
+            kept.append(q)
+    if len(kept) > 1:
+        kept[-1] = path.q[-1]
+    return np.array(kept)
+
+
+def rounded(path: Path, deviation: float) -> tuple[Piece, ...]:
+    """Round the corners of a polyline by parabolas that stay within `deviation` [rad] of them.
+
+    A blend takes less than half of each neighbouring segment. With a deviation of 0 the corners stay sharp.
+    A path without length has no pieces.
+    """
+    q = merge_near_vertices(path)
+    if len(q) < 2:
+        return ()
+    lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    tangents = np.diff(q, axis=0) / lengths[:, None]
+    turns = np.diff(tangents, axis=0)
+    sharpness = np.linalg.norm(turns, axis=1)
+    # The middle of a parabola of reach d is d/4 * |turn| away from the corner.
+    room = _BLENDED_SHARE * np.minimum(lengths[:-1], lengths[1:])
+    reach = np.minimum(4.0 * deviation / np.maximum(sharpness, 1e-12), room)
+    reach = np.concatenate([[0.0], np.where(sharpness > 1e-9, reach, 0.0), [0.0]])
+    sharp = np.concatenate([[False], sharpness > 1e-9, [True]])
+    none = np.zeros(q.shape[1])
+    pieces: list[Piece] = []
+    for i, (length, tangent) in enumerate(zip(lengths, tangents, strict=True)):
+        straight = length - reach[i] - reach[i + 1]
+        blended = reach[i + 1] > 0.0
+        pieces.append(Piece(straight, q[i] + reach[i] * tangent, tangent, none, bool(sharp[i + 1] and not blended)))
+        if blended:
+            pieces.append(Piece(2.0 * reach[i + 1], q[i + 1] - reach[i + 1] * tangent, tangent, turns[i], False))
+    return tuple(pieces)
+
+
+def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float, density: int = 1) -> CurveGrid:
+    """Sample a curve for time-optimal timing.
+
+    Args:
+        pieces: The curve.
+        end: Its last point, so that no rounding error is left there.
+        spacing: Largest distance of grid points [rad].
+        density: Multiplies the smallest number of intervals on a piece.
+    """
+    s, q, slope, bend, stop = [np.zeros(1)], [], [], [], [np.array([True])]
+    for piece in pieces:
+        turn = float(np.linalg.norm(piece.turn))
+        least = 4 if turn == 0.0 else 2 + int(np.ceil(4.0 * min(1.0, turn)))
+        n = max(density * least, 2 * int(np.ceil(piece.length / (2.0 * spacing))))
+        u = np.arange(n + 1) / n * piece.length
+        at = piece.tangent + np.outer(u / piece.length, piece.turn)
+        q.append((piece.start + np.outer(u, piece.tangent) + np.outer(u * u / (2.0 * piece.length), piece.turn))[:-1])
+        slope.append(np.stack([at[:-1], at[1:]], axis=1))
+        bend.append(np.broadcast_to(piece.turn / piece.length, (n, 2, len(end))))
+        s.append(s[-1][-1] + u[1:])
+        stop.append(np.append(np.zeros(n - 1, dtype=bool), piece.stops_after))
+    return CurveGrid(np.concatenate(s), np.concatenate([*q, end[None]]), *map(np.concatenate, (slope, bend, stop)))

@@ -1,0 +1,190 @@
+"""Timing: from a path to the fastest trajectory that keeps the limits of velocity, acceleration and torque.
+
+Corners of the path are rounded first (`blend`), then the curve is timed (`topp`), then the result is checked again and,
+where sampling let it exceed a limit by a little, slowed down evenly until it does not.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.blend import CurveGrid, Piece, rounded, sampled
+from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
+from graceful_plan.path import Path
+from graceful_plan.topp import InverseDynamics, fastest, fastest_with_toppra
+from graceful_plan.trajectory import Trajectory
+
+Array = np.ndarray
+
+_ROUNDING = 1e-9
+"""Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
+_ACCEPTED_SLOWDOWN = 1.02
+"""The grid is refined while checking against the limits would slow the motion down by more than this."""
+
+
+class JointLimits(Protocol):
+    """What timing needs of a scene's limits, one number a joint."""
+
+    @property
+    def velocity(self) -> Float[Array, " nq"]:
+        """Largest speeds [rad/s]."""
+        ...
+
+    @property
+    def acceleration(self) -> Float[Array, " nq"]:
+        """Largest accelerations [rad/s^2]."""
+        ...
+
+    @property
+    def torque(self) -> Float[Array, " nq"]:
+        """Largest torques [N m]; used only with inverse dynamics."""
+        ...
+
+
+def retime(
+    path: Path,
+    limits: JointLimits,
+    joints: tuple[str, ...] | None = None,
+    *,
+    deviation: float = 0.05,
+    speed: float = 1.0,
+    inverse_dynamics: InverseDynamics | None = None,
+) -> Trajectory:
+    """Time a path as fast as the limits allow, from rest to rest.
+
+    Args:
+        path: Polyline in configuration space; start and end are kept exactly.
+        limits: Velocity and acceleration limits; torque limits too if `inverse_dynamics` is given.
+        joints: Names of the joints; "0", "1"... if None.
+        deviation: How far the motion may cut a corner of the path [rad, Euclidean]. With 0 it follows the polyline
+            exactly and stops at every corner.
+        speed: In (0, 1]: velocities are scaled by it, accelerations by its square.
+        inverse_dynamics: Joint torques of (q, qd, qdd), to keep torque limits too.
+
+    Returns:
+        A trajectory that keeps the limits at every time, not only at its samples. A path without length gives a single
+        sample.
+
+    Raises:
+        RetimingError: If the limits cannot be kept.
+        ShapeError: If path, limits and joints are of different sizes.
+        SettingError: If a setting is outside of its range.
+    """
+    nq = path.q.shape[1]
+    joints = tuple(str(i) for i in range(nq)) if joints is None else tuple(joints)
+    if len(joints) != nq:
+        raise ShapeError("path", path.q.shape, f"(n, {len(joints)} joints)")
+    if not 0.0 < speed <= 1.0:
+        raise SettingError("speed", speed, "0 < speed <= 1")
+    if not (np.isfinite(deviation) and deviation >= 0.0):
+        raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
+    pieces = rounded(path, deviation)
+    if not pieces:
+        still = np.zeros((1, nq))
+        return Trajectory(np.zeros(1), path.q[:1], still, still, joints)
+    _check_limits(limits, joints)
+    for density in (1, 2, 4):
+        trajectory = _timed(pieces, path.q[-1], limits, joints, density, inverse_dynamics)
+        slowdown = _slowdown(trajectory, limits, inverse_dynamics)
+        if slowdown <= _ACCEPTED_SLOWDOWN:
+            break
+    return slowed(trajectory, slowdown * (1.0 + _ROUNDING) / speed)
+
+
+def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
+    """Stretch the time of a trajectory by `factor`; positions stay."""
+    return Trajectory(
+        trajectory.t * factor,
+        trajectory.q,
+        trajectory.qd / factor,
+        trajectory.qdd / factor**2,
+        trajectory.joints,
+    )
+
+
+def _check_limits(limits: JointLimits, joints: tuple[str, ...]) -> None:
+    for name in ("velocity", "acceleration"):
+        value = np.asarray(getattr(limits, name))
+        if value.shape != (len(joints),):
+            raise ShapeError(f"limits.{name}", value.shape, f"({len(joints)},)")
+        bad = np.flatnonzero(~((value > 0.0) & (np.isfinite(value) | (name == "velocity"))))
+        if len(bad):
+            raise RetimingError(f"the {name} limit of joint {joints[bad[0]]!r} is {value[bad[0]]}, it must be > 0")
+
+
+def _timed(
+    pieces: tuple[Piece, ...],
+    end: Float[Array, " nq"],
+    limits: JointLimits,
+    joints: tuple[str, ...],
+    density: int,
+    inverse_dynamics: InverseDynamics | None,
+) -> Trajectory:
+    length = sum(piece.length for piece in pieces)
+    grid = sampled(pieces, end, length / (100.0 * density), density)
+    velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
+    if inverse_dynamics is None:
+        speeds = fastest(grid, velocity, acceleration)
+    else:
+        _check_holdable(grid, np.asarray(limits.torque, float), joints, inverse_dynamics)
+        speeds = fastest_with_toppra(grid, velocity, acceleration, np.asarray(limits.torque, float), inverse_dynamics)
+    return _trajectory(grid, speeds, joints)
+
+
+def _trajectory(grid: CurveGrid, speeds: Float[Array, " n+1"], joints: tuple[str, ...]) -> Trajectory:
+    """Integrate path speeds to times, with constant path acceleration on each interval."""
+    mean = 0.5 * (speeds[:-1] + speeds[1:])
+    if not np.all(mean > 0.0):
+        raise RetimingError(f"the motion comes to a halt {grid.s[int(np.argmin(mean))]:.3g} rad along the path")
+    step = np.diff(grid.s)
+    push = 0.5 * np.diff(speeds**2) / step
+    qd = np.concatenate([grid.slope[:, 0], grid.slope[-1:, 1]]) * speeds[:, None]
+    qdd = grid.slope[:, 0] * push[:, None] + grid.bend[:, 0] * speeds[:-1, None] ** 2
+    last = grid.slope[-1] * push[-1] + grid.bend[-1] * speeds[-1] ** 2
+    t = np.concatenate([[0.0], np.cumsum(step / mean)])
+    return Trajectory(t, grid.q, qd, np.concatenate([qdd, last[1:]]), joints)
+
+
+def _slowdown(trajectory: Trajectory, limits: JointLimits, inverse_dynamics: InverseDynamics | None) -> float:
+    """By what factor, at least 1, to stretch the time so that the cubics between the samples keep all limits."""
+    a0, a1 = trajectory.piece_accelerations
+    acceleration = np.maximum(np.abs(a0), np.abs(a1))
+    acceleration = np.maximum(acceleration, np.abs(trajectory.qdd[:-1]))
+    factor = max(1.0, float(np.sqrt((acceleration / limits.acceleration).max())))
+    # Within a piece the velocity peaks where the linear acceleration changes sign.
+    crossing = np.where(a0 * a1 < 0.0, a0 / np.where(a0 == a1, 1.0, a0 - a1), 0.0) * np.diff(trajectory.t)[:, None]
+    peak = np.maximum(np.abs(trajectory.qd[:-1] + 0.5 * a0 * crossing), np.abs(trajectory.qd[:-1]))
+    factor = max(factor, float((peak / limits.velocity).max()))
+    if inverse_dynamics is not None:
+        factor = max(factor, _torque_slowdown(trajectory, np.asarray(limits.torque, float), inverse_dynamics))
+    return factor
+
+
+def _torque_slowdown(trajectory: Trajectory, torque: Float[Array, " nq"], inverse_dynamics: InverseDynamics) -> float:
+    """Torque is gravity plus a part that shrinks with the square of the slowdown."""
+    a0, a1 = trajectory.piece_accelerations
+    rest = np.zeros(len(torque))
+    worst = 1.0
+    for i in range(len(a0)):
+        for k, qdd in ((i, a0[i]), (i + 1, a1[i])):
+            q, qd = trajectory.q[k], trajectory.qd[k]
+            hold = inverse_dynamics(q, rest, rest)
+            motion = inverse_dynamics(q, qd, qdd) - hold
+            room = np.where(motion > 0.0, torque - hold, torque + hold)
+            worst = max(worst, float((np.abs(motion) / np.maximum(room, 1e-12)).max()))
+    return float(np.sqrt(worst))
+
+
+def _check_holdable(
+    grid: CurveGrid, torque: Float[Array, " nq"], joints: tuple[str, ...], inverse_dynamics: InverseDynamics
+) -> None:
+    rest = np.zeros(grid.q.shape[1])
+    for q in grid.q:
+        hold = np.abs(inverse_dynamics(q, rest, rest))
+        worst = int(np.argmax(hold - torque))
+        if hold[worst] >= torque[worst]:
+            need = f"{hold[worst]:.3g} N m to hold still on the path"
+            raise RetimingError(f"joint {joints[worst]!r} needs {need}, its limit is {torque[worst]:.3g}")
