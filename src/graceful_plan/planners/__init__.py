@@ -1,0 +1,9 @@
+"""Planners: each a frozen settings object with one method, `solve`. `PLANNERS` lists them by name."""
+
+from graceful_plan.planners.planner import Planner
+from graceful_plan.planners.prm import PRM, PRMStar
+
+PLANNERS: dict[str, type[Planner]] = {planner.name: planner for planner in (PRM, PRMStar)}
+"""Every planner that `plan(planner=...)` knows by name."""
+
+__all__ = ["PLANNERS", "PRM", "Planner", "PRMStar"]

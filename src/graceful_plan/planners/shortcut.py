@@ -1,0 +1,216 @@
+"""Cost-aware shortcutting: local changes of a path, each taken only if the total cost J falls.
+
+A shortcut that only looks at length undoes what a failure-aware planner has done: it cuts back across the hazard.
+Four moves, each a replacement of the stretch between two vertices: leave out vertices, cut straight between two
+points, straighten a single joint, move a point aside. All candidates of a round are evaluated in one batch.
+
+References:
+    [Geraerts2007] Creating high-quality paths for motion planning, Sec. 4 (partial shortcut). Differs in: the
+    criterion is the total cost, and moves aside may lengthen the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.path import Path
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.settings import count, fraction, positive
+
+Array = np.ndarray
+
+_NEGLIGIBLE = 1e-9
+"""Relative gain below which a change is rounding, not an improvement."""
+_SAME_POINT = 1e-9
+"""Distance [rad] below which neighbouring vertices of a candidate are merged."""
+
+
+@dataclass(frozen=True)
+class Replacement:
+    """New vertices for the stretch from vertex `first` to vertex `last`; both ends of `q` are these vertices."""
+
+    first: int
+    last: int
+    q: Float[Array, "vertex nq"]
+
+
+class Line:
+    """A path with its arc length, to pick points from.
+
+    Args:
+        q: Vertices.
+        cost: Total cost of each segment.
+    """
+
+    def __init__(self, q: Float[Array, "vertex nq"], cost: Float[Array, " segment"]) -> None:
+        self.q, self.cost = q, cost
+        self.arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+
+    def at(self, s: float) -> tuple[int, Float[Array, " nq"]]:
+        """Segment and point at arc length `s`."""
+        i = int(np.clip(np.searchsorted(self.arc, s, side="right") - 1, 0, len(self.q) - 2))
+        span = self.arc[i + 1] - self.arc[i]
+        t = (s - self.arc[i]) / span if span > 0.0 else 0.0
+        return i, (1.0 - t) * self.q[i] + t * self.q[i + 1]
+
+    def replacement(self, s0: float, s1: float, middle: Float[Array, "n nq"]) -> Replacement:
+        """Replace the stretch between two arc lengths by the polyline over `middle`."""
+        (i, a), (j, b) = self.at(s0), self.at(s1)
+        q = np.concatenate([self.q[i : i + 1], a[None], middle, b[None], self.q[j + 1 : j + 2]])
+        apart = np.linalg.norm(np.diff(q, axis=0), axis=1) > _SAME_POINT
+        inner = q[1:-1][apart[:-1]]
+        while len(inner) and np.linalg.norm(inner[-1] - q[-1]) <= _SAME_POINT:
+            inner = inner[:-1]
+        return Replacement(i, j + 1, np.concatenate([q[:1], inner, q[-1:]]))
+
+
+Move = Callable[[Line, int, float, np.random.Generator], list[Replacement]]
+"""Proposes about n replacements of stretches about as long as a fraction `reach` of the path."""
+
+
+def leave_out(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
+    """Join vertices that are not neighbours; near ones first, all pairs if there are few."""
+    first, last = np.triu_indices(len(line.q), k=2)
+    order = np.argsort(last - first, kind="stable")
+    near, rest = order[: n // 2], order[n // 2 :]
+    if len(rest) > n - len(near):
+        rest = rng.choice(rest, n - len(near), replace=False)
+    picked = np.concatenate([near, rest])
+    return [Replacement(int(i), int(j), line.q[[i, j]]) for i, j in zip(first[picked], last[picked], strict=True)]
+
+
+def cut(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
+    """Go straight between two points anywhere on the path."""
+    nothing = line.q[:0]
+    return [line.replacement(s0, s1, nothing) for s0, s1 in _stretches(line, n, reach, rng)]
+
+
+def straighten_joint(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
+    """Let one joint go straight between two points while the others stay as they are."""
+    proposals = []
+    for s0, s1 in _stretches(line, n, reach, rng):
+        (i, a), (j, b) = line.at(s0), line.at(s1)
+        if i == j:
+            continue
+        joint = int(rng.integers(line.q.shape[1]))
+        middle = line.q[i + 1 : j + 1].copy()
+        t = (line.arc[i + 1 : j + 1] - s0) / max(s1 - s0, _SAME_POINT)
+        middle[:, joint] = a[joint] + t * (b[joint] - a[joint])
+        proposals.append(line.replacement(s0, s1, middle))
+    return proposals
+
+
+def move_aside(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
+    """Pull a point of the path to a random side, and with it the stretch around it."""
+    proposals = []
+    for s0, s1 in _stretches(line, n, reach, rng):
+        _, point = line.at(rng.uniform(s0, s1))
+        size = 0.5 * (s1 - s0) * 10.0 ** rng.uniform(-2.0, 0.0)
+        direction = rng.normal(size=len(point))
+        proposals.append(line.replacement(s0, s1, (point + size * direction / np.linalg.norm(direction))[None]))
+    return proposals
+
+
+MOVES: tuple[Move, ...] = (leave_out, cut, straighten_joint, move_aside)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shortcut:
+    """Settings of the post-processing that planners share. One iteration is one round of one move."""
+
+    candidates: int = 24
+    """Replacements proposed per round."""
+    patience: int = 40
+    """Stops after so many rounds in a row without an improvement."""
+    least_gain: float = 1e-4
+    """Relative fall of J that counts as an improvement for `patience`."""
+    least_reach: float = 0.02
+    """Length of the shortest stretches, as a fraction of the path; the longest is all of it."""
+
+    def __post_init__(self) -> None:
+        count("candidates", self.candidates)
+        count("patience", self.patience)
+        fraction("least_gain", self.least_gain)
+        positive("least_reach", self.least_reach)
+        fraction("least_reach", self.least_reach)
+
+    def improve(self, path: Path, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+        """Yield cheaper and cheaper versions of a free path; nothing if there is none within the budget.
+
+        Raises:
+            Interrupted: When the time is over in the middle of a round.
+        """
+        q = path.without_duplicates().q
+        if len(q) < 2:
+            return
+        line = Line(q, questions.edge_costs(q[:-1], q[1:]))
+        idle = round_ = 0
+        while idle < self.patience and budget.spend():
+            reach = self.least_reach ** rng.uniform()
+            proposals = MOVES[round_ % len(MOVES)](line, self.candidates, reach, rng)
+            better = apply_best(line, proposals, questions)
+            round_, idle = round_ + 1, idle + 1
+            if better is None:
+                continue
+            if better.cost.sum() < line.cost.sum() * (1.0 - self.least_gain):
+                idle = 0
+            line = better
+            yield Path(line.q)
+
+
+def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -> Line | None:
+    """Take the free replacements that lower J most and do not overlap; None if there are none."""
+    if not proposals:
+        return None
+    q0 = np.concatenate([p.q[:-1] for p in proposals])
+    q1 = np.concatenate([p.q[1:] for p in proposals])
+    begin = np.cumsum([0] + [len(p.q) - 1 for p in proposals])
+    cost = questions.edge_costs(q0, q1)
+    before = np.concatenate([[0.0], np.cumsum(line.cost)])
+    gain = np.array([before[p.last] - before[p.first] for p in proposals]) - np.add.reduceat(cost, begin[:-1])
+    order = np.argsort(-gain, kind="stable")
+    order = order[gain[order] > _NEGLIGIBLE * before[-1]]
+    taken: list[int] = []
+    for k, free in zip(order, _are_free(proposals, order, begin, q0, q1, questions), strict=True):
+        apart = all(proposals[k].last <= proposals[t].first or proposals[k].first >= proposals[t].last for t in taken)
+        if free and apart:
+            taken.append(int(k))
+    if not taken:
+        return None
+    return _with_replacements(line, [(proposals[k], cost[begin[k] : begin[k + 1]]) for k in taken])
+
+
+def _are_free(
+    proposals: list[Replacement], order: Array, begin: Array, q0: Array, q1: Array, questions: Questions
+) -> list[bool]:
+    """Check the proposals in `order`, all in one batch."""
+    if len(order) == 0:
+        return []
+    problem = questions.problem
+    inside = [bool(np.all((proposals[k].q >= problem.lower) & (proposals[k].q <= problem.upper))) for k in order]
+    edges = np.concatenate([np.arange(begin[k], begin[k + 1]) for k in order])
+    free = questions.edges_free(q0[edges], q1[edges])
+    ends = np.cumsum([begin[k + 1] - begin[k] for k in order])[:-1]
+    return [ok and bool(part.all()) for ok, part in zip(inside, np.split(free, ends), strict=True)]
+
+
+def _with_replacements(line: Line, taken: list[tuple[Replacement, Array]]) -> Line:
+    q, cost, at = [line.q[:1]], [], 0
+    for new, new_cost in sorted(taken, key=lambda pair: pair[0].first):
+        q += [line.q[at + 1 : new.first + 1], new.q[1:]]
+        cost += [line.cost[at : new.first], new_cost]
+        at = new.last
+    return Line(np.concatenate([*q, line.q[at + 1 :]]), np.concatenate([*cost, line.cost[at:]]))
+
+
+def _stretches(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Random stretches of about `reach` times the path, all inside of it."""
+    total = line.arc[-1]
+    span = reach * total * rng.uniform(0.5, 1.0, n)
+    begin = rng.uniform(0.0, 1.0, n) * (total - span)
+    return [(float(s), float(s + d)) for s, d in zip(begin, span, strict=True)]

@@ -1,0 +1,307 @@
+"""Small planning problems made of plain functions, some with an exactly known optimum.
+
+They let a planner be tried, tested and compared without a robot: planners see nothing of the world but `Problem`
+and `BoundObjective`, so whatever solves these solves an arm. Every analytic instance has the form of the real
+objective, J = length + w * integral of the impact along the length, with impact >= 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from graceful_plan.exceptions import SettingError
+from graceful_plan.path import Path, finite_array
+from graceful_plan.planners.planner import Problem
+
+Array = np.ndarray
+StateTest = Callable[[Array], Array]
+"""Which of the configurations [n, nq] are free: bool [n]."""
+EdgeTest = Callable[[Array, Array], Array]
+"""Which of the straight edges between configurations [n, nq] are free: bool [n]."""
+Density = Callable[[Array], Array]
+"""Impact per unit of joint-space length at configurations [n, nq]: float [n], >= 0."""
+
+
+def _pieces(
+    q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float
+) -> tuple[Float[Array, "points nq"], Float[Array, " points"], Int[Array, " n"]]:
+    """Subdivide each edge on its own, so that its points do not depend on the batch it came in.
+
+    Returns:
+        Points including both ends, the trapezoid weight of each [rad], and where each edge's points begin.
+    """
+    length = np.linalg.norm(q1 - q0, axis=1)
+    count = np.maximum(1, np.ceil(length / step).astype(int))
+    begin = np.concatenate([[0], np.cumsum(count + 1)[:-1]]) if len(count) else np.zeros(0, dtype=int)
+    edge = np.repeat(np.arange(len(count)), count + 1)
+    place = np.arange(len(edge)) - begin[edge]
+    t = (place / count[edge])[:, None]
+    is_end = (place == 0) | (place == count[edge])
+    weight = length[edge] / count[edge] * np.where(is_end, 0.5, 1.0)
+    return (1.0 - t) * q0[edge] + t * q1[edge], weight, begin
+
+
+def _everywhere(q: Array) -> Array:
+    return np.ones(len(q), dtype=bool)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FunctionProblem(Problem):
+    """A problem whose obstacles are given by functions.
+
+    Args:
+        start: Where the path begins.
+        goals: Where it may end, at least one.
+        lower: Lower limit per joint.
+        upper: Upper limit per joint.
+        free: Which configurations are free; all of them by default.
+        edge_free: Exact test of straight edges. By default edges are sampled at `step` with `free`.
+        step: Distance between checked points of an edge [rad].
+    """
+
+    start: Float[Array, " nq"]
+    goals: Float[Array, "goal nq"]
+    lower: Float[Array, " nq"]
+    upper: Float[Array, " nq"]
+    free: StateTest = _everywhere
+    edge_free: EdgeTest | None = None
+    step: float = 0.02
+
+    def __post_init__(self) -> None:
+        start = finite_array("start", self.start, ndim=1)
+        object.__setattr__(self, "start", start)
+        object.__setattr__(self, "goals", finite_array("goals", self.goals, ndim=2, last=len(start)))
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, finite_array(name, getattr(self, name), ndim=1, last=len(start)))
+        if len(self.goals) == 0:
+            raise SettingError("goals", self.goals, "at least one goal")
+        if not np.all(self.lower <= self.upper):
+            raise SettingError("lower", self.lower, f"at most upper = {self.upper}")
+        if not self.step > 0.0:
+            raise SettingError("step", self.step, "a number > 0 [rad]")
+
+    def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        """Tell which configurations are free of obstacles."""
+        return np.asarray(self.free(q), dtype=bool)
+
+    def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        """Tell which straight edges are free of obstacles."""
+        if self.edge_free is not None:
+            return np.asarray(self.edge_free(q0, q1), dtype=bool)
+        points, _, begin = _pieces(q0, q1, self.step)
+        return np.logical_and.reduceat(self.states_free(points), begin) if len(begin) else np.zeros(0, dtype=bool)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DensityObjective:
+    """Joint-space length plus a weighted line integral of an impact density, by the trapezoid rule.
+
+    Args:
+        density: Impact per unit of length, >= 0.
+        w: Safety weight, >= 0.
+        step: Longest piece of the trapezoid rule [rad].
+    """
+
+    density: Density
+    w: float = 1.0
+    step: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.w < np.inf:
+            raise SettingError("w", self.w, "a finite number >= 0")
+        if not self.step > 0.0:
+            raise SettingError("step", self.step, "a number > 0 [rad]")
+
+    def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
+        """Length V and impact S of each straight edge."""
+        points, weight, begin = _pieces(q0, q1, self.step)
+        impact = np.add.reduceat(weight * self.states(points), begin) if len(begin) else np.zeros(0)
+        return np.stack([np.linalg.norm(q1 - q0, axis=1), impact], axis=1)
+
+    def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
+        """Impact density at each configuration."""
+        return np.asarray(self.density(q), dtype=np.float64)
+
+
+def mechanical_work(density: Density, path: Path, step: float = 0.01) -> float:
+    """Sum the climbs of `density` along a path: what T-RRT keeps low.
+
+    References:
+        [Jaillet2010] Sampling-based path planning on configuration-space costmaps, Sec. III.
+    """
+    cost = density(path.resampled(step).q)
+    return float(np.maximum(0.0, np.diff(cost)).sum())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AnalyticProblem:
+    """A problem with a known least total cost.
+
+    Args:
+        name: The word that selects it.
+        problem: Start, goals, limits and obstacles.
+        objective: The cost.
+        optimum: Least total cost J*, exact.
+        note: Why it is exact.
+    """
+
+    name: str
+    problem: FunctionProblem
+    objective: DensityObjective
+    optimum: float
+    note: str
+
+
+def _free_of_impact(q: Array) -> Array:
+    return np.zeros(len(q))
+
+
+def free_space(dimension: int = 2, density: float = 0.0, w: float = 1.0) -> AnalyticProblem:
+    """Nothing in the way and the same impact everywhere: a straight line, J* = (1 + w density) |goal - start|."""
+    start, goal = np.full(dimension, -1.0), np.full(dimension, 0.5)
+    problem = FunctionProblem(
+        start=start, goals=goal[None], lower=np.full(dimension, -2.0), upper=np.full(dimension, 2.0)
+    )
+    return AnalyticProblem(
+        name="free_space" if density == 0.0 else "uniform_density",
+        problem=problem,
+        objective=DensityObjective(density=lambda q: np.full(len(q), density), w=w),
+        optimum=(1.0 + w * density) * float(np.linalg.norm(goal - start)),
+        note="a straight line is shortest and the density is the same everywhere",
+    )
+
+
+def _segments_miss_ball(q0: Array, q1: Array, radius: float) -> Array:
+    """Tell which segments keep out of the open ball around the origin, exactly."""
+    direction = q1 - q0
+    squared = np.einsum("ij,ij->i", direction, direction)
+    t = np.clip(-np.einsum("ij,ij->i", q0, direction) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
+    return np.linalg.norm(q0 + t[:, None] * direction, axis=1) >= radius
+
+
+def disc(dimension: int = 2) -> AnalyticProblem:
+    """Go around a unit ball from -2 to 2 on the first axis: two tangents and an arc."""
+    distance, radius = 2.0, 1.0
+    start = np.zeros(dimension)
+    start[0] = -distance
+    problem = FunctionProblem(
+        start=start,
+        goals=-start[None],
+        lower=np.full(dimension, -3.0),
+        upper=np.full(dimension, 3.0),
+        free=lambda q: np.linalg.norm(q, axis=1) >= radius,
+        edge_free=lambda q0, q1: _segments_miss_ball(q0, q1, radius),
+    )
+    tangents = 2.0 * np.sqrt(distance**2 - radius**2)
+    arc = radius * (np.pi - 2.0 * np.arccos(radius / distance))
+    return AnalyticProblem(
+        name="disc",
+        problem=problem,
+        objective=DensityObjective(density=_free_of_impact),
+        optimum=float(tangents + arc),
+        note="taut string around a ball; 4.511299",
+    )
+
+
+def two_media(dimension: int = 2) -> AnalyticProblem:
+    """Cross from a medium of cost 1 (y >= 0) into one of cost 3, from (0, 1) to (2, -1): Snell's law."""
+    start, goal = np.zeros(dimension), np.zeros(dimension)
+    start[:2], goal[:2] = (0.0, 1.0), (2.0, -1.0)
+    problem = FunctionProblem(
+        start=start, goals=goal[None], lower=np.full(dimension, -2.0), upper=np.full(dimension, 3.0)
+    )
+    return AnalyticProblem(
+        name="two_media",
+        problem=problem,
+        objective=DensityObjective(density=lambda q: np.where(q[:, 1] >= 0.0, 0.0, 2.0)),
+        optimum=5.104400242840104,
+        note="refraction at x = 1.700040, sines in the ratio 3",
+    )
+
+
+def hyperbolic() -> AnalyticProblem:
+    """Cost 1/y, the hyperbolic half-plane, from (0, 1/2) to (1, 1/2): an arc of a circle.
+
+    The metric does not change with scale, so this is (0, 1) to (2, 1) at half size; at this size 1/y >= 1 holds
+    in all of the domain, so that the impact 1/y - 1 is never negative.
+    """
+    problem = FunctionProblem(
+        start=np.array([0.0, 0.5]),
+        goals=np.array([[1.0, 0.5]]),
+        lower=np.array([-0.5, 0.1]),
+        upper=np.array([1.5, 1.0]),
+    )
+    return AnalyticProblem(
+        name="hyperbolic",
+        problem=problem,
+        objective=DensityObjective(density=lambda q: np.maximum(0.0, 1.0 / q[:, 1] - 1.0), step=0.005),
+        optimum=float(np.arccosh(3.0)),
+        note="arccosh(1 + |goal - start|^2 / (2 y0 y1)); 1.762747",
+    )
+
+
+def catenary() -> AnalyticProblem:
+    """Cost y, from (-1, 2) to (1, 2): the curve of a hanging chain."""
+    problem = FunctionProblem(
+        start=np.array([-1.0, 2.0]),
+        goals=np.array([[1.0, 2.0]]),
+        lower=np.array([-2.0, 1.0]),
+        upper=np.array([2.0, 3.0]),
+    )
+    return AnalyticProblem(
+        name="catenary",
+        problem=problem,
+        objective=DensityObjective(density=lambda q: np.maximum(0.0, q[:, 1] - 1.0)),
+        optimum=3.8144964268080104,
+        note="y = c cosh(x / c) with c = 1.696676",
+    )
+
+
+def saddle_density(q: Float[Array, "n nq"]) -> Float[Array, " n"]:
+    """Impact of `saddle`: a ridge of height 4 along x = 0 with a pass of height 1 at y = 1."""
+    ridge = np.exp(-0.5 * (q[:, 0] / 0.35) ** 2)
+    gate = np.exp(-0.5 * ((q[:, 1] - 1.0) / 0.3) ** 2)
+    return ridge * (4.0 - 3.0 * gate)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SaddleProblem:
+    """Two basins joined by a pass: the least mechanical work is known, the least total cost is not.
+
+    Args:
+        problem: From one basin to the other.
+        objective: Length plus impact.
+        least_work: Height of the pass above the start.
+    """
+
+    problem: FunctionProblem
+    objective: DensityObjective
+    least_work: float
+
+
+def saddle(scale: float = 1.0, offset: float = 0.0) -> SaddleProblem:
+    """Cross a ridge from (-1.5, 0) to (1.5, 0); the pass lies off the straight line.
+
+    Every path meets x = 0, where the impact is at least 1, so none does less work than 1 - impact(start).
+
+    Args:
+        scale: Multiplies the impact.
+        offset: Is added to it.
+    """
+    start = np.array([-1.5, 0.0])
+    problem = FunctionProblem(start=start, goals=-start[None], lower=np.array([-2.0, -2.0]), upper=np.array([2.0, 2.0]))
+    return SaddleProblem(
+        problem=problem,
+        objective=DensityObjective(density=lambda q: scale * saddle_density(q) + offset),
+        least_work=scale * (1.0 - float(saddle_density(start[None])[0])),
+    )
+
+
+def analytic_problems() -> dict[str, AnalyticProblem]:
+    """Build the two-dimensional problems with a known optimum, by name."""
+    every = (free_space(), free_space(density=2.0), disc(), two_media(), hyperbolic(), catenary())
+    return {instance.name: instance for instance in every}
