@@ -1,0 +1,75 @@
+# `make demo` and `make test` need Python 3.11 or newer, a C++20 compiler and make; the rest is installed into .venv from
+# pinned, hashed wheels. Steps that are up to date are skipped. Pass options to pytest with ARGS="-k scene".
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+# Wheels only: a source distribution would run its own, unpinned build.
+PINNED := $(PIP) install -q --require-hashes --only-binary :all:
+NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(wildcard src/graceful_plan/native/*)
+
+unexport PYTHONPATH
+
+.PHONY: help demo test lint types bench wheel lock clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
+	@echo "make test   run the tests"
+	@echo "make lint   check style and types"
+	@echo "make bench  run the benchmarks"
+	@echo "make wheel  build a wheel into dist/"
+	@echo "make lock   renew requirements/*.txt"
+	@echo "make clean  remove what was built, .venv included"
+
+demo: $(VENV)/.package
+	$(BIN)/graceful-plan demo
+
+test: $(VENV)/.package $(VENV)/.dev
+	$(BIN)/python -m pytest -q $(ARGS)
+
+lint: $(VENV)/.package $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+
+bench: $(VENV)/.package
+	$(BIN)/python benchmarks/run.py $(ARGS)
+
+wheel: $(VENV)/.build
+	$(PIP) wheel -q --no-deps --no-build-isolation --wheel-dir dist .
+
+lock: $(VENV)/.python
+	$(PIP) install -q pip-tools
+	for set in "build requirements/build.in" "runtime pyproject.toml" "dev --extra dev -c requirements/runtime.txt pyproject.toml"; do \
+	  $(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
+	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/$${set%% *}.txt $${set#* } || exit 1; \
+	done
+
+clean:
+	rm -rf $(VENV) build dist graceful_plan_demo .pytest_cache .ruff_cache .hypothesis
+
+$(VENV)/.python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "graceful_plan needs Python 3.11 or newer; say which with: make PYTHON=python3.12" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.build: requirements/build.txt $(VENV)/.python
+	$(PINNED) -r $<
+	@touch $@
+
+$(VENV)/.runtime: requirements/runtime.txt $(VENV)/.python
+	$(PINNED) -r $<
+	@touch $@
+
+$(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
+	$(PINNED) -r $<
+	@touch $@
+
+# Editable: Python files and scenes are used where they are; only a change in the native core or in the project file
+# needs this step again, and it compiles only what changed.
+$(VENV)/.package: $(NATIVE) $(VENV)/.build $(VENV)/.runtime
+	$(PIP) install -q --no-deps --no-build-isolation --editable .
+	@touch $@
