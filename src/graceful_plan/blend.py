@@ -22,6 +22,9 @@ SHORTEST_SEGMENT = 1e-5
 _BLENDED_SHARE = 0.475
 """Of a segment, what a blend at one end may take; what is left in the middle is not too short to be timed."""
 
+_GRADING = np.array([1 / 16, 1 / 4])
+"""Where to split an interval next to a rest, so that a short acceleration does not take the whole of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Piece:
@@ -41,14 +44,14 @@ class Piece:
 class CurveGrid:
     """Samples of a curve at both ends of small intervals, where derivatives may differ from the left and the right."""
 
-    s: Float[Array, " n+1"]
+    s: Float[Array, " point"]
     """Parameter of the grid points [rad]."""
-    q: Float[Array, "n+1 nq"]
-    slope: Float[Array, "n 2 nq"]
+    q: Float[Array, "point nq"]
+    slope: Float[Array, "interval 2 nq"]
     """dq/ds at the beginning and at the end of each interval."""
-    bend: Float[Array, "n 2 nq"]
+    bend: Float[Array, "interval 2 nq"]
     """d2q/ds2 at the beginning and at the end of each interval [1/rad]."""
-    stop: Bool[Array, " n+1"]
+    stop: Bool[Array, " point"]
     """Grid points where the motion must rest: the ends and sharp corners."""
 
 
@@ -79,8 +82,8 @@ def rounded(path: Path, deviation: float) -> tuple[Piece, ...]:
     # The middle of a parabola of reach d is d/4 * |turn| away from the corner.
     room = _BLENDED_SHARE * np.minimum(lengths[:-1], lengths[1:])
     reach = np.minimum(4.0 * deviation / np.maximum(sharpness, 1e-12), room)
-    reach = np.concatenate([[0.0], np.where(sharpness > 1e-9, reach, 0.0), [0.0]])
-    sharp = np.concatenate([[False], sharpness > 1e-9, [True]])
+    reach = np.concatenate([[0.0], np.where(sharpness > 1e-7, reach, 0.0), [0.0]])
+    sharp = np.concatenate([[False], sharpness > 1e-7, [True]])
     none = np.zeros(q.shape[1])
     pieces: list[Piece] = []
     for i, (length, tangent) in enumerate(zip(lengths, tangents, strict=True)):
@@ -106,11 +109,19 @@ def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float,
         turn = float(np.linalg.norm(piece.turn))
         least = 4 if turn == 0.0 else 2 + int(np.ceil(4.0 * min(1.0, turn)))
         n = max(density * least, 2 * int(np.ceil(piece.length / (2.0 * spacing))))
-        u = np.arange(n + 1) / n * piece.length
+        u = _places(n, from_rest=bool(stop[-1][-1]), to_rest=piece.stops_after) * piece.length
         at = piece.tangent + np.outer(u / piece.length, piece.turn)
         q.append((piece.start + np.outer(u, piece.tangent) + np.outer(u * u / (2.0 * piece.length), piece.turn))[:-1])
+        n = len(u) - 1
         slope.append(np.stack([at[:-1], at[1:]], axis=1))
         bend.append(np.broadcast_to(piece.turn / piece.length, (n, 2, len(end))))
         s.append(s[-1][-1] + u[1:])
         stop.append(np.append(np.zeros(n - 1, dtype=bool), piece.stops_after))
     return CurveGrid(np.concatenate(s), np.concatenate([*q, end[None]]), *map(np.concatenate, (slope, bend, stop)))
+
+
+def _places(n: int, *, from_rest: bool, to_rest: bool) -> Float[Array, " point"]:
+    """Split 0 to 1 into `n` even intervals, the outer ones more finely where the motion rests."""
+    before = _GRADING / n if from_rest else []
+    after = 1.0 - _GRADING[::-1] / n if to_rest else []
+    return np.sort(np.concatenate([np.arange(n + 1) / n, before, after]))

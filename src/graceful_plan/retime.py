@@ -6,12 +6,11 @@ where sampling let it exceed a limit by a little, slowed down evenly until it do
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from jaxtyping import Float
 
 from graceful_plan.blend import CurveGrid, Piece, rounded, sampled
+from graceful_plan.elements import Limits
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.topp import InverseDynamics, fastest, fastest_with_toppra
@@ -25,28 +24,9 @@ _ACCEPTED_SLOWDOWN = 1.02
 """The grid is refined while checking against the limits would slow the motion down by more than this."""
 
 
-class JointLimits(Protocol):
-    """What timing needs of a scene's limits, one number a joint."""
-
-    @property
-    def velocity(self) -> Float[Array, " nq"]:
-        """Largest speeds [rad/s]."""
-        ...
-
-    @property
-    def acceleration(self) -> Float[Array, " nq"]:
-        """Largest accelerations [rad/s^2]."""
-        ...
-
-    @property
-    def torque(self) -> Float[Array, " nq"]:
-        """Largest torques [N m]; used only with inverse dynamics."""
-        ...
-
-
 def retime(
     path: Path,
-    limits: JointLimits,
+    limits: Limits,
     joints: tuple[str, ...] | None = None,
     *,
     deviation: float = 0.05,
@@ -105,7 +85,7 @@ def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
     )
 
 
-def _check_limits(limits: JointLimits, joints: tuple[str, ...]) -> None:
+def _check_limits(limits: Limits, joints: tuple[str, ...]) -> None:
     for name in ("velocity", "acceleration"):
         value = np.asarray(getattr(limits, name))
         if value.shape != (len(joints),):
@@ -118,7 +98,7 @@ def _check_limits(limits: JointLimits, joints: tuple[str, ...]) -> None:
 def _timed(
     pieces: tuple[Piece, ...],
     end: Float[Array, " nq"],
-    limits: JointLimits,
+    limits: Limits,
     joints: tuple[str, ...],
     density: int,
     inverse_dynamics: InverseDynamics | None,
@@ -134,7 +114,7 @@ def _timed(
     return _trajectory(grid, speeds, joints)
 
 
-def _trajectory(grid: CurveGrid, speeds: Float[Array, " n+1"], joints: tuple[str, ...]) -> Trajectory:
+def _trajectory(grid: CurveGrid, speeds: Float[Array, " point"], joints: tuple[str, ...]) -> Trajectory:
     """Integrate path speeds to times, with constant path acceleration on each interval."""
     mean = 0.5 * (speeds[:-1] + speeds[1:])
     if not np.all(mean > 0.0):
@@ -148,7 +128,7 @@ def _trajectory(grid: CurveGrid, speeds: Float[Array, " n+1"], joints: tuple[str
     return Trajectory(t, grid.q, qd, np.concatenate([qdd, last[1:]]), joints)
 
 
-def _slowdown(trajectory: Trajectory, limits: JointLimits, inverse_dynamics: InverseDynamics | None) -> float:
+def _slowdown(trajectory: Trajectory, limits: Limits, inverse_dynamics: InverseDynamics | None) -> float:
     """By what factor, at least 1, to stretch the time so that the cubics between the samples keep all limits."""
     a0, a1 = trajectory.piece_accelerations
     acceleration = np.maximum(np.abs(a0), np.abs(a1))

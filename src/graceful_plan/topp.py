@@ -22,6 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from graceful_plan.blend import CurveGrid
 from graceful_plan.exceptions import RetimingError
@@ -33,7 +34,9 @@ InverseDynamics = Callable[[Array, Array, Array], Array]
 """Joint torques [N m] of (q, qd, qdd)."""
 
 
-def fastest(grid: CurveGrid, velocity: Float[Array, " nq"], acceleration: Float[Array, " nq"]) -> Float[Array, " n+1"]:
+def fastest(
+    grid: CurveGrid, velocity: Float[Array, " nq"], acceleration: Float[Array, " nq"]
+) -> Float[Array, " point"]:
     """Compute the time-optimal path speed at each grid point, at rest where the grid says stop.
 
     Args:
@@ -72,7 +75,7 @@ def fastest(grid: CurveGrid, velocity: Float[Array, " nq"], acceleration: Float[
     return np.sqrt(np.maximum(x, 0.0))
 
 
-def _velocity_cap(grid: CurveGrid, velocity: Float[Array, " nq"]) -> Float[Array, " n+1"]:
+def _velocity_cap(grid: CurveGrid, velocity: Float[Array, " nq"]) -> Float[Array, " point"]:
     """Largest squared path speed at which no joint exceeds its velocity limit."""
     slope = np.abs(grid.slope)
     fast = (velocity / np.where(slope > 0.0, slope, 1e-12)).min(axis=2) ** 2
@@ -80,7 +83,7 @@ def _velocity_cap(grid: CurveGrid, velocity: Float[Array, " nq"]) -> Float[Array
     return np.minimum(np.append(fast[:, 0], _UNBOUNDED), np.append(_UNBOUNDED, fast[:, 1]))
 
 
-def _row_cap(reach: Float[Array, "n row"], tilt: Float[Array, "n row"]) -> Float[Array, " n"]:
+def _row_cap(reach: Float[Array, "interval row"], tilt: Float[Array, "interval row"]) -> Float[Array, " interval"]:
     """Largest x for which some u meets all rows of an interval: no lower bound may pass an upper one."""
     closing = tilt[:, :, None] - tilt[:, None, :]
     room = reach[:, :, None] + reach[:, None, :]
@@ -94,7 +97,7 @@ def fastest_with_toppra(
     acceleration: Float[Array, " nq"],
     torque: Float[Array, " nq"] | None = None,
     inverse_dynamics: InverseDynamics | None = None,
-) -> Float[Array, " n+1"]:
+) -> Float[Array, " point"]:
     """Do what `fastest` does by toppra, with torque limits [N m] too if `inverse_dynamics` is given.
 
     Raises:
@@ -115,7 +118,7 @@ def fastest_with_toppra(
         none = np.zeros(len(torque))
         constraints.append(Torque.joint_torque_constraint(inverse_dynamics, bounds, none, discretization_scheme=scheme))
     speeds = np.zeros(len(grid.s))
-    stops = np.flatnonzero(grid.stop)
+    stops = np.flatnonzero(grid.stop).tolist()
     for first, last in pairwise(stops):
         section = _Section(grid, first, last)
         solver = TOPPRA(constraints, section, gridpoints=section.s, solver_wrapper="seidel")
@@ -141,6 +144,6 @@ class _Section:
         self.dof = grid.q.shape[1]
         self.path_interval = np.array([self.s[0], self.s[-1]])
 
-    def __call__(self, s: Float[Array, "*n"], order: int = 0) -> Float[Array, "*n nq"]:
+    def __call__(self, s: ArrayLike, order: int = 0) -> Float[Array, "*n nq"]:
         index = np.clip(np.searchsorted(self.s, np.asarray(s) - 1e-12), 0, len(self.s) - 1)
         return self.values[order][index]

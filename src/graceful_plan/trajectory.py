@@ -165,7 +165,8 @@ class Trajectory:
         except (ValueError, RecursionError) as error:
             raise FormatError(name, f"not JSON: {error}") from None
         _check_document(name, document)
-        return cls(*(document[key] for key in _UNITS), joints=tuple(document["joints"]))
+        arrays = (finite_array(key, document[key], ndim=1 if key == "t" else 2) for key in _UNITS)
+        return cls(*arrays, joints=tuple(document["joints"]))
 
     def to_csv(self, file: str | FilePath | None = None) -> str:
         """Return the samples as CSV text, one row a time, with units in the header; write it to `file` if given."""
