@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import lgamma, log, pi
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from graceful_plan.planners.planner import BoundObjective, Problem, edge_totals
 
@@ -90,6 +90,20 @@ class InformedSampler:
             return np.zeros(len(q))
         to_goal = np.linalg.norm(q[:, None, :] - self.goals, axis=2).min(axis=1)
         return self.length_bound * (np.linalg.norm(q - self.start, axis=1) + to_goal)
+
+    def box(self, cost: float) -> tuple[Float[Array, " nq"], Float[Array, " nq"]]:
+        """Corners of a box inside the limits around all that a path cheaper than `cost` can pass."""
+        if self.length_bound == 0.0 or not np.isfinite(cost):
+            return self.problem.lower, self.problem.upper
+        length = cost / self.length_bound
+        corners = []
+        for goal, focal, frame in zip(self.goals, self.focal, self.frames, strict=True):
+            axes = np.full(len(goal), np.sqrt(max(0.0, length**2 - focal**2)) / 2.0)
+            axes[0] = length / 2.0
+            half = np.linalg.norm(frame * axes, axis=1) * (focal <= length)
+            corners.append(((self.start + goal) / 2.0 - half, (self.start + goal) / 2.0 + half))
+        lower, upper = np.min([low for low, _ in corners], axis=0), np.max([high for _, high in corners], axis=0)
+        return np.maximum(self.problem.lower, lower), np.minimum(self.problem.upper, upper)
 
     def draw(self, n: int, cost: float, rng: np.random.Generator) -> Float[Array, "drawn nq"]:
         """Draw at most `n` configurations that can lie on a path cheaper than `cost`; fewer if they are rare."""

@@ -152,8 +152,8 @@ def _grow(growth: _Growth, questions: Questions, budget: Budget, rng: np.random.
             best, best_path = found
             yield best_path
         if best_path is not None and growth.shortcut is not None:
-            for best_path in growth.shortcut.improve(best_path, questions, budget, cut_rng):
-                best = questions.path_cost(best_path)
+            for better in growth.shortcut.improve(best_path, questions, budget, cut_rng):
+                best_path, best = better, questions.path_cost(better)
                 yield best_path
         if best_path is not None and growth.first_only:
             return

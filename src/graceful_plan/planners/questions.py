@@ -24,8 +24,8 @@ _FIRST_SLICE = 16
 _FIXED_SLICE = 512
 
 
-class Interrupted(Exception):  # noqa: N818 - a signal between functions of one planner, not an error
-    """The time is over or somebody cancelled."""
+class Interrupted(Exception):
+    """The time is over or somebody cancelled: a signal between the functions of one planner, not an error."""
 
 
 def out_of_time(budget: Budget) -> bool:
