@@ -1,0 +1,436 @@
+"""A scene: robot, surroundings and what is known about both; the library's door to MuJoCo.
+
+A `Scene` never changes. `attach`, `detach`, `with_severity` and `add_*` return new scenes. Frames: W world, T tool, O carried object.
+Where the arm is, in terms of q, is a question for `kernels.py`; this module only hands out the model and its names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from graceful_plan import roles, screening
+from graceful_plan.contact_pairs import tested_pairs
+from graceful_plan.elements import (
+    AllowedContact,
+    Carried,
+    Component,
+    Contents,
+    Entity,
+    EntityNote,
+    Limits,
+    Notes,
+    Task,
+)
+from graceful_plan.exceptions import SceneError
+from graceful_plan.model_parts import (
+    check_numbers,
+    check_supported,
+    colliding_geoms,
+    find,
+    finger_positions,
+    joint_limits,
+    names,
+    planned_joints,
+    rigid_group,
+    robot_bodies,
+    subtree,
+)
+from graceful_plan.path import finite_array
+from graceful_plan.scene_edit import add_hull, add_primitive
+from graceful_plan.scene_summary import summary
+from graceful_plan.severity import SeverityTable
+from graceful_plan.tasks import find_keyframes, find_tasks
+
+Array = np.ndarray
+
+_OBJ = mujoco.mjtObj
+_GEOM = mujoco.mjtGeom
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """A robot among things that can be harmed. Made by `load_scene` or `Scene.from_mjcf`; equal only to itself.
+
+    | field            | meaning                                                                                        |
+    |------------------|------------------------------------------------------------------------------------------------|
+    | model            | the full dynamics model; read only                                                             |
+    | joints           | names of the planned joints, from the base to the tool                                         |
+    | qpos_adr         | address of each planned joint in the model's qpos                                              |
+    | limits           | what the planned joints can do                                                                 |
+    | home_qpos        | qpos of everything: fingers as they are held, entities at their initial poses                  |
+    | components       | by name: "body" (links that move), "carried", "contents"                                       |
+    | entities         | by name: what can be harmed                                                                    |
+    | unlabelled       | bodies that are obstacles and nothing else, since nobody said what they are                    |
+    | keyframes        | configurations by name                                                                         |
+    | allowed_contacts | what may touch                                                                                 |
+    | robot_bodies     | ids of the robot's bodies                                                                      |
+    | notes            | everything that was declared                                                                   |
+    | spec             | what the model was compiled from; copy it before any change                                    |
+    """
+
+    model: mujoco.MjModel
+    joints: tuple[str, ...]
+    qpos_adr: Int[Array, " nq"]
+    limits: Limits
+    home_qpos: Float[Array, " model_nq"]
+    components: Mapping[str, Component]
+    entities: Mapping[str, Entity]
+    unlabelled: tuple[str, ...]
+    keyframes: Mapping[str, Float[Array, " nq"]]
+    allowed_contacts: tuple[AllowedContact, ...]
+    robot_bodies: frozenset[int]
+    notes: Notes
+    spec: mujoco.MjSpec
+
+    # --- making one ---------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        source: str | Path | mujoco.MjSpec,
+        *,
+        robot: str,
+        tool: str,
+        carried: str | None = None,
+        X_TO: ArrayLike | None = None,
+        contents: Contents | None = None,
+        entities: Mapping[str, str | EntityNote] | None = None,
+        severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
+        fingers: float | Mapping[str, float] | None = None,
+        velocity: Sequence[float] | None = None,
+        acceleration: Sequence[float] | None = None,
+        torque: Sequence[float] | None = None,
+        keyframes: Mapping[str, ArrayLike] | None = None,
+        allowed_contacts: Sequence[AllowedContact] = (),
+        body_class: str = "arm_collapse",
+        name: str | None = None,
+    ) -> Scene:
+        """Make a scene from any MJCF model with an arm in it.
+
+        Args:
+            source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first.
+            robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
+            tool: Name of the site that stands for the tool. The hinges and slides between the world and it are planned.
+            carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
+            X_TO: Pose of the carried body in the tool frame.
+            contents: What is inside of it.
+            entities: Class of each body that can be harmed, by body name; each stands for its whole subtree. The model may say
+                the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class are obstacles only.
+            severity: A table, a file with one, or replacements as for `with_severity`.
+            fingers: Position of the joints behind the tool's body, or positions by joint name.
+            velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric "<robot>velocity_limit".
+            acceleration: The same for accelerations [rad/s2 or m/s2].
+            torque: The same [N m or N]. Default: the model's actuators; infinite if they have no limits.
+            keyframes: Configurations by name, besides the model's own keyframes.
+            allowed_contacts: What may touch, besides gripper and carried object.
+            body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
+            name: What to call the scene; the model's name by default.
+
+        Raises:
+            SceneError: If the model is broken or hostile.
+            UnsupportedError: If it has features that cannot be represented.
+            UnknownNameError: If a body, site, joint or class does not exist.
+        """
+        spec = screening.load_spec(source)
+        table, overrides = _severity(severity)
+        notes = Notes(
+            name=name or spec.modelname,
+            robot=robot,
+            tool=tool,
+            body_class=body_class,
+            fingers=fingers,
+            velocity=None if velocity is None else tuple(velocity),
+            acceleration=None if acceleration is None else tuple(acceleration),
+            torque=None if torque is None else tuple(torque),
+            entities={k: v if isinstance(v, EntityNote) else EntityNote(category=v) for k, v in (entities or {}).items()},
+            severity=table,
+            overrides=overrides,
+            keyframes={k: tuple(finite_array(f"keyframe {k}", q, ndim=1)) for k, q in (keyframes or {}).items()},
+            allowed=tuple(allowed_contacts),
+        )
+        scene = cls.build(spec, notes)
+        return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+
+    @classmethod
+    def build(cls, spec: mujoco.MjSpec, notes: Notes, model: mujoco.MjModel | None = None) -> Scene:
+        """Make a scene of a MjSpec, which must not change any more, and notes. For loaders; users call `from_mjcf`."""
+        if model is None:
+            model = screening.compile_spec(spec, notes.file)
+            with notes.about("world"):
+                check_numbers(model)
+                check_supported(model)
+        with notes.about("robot"):
+            tool_body = int(model.site_bodyid[find(model, _OBJ.mjOBJ_SITE, "tool site", notes.tool)])
+            robot = robot_bodies(model, notes.robot)
+            joints = planned_joints(model, tool_body, robot)
+            limits = joint_limits(model, joints, notes)
+            held_still = finger_positions(model, robot, joints, tool_body, notes)
+        qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
+        home = model.qpos0.copy()
+        home[list(held_still)] = list(held_still.values())
+        notes = replace(notes, entities=roles.custom_entities(model) | dict(notes.entities))
+        components = roles.find_components(model, notes, robot)
+        return cls(
+            model=model,
+            joints=tuple(names(model, _OBJ.mjOBJ_JOINT, joints)),
+            qpos_adr=qpos_adr,
+            limits=limits,
+            home_qpos=home,
+            components=components,
+            entities=roles.find_entities(model, notes, robot, components),
+            unlabelled=roles.unlabelled_bodies(model, notes, robot),
+            keyframes=find_keyframes(model, notes, qpos_adr, limits),
+            allowed_contacts=_allowed(model, notes, tool_body),
+            notes=notes,
+            robot_bodies=robot,
+            spec=spec,
+        )
+
+    # --- what was declared --------------------------------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """What the scene is called."""
+        return self.notes.name
+
+    @property
+    def robot(self) -> str:
+        """Prefix of the robot's body names, or the name of its root body."""
+        return self.notes.robot
+
+    @property
+    def tool(self) -> str:
+        """Name of the tool site."""
+        return self.notes.tool
+
+    @property
+    def carried(self) -> Carried | None:
+        """The object in the gripper, if any."""
+        held = self.notes.held
+        if held is None or held.X_TO is None or held.object_class is None:
+            return None
+        return Carried(body=held.body, X_TO=held.X_TO, object_class=held.object_class)
+
+    @property
+    def contents(self) -> Contents | None:
+        """What is inside of the object in the gripper, if anything."""
+        return None if self.notes.held is None else self.notes.held.contents
+
+    @cached_property
+    def tasks(self) -> Mapping[str, Task]:
+        """What to plan in this scene, by name."""
+        return find_tasks(self)
+
+    # --- questions ----------------------------------------------------------------------------------------------------
+
+    def data_at(self, q: ArrayLike) -> mujoco.MjData:
+        """Return fresh MjData at a configuration, the carried object at the tool; positions are computed, contacts are not.
+
+        Args:
+            q: Configuration of the planned joints [rad or m].
+        """
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.home_qpos
+        data.qpos[self.qpos_adr] = finite_array("q", q, ndim=1, last=len(self.joints))
+        mujoco.mj_kinematics(self.model, data)
+        if self.carried is not None:
+            site = data.site(self.tool)
+            R_WO = site.xmat.reshape(3, 3) @ self.carried.X_TO[:3, :3]
+            body = self.model.body(self.carried.body).id
+            adr = roles.free_joint(self.model, body)
+            data.qpos[adr : adr + 3] = site.xpos + site.xmat.reshape(3, 3) @ self.carried.X_TO[:3, 3]
+            mujoco.mju_mat2Quat(data.qpos[adr + 3 : adr + 7], R_WO.ravel())
+            mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_comPos(self.model, data)
+        return data
+
+    def collision_pairs(self) -> Int[Array, "pair 2"]:
+        """Return every pair of geoms to keep apart: those that MuJoCo would test, less what may always touch.
+
+        The first geom of a pair is one of the robot or the carried object. Pairs among the surroundings are not in it.
+        """
+        return self._collision_pairs
+
+    @cached_property
+    def _collision_pairs(self) -> Int[Array, "pair 2"]:
+        moving = set(self.robot_bodies)
+        if self.carried is not None:
+            moving |= subtree(self.model, self.model.body(self.carried.body).id)
+        allowed = self.allowed_pairs("always")
+        pairs = tested_pairs(self.model, moving)
+        keep = [(min(a, b), max(a, b)) not in allowed for a, b in pairs.tolist()]
+        pairs = pairs[np.array(keep, dtype=bool)]
+        pairs.flags.writeable = False
+        return pairs
+
+    def allowed_pairs(self, when: str) -> frozenset[tuple[int, int]]:
+        """Return the pairs of geoms, lower id first, that may touch "always" or at the "ends" of a path."""
+        return frozenset(
+            (min(a, b), max(a, b))
+            for contact in self.allowed_contacts
+            if contact.when == when
+            for a in self.geoms_named(contact.first)
+            for b in self.geoms_named(contact.second)
+        )
+
+    def geoms_named(self, name: str) -> tuple[int, ...]:
+        """Return the geoms that a name in an allowed contact stands for.
+
+        A body stands for its own geoms that collide and those of what hangs rigidly on it; otherwise it is a geom.
+
+        Raises:
+            UnknownNameError: If there is neither.
+        """
+        return _geoms_named(self.model, name)
+
+    def describe(self) -> str:
+        """Return a readable summary: robot, components, entities with severities, what may touch."""
+        return summary(self)
+
+    # --- new scenes ---------------------------------------------------------------------------------------------------
+
+    def attach(
+        self,
+        name: str,
+        *,
+        X_TO: ArrayLike | None = None,
+        contents: Contents | None = None,
+        object_class: str | None = None,
+        fingers: float | Mapping[str, float] | None = None,
+        support: Sequence[str] = (),
+    ) -> Scene:
+        """Return this scene with an object in the gripper. It is no entity and no obstacle any more; the gripper may touch it.
+
+        Args:
+            name: An object of the scene, or any body that stands by itself.
+            X_TO: Pose of the object's body in the tool frame. Default: as declared for the object, else the body's origin at the
+                tool, upright while the tool points down.
+            contents: What is inside of it. Default: as declared.
+            object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as declared, else by mass.
+            fingers: Position of the joints behind the tool's body while carrying, or by joint name. Default: as declared.
+            support: Bodies or geoms that it may touch at the ends of a path, since it stands on them there.
+
+        Raises:
+            SceneError: If something is in the gripper already.
+            UnknownNameError: If there is no such object, support or contents geom.
+            UnsupportedError: If it cannot be held.
+        """
+        if self.notes.held is not None:
+            raise SceneError(f"{self.notes.held.body!r} is in the gripper already; detach() it first")
+        held = roles.held_note(
+            self.model, self.notes, self.robot_bodies, name, X_TO=X_TO, contents=contents, object_class=object_class, fingers=fingers
+        )
+        notes = replace(self.notes, held=held, support=tuple(support))
+        if roles.free_joint(self.model, self.model.body(held.body).id) >= 0:
+            return Scene.build(self.spec, notes, self.model)
+        spec = self.spec.copy()
+        spec.body(held.body).add_freejoint(name=f"{held.body}_free")
+        return Scene.build(spec, notes)
+
+    def detach(self) -> Scene:
+        """Return this scene with nothing in the gripper; the object is back at its initial pose.
+
+        Raises:
+            SceneError: If nothing is in the gripper.
+        """
+        if self.notes.held is None:
+            raise SceneError("nothing is in the gripper")
+        return Scene.build(self.spec, replace(self.notes, held=None, support=()), self.model)
+
+    def with_severity(self, severity: SeverityTable | Mapping[str, float | Mapping[str, float]]) -> Scene:
+        """Return this scene with other severities.
+
+        Args:
+            severity: A whole table, or replacements: by entity, a number or numbers by component ("body", "carried", "contents");
+                by entity class, a number or numbers by component class. A name that is both is the entity.
+
+        Raises:
+            UnknownNameError: If a name is neither an entity nor a class.
+            SettingError: If a severity is not a finite number of at least 0.
+        """
+        table, overrides = _severity(severity)
+        table = table if isinstance(severity, SeverityTable) else self.notes.severity
+        notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
+        return Scene.build(self.spec, notes, self.model)
+
+    def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with a box that does not move.
+
+        Args:
+            name: Name of the new body.
+            half_size: Half of its length along each axis [m].
+            pose: Pose in W as a 4 x 4 matrix, or the position of its centre [m].
+            entity: Its class, if it can be harmed; otherwise it is an obstacle only.
+        """
+        return self._with_body(name, _GEOM.mjGEOM_BOX, half_size, 3, pose, entity)
+
+    def add_sphere(self, name: str, radius: float, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with a sphere of some radius [m] that does not move; the rest as in `add_box`."""
+        return self._with_body(name, _GEOM.mjGEOM_SPHERE, [radius], 1, pose, entity)
+
+    def add_cylinder(self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with a cylinder along z of its pose [m] that does not move; the rest as in `add_box`."""
+        return self._with_body(name, _GEOM.mjGEOM_CYLINDER, [radius, half_length], 2, pose, entity)
+
+    def add_capsule(self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with a capsule along z of its pose that does not move.
+
+        `half_length` [m] is that of the straight part, without the caps; the rest as in `add_box`.
+        """
+        return self._with_body(name, _GEOM.mjGEOM_CAPSULE, [radius, half_length], 2, pose, entity)
+
+    def add_mesh(self, name: str, vertices: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with the convex hull of some points [m], given in the frame of `pose`; the rest as in `add_box`."""
+        spec = self.spec.copy()
+        add_hull(spec, name, vertices, pose)
+        return self._rebuilt(spec, name, entity)
+
+    def _with_body(
+        self, name: str, kind: mujoco.mjtGeom, size: ArrayLike, count: int, pose: ArrayLike, entity: str | None
+    ) -> Scene:
+        spec = self.spec.copy()
+        add_primitive(spec, name, kind, finite_array(f"size of {name}", size, ndim=1, last=count), pose)
+        return self._rebuilt(spec, name, entity)
+
+    def _rebuilt(self, spec: mujoco.MjSpec, name: str, entity: str | None) -> Scene:
+        known = dict(self.notes.entities)
+        if entity is not None:
+            known[name] = EntityNote(category=entity)
+        return Scene.build(spec, replace(self.notes, entities=known))
+
+
+def _severity(given: SeverityTable | Mapping[str, Any] | str | Path | None) -> tuple[SeverityTable, dict[str, Any]]:
+    if isinstance(given, SeverityTable):
+        return given, {}
+    if isinstance(given, str | Path):
+        return SeverityTable.load(given), {}
+    return SeverityTable.shipped(), dict(given or {})
+
+
+def _allowed(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tuple[AllowedContact, ...]:
+    """Collect what may touch: as declared, gripper and held object always, held object and supports at the ends."""
+    found = list(notes.allowed)
+    if notes.held is not None:
+        gripper = [b for b in sorted(subtree(model, tool_body)) if colliding_geoms(model, [b])]
+        found += [AllowedContact(name, notes.held.body, "always") for name in names(model, _OBJ.mjOBJ_BODY, gripper)]
+        found += [AllowedContact(notes.held.body, support, "ends") for support in notes.support]
+    for contact in found:
+        _geoms_named(model, contact.first)
+        _geoms_named(model, contact.second)
+    return tuple(found)
+
+
+def _geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
+    body = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name)
+    if body >= 0:
+        return colliding_geoms(model, {0} if body == 0 else rigid_group(model, body))
+    return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)

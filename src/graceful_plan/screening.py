@@ -1,0 +1,238 @@
+"""Screen MJCF from strangers before MuJoCo compiles it, and say in which file and line something is wrong.
+
+MuJoCo itself loads absolute and `..` includes, expands a billion replicas, and takes NaN positions and negative timesteps. The
+screen reads the XML with a streaming parser, so that nothing is expanded while it looks.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+import mujoco
+
+from graceful_plan.exceptions import SceneError
+
+MAX_BYTES = 10_000_000
+MAX_ASSET_BYTES = 100_000_000
+MAX_DEPTH = 200
+MAX_ELEMENTS = 50_000
+"""Elements after replication, all included files together."""
+MAX_FILES = 64
+MAX_COUNT = 4096
+"""Greatest value of an attribute that says how many of something there are."""
+
+_REFUSED = {
+    "plugin": "plugins are not supported",
+    "extension": "plugins are not supported",
+    "flex": "flexible bodies are not supported",
+    "flexcomp": "flexible bodies are not supported",
+    "composite": "composite bodies are not supported",
+    "skin": "skins are not supported",
+}  # fmt: skip
+_COUNTS = {"count", "dim", "nsample", "width", "height", "nrow", "ncol", "offwidth", "offheight", "shadowsize", "offsamples",
+           "numslices", "numstacks", "numquads", "nstack", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam",
+           "nuser_tendon", "nuser_actuator", "nuser_sensor", "nconmax", "njmax", "nkey", "actdim"}  # fmt: skip
+_WORDS = {"name", "class", "childclass", "model", "data"}
+"""Attributes whose text may look like a number without being one ("data" only where it is text)."""
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+_BAD_NUMBER = re.compile(r"(?i)^[+-]?(nan|inf|infinity)(\(.*\))?$")
+
+
+def load_spec(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
+    """Read a model from a file, from text that starts with "<", or copy a MjSpec.
+
+    Raises:
+        SceneError: If it is broken or hostile, with file and line.
+    """
+    if isinstance(source, mujoco.MjSpec):
+        return source.copy()
+    if isinstance(source, str) and source.lstrip().startswith("<"):
+        _Screen(None).text(source.encode(), "<text>", 0)
+        return _parsed(source, None)
+    file = Path(source)
+    if file.suffix.lower() == ".mjb":
+        raise SceneError("binary models cannot be screened; give the MJCF", file=str(file))
+    _Screen(file.parent.resolve()).file(file, 0)
+    return _parsed(None, file)
+
+
+def compile_spec(spec: mujoco.MjSpec, file: str | None = None) -> mujoco.MjModel:
+    """Compile a model.
+
+    Raises:
+        SceneError: With MuJoCo's own words, if it cannot be compiled.
+    """
+    try:
+        return spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise _translated(error, file) from None
+
+
+def _parsed(text: str | None, file: Path | None) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_string(text) if file is None else mujoco.MjSpec.from_file(str(file))
+    except (ValueError, RuntimeError, UnicodeError) as error:
+        raise _translated(error, None if file is None else str(file)) from None
+
+
+def _translated(error: Exception, file: str | None) -> SceneError:
+    text = " ".join(str(error).split())
+    line = re.search(r"[Ll]ine:? (\d+)", text)
+    return SceneError(text, file=file, line=int(line.group(1)) if line and file is not None else None)
+
+
+@dataclass
+class _Screen:
+    """One look at a model and the files that it includes; `root` is the folder that it must not leave."""
+
+    root: Path | None
+    elements: int = 0
+    files: int = 0
+    including: list[Path] = field(default_factory=list)
+
+    def file(self, file: Path, replicas: int) -> None:
+        """Screen a file, standing inside of so many replicas (0: none)."""
+        try:
+            size = file.stat().st_size
+            if size > MAX_BYTES:
+                raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
+            content = file.read_bytes()
+        except OSError as error:
+            raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+        resolved = file.resolve()
+        if resolved in self.including:
+            raise SceneError("includes itself", file=str(file))
+        self.files += 1
+        if self.files > MAX_FILES:
+            raise SceneError(f"more than {MAX_FILES} files are included", file=str(file))
+        self.including.append(resolved)
+        self.text(content, str(file), replicas)
+        self.including.pop()
+
+    def text(self, content: bytes, name: str, replicas: int) -> None:
+        """Screen the content of a file."""
+        _Reader(self, name, max(1, replicas)).read(content)
+
+    def inside(self, given: str, folder: str) -> Path | None:
+        """Return the file that is meant, or None if it is outside of the root folder."""
+        path = Path(folder) / given
+        if self.root is None or path.is_absolute() or ".." in path.parts or "\\" in given:
+            return None
+        resolved = (self.root / path).resolve()  # a symbolic link may lead out
+        return resolved if resolved.is_relative_to(self.root) else None
+
+
+class _Reader:
+    """Walks through one XML text."""
+
+    def __init__(self, screen: _Screen, name: str, replicas: int) -> None:
+        self.screen, self.name = screen, name
+        self.replicas = [replicas]
+        self.folder = ""
+        self.pending: list[tuple[str, str, int]] = []  # asset files: checked at the end, when the folders are known
+        self.parser = expat.ParserCreate()
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.StartDoctypeDeclHandler = lambda *_: self.refuse("a document type declaration is not allowed")
+        self.parser.ProcessingInstructionHandler = lambda *_: self.refuse("processing instructions are not allowed")
+
+    def read(self, content: bytes) -> None:
+        try:
+            self.parser.Parse(content, True)
+        except expat.ExpatError as error:
+            raise SceneError(f"broken XML: {expat.ErrorString(error.code)}", file=self.name, line=error.lineno) from None
+        for kind, given, line in self.pending:
+            self.check_asset(kind, given, line)
+
+    def refuse(self, message: str) -> None:
+        raise SceneError(message, file=self.name, line=self.parser.CurrentLineNumber)
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        depth = len(self.replicas)
+        if depth == 1 and tag not in ("mujoco", "mujocoinclude"):
+            self.refuse(f"the top element is <{tag}>, expected <mujoco>")
+        if depth > MAX_DEPTH:
+            self.refuse(f"nested deeper than {MAX_DEPTH} elements")
+        if tag in _REFUSED:
+            self.refuse(_REFUSED[tag])
+        replicas = self.replicas[-1]
+        if tag == "replicate":
+            replicas *= max(1, self.count("count", attributes.get("count", "1")))
+        self.replicas.append(replicas)
+        self.screen.elements += replicas
+        if self.screen.elements > MAX_ELEMENTS or replicas > MAX_ELEMENTS:
+            self.refuse(f"more than {MAX_ELEMENTS} elements after replication")
+        for key, value in attributes.items():
+            self.attribute(tag, key, value)
+        if tag == "include":
+            self.include(attributes.get("file", ""))
+
+    def end(self, _tag: str) -> None:
+        self.replicas.pop()
+
+    def attribute(self, tag: str, key: str, value: str) -> None:
+        if key in _COUNTS or (tag == "numeric" and key == "size"):
+            self.count(key, value)
+        elif key == "file" and tag != "include":
+            self.pending.append((tag, value, self.parser.CurrentLineNumber))
+        elif key in _FOLDERS:
+            if self.screen.inside(".", value) is None:
+                self.refuse(f"{key}={value!r} is outside of the folder of the scene")
+            if key != "texturedir":
+                self.folder = value
+        elif tag == "size" and key == "memory":
+            self.refuse("the memory size cannot be set")
+        elif tag == "mesh" and key == "builtin":
+            self.refuse("built-in meshes are not supported; give a geom or vertices")
+        elif tag == "option" and key == "timestep":
+            self.timestep(value)
+        if (key not in _WORDS or tag == "numeric") and any(_BAD_NUMBER.match(word) for word in value.split()):
+            self.refuse(f"{key}={value!r} of <{tag}> is not finite")
+
+    def timestep(self, value: str) -> None:
+        try:
+            timestep = float(value)
+        except ValueError:
+            return  # MuJoCo says it better
+        if not timestep > 0.0:
+            self.refuse(f"the timestep is {value}, it has to be above 0")
+
+    def count(self, key: str, value: str) -> int:
+        largest = 0
+        for word in value.split():
+            try:
+                number = float(word)
+            except ValueError:
+                continue  # MuJoCo says it better
+            if math.isfinite(number) and number <= MAX_COUNT:
+                largest = max(largest, int(number))
+            else:
+                self.refuse(f"{key}={value!r} is more than {MAX_COUNT}")
+        return largest
+
+    def include(self, given: str) -> None:
+        file = self.screen.inside(given, "")
+        if file is None:
+            self.refuse(f"include of {given!r}: only files in the folder of the scene, by relative path")
+        else:
+            if not file.is_file():
+                self.refuse(f"include of {given!r}: there is no such file")
+            self.screen.file(file, self.replicas[-1])
+
+    def check_asset(self, tag: str, given: str, line: int) -> None:
+        file = self.screen.inside(given, "" if tag == "model" else self.folder)
+        if file is None and tag == "texture":
+            file = self.screen.inside(given, "")
+        if file is None:
+            message = f"file {given!r} of <{tag}>: only files in the folder of the scene, by relative path"
+            raise SceneError(message, file=self.name, line=line)
+        if not file.is_file():
+            return  # MuJoCo says where it looked
+        if tag == "model":
+            self.screen.file(file, self.replicas[-1])
+        elif file.stat().st_size > MAX_ASSET_BYTES:
+            raise SceneError(f"{given!r} has more than {MAX_ASSET_BYTES} bytes", file=self.name, line=line)

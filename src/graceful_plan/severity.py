@@ -1,0 +1,129 @@
+"""How bad an impact is: a table of entity class x component class, read from YAML, overridable per scene.
+
+The shipped table is `severity.yaml`; its anchors are in the head of that file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+
+from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
+from graceful_plan.yaml_file import Block, read_yaml
+
+_SHIPPED = Path(__file__).parent / "severity.yaml"
+
+
+@dataclass(frozen=True)
+class SeverityTable:
+    """Severity of each component class against each entity class.
+
+    Args:
+        rows: Severity by entity class, then component class; at least 0. A pair that is left out is not defined.
+        components: Names of the component classes.
+    """
+
+    rows: Mapping[str, Mapping[str, float]]
+    components: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for category, row in self.rows.items():
+            for component, value in row.items():
+                self._check_component(component)
+                check_severity(f"severity of {component} against {category}", value)
+        frozen = {category: MappingProxyType(dict(row)) for category, row in self.rows.items()}
+        object.__setattr__(self, "rows", MappingProxyType(frozen))
+
+    @classmethod
+    def shipped(cls) -> SeverityTable:
+        """Return the table that comes with the library."""
+        return _shipped()
+
+    @classmethod
+    def load(cls, file: str | Path) -> SeverityTable:
+        """Read a table from a YAML file laid out like the shipped one.
+
+        Raises:
+            SceneError: If the file is broken, with the line.
+        """
+        return _parse(read_yaml(Path(file)))
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Names of the entity classes."""
+        return tuple(self.rows)
+
+    def severity(self, category: str, component: str) -> float:
+        """Look up one severity.
+
+        Raises:
+            UnknownNameError: If there is no such entity class or component class.
+            SceneError: If the table does not define this pair.
+        """
+        self.check_class(category)
+        self._check_component(component)
+        row = self.rows[category]
+        if component not in row:
+            raise SceneError(
+                f"no severity of {component!r} against {category!r}; defined for {category!r}: {', '.join(row)}"
+            )
+        return row[component]
+
+    def with_overrides(self, overrides: Mapping[str, float | Mapping[str, float]]) -> SeverityTable:
+        """Return a table with some values replaced.
+
+        Args:
+            overrides: By entity class, one number for all component classes or numbers by component class. A class that the
+                table does not have is added.
+        """
+        rows = {category: dict(row) for category, row in self.rows.items()}
+        for category, values in overrides.items():
+            if not isinstance(values, Mapping):
+                values = dict.fromkeys(self.components, values)
+            rows.setdefault(category, {}).update(values)
+        return SeverityTable(rows, self.components)
+
+    def check_class(self, category: str) -> None:
+        """Raise UnknownNameError unless there is such an entity class."""
+        if category not in self.rows:
+            raise UnknownNameError("entity class", category, self.rows)
+
+    def _check_component(self, component: str) -> None:
+        if component not in self.components:
+            raise UnknownNameError("component class", component, self.components)
+
+
+def check_severity(name: str, value: object) -> float:
+    """Return a severity as a float.
+
+    Raises:
+        SettingError: If it is not a finite number of at least 0.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+        raise SettingError(name, value, "a finite number of at least 0")
+    return float(value)
+
+
+@cache
+def _shipped() -> SeverityTable:
+    return SeverityTable.load(_SHIPPED)
+
+
+def _parse(root: Block) -> SeverityTable:
+    root.only("version", "components", "entities")
+    if root["version"].number() != 1:
+        raise root["version"].error("only version 1 of severity tables is known")
+    components = root["components"].strings()
+    rows: dict[str, dict[str, float]] = {}
+    for category, row in root["entities"].items():
+        values = row.entries()
+        if len(values) != len(components):
+            raise row.error(f"{category} has {len(values)} severities for {len(components)} component classes")
+        rows[category] = {c: v.number() for c, v in zip(components, values, strict=True) if not v.is_null}
+        if min(rows[category].values(), default=0.0) < 0.0:
+            raise row.error(f"a severity of {category} is below 0")
+    return SeverityTable(rows, components)
