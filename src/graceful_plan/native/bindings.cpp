@@ -1,17 +1,434 @@
-// Placeholder: the bindings of the native core come here.
+// Python's door to the core: owns the tables, picks the instruction set, releases the GIL.
 #include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
-#include "gp_isa.hpp"
+#include <stdexcept>
+#include <string>
 
-#define X(isa)                                                                                                         \
-    namespace gp::isa {                                                                                                \
-    int lanes();                                                                                                       \
+#include "anytime.hpp"
+#include "connect.hpp"
+#include "tables.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace gp {
+namespace {
+
+using Reals = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Integers = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
+template <class T> using Out = nb::ndarray<nb::numpy, T, nb::c_contig>;
+
+struct Isa {
+  const char* name;
+  const Kernels* kernels;
+};
+
+// Every instruction set that this machine can run, best first.
+std::vector<Isa> available() {
+  std::vector<Isa> found;
+#if defined(__x86_64__)
+  __builtin_cpu_init();
+  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd"))
+    found.push_back({"x86-64-v4", &kernels_v4});
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) found.push_back({"x86-64-v3", &kernels_v3});
+#endif
+  found.push_back({"baseline", &kernels_baseline});
+  return found;
+}
+
+const Kernels& choose(const std::string& isa) {
+  for (const Isa& candidate : available())
+    if (isa == "auto" || isa == candidate.name) return *candidate.kernels;
+  throw std::invalid_argument("this machine cannot run instruction set " + isa);
+}
+
+void require(bool ok, const char* what) {
+  if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
+}
+
+template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
+  size_t size = 1;
+  for (size_t n : shape) size *= n;
+  data = new T[size ? size : 1];
+  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+  return Out<T>(data, shape.size(), shape.data(), owner);
+}
+
+class Core {
+ public:
+  Core(Integers parent, Integers joint, Integers slide, Reals X_PL, int n_joint, Integers sphere_link, Reals sphere, Reals bound,
+       Integers self_pair, Integers obstacle_kind, Reals obstacle_pose, Reals obstacle_size, Reals obstacle_bound,
+       nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu> ignores, Integers hull_start, Reals triangles, Integers part_component,
+       Integers part_link, Reals part_box, Integers target_entity, Reals target_box, int n_component, int n_entity, const std::string& isa)
+      : kernels_(choose(isa)) {
+    add_links(parent, joint, slide, X_PL, n_joint);
+    add_groups(sphere_link, sphere, bound);
+    for (size_t p = 0; p < self_pair.shape(0); ++p) {
+      const int a = group_of_[size_t(self_pair.data()[2 * p])], b = group_of_[size_t(self_pair.data()[2 * p + 1])];
+      if (a >= 0 && b >= 0) pair_.insert(pair_.end(), {a, b});
     }
-GP_FOR_EACH_ISA(X)
-#undef X
+    add_triangles(triangles);
+    add_obstacles(obstacle_kind, obstacle_pose, obstacle_size, obstacle_bound, ignores, hull_start);
+    add_hazards(part_component, part_link, part_box, target_entity, target_box, n_component, n_entity);
+    tables_.n_joint = n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
+    tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
+    tables_.link = link_.data(), tables_.group = group_.data(), tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
+    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(), tables_.target = target_.data();
+    tables_.target_area = target_area_.data();
+  }
 
-NB_MODULE(_native, module) {
-#define X(isa) module.def("lanes_" #isa, &gp::isa::lanes);
-    GP_FOR_EACH_ISA(X)
-#undef X
+  const Tables& tables() const { return tables_; }
+  const Kernels& kernels() const { return kernels_; }
+  std::string isa() const { return kernels_.isa; }
+  int lanes() const { return kernels_.lanes; }
+
+  size_t rows(const Reals& q) const {
+    require(q.ndim() == 2 && q.shape(1) == size_t(tables_.n_joint), "q is not [n, nq]");
+    return q.shape(0);
+  }
+
+  auto link_poses(Reals q) const {
+    double* out;
+    auto array = make<double>({rows(q), size_t(tables_.n_link), 4, 4}, out);
+    nb::gil_scoped_release release;
+    kernels_.link_poses(tables_, q.data(), q.shape(0), out);
+    return array;
+  }
+  auto free_states(Reals q, double margin) const {
+    bool* out;
+    auto array = make<bool>({rows(q)}, out);
+    nb::gil_scoped_release release;
+    kernels_.free_states(tables_, q.data(), q.shape(0), margin, reinterpret_cast<uint8_t*>(out));
+    return array;
+  }
+  auto free_edges(Reals q0, Reals q1, double step, double margin) const {
+    bool* out;
+    auto array = make<bool>({rows(q0)}, out);
+    require(rows(q1) == rows(q0), "q0 and q1 differ in length");
+    nb::gil_scoped_release release;
+    kernels_.free_edges(tables_, q0.data(), q1.data(), q0.shape(0), step, margin, reinterpret_cast<uint8_t*>(out));
+    return array;
+  }
+  auto clearance(Reals q) const {
+    double* out;
+    auto array = make<double>({rows(q)}, out);
+    nb::gil_scoped_release release;
+    kernels_.clearance(tables_, q.data(), q.shape(0), out, nullptr);
+    return array;
+  }
+  auto clearance_gradient(Reals q) const {
+    double *out, *gradient;
+    auto values = make<double>({rows(q)}, out);
+    auto gradients = make<double>({q.shape(0), size_t(tables_.n_joint)}, gradient);
+    {
+      nb::gil_scoped_release release;
+      kernels_.clearance(tables_, q.data(), q.shape(0), out, gradient);
+    }
+    return nb::make_tuple(values, gradients);
+  }
+  auto interaction(Reals q) const {
+    double* out;
+    auto array = make<double>({rows(q), size_t(tables_.n_component), size_t(tables_.n_entity)}, out);
+    nb::gil_scoped_release release;
+    kernels_.interaction(tables_, q.data(), q.shape(0), out);
+    return array;
+  }
+  auto impact(Reals severity, Reals q) const {
+    double* out;
+    check_severity(severity);
+    auto array = make<double>({rows(q)}, out);
+    nb::gil_scoped_release release;
+    kernels_.impact(tables_, severity.data(), q.data(), q.shape(0), out);
+    return array;
+  }
+  auto edge_costs(Reals severity, Reals q0, Reals q1, double step) const {
+    double* out;
+    check_severity(severity);
+    auto array = make<double>({rows(q0), 2}, out);
+    require(rows(q1) == rows(q0), "q0 and q1 differ in length");
+    nb::gil_scoped_release release;
+    kernels_.edge_costs(tables_, severity.data(), q0.data(), q1.data(), q0.shape(0), step, out);
+    return array;
+  }
+  void check_severity(const Reals& severity) const {
+    require(severity.size() == size_t(tables_.n_component * tables_.n_entity), "severity is not [component, entity]");
+  }
+
+ private:
+  void add_links(const Integers& parent, const Integers& joint, const Integers& slide, const Reals& X_PL, int n_joint) {
+    const int n = int(parent.shape(0));
+    require(n >= 1 && n <= kMaxLinks, "number of links");
+    require(n_joint >= 1 && n_joint <= kMaxJoints, "number of joints");
+    for (int l = 0; l < n; ++l) {
+      Link link{};
+      link.parent = parent.data()[l], link.joint = joint.data()[l], link.slide = slide.data()[l];
+      require(l == 0 ? link.parent == -1 : link.parent >= 0 && link.parent < l, "parents come first");
+      require(link.joint < n_joint, "joint index");
+      link.frame = l == 0 || link.joint >= 0 ? l : link_[size_t(link.parent)].frame;
+      for (int r = 0; r < 3; ++r) {
+        for (int c = 0; c < 3; ++c) link.R[3 * r + c] = X_PL.data()[16 * l + 4 * r + c];
+        link.p[r] = X_PL.data()[16 * l + 4 * r + 3];
+      }
+      link_.push_back(link);
+    }
+  }
+  void add_groups(const Integers& sphere_link, const Reals& sphere, const Reals& bound) {
+    const int n = int(sphere_link.shape(0));
+    require(n <= kMaxSpheres, "number of spheres");
+    for (int k = 0; k < 4 * n; ++k) sphere_.push_back(float(sphere.data()[k]));
+    group_of_.assign(link_.size(), -1);
+    for (int k = 0; k < n;) {
+      const int l = sphere_link.data()[k];
+      require(l >= 0 && l < int(link_.size()) && (k == 0 || sphere_link.data()[k - 1] < l), "spheres ordered by link");
+      Group group{l, link_[size_t(l)].frame, k, 0, {}};
+      while (k < n && sphere_link.data()[k] == l) ++k, ++group.count;
+      for (int i = 0; i < 4; ++i) group.bound[i] = float(bound.data()[4 * l + i]);
+      group_of_[size_t(l)] = int(group_.size());
+      group_.push_back(group);
+    }
+  }
+  void add_triangles(const Reals& triangles) {
+    for (size_t k = 0; k < triangles.shape(0); ++k) {
+      const double* v = triangles.data() + 9 * k;
+      Triangle t{};
+      double e[3], f[3], length = 0;
+      for (int i = 0; i < 3; ++i) {
+        t.a[i] = float(v[i]), t.b[i] = float(v[3 + i]), t.c[i] = float(v[6 + i]);
+        e[i] = v[3 + i] - v[i], f[i] = v[6 + i] - v[i];
+      }
+      const double n[3] = {e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]};
+      for (double x : n) length += x * x;
+      length = std::sqrt(length);
+      require(length > 0, "degenerate triangle");
+      double offset = 0;
+      for (int i = 0; i < 3; ++i) t.normal[i] = float(n[i] / length), offset += n[i] / length * v[i];
+      t.offset = float(offset);
+      triangle_.push_back(t);
+    }
+  }
+  void add_obstacles(const Integers& kind, const Reals& pose, const Reals& size, const Reals& bound,
+                     const nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>& ignores, const Integers& hull_start) {
+    for (size_t j = 0; j < kind.shape(0); ++j) {
+      Obstacle o{};
+      o.kind = kind.data()[j], o.ignores = ignores.data()[j];
+      require(o.kind >= kPlane && o.kind <= kMesh, "obstacle kind");
+      for (int k = 0; k < 9; ++k) o.R[k] = float(pose.data()[12 * j + size_t(k)]);
+      for (int k = 0; k < 3; ++k) o.p[k] = float(pose.data()[12 * j + 9 + size_t(k)]), o.size[k] = float(size.data()[3 * j + size_t(k)]);
+      for (int k = 0; k < 4; ++k) o.bound[k] = float(bound.data()[4 * j + size_t(k)]);
+      o.first_triangle = hull_start.data()[j], o.n_triangle = hull_start.data()[j + 1] - o.first_triangle;
+      require(o.first_triangle >= 0 && o.n_triangle >= 0 && size_t(o.first_triangle + o.n_triangle) <= triangle_.size(), "hull range");
+      require(o.kind != kMesh || o.n_triangle > 0, "mesh without triangles");
+      obstacle_.push_back(o);
+    }
+  }
+  void add_hazards(const Integers& component, const Integers& link, const Reals& box, const Integers& entity, const Reals& target_box,
+                   int n_component, int n_entity) {
+    require(n_component >= 0 && n_component <= kMaxComponents, "number of components");
+    require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
+    require(component.shape(0) <= size_t(kMaxParts), "number of parts");
+    for (size_t k = 0; k < component.shape(0); ++k) {
+      Part part{};
+      part.component = component.data()[k];
+      require(part.component >= 0 && part.component < n_component, "component of a part");
+      require(link.data()[k] >= 0 && size_t(link.data()[k]) < link_.size(), "link of a part");
+      part.frame = link_[size_t(link.data()[k])].frame;
+      const double* b = box.data() + 15 * k;
+      for (int i = 0; i < 9; ++i) part.R[i] = b[i];
+      for (int i = 0; i < 3; ++i) part.p[i] = b[9 + i], part.half[i] = b[12 + i];
+      part_.push_back(part);
+    }
+    target_area_.assign(size_t(n_entity), 0.0);
+    for (size_t k = 0; k < entity.shape(0); ++k) {
+      Target t{};
+      t.entity = entity.data()[k];
+      require(t.entity >= 0 && t.entity < n_entity && (k == 0 || entity.data()[k - 1] <= t.entity), "targets ordered by entity");
+      for (int i = 0; i < 3; ++i) t.lower[i] = target_box.data()[6 * k + size_t(i)], t.upper[i] = target_box.data()[6 * k + 3 + size_t(i)];
+      target_area_[size_t(t.entity)] += (t.upper[0] - t.lower[0]) * (t.upper[1] - t.lower[1]);
+      target_.push_back(t);
+    }
+    tables_.n_part = int(part_.size()), tables_.n_target = int(target_.size());
+    tables_.n_component = n_component, tables_.n_entity = n_entity;
+  }
+
+  const Kernels& kernels_;
+  Tables tables_{};
+  std::vector<Link> link_;
+  std::vector<Group> group_;
+  std::vector<int> group_of_;
+  std::vector<float> sphere_;
+  std::vector<Obstacle> obstacle_;
+  std::vector<Triangle> triangle_;
+  std::vector<int32_t> pair_;
+  std::vector<Part> part_;
+  std::vector<Target> target_;
+  std::vector<double> target_area_;
+};
+
+Point point(const Reals& q) { return Point(q.data(), q.data() + q.size()); }
+
+std::vector<Point> points(const Reals& q) {
+  std::vector<Point> rows;
+  for (size_t i = 0; i < q.shape(0); ++i) rows.emplace_back(q.data() + i * q.shape(1), q.data() + (i + 1) * q.shape(1));
+  return rows;
+}
+
+// Collision and cost from the kernels.
+class SceneSpace final : public Space {
+ public:
+  SceneSpace(const Core& core, Reals low, Reals high, Reals severity, double weight, double check_step, double cost_step, double margin)
+      : core_(core), severity_(point(severity)), check_step_(check_step), cost_step_(cost_step), margin_(margin) {
+    core.check_severity(severity);
+    lower = point(low), upper = point(high), dim = int(lower.size()), w = weight;
+    require(dim == core.tables().n_joint && upper.size() == lower.size(), "limits");
+  }
+  bool edge_free(const double* a, const double* b) override {
+    uint8_t free = 0;
+    core_.kernels().free_edges(core_.tables(), a, b, 1, check_step_, margin_, &free);
+    return free != 0;
+  }
+  double impact(const double* a, const double* b) override {
+    double cost[2];
+    core_.kernels().edge_costs(core_.tables(), severity_.data(), a, b, 1, cost_step_, cost);
+    return cost[1];
+  }
+
+ private:
+  const Core& core_;
+  Point severity_;
+  double check_step_, cost_step_, margin_;
+};
+
+// Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2].
+class CallbackSpace final : public Space {
+ public:
+  CallbackSpace(nb::object edges_free, nb::object edge_costs, Reals low, Reals high, double weight, bool motion_is_length)
+      : edges_free_(std::move(edges_free)), edge_costs_(std::move(edge_costs)), motion_is_length_(motion_is_length) {
+    lower = point(low), upper = point(high), dim = int(lower.size()), w = weight;
+    require(upper.size() == lower.size(), "limits");
+  }
+  bool edge_free(const double* a, const double* b) override {
+    nb::gil_scoped_acquire gil;
+    auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(edges_free_(row(a), row(b)));
+    return free.data()[0];
+  }
+  double impact(const double* a, const double* b) override { return costs(a, b).second; }
+  double motion(const double* a, const double* b) override { return motion_is_length_ ? distance(a, b) : costs(a, b).first; }
+  bool motion_is_length() const override { return motion_is_length_; }
+
+ private:
+  Out<double> row(const double* a) {
+    double* data;
+    auto array = make<double>({1, size_t(dim)}, data);
+    std::copy(a, a + dim, data);
+    return array;
+  }
+  std::pair<double, double> costs(const double* a, const double* b) {
+    nb::gil_scoped_acquire gil;
+    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>>(edge_costs_(row(a), row(b)));
+    return {cost.data()[0], cost.data()[1]};
+  }
+  nb::object edges_free_, edge_costs_;
+  bool motion_is_length_;
+};
+
+Out<double> as_array(const std::vector<Point>& rows, int dim) {
+  double* data;
+  auto array = make<double>({rows.size(), size_t(dim)}, data);
+  for (const Point& row : rows) data = std::copy(row.begin(), row.end(), data);
+  return array;
+}
+
+class ConnectPlanner {
+ public:
+  ConnectPlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, uint64_t seed)
+      : space_(space), connect_(space, point(start), points(goals), {range, max_nodes}, seed) {}
+  nb::tuple run(int64_t iterations, double seconds) {
+    Slice slice(iterations, seconds);
+    {
+      nb::gil_scoped_release release;
+      while (!solved_ && slice.next()) solved_ = connect_.step();
+    }
+    return nb::make_tuple(solved_, slice.used());
+  }
+  Out<double> path() const { return as_array(connect_.path(), space_.dim); }
+
+ private:
+  Space& space_;
+  Connect connect_;
+  bool solved_ = false;
+};
+
+class AnytimePlanner {
+ public:
+  AnytimePlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, double spacing, int pool, uint64_t seed)
+      : space_(space), anytime_(space, point(start), points(goals), {{range, max_nodes}, spacing, pool}, seed) {}
+  nb::tuple run(int64_t iterations, double seconds) {
+    Slice slice(iterations, seconds);
+    bool improved;
+    {
+      nb::gil_scoped_release release;
+      improved = anytime_.run(slice);
+    }
+    return nb::make_tuple(improved, slice.used());
+  }
+  Out<double> path() const { return as_array(anytime_.best().q, space_.dim); }
+  double total() const { return anytime_.best().total; }
+  bool optimal() const { return anytime_.optimal(); }
+
+ private:
+  Space& space_;
+  Anytime anytime_;
+};
+
+}  // namespace
+}  // namespace gp
+
+NB_MODULE(_native, m) {
+  using namespace gp;
+  m.doc() = "Native core of graceful_plan; use graceful_plan.kernels.";
+  m.def("instruction_sets", [] {
+    std::vector<std::string> names;
+    for (const Isa& isa : available()) names.emplace_back(isa.name);
+    return names;
+  });
+  nb::class_<Core>(m, "Core")
+      .def(nb::init<Integers, Integers, Integers, Reals, int, Integers, Reals, Reals, Integers, Integers, Reals, Reals, Reals,
+                    nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>, Integers, Reals, Integers, Integers, Reals, Integers, Reals,
+                    int, int, const std::string&>(),
+           "parent"_a, "joint"_a, "slide"_a, "X_PL"_a, "n_joint"_a, "sphere_link"_a, "sphere"_a, "bound"_a, "self_pair"_a,
+           "obstacle_kind"_a, "obstacle_pose"_a, "obstacle_size"_a, "obstacle_bound"_a, "ignores"_a, "hull_start"_a, "triangles"_a,
+           "part_component"_a, "part_link"_a, "part_box"_a, "target_entity"_a, "target_box"_a, "n_component"_a, "n_entity"_a, "isa"_a)
+      .def_prop_ro("isa", &Core::isa)
+      .def_prop_ro("lanes", &Core::lanes)
+      .def("link_poses", &Core::link_poses, "q"_a)
+      .def("free_states", &Core::free_states, "q"_a, "margin"_a)
+      .def("free_edges", &Core::free_edges, "q0"_a, "q1"_a, "step"_a, "margin"_a)
+      .def("clearance", &Core::clearance, "q"_a)
+      .def("clearance_gradient", &Core::clearance_gradient, "q"_a)
+      .def("interaction", &Core::interaction, "q"_a)
+      .def("impact", &Core::impact, "severity"_a, "q"_a)
+      .def("edge_costs", &Core::edge_costs, "severity"_a, "q0"_a, "q1"_a, "step"_a);
+  nb::class_<Space>(m, "Space");
+  nb::class_<SceneSpace, Space>(m, "SceneSpace")
+      .def(nb::init<const Core&, Reals, Reals, Reals, double, double, double, double>(), "core"_a, "lower"_a, "upper"_a, "severity"_a,
+           "w"_a, "check_step"_a, "cost_step"_a, "margin"_a, nb::keep_alive<1, 2>());
+  nb::class_<CallbackSpace, Space>(m, "CallbackSpace")
+      .def(nb::init<nb::object, nb::object, Reals, Reals, double, bool>(), "edges_free"_a, "edge_costs"_a, "lower"_a, "upper"_a, "w"_a,
+           "motion_is_length"_a);
+  nb::class_<ConnectPlanner>(m, "Connect")
+      .def(nb::init<Space&, Reals, Reals, double, int, uint64_t>(), "space"_a, "start"_a, "goals"_a, "range"_a, "max_nodes"_a, "seed"_a,
+           nb::keep_alive<1, 2>())
+      .def("run", &ConnectPlanner::run, "iterations"_a, "seconds"_a)
+      .def_prop_ro("path", &ConnectPlanner::path);
+  nb::class_<AnytimePlanner>(m, "Anytime")
+      .def(nb::init<Space&, Reals, Reals, double, int, double, int, uint64_t>(), "space"_a, "start"_a, "goals"_a, "range"_a,
+           "max_nodes"_a, "spacing"_a, "pool"_a, "seed"_a, nb::keep_alive<1, 2>())
+      .def("run", &AnytimePlanner::run, "iterations"_a, "seconds"_a)
+      .def_prop_ro("path", &AnytimePlanner::path)
+      .def_prop_ro("total", &AnytimePlanner::total)
+      .def_prop_ro("optimal", &AnytimePlanner::optimal);
 }

@@ -147,7 +147,7 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
   MaskF hit = {};
   for (int g = tables.n_group - 1; g >= 0; --g) {  // the far links move most: test them first
     const Group& group = tables.group[g];
-    if (group.link == 0) continue;
+    if (group.frame == 0) continue;  // the base does not move
     const float reach = group.bound[3] + margin;
     for (int j = 0; j < tables.n_obstacle; ++j) {
       const Obstacle& o = tables.obstacle[j];
@@ -196,7 +196,7 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
   Nearest best = {F{} + 1e9f, MaskF{} - 1, MaskF{}};
   for (int g = tables.n_group - 1; g >= 0; --g) {
     const Group& group = tables.group[g];
-    if (group.link == 0) continue;
+    if (group.frame == 0) continue;  // the base does not move
     for (int j = 0; j < tables.n_obstacle; ++j) {
       const Obstacle& o = tables.obstacle[j];
       if (o.ignores >> group.link & 1) continue;

@@ -1,4 +1,141 @@
-// Placeholder: the kernels come here. Everything lives in a namespace named after the instruction set.
-namespace gp::GP_ISA {
-int lanes() { return GP_LANES; }
-} // namespace gp::GP_ISA
+// The kernels of one instruction set. This file is compiled several times; GP_ISA names the result. It uses no inline
+// function of any other header, so that the linker cannot mix code of different instruction sets.
+#include "tables.hpp"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+namespace gp {
+namespace GP_ISA {
+
+#include "lanes.hpp"
+#include "kinematics.hpp"
+#include "clearance.hpp"
+#include "gradient.hpp"
+#include "interaction.hpp"
+
+static void link_poses(const Tables& tables, const double* q, size_t n, double* X_WL) {
+  D qs[kMaxJoints];
+  Frame<D> X_W[kMaxLinks];
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    load<double>(tables, q, first, n, qs);
+    forward_kinematics<double>(tables, qs, X_W);
+    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
+      for (int l = 0; l < tables.n_link; ++l) {
+        const Frame<D>& X = X_W[tables.link[l].frame];
+        double* out = X_WL + ((first + size_t(i)) * size_t(tables.n_link) + size_t(l)) * 16;
+        const double p[3] = {X.p.x[i], X.p.y[i], X.p.z[i]};
+        for (int r = 0; r < 3; ++r) {
+          for (int c = 0; c < 3; ++c) out[4 * r + c] = X.R[3 * r + c][i];
+          out[4 * r + 3] = p[r];
+        }
+        out[12] = out[13] = out[14] = 0.0;
+        out[15] = 1.0;
+      }
+  }
+}
+
+static void free_states(const Tables& tables, const double* q, size_t n, double margin, uint8_t* free) {
+  F qs[kMaxJoints];
+  Frame<F> X_W[kMaxLinks];
+  for (size_t first = 0; first < n; first += kLanes<float>) {
+    load<float>(tables, q, first, n, qs);
+    forward_kinematics<float>(tables, qs, X_W);
+    MaskF hit = collides<false>(tables, X_W, float(margin));
+    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) free[first + size_t(i)] = !hit[i];
+  }
+}
+
+// Blocks are spread over the whole edge and shifted between each other, so that a bad edge fails in the first ones.
+static bool edge_is_free(const Tables& tables, const double* q0, const double* q1, double step, float margin) {
+  constexpr int W = kLanes<float>;
+  F qs[kMaxJoints], lane;
+  Frame<F> X_W[kMaxLinks];
+  for (int i = 0; i < W; ++i) lane[i] = float(i);
+  const int n_block = int(distance(tables, q0, q1) / (step * W)) + 1;
+  const float spacing = 1.f / float(W * n_block - 1);
+  for (int b = 0; b < n_block; ++b) {
+    interpolate<float>(tables, q0, q1, (lane * float(n_block) + float(b)) * spacing, qs);
+    forward_kinematics<float>(tables, qs, X_W);
+    if (any(collides<true>(tables, X_W, margin))) return false;
+  }
+  return true;
+}
+
+static void free_edges(const Tables& tables, const double* q0, const double* q1, size_t n, double step, double margin, uint8_t* free) {
+  for (size_t k = 0; k < n; ++k)
+    free[k] = edge_is_free(tables, q0 + k * size_t(tables.n_joint), q1 + k * size_t(tables.n_joint), step, float(margin));
+}
+
+static void clearance(const Tables& tables, const double* q, size_t n, double* out, double* gradient) {
+  F qs[kMaxJoints];
+  Frame<F> X_W[kMaxLinks];
+  for (size_t first = 0; first < n; first += kLanes<float>) {
+    load<float>(tables, q, first, n, qs);
+    forward_kinematics<float>(tables, qs, X_W);
+    const Nearest pair = nearest(tables, X_W);
+    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) {
+      out[first + size_t(i)] = pair.a[i] < 0 ? __builtin_inf() : double(pair.distance[i]);
+      if (gradient) clearance_gradient(tables, X_W, pair, i, gradient + (first + size_t(i)) * size_t(tables.n_joint));
+    }
+  }
+}
+
+static void interaction(const Tables& tables, const double* q, size_t n, double* probability) {
+  D qs[kMaxJoints];
+  Frame<D> X_W[kMaxLinks];
+  const size_t stride = size_t(tables.n_component) * size_t(tables.n_entity);
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    load<double>(tables, q, first, n, qs);
+    forward_kinematics<double>(tables, qs, X_W);
+    for_each_interaction(tables, X_W, nullptr, [&](int r, int e, D P) {
+      for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
+        probability[(first + size_t(i)) * stride + size_t(r * tables.n_entity + e)] = P[i];
+    });
+  }
+}
+
+static void impact(const Tables& tables, const double* severity, const double* q, size_t n, double* out) {
+  D qs[kMaxJoints];
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    load<double>(tables, q, first, n, qs);
+    const D value = impact_of(tables, severity, qs);
+    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
+  }
+}
+
+// V = length, S = integral of the impact over length by the trapezoid rule, at least every `step`.
+static void edge_costs(const Tables& tables, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost) {
+  constexpr int W = kLanes<double>;
+  D qs[kMaxJoints], lane;
+  for (int i = 0; i < W; ++i) lane[i] = double(i);
+  for (size_t k = 0; k < n; ++k) {
+    const double *a = q0 + k * size_t(tables.n_joint), *b = q1 + k * size_t(tables.n_joint);
+    const double length = distance(tables, a, b);
+    const int n_block = int((length / step + 1.0) / W) + 1, last = n_block * W - 1;
+    double sum = 0;
+    if (length > 0)
+      for (int block = 0; block < n_block; ++block) {
+        interpolate<double>(tables, a, b, (lane + double(block * W)) * (1.0 / last), qs);
+        const D value = impact_of(tables, severity, qs);
+        for (int i = 0; i < W; ++i) sum += value[i];
+        if (block == 0) sum -= 0.5 * value[0];
+        if (block == n_block - 1) sum -= 0.5 * value[W - 1];
+      }
+    cost[2 * k] = length;
+    cost[2 * k + 1] = length * sum / last;
+  }
+}
+
+#define GP_TEXT_(x) #x
+#define GP_TEXT(x) GP_TEXT_(x)
+}  // namespace GP_ISA
+
+#define GP_JOIN_(a, b) a##b
+#define GP_JOIN(a, b) GP_JOIN_(a, b)
+extern const Kernels GP_JOIN(kernels_, GP_ISA) = {GP_TEXT(GP_ISA),   GP_ISA::kLanes<float>, GP_ISA::link_poses,
+                                                 GP_ISA::free_states, GP_ISA::free_edges,   GP_ISA::clearance,
+                                                 GP_ISA::interaction, GP_ISA::impact,       GP_ISA::edge_costs};
+
+}  // namespace gp

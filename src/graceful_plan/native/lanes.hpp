@@ -47,7 +47,7 @@ template <class V> static inline V maximum(V a, V b) { return a > b ? a : b; }
 
 static inline F square_root(F a) {
 #if defined(__AVX512F__)
-  return (F)_mm512_sqrt_ps((__m512)a);
+  return (F)_mm512_maskz_sqrt_ps(__mmask16(0xffff), (__m512)a);  // the plain one trips -Wmaybe-uninitialized in GCC 12
 #elif defined(__AVX2__)
   return (F)_mm256_sqrt_ps((__m256)a);
 #elif defined(__SSE2__)

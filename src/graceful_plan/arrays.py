@@ -1,0 +1,104 @@
+"""The tables that kernels read: robot, world, hazards.
+
+Axis words: `*batch time nq nv link geom sphere obstacle pair component entity hazard xyz(3) wxyz(4)`. Order: batch,
+time, item, component. Tables are frozen; `compile.py` makes them from a scene, `kernels.py` hands them to the core.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+Array = np.ndarray
+
+OBSTACLE_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+"""Kinds of obstacles, in MuJoCo's geom-type order; the index is the code in `WorldArrays.kind`."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RobotArrays:
+    """The moving part: links in topological order, the spheres that cover them, limits.
+
+    A link is one joint with everything rigidly behind it; link 0 is the fixed base. The carried object and the
+    gripper ride on the link of the tool, as links of their own without a joint.
+
+    | field         | meaning                                                        | unit  | shape          |
+    |---------------|----------------------------------------------------------------|-------|----------------|
+    | parent        | parent link, -1 for the base                                   |       | link           |
+    | joint         | index into q, -1 for a rigid link                              |       | link           |
+    | slide         | 1 for a sliding joint, 0 for a hinge                           |       | link           |
+    | X_PL          | pose of the link in its parent at q = 0; joint axis is local z | m     | link 4 4       |
+    | lower         | lower position limit                                           | rad   | nq             |
+    | upper         | upper position limit                                           | rad   | nq             |
+    | tool_link     | link of the tool                                               |       |                |
+    | X_LT          | tool in its link                                               | m     | 4 4            |
+    | sphere_link   | link of each sphere, ascending                                 |       | sphere         |
+    | sphere        | centre in the link frame, radius                               | m     | sphere 4       |
+    | bound         | bounding sphere of each link, radius -1 if it has no spheres   | m     | link 4         |
+    | self_pair     | pairs of links that may touch each other                       |       | pair 2         |
+    | protrusion    | how far the spheres stick out of the geoms, at most            | m     |                |
+    """
+
+    parent: Int[Array, " link"]
+    joint: Int[Array, " link"]
+    slide: Int[Array, " link"]
+    X_PL: Float[Array, "link 4 4"]
+    lower: Float[Array, " nq"]
+    upper: Float[Array, " nq"]
+    tool_link: int
+    X_LT: Float[Array, "4 4"]
+    sphere_link: Int[Array, " sphere"]
+    sphere: Float[Array, "sphere 4"]
+    bound: Float[Array, "link 4"]
+    self_pair: Int[Array, "pair 2"]
+    protrusion: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class WorldArrays:
+    """What stands around: exact primitives and convex hulls, in world coordinates.
+
+    | field       | meaning                                                              | unit | shape         |
+    |-------------|----------------------------------------------------------------------|------|---------------|
+    | kind        | index into `OBSTACLE_TYPES`                                          |      | obstacle      |
+    | pose        | rotation (row-major) and position                                    | m    | obstacle 12   |
+    | size        | half sizes; radius, half length; semi-axes, as in MuJoCo             | m    | obstacle 3    |
+    | bound       | bounding sphere; radius -1 for a plane                               | m    | obstacle 4    |
+    | ignores     | bit l set if link l may touch it                                     |      | obstacle      |
+    | hull_start  | first triangle of a mesh, one more entry at the end                  |      | obstacle + 1  |
+    | triangles   | corners of the hulls' triangles in W, counter-clockwise from outside | m    | triangle 3 3  |
+    | geom        | geom id in the scene's model                                         |      | obstacle      |
+    """
+
+    kind: Int[Array, " obstacle"]
+    pose: Float[Array, "obstacle 12"]
+    size: Float[Array, "obstacle 3"]
+    bound: Float[Array, "obstacle 4"]
+    ignores: Int[Array, " obstacle"]
+    hull_start: Int[Array, " obstacle_end"]
+    triangles: Float[Array, "triangle 3 3"]
+    geom: Int[Array, " obstacle"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HazardArrays:
+    """Who may hit whom, and how bad it is: boxes per geom of components and entities.
+
+    | field          | meaning                                                 | unit | shape            |
+    |----------------|---------------------------------------------------------|------|------------------|
+    | part_component | component of each moving box                            |      | part             |
+    | part_link      | link that it rides on                                   |      | part             |
+    | part_box       | pose in the link (rotation row-major, centre), half size | m   | part 15          |
+    | target_entity  | entity of each static box, ascending                    |      | target           |
+    | target_box     | axis-aligned box in W: lower corner, upper corner       | m    | target 6         |
+    | severity       | S of component against entity                           |      | component entity |
+    """
+
+    part_component: Int[Array, " part"]
+    part_link: Int[Array, " part"]
+    part_box: Float[Array, "part 15"]
+    target_entity: Int[Array, " target"]
+    target_box: Float[Array, "target 6"]
+    severity: Float[Array, "component entity"]

@@ -1,0 +1,155 @@
+"""The native kernels' typed Python face: shapes, units and checks.
+
+All functions take configurations q with any leading batch axes and work in float64 outside; inside, collision runs in
+float32 lanes and impact in float64 lanes. Kernels hold no state and release the GIL.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+from graceful_plan import _native
+from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.path import finite_array
+
+Array = np.ndarray
+
+CHECK_STEP = 1.0 / 32.0
+"""Largest joint-space distance between checked configurations of an edge [rad]."""
+COST_STEP = 0.02
+"""Largest joint-space distance between samples of the impact along an edge [rad]."""
+
+
+def instruction_sets() -> tuple[str, ...]:
+    """Names of the instruction sets that this machine can run, best first."""
+    return tuple(_native.instruction_sets())
+
+
+def _integers(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.int32)
+
+
+def _reals(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+class Kernels:
+    """Batched kinematics, collision and impact of one scene.
+
+    Args:
+        robot: The moving part.
+        world: The obstacles.
+        hazards: Components and entities.
+        isa: Instruction set, "auto" for the best; see `instruction_sets`.
+    """
+
+    def __init__(self, robot: RobotArrays, world: WorldArrays, hazards: HazardArrays, isa: str = "auto") -> None:
+        if isa != "auto" and isa not in instruction_sets():
+            raise SettingError("isa", isa, f"'auto' or one of {', '.join(instruction_sets())}")
+        self.robot, self.world, self.hazards = robot, world, hazards
+        self.nq = len(robot.lower)
+        self.core = _native.Core(
+            parent=_integers(robot.parent),
+            joint=_integers(robot.joint),
+            slide=_integers(robot.slide),
+            X_PL=_reals(robot.X_PL),
+            n_joint=self.nq,
+            sphere_link=_integers(robot.sphere_link),
+            sphere=_reals(robot.sphere),
+            bound=_reals(robot.bound),
+            self_pair=_integers(robot.self_pair),
+            obstacle_kind=_integers(world.kind),
+            obstacle_pose=_reals(world.pose),
+            obstacle_size=_reals(world.size),
+            obstacle_bound=_reals(world.bound),
+            ignores=np.ascontiguousarray(world.ignores, dtype=np.uint64),
+            hull_start=_integers(world.hull_start),
+            triangles=_reals(world.triangles),
+            part_component=_integers(hazards.part_component),
+            part_link=_integers(hazards.part_link),
+            part_box=_reals(hazards.part_box),
+            target_entity=_integers(hazards.target_entity),
+            target_box=_reals(hazards.target_box),
+            n_component=hazards.severity.shape[0],
+            n_entity=hazards.severity.shape[1],
+            isa=isa,
+        )
+
+    @property
+    def isa(self) -> str:
+        """Instruction set in use."""
+        return self.core.isa
+
+    def link_poses(self, q: ArrayLike) -> Float[Array, "*batch link 4 4"]:
+        """Pose of every link in W [m]."""
+        flat, batch = self._rows("q", q)
+        return self.core.link_poses(flat).reshape(*batch, -1, 4, 4)
+
+    def tool_pose(self, q: ArrayLike) -> Float[Array, "*batch 4 4"]:
+        """Pose of the tool in W [m]."""
+        return self.link_poses(q)[..., self.robot.tool_link, :, :] @ self.robot.X_LT
+
+    def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:
+        """Tell which configurations keep at least `margin` [m] of clearance. Conservative: never free when in collision."""
+        flat, batch = self._rows("q", q)
+        return self.core.free_states(flat, margin).reshape(batch)
+
+    def edges_free(
+        self, q0: ArrayLike, q1: ArrayLike, step: float = CHECK_STEP, margin: float = 0.0
+    ) -> Bool[Array, "*batch"]:
+        """Tell which straight edges are free at configurations at most `step` [rad] apart, ends included."""
+        first, second, batch = self._edges(q0, q1, step)
+        return self.core.free_edges(first, second, step, margin).reshape(batch)
+
+    def clearance(self, q: ArrayLike) -> Float[Array, "*batch"]:
+        """Signed clearance of the spheres [m], positive outside; infinite if there is nothing to hit.
+
+        A lower bound of the true one where that is positive.
+        """
+        flat, batch = self._rows("q", q)
+        return self.core.clearance(flat).reshape(batch)
+
+    def clearance_gradient(self, q: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"]]:
+        """Signed clearance [m] and its gradient [m/rad], that of the nearest pair where several are equally near."""
+        flat, batch = self._rows("q", q)
+        clearance, gradient = self.core.clearance_gradient(flat)
+        return clearance.reshape(batch), gradient.reshape(*batch, self.nq)
+
+    def interaction(self, q: ArrayLike) -> Float[Array, "*batch component entity"]:
+        """Probability by Algorithm 1 that each component hits each entity, given a failure at q."""
+        flat, batch = self._rows("q", q)
+        return self.core.interaction(flat).reshape(*batch, *self.hazards.severity.shape)
+
+    def impact(self, q: ArrayLike, severity: Float[Array, "component entity"]) -> Float[Array, "*batch"]:
+        """Expected severity by Algorithm 1 given a failure at q: sum of P S."""
+        flat, batch = self._rows("q", q)
+        return self.core.impact(self._severity(severity), flat).reshape(batch)
+
+    def edge_costs(
+        self, q0: ArrayLike, q1: ArrayLike, severity: Float[Array, "component entity"], step: float = COST_STEP
+    ) -> Float[Array, "*batch 2"]:
+        """Length [rad] and integral of the impact over length of each straight edge, by the trapezoid rule."""
+        first, second, batch = self._edges(q0, q1, step)
+        return self.core.edge_costs(self._severity(severity), first, second, step).reshape(*batch, 2)
+
+    def _severity(self, severity: Array) -> Array:
+        if np.shape(severity) != self.hazards.severity.shape:
+            raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
+        return _reals(severity)
+
+    def _rows(self, name: str, q: ArrayLike) -> tuple[Float[Array, "n nq"], tuple[int, ...]]:
+        array = finite_array(name, q, last=self.nq)
+        return _reals(array.reshape(-1, self.nq)), array.shape[:-1]
+
+    def _edges(self, q0: ArrayLike, q1: ArrayLike, step: float) -> tuple[Array, Array, tuple[int, ...]]:
+        if not step > 0.0:
+            raise SettingError("step", step, "a positive length [rad]")
+        first, second = finite_array("q0", q0, last=self.nq), finite_array("q1", q1, last=self.nq)
+        try:
+            first, second = np.broadcast_arrays(first, second)
+        except ValueError:
+            raise ShapeError("q1", second.shape, f"to broadcast with q0 {first.shape}") from None
+        return _reals(first.reshape(-1, self.nq)), _reals(second.reshape(-1, self.nq)), first.shape[:-1]

@@ -1,0 +1,163 @@
+// The gradient of a clearance once it is known which pair is nearest: scalar, in double, one configuration at a time.
+
+static inline double norm3(const double* v) { return __builtin_sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
+static inline double clamp(double v, double lower, double upper) { return v < lower ? lower : v > upper ? upper : v; }
+
+static inline void box_normal(const double* half, const double* p, double* n) {
+  double outside = 0, deepest = -1e30;
+  int axis = 0;
+  for (int k = 0; k < 3; ++k) {
+    double d = __builtin_fabs(p[k]) - half[k], sign = p[k] < 0 ? -1.0 : 1.0;
+    n[k] = d > 0 ? sign * d : 0.0;
+    outside += n[k] * n[k];
+    if (d > deepest) deepest = d, axis = k;
+  }
+  if (outside > 0) return;
+  n[axis] = p[axis] < 0 ? -1.0 : 1.0;
+}
+
+static inline void cylinder_normal(double radius, double half, const double* p, double* n) {
+  double rho = __builtin_sqrt(p[0] * p[0] + p[1] * p[1]), r = rho - radius, z = __builtin_fabs(p[2]) - half;
+  double sign = p[2] < 0 ? -1.0 : 1.0, along_r = r > 0 ? r : 0, along_z = z > 0 ? z : 0;
+  if (r <= 0 && z <= 0) along_r = r > z, along_z = r <= z;
+  n[0] = rho > 0 ? along_r * p[0] / rho : along_r;
+  n[1] = rho > 0 ? along_r * p[1] / rho : 0.0;
+  n[2] = sign * along_z;
+}
+
+static inline void ellipsoid_normal(const float* r, const double* p, double* n) {
+  double k2 = 0, t = 0, r_min = 1e30;
+  for (int i = 0; i < 3; ++i) k2 += p[i] * p[i] / (double(r[i]) * r[i]), r_min = r[i] < r_min ? r[i] : r_min;
+  if (k2 > 1) t = (__builtin_sqrt(k2) - 1) * r_min * r_min;
+  for (int step = 0; k2 > 1 && step < 20; ++step) {
+    double g = -1, slope = 0;
+    for (int i = 0; i < 3; ++i) {
+      double inverse = 1 / (t + double(r[i]) * r[i]), u = r[i] * p[i] * inverse;
+      g += u * u, slope += u * u * inverse;
+    }
+    if (g <= 0) break;
+    t += g / (2 * slope);
+  }
+  for (int i = 0; i < 3; ++i) n[i] = p[i] / (t + double(r[i]) * r[i]);
+}
+
+static inline void segment_normal(const float* a, const float* b, const double* p, double* n) {
+  double e[3], d[3], along = 0, length = 1e-30;
+  for (int k = 0; k < 3; ++k) e[k] = double(b[k]) - a[k], d[k] = p[k] - a[k], along += e[k] * d[k], length += e[k] * e[k];
+  double s = clamp(along / length, 0, 1);
+  for (int k = 0; k < 3; ++k) n[k] = d[k] - s * e[k];
+}
+
+static inline void mesh_normal(const Tables& tables, const Obstacle& o, const double* p, double* n) {
+  const Triangle* face = nullptr;
+  double deepest = -1e30, nearest = 1e30;
+  for (int k = 0; k < o.n_triangle; ++k) {
+    const Triangle& t = tables.triangle[o.first_triangle + k];
+    double height = p[0] * t.normal[0] + p[1] * t.normal[1] + p[2] * t.normal[2] - t.offset;
+    if (height > deepest) deepest = height, face = &t;
+  }
+  if (deepest <= 0) {
+    for (int k = 0; k < 3; ++k) n[k] = face->normal[k];
+    return;
+  }
+  for (int k = 0; k < o.n_triangle; ++k) {
+    const Triangle& t = tables.triangle[o.first_triangle + k];
+    double height = p[0] * t.normal[0] + p[1] * t.normal[1] + p[2] * t.normal[2] - t.offset;
+    const float* corner[4] = {t.a, t.b, t.c, t.a};
+    bool over = true;
+    for (int i = 0; i < 3; ++i) {
+      const float *a = corner[i], *b = corner[i + 1];
+      double e[3] = {double(b[0]) - a[0], double(b[1]) - a[1], double(b[2]) - a[2]}, m[3];
+      over &= (p[0] - a[0]) * (t.normal[1] * e[2] - t.normal[2] * e[1]) + (p[1] - a[1]) * (t.normal[2] * e[0] - t.normal[0] * e[2]) +
+              (p[2] - a[2]) * (t.normal[0] * e[1] - t.normal[1] * e[0]) >= 0;
+      segment_normal(a, b, p, m);
+      if (norm3(m) < nearest) {
+        nearest = norm3(m);
+        for (int c = 0; c < 3; ++c) n[c] = m[c];
+      }
+    }
+    if (over && height > 0 && height < nearest) {
+      nearest = height;
+      for (int c = 0; c < 3; ++c) n[c] = t.normal[c];
+    }
+  }
+}
+
+// Unit direction in which the distance from `point` to the obstacle grows fastest, in W.
+static inline void outward_normal(const Tables& tables, const Obstacle& o, const double* point, double* normal) {
+  double p[3], n[3] = {0, 0, 1};
+  for (int k = 0; k < 3; ++k) p[k] = (point[0] - o.p[0]) * o.R[k] + (point[1] - o.p[1]) * o.R[3 + k] + (point[2] - o.p[2]) * o.R[6 + k];
+  const double half[3] = {o.size[0], o.size[1], o.size[2]};
+  if (o.kind == kSphere)
+    for (int k = 0; k < 3; ++k) n[k] = p[k];
+  else if (o.kind == kCapsule)
+    n[0] = p[0], n[1] = p[1], n[2] = p[2] - clamp(p[2], -half[1], half[1]);
+  else if (o.kind == kEllipsoid)
+    ellipsoid_normal(o.size, p, n);
+  else if (o.kind == kCylinder)
+    cylinder_normal(half[0], half[1], p, n);
+  else if (o.kind == kBox)
+    box_normal(half, p, n);
+  else if (o.kind == kMesh)
+    mesh_normal(tables, o, point, n);
+  double length = norm3(n);
+  if (length < 1e-12) n[0] = n[1] = 0, n[2] = length = 1;
+  if (o.kind == kMesh)  // triangles are in W already
+    for (int k = 0; k < 3; ++k) normal[k] = n[k] / length;
+  else
+    for (int k = 0; k < 3; ++k) normal[k] = (o.R[3 * k] * n[0] + o.R[3 * k + 1] * n[1] + o.R[3 * k + 2] * n[2]) / length;
+}
+
+static inline int group_of(const Tables& tables, int sphere) {
+  int g = 0;
+  while (sphere >= tables.group[g].first + tables.group[g].count) ++g;
+  return g;
+}
+
+// Add sign * normal . J to the gradient, J the Jacobian of a point that rides on a link.
+static inline void add_jacobian(const Tables& tables, const Frame<F>* X_W, int lane, int link, const double* point, const double* normal,
+                                double sign, double* gradient) {
+  for (int l = link; l >= 0; l = tables.link[l].parent) {
+    const Link& joint = tables.link[l];
+    if (joint.joint < 0) continue;
+    const Frame<F>& X = X_W[l];
+    const double z[3] = {X.R[2][lane], X.R[5][lane], X.R[8][lane]};
+    double velocity[3] = {z[0], z[1], z[2]};
+    if (!joint.slide) {
+      const double r[3] = {point[0] - X.p.x[lane], point[1] - X.p.y[lane], point[2] - X.p.z[lane]};
+      velocity[0] = z[1] * r[2] - z[2] * r[1];
+      velocity[1] = z[2] * r[0] - z[0] * r[2];
+      velocity[2] = z[0] * r[1] - z[1] * r[0];
+    }
+    gradient[joint.joint] += sign * (normal[0] * velocity[0] + normal[1] * velocity[1] + normal[2] * velocity[2]);
+  }
+}
+
+static inline void sphere_position(const Tables& tables, const Frame<F>* X_W, int lane, int sphere, const Group& group, double* out) {
+  const Frame<F>& X = X_W[group.frame];
+  const float* c = tables.sphere + 4 * sphere;
+  out[0] = X.p.x[lane] + X.R[0][lane] * c[0] + X.R[1][lane] * c[1] + X.R[2][lane] * c[2];
+  out[1] = X.p.y[lane] + X.R[3][lane] * c[0] + X.R[4][lane] * c[1] + X.R[5][lane] * c[2];
+  out[2] = X.p.z[lane] + X.R[6][lane] * c[0] + X.R[7][lane] * c[1] + X.R[8][lane] * c[2];
+}
+
+static inline void clearance_gradient(const Tables& tables, const Frame<F>* X_W, const Nearest& pair, int lane, double* gradient) {
+  for (int j = 0; j < tables.n_joint; ++j) gradient[j] = 0;
+  const int a = pair.a[lane], b = pair.b[lane];
+  if (a < 0) return;
+  const Group& group = tables.group[group_of(tables, a)];
+  double p[3], other[3], normal[3];
+  sphere_position(tables, X_W, lane, a, group, p);
+  if (b >= 0) {
+    outward_normal(tables, tables.obstacle[b], p, normal);
+    add_jacobian(tables, X_W, lane, group.link, p, normal, 1.0, gradient);
+    return;
+  }
+  const Group& other_group = tables.group[group_of(tables, -1 - b)];
+  sphere_position(tables, X_W, lane, -1 - b, other_group, other);
+  for (int k = 0; k < 3; ++k) normal[k] = p[k] - other[k];
+  const double length = norm3(normal) + 1e-30;
+  for (int k = 0; k < 3; ++k) normal[k] /= length;
+  add_jacobian(tables, X_W, lane, group.link, p, normal, 1.0, gradient);
+  add_jacobian(tables, X_W, lane, other_group.link, other, normal, -1.0, gradient);
+}

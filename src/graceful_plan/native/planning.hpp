@@ -1,0 +1,140 @@
+// What the native planners share: the space they plan in, paths with cached costs, random numbers, a tree.
+#pragma once
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+namespace gp {
+
+using Point = std::vector<double>;
+
+// What a planner sees of the world and of the cost J = V + w S.
+struct Space {
+  int dim = 0;
+  double w = 0;
+  Point lower, upper;
+
+  virtual ~Space() = default;
+  virtual bool edge_free(const double* a, const double* b) = 0;
+  virtual double impact(const double* a, const double* b) = 0;  // S of an edge
+  virtual double motion(const double* a, const double* b) { return distance(a, b); }
+  // Whether motion() is the length, so that distances bound the cost from below.
+  virtual bool motion_is_length() const { return true; }
+
+  double distance(const double* a, const double* b) const {
+    double d2 = 0;
+    for (int j = 0; j < dim; ++j) d2 += (b[j] - a[j]) * (b[j] - a[j]);
+    return std::sqrt(d2);
+  }
+  double cost(const double* a, const double* b) {
+    const double v = motion(a, b);
+    return w > 0 ? v + w * impact(a, b) : v;
+  }
+  // The cost, or infinity as soon as it is known to reach `limit`: impact is never negative, and dear.
+  double cost_below(const double* a, const double* b, double limit) {
+    const double v = motion(a, b);
+    if (v >= limit) return std::numeric_limits<double>::infinity();
+    return w > 0 ? v + w * impact(a, b) : v;
+  }
+  double extent() const { return distance(lower.data(), upper.data()); }
+};
+
+// xoshiro256++ by Blackman and Vigna (public domain algorithm), seeded by splitmix64.
+class Random {
+ public:
+  explicit Random(uint64_t seed) {
+    for (uint64_t& s : state_) {
+      uint64_t z = (seed += 0x9e3779b97f4a7c15ull);
+      z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
+      z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
+      s = z ^ (z >> 31);
+    }
+  }
+  uint64_t bits() {
+    const uint64_t out = rotl(state_[0] + state_[3], 23) + state_[0], t = state_[1] << 17;
+    state_[2] ^= state_[0], state_[3] ^= state_[1], state_[1] ^= state_[2], state_[0] ^= state_[3], state_[2] ^= t;
+    state_[3] = rotl(state_[3], 45);
+    return out;
+  }
+  double uniform() { return double(bits() >> 11) * 0x1.0p-53; }
+  double uniform(double a, double b) { return a + (b - a) * uniform(); }
+  int below(int n) { return int(uniform() * n); }
+  double normal() { return std::sqrt(-2 * std::log(1 - uniform())) * std::cos(6.283185307179586 * uniform()); }
+
+ private:
+  static uint64_t rotl(uint64_t x, int k) { return (x << k) | (x >> (64 - k)); }
+  uint64_t state_[4];
+};
+
+// Iterations and seconds that one call may use; the clock is read every few iterations only.
+class Slice {
+ public:
+  Slice(int64_t iterations, double seconds) : left_(iterations), seconds_(seconds), start_(std::chrono::steady_clock::now()) {}
+  bool next() {
+    if (left_ <= 0) return false;
+    if ((++used_ & 7) == 0 && std::isfinite(seconds_) &&
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count() > seconds_)
+      return false;
+    --left_;
+    return true;
+  }
+  int64_t used() const { return used_; }
+
+ private:
+  int64_t left_, used_ = 0;
+  double seconds_;
+  std::chrono::steady_clock::time_point start_;
+};
+
+// A polyline with the cost of every edge.
+struct Polyline {
+  std::vector<Point> q;
+  std::vector<double> edge;
+  double total = std::numeric_limits<double>::infinity();
+
+  static Polyline of(Space& space, std::vector<Point> points) {
+    Polyline path{std::move(points), {}, 0};
+    for (size_t i = 0; i + 1 < path.q.size(); ++i) {
+      path.edge.push_back(space.cost(path.q[i].data(), path.q[i + 1].data()));
+      path.total += path.edge.back();
+    }
+    return path;
+  }
+  void sum() {
+    total = 0;
+    for (double c : edge) total += c;
+  }
+};
+
+// Nodes in one array for a linear scan, which beats every other structure below some thousands of nodes.
+struct Tree {
+  int dim;
+  std::vector<double> q, cost;
+  std::vector<int> parent;
+
+  explicit Tree(int d) : dim(d) {}
+  int size() const { return int(parent.size()); }
+  const double* node(int i) const { return q.data() + size_t(i) * size_t(dim); }
+  int add(const double* point, int from, double cost_to_come) {
+    q.insert(q.end(), point, point + dim);
+    parent.push_back(from);
+    cost.push_back(cost_to_come);
+    return size() - 1;
+  }
+  // Nearest node whose cost plus distance stays below `cost_limit`; -1 if there is none.
+  int nearest(const double* point, double cost_limit = std::numeric_limits<double>::infinity()) const {
+    int best = -1;
+    double best_d2 = std::numeric_limits<double>::infinity();
+    const double* row = q.data();
+    for (int i = 0; i < size(); ++i, row += dim) {
+      double d2 = 0;
+      for (int j = 0; j < dim; ++j) d2 += (row[j] - point[j]) * (row[j] - point[j]);
+      if (d2 < best_d2 && (std::isinf(cost_limit) || cost[size_t(i)] + std::sqrt(d2) < cost_limit)) best_d2 = d2, best = i;
+    }
+    return best;
+  }
+};
+
+}  // namespace gp

@@ -1,0 +1,167 @@
+// Local improvement of a path by J: shortcuts, perturbed vertices, smooth bumps. A move is kept only if J falls and the
+// new edges are free, so the path is valid at every moment.
+#pragma once
+#include <algorithm>
+
+#include "planning.hpp"
+
+namespace gp {
+
+class Refiner {
+ public:
+  Refiner(Space& space, Polyline path, double spacing, uint64_t seed)
+      : space_(space), path_(std::move(path)), spacing_(spacing), sigma_{spacing, spacing}, random_(seed) {}
+
+  const Polyline& path() const { return path_; }
+  int64_t moves() const { return moves_; }
+  // Size of the vertex moves relative to the spacing: small means settled.
+  double settled() const { return std::max(sigma_[0], sigma_[1]) / spacing_; }
+
+  // One trial move; true if J fell.
+  bool step() {
+    ++moves_;
+    if (path_.q.size() < 2) return false;
+    if (moves_ % 50 == 1) respace();
+    const double u = random_.uniform();
+    if (path_.q.size() == 2 || u < 0.12) return shortcut();
+    if (u < 0.20) return partial_shortcut();
+    if (u < 0.60) return adapt(0, perturb(0));
+    if (u < 0.90) return adapt(1, perturb(1 + random_.below(int(path_.q.size()) / 2)));
+    return straighten();
+  }
+
+ private:
+  // Step sizes by the one-fifth success rule.
+  bool adapt(int kind, bool improved) {
+    sigma_[kind] = std::clamp(sigma_[kind] * (improved ? 1.5 : 0.92), 1e-4 * spacing_, 4 * spacing_);
+    return improved;
+  }
+
+  // Split long edges and drop vertices that crowd, so that every vertex controls a similar stretch.
+  void respace() {
+    for (size_t i = path_.q.size() - 1; i-- > 1;) {
+      const double gap = space_.distance(path_.q[i - 1].data(), path_.q[i + 1].data());
+      if (gap < 0.8 * spacing_) replace(int(i) - 1, int(i) + 1, {});
+    }
+    for (size_t i = 0; i + 1 < path_.q.size(); ++i) {
+      const double d = space_.distance(path_.q[i].data(), path_.q[i + 1].data());
+      if (d < 1.6 * spacing_ || path_.q.size() > 200) continue;
+      const int pieces = int(std::lround(d / spacing_));
+      std::vector<Point> points;
+      for (int k = 1; k < pieces; ++k) points.push_back(between(path_.q[i], path_.q[i + 1], double(k) / pieces));
+      subdivide(i, points);
+      i += points.size();
+    }
+  }
+
+  Point between(const Point& a, const Point& b, double s) const {
+    Point out(a.size());
+    for (size_t j = 0; j < a.size(); ++j) out[j] = a[j] + s * (b[j] - a[j]);
+    return out;
+  }
+
+  // The same geometry with more vertices; costs are evaluated anew, as sampling shifts.
+  void subdivide(size_t i, const std::vector<Point>& points) {
+    path_.q.insert(path_.q.begin() + long(i) + 1, points.begin(), points.end());
+    path_.edge.insert(path_.edge.begin() + long(i) + 1, points.size(), 0.0);
+    for (size_t k = i; k <= i + points.size(); ++k) path_.edge[k] = space_.cost(path_.q[k].data(), path_.q[k + 1].data());
+    path_.sum();
+  }
+
+  // Replace the vertices strictly between `first` and `last`; keep it if J falls and the new edges are free.
+  bool replace(int first, int last, const std::vector<Point>& points) {
+    double before = 0;
+    for (int k = first; k < last; ++k) before += path_.edge[size_t(k)];
+    const double limit = before * (1 - 1e-9);
+    std::vector<const double*> chain{path_.q[size_t(first)].data()};
+    for (const Point& p : points) chain.push_back(p.data());
+    chain.push_back(path_.q[size_t(last)].data());
+    double after = 0, motion = 0;
+    for (size_t k = 0; k + 1 < chain.size(); ++k) motion += space_.motion(chain[k], chain[k + 1]);
+    if (motion >= limit) return false;
+    std::vector<double> costs;
+    for (size_t k = 0; k + 1 < chain.size() && after < limit; ++k) {
+      costs.push_back(space_.cost_below(chain[k], chain[k + 1], limit - after));
+      after += costs.back();
+    }
+    if (!(after < limit)) return false;
+    for (size_t k = 0; k + 1 < chain.size(); ++k)
+      if (!space_.edge_free(chain[k], chain[k + 1])) return false;
+    path_.q.erase(path_.q.begin() + first + 1, path_.q.begin() + last);
+    path_.q.insert(path_.q.begin() + first + 1, points.begin(), points.end());
+    path_.edge.erase(path_.edge.begin() + first, path_.edge.begin() + last);
+    path_.edge.insert(path_.edge.begin() + first, costs.begin(), costs.end());
+    path_.sum();
+    return true;
+  }
+
+  // Connect two random points on the path directly; the new stretch is subdivided like the rest.
+  bool shortcut() {
+    const int n = int(path_.q.size());
+    int i = random_.below(n - 1), j = random_.below(n - 1);
+    if (i > j) std::swap(i, j);
+    if (i == j) return false;
+    const Point a = between(path_.q[size_t(i)], path_.q[size_t(i) + 1], random_.uniform());
+    const Point b = between(path_.q[size_t(j)], path_.q[size_t(j) + 1], random_.uniform());
+    return replace(i, j + 1, fill(a, b));
+  }
+
+  std::vector<Point> fill(const Point& a, const Point& b) const {
+    std::vector<Point> points{a};
+    const int pieces = std::max(1, int(std::lround(space_.distance(a.data(), b.data()) / spacing_)));
+    for (int k = 1; k < pieces; ++k) points.push_back(between(a, b, double(k) / pieces));
+    points.push_back(b);
+    return points;
+  }
+
+  // Straighten one joint's motion between two vertices and leave the others as they are (Geraerts and Overmars 2007).
+  bool partial_shortcut() {
+    const int n = int(path_.q.size());
+    int i = random_.below(n), j = random_.below(n);
+    if (i > j) std::swap(i, j);
+    if (j - i < 2) return false;
+    const size_t joint = size_t(random_.below(space_.dim));
+    std::vector<Point> points(path_.q.begin() + i + 1, path_.q.begin() + j);
+    for (int k = i + 1; k < j; ++k) {
+      const double s = double(k - i) / (j - i);
+      points[size_t(k - i - 1)][joint] = path_.q[size_t(i)][joint] * (1 - s) + path_.q[size_t(j)][joint] * s;
+    }
+    return replace(i, j, points);
+  }
+
+  // Move a vertex, or a window of vertices by a smooth bump, in a random direction within the limits.
+  bool perturb(int reach) {
+    const int n = int(path_.q.size()), centre = 1 + random_.below(n - 2);
+    const int first = std::max(0, centre - reach - 1), last = std::min(n - 1, centre + reach + 1);
+    const bool one_joint = random_.uniform() < 0.5;
+    const int joint = random_.below(space_.dim);
+    Point direction(size_t(space_.dim), 0.0);
+    for (int j = 0; j < space_.dim; ++j)
+      if (!one_joint || j == joint) direction[size_t(j)] = random_.normal() * sigma_[reach > 0] * (one_joint ? 1.0 : 1.0 / std::sqrt(double(space_.dim)));
+    std::vector<Point> points(path_.q.begin() + first + 1, path_.q.begin() + last);
+    for (int k = first + 1; k < last; ++k) {
+      const double s = double(k - centre) / (reach + 1), bump = (1 - s * s) * (1 - s * s);
+      for (size_t j = 0; j < direction.size(); ++j) {
+        double& value = points[size_t(k - first - 1)][j];
+        value = std::clamp(value + bump * direction[j], space_.lower[j], space_.upper[j]);
+      }
+    }
+    return replace(first, last, points);
+  }
+
+  // Pull a vertex towards the chord of its neighbours.
+  bool straighten() {
+    const int n = int(path_.q.size()), i = 1 + random_.below(n - 2);
+    const Point middle = between(path_.q[size_t(i) - 1], path_.q[size_t(i) + 1], 0.5);
+    return replace(i - 1, i + 1, {between(path_.q[size_t(i)], middle, random_.uniform())});
+  }
+
+  Space& space_;
+  Polyline path_;
+  double spacing_;
+  double sigma_[2];
+  Random random_;
+  int64_t moves_ = 0;
+};
+
+}  // namespace gp

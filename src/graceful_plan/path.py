@@ -1,0 +1,81 @@
+"""A path: geometry without time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from graceful_plan.exceptions import NonFiniteError, ShapeError
+
+Array = np.ndarray
+
+
+def finite_array(name: str, value: ArrayLike, *, ndim: int | None = None, last: int | None = None) -> Float[Array, "..."]:
+    """Return `value` as a float64 array, refusing wrong shapes and numbers that are not finite.
+
+    Raises:
+        ShapeError: If it is ragged, of the wrong number of axes or of the wrong last axis.
+        NonFiniteError: If it holds a NaN or an infinity.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None
+    if (ndim is not None and array.ndim != ndim) or (last is not None and (array.ndim == 0 or array.shape[-1] != last)):
+        axes = ["...", "n"] if ndim is None else ["n"] * ndim
+        raise ShapeError(name, array.shape, f"({', '.join([*axes[:-1], str(last)] if last is not None else axes)})")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        raise NonFiniteError(name, tuple(int(i) for i in bad[0]))
+    return array
+
+
+@dataclass(frozen=True, slots=False, eq=False)
+class Path:
+    """A polyline in configuration space, straight between neighbouring vertices.
+
+    Args:
+        q: Vertices [rad or m], at least one.
+    """
+
+    q: Float[Array, "n nq"]
+
+    def __post_init__(self) -> None:
+        q = finite_array("path", self.q, ndim=2)
+        if len(q) == 0:
+            raise ShapeError("path", q.shape, "(n >= 1, nq)")
+        q = q.copy()
+        q.flags.writeable = False
+        object.__setattr__(self, "q", q)
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @cached_property
+    def segment_lengths(self) -> Float[Array, " segment"]:
+        """Euclidean joint-space length of each segment [rad]."""
+        return np.linalg.norm(np.diff(self.q, axis=0), axis=1)
+
+    @property
+    def length(self) -> float:
+        """Euclidean joint-space length [rad]."""
+        return float(self.segment_lengths.sum())
+
+    def without_duplicates(self) -> Path:
+        """Drop vertices that coincide with the one before."""
+        keep = np.concatenate([[True], self.segment_lengths > 0.0])
+        return Path(self.q[keep])
+
+    def reversed(self) -> Path:
+        """Return the same geometry travelled backwards."""
+        return Path(self.q[::-1])
+
+    def resampled(self, step: float) -> Path:
+        """Subdivide every segment evenly so that no piece is longer than `step` [rad]; vertices stay."""
+        pieces = np.maximum(1, np.ceil(self.segment_lengths / step).astype(int))
+        parts = [a + np.arange(k)[:, None] / k * (b - a) for a, b, k in zip(self.q[:-1], self.q[1:], pieces, strict=True)]
+        return Path(np.concatenate([*parts, self.q[-1:]]))

@@ -1,0 +1,130 @@
+"""The planner contract: what a planner sees, what it yields, and the budget it lives on.
+
+A planner is a frozen settings object with one method, `solve`. It sees the world through two batched
+questions (`Problem`) and the cost through one (`BoundObjective`), and yields better and better paths.
+Time limit, cancellation, progress and trace are handled once, by `graceful_plan.plan`, on top of `Budget`.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from graceful_plan.path import Path
+
+Array = np.ndarray
+
+
+class Problem(ABC):
+    """A start, one or more goals, limits, and which states and edges are free."""
+
+    start: Float[Array, " nq"]
+    goals: Float[Array, "goal nq"]
+    lower: Float[Array, " nq"]
+    upper: Float[Array, " nq"]
+
+    @abstractmethod
+    def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        """Tell which configurations are free of collision. Limits are the planner's business."""
+
+    @abstractmethod
+    def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        """Tell which straight edges from `q0` to `q1` are free of collision."""
+
+
+class BoundObjective(Protocol):
+    """What a planner sees of the cost J = V + w S: additive over edges, never negative."""
+
+    @property
+    def w(self) -> float:
+        """Safety weight."""
+        ...
+
+    def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
+        """Motion cost V and impact S of each straight edge, travelled from `q0` to `q1`."""
+        ...
+
+    def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
+        """Impact given that the robot fails right there, at rest."""
+        ...
+
+
+def edge_totals(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, " n"]:
+    """Total cost V + w S of each edge."""
+    cost = objective.edges(q0, q1)
+    return cost[:, 0] + objective.w * cost[:, 1]
+
+
+def path_total(objective: BoundObjective, path: Path) -> float:
+    """Total cost V + w S of a path."""
+    return float(edge_totals(objective, path.q[:-1], path.q[1:]).sum())
+
+
+@dataclass
+class Budget:
+    """What a planner may still spend: seconds, iterations, or until somebody cancels.
+
+    With `iterations` set and no time limit, a planner's result depends on its seed alone.
+    """
+
+    time_limit: float = np.inf
+    """Seconds from construction on."""
+    iterations: int | None = None
+    """Planner iterations; each planner documents what one of its iterations is."""
+    cancelled: Callable[[], bool] = field(default=lambda: False)
+    spent: int = field(default=0, init=False)
+    started: float = field(default_factory=time.perf_counter, init=False)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the start."""
+        return time.perf_counter() - self.started
+
+    @property
+    def remaining_seconds(self) -> float:
+        """Seconds left, at least 0."""
+        return max(0.0, self.time_limit - self.elapsed)
+
+    @property
+    def remaining_iterations(self) -> float:
+        """Iterations left, infinite if they are not limited."""
+        return np.inf if self.iterations is None else max(0, self.iterations - self.spent)
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether nothing is left or somebody cancelled."""
+        return self.remaining_iterations <= 0 or self.elapsed >= self.time_limit or self.cancelled()
+
+    def spend(self, n: int = 1) -> bool:
+        """Count `n` iterations; return whether there was budget for them."""
+        if self.exhausted:
+            return False
+        self.spent += n
+        return True
+
+
+class Planner(ABC):
+    """Base of all planners: a frozen dataclass of settings with one method."""
+
+    name: ClassVar[str]
+    """The word that selects it in `plan(planner=...)`."""
+    anytime: ClassVar[bool]
+    """Whether it keeps improving its solution until the budget ends."""
+
+    @abstractmethod
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield paths from the start to one of the goals, each of lower total cost than the one before.
+
+        Start and goals are free and inside the limits. An implementation checks `budget.spend()` once per
+        iteration and returns when it says no; no single iteration may take longer than about 20 ms.
+        Yielding nothing means that no path was found. Deterministic for a given `rng` when the budget is
+        given in iterations.
+        """

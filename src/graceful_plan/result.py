@@ -1,0 +1,110 @@
+"""What planning returns: statuses, verdicts, cost breakdowns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from graceful_plan.exceptions import PlanningFailed
+from graceful_plan.path import Path
+from graceful_plan.trajectory import Trajectory
+
+
+class PlanStatus(Enum):
+    """How planning ended; the value says what to do about it."""
+
+    SOLVED = "A verified trajectory was found."
+    APPROXIMATE = "A verified trajectory ends near the goal, not within its tolerance; raise the time limit or the tolerance."
+    INVALID_START = "The start is in collision or outside of the limits; move the robot or fix the scene."
+    INVALID_GOAL = "No goal is reachable, free and inside the limits; choose another goal or a looser tolerance."
+    TIMEOUT = "The budget ended before a verified trajectory was found; raise the time limit or the iterations."
+    INFEASIBLE = "The planner proved or gave up that there is a path; remove obstacles or choose another goal."
+    NONFINITE = "The cost returned a NaN or an infinity; check it with graceful_plan.testing.check_cost."
+    RETIMING_FAILED = "A path was found but could not be timed within the limits; relax them or lower the speed."
+
+
+@dataclass(frozen=True, kw_only=True)
+class CostBreakdown:
+    """J = motion + w * impact, and where the impact comes from. Pessimistic until computed."""
+
+    motion: float = np.inf
+    impact: float = np.inf
+    w: float = 1.0
+    impact_by_entity: Mapping[str, float] = field(default_factory=dict)
+    impact_by_component: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def total(self) -> float:
+        """Motion plus weighted impact."""
+        return self.motion + self.w * self.impact if self.w else self.motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One thing that was verified. Failed until shown otherwise."""
+
+    passed: bool = False
+    worst: float = -np.inf
+    """The value furthest on the bad side, in the unit that `detail` names."""
+    limit: float = 0.0
+    first: float | None = None
+    """Time [s] (or path length [rad] for a path) of the first violation."""
+    detail: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The independent judge's findings, by name."""
+
+    checks: Mapping[str, Check] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether something was checked and everything passed."""
+        return bool(self.checks) and all(check.passed for check in self.checks.values())
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Names of the checks that did not pass."""
+        return tuple(name for name, check in self.checks.items() if not check.passed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracePoint:
+    """One improvement of an anytime planner: seconds since the call, and the cost reached."""
+
+    time: float
+    total: float
+    motion: float
+    impact: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanResult:
+    """The outcome of `plan`."""
+
+    status: PlanStatus
+    path: Path | None = None
+    trajectory: Trajectory | None = None
+    cost: CostBreakdown = field(default_factory=CostBreakdown)
+    verdict: Verdict = field(default_factory=Verdict)
+    trace: tuple[TracePoint, ...] = ()
+    detail: str = ""
+    """What the status means here: the pair in contact and its depth, the joint at its limit..."""
+    goal_index: int | None = None
+    """Which of several goals was reached."""
+    stats: Mapping[str, float] = field(default_factory=dict)
+    """Seconds per stage and iterations spent."""
+
+    def unwrap(self) -> Trajectory:
+        """Return the trajectory of a solved problem.
+
+        Raises:
+            PlanningFailed: With this result, if the status is not SOLVED.
+        """
+        if self.status is not PlanStatus.SOLVED or self.trajectory is None:
+            raise PlanningFailed(self)
+        return self.trajectory

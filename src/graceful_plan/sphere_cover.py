@@ -1,0 +1,229 @@
+"""Spheres that together contain a geom and stick out of it by less than a given amount.
+
+All covers are computed in the geom's own frame: centres [m] and radii [m]. A ball of radius R around a point at depth d
+inside of a convex body sticks out by at most R - d, which bounds the protrusion of every sphere.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+Array = np.ndarray
+
+MAX_PROTRUSION = 0.0095
+"""How far a cover may stick out of its geom [m]; below the promised 1 cm by the width of float32 and of samples."""
+
+MAX_CANDIDATES = 600
+"""Balls that the greedy cover of a hull chooses from."""
+
+Cover = tuple[Float[Array, "sphere 3"], Float[Array, " sphere"]]
+
+
+def sphere_cover(radius: float) -> Cover:
+    """Cover a sphere by itself."""
+    return np.zeros((1, 3)), np.array([radius])
+
+
+def capsule_cover(radius: float, half_length: float, protrusion: float = MAX_PROTRUSION) -> Cover:
+    """Cover a capsule along z by spheres on its axis."""
+    R = radius + protrusion
+    reach = half_length - protrusion  # a ball this far out contains the whole end cap
+    if reach <= 0.0:
+        return np.zeros((1, 3)), np.array([radius + half_length])
+    return _axis(reach, np.sqrt(R**2 - radius**2)), np.full(_axis_count(reach, np.sqrt(R**2 - radius**2)), R)
+
+
+def _axis_count(reach: float, half_gap: float) -> int:
+    return max(2, int(np.ceil(reach / half_gap)) + 1)
+
+
+def _axis(reach: float, half_gap: float) -> Float[Array, "sphere 3"]:
+    z = np.linspace(-reach, reach, _axis_count(reach, half_gap))
+    return np.stack([0 * z, 0 * z, z], axis=1)
+
+
+def box_cover(half: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) -> Cover:
+    """Cover a box by a lattice of spheres, one around each cell, and its core by fewer, larger ones."""
+    half_sizes = np.asarray(half, dtype=float)
+    counts = _box_lattice(half_sizes, protrusion)
+    cell = half_sizes / counts
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1).reshape(-1, 3)
+    outer = np.any((index == 0) | (index == counts - 1), axis=1)
+    centres = (2 * index[outer] + 1) * cell - half_sizes
+    radii = np.full(len(centres), np.linalg.norm(cell))
+    if np.all(counts > 2):  # the core may bulge into the outer layer
+        core, core_radii = box_cover(tuple(half_sizes - 2 * cell), protrusion + 2 * cell.min())
+        return np.concatenate([centres, core]), np.concatenate([radii, core_radii])
+    return centres, radii
+
+
+def _box_lattice(half: Float[Array, " 3"], protrusion: float) -> Array:
+    """Fewest cells per axis such that the ball around a cell sticks out of it by no more than `protrusion`."""
+    best = None
+    for layers in range(1, 200):  # along the thinnest axis
+        pitch = half.min() / layers
+        width = np.sqrt(((pitch + protrusion) ** 2 - pitch**2) / 2.0)  # what the ball still reaches along the others
+        counts = np.maximum(np.ceil(half / width), 1).astype(int)
+        counts[np.argmin(half)] = layers
+        while np.linalg.norm(half / counts) - (half / counts).min() > protrusion:
+            counts[np.argmax(half / counts)] += 1
+        if best is None or counts.prod() < best.prod():
+            best = counts
+        elif counts.prod() > 4 * best.prod():
+            break
+    assert best is not None  # one layer always fits
+    return best
+
+
+def cylinder_cover(radius: float, half_length: float, protrusion: float = MAX_PROTRUSION) -> Cover:
+    """Cover a cylinder along z: rings of spheres near both ends, spheres on the axis or rings between them."""
+    options = [c for n in range(1, 40) if (c := _cylinder_layers(radius, half_length, n, protrusion)) is not None]
+    return min(options, key=lambda cover: len(cover[1]))
+
+
+def _cylinder_layers(radius: float, half_length: float, n: int, protrusion: float) -> Cover | None:
+    """End layers of half height `half_length / n`; what lies between them is covered from the axis."""
+    c = half_length / n
+    disc = _disc_cover(radius, c, protrusion)
+    if disc is None:
+        return None
+    xy, R = disc
+    ends = [half_length - c, c - half_length] if n > 1 else [0.0]
+    centres = [np.column_stack([xy, np.full(len(xy), z)]) for z in ends]
+    radii = [np.full(len(xy), R)] * len(ends)
+    gap = half_length - 2 * c
+    if gap > 0:
+        big = radius + min(protrusion, protrusion + 2 * c)
+        half_gap = np.sqrt(big**2 - radius**2)
+        count = max(1, int(np.ceil(gap / half_gap)))
+        z = (np.arange(count) + 0.5) * 2 * gap / count - gap
+        if big > half_length - np.abs(z).max() + protrusion:  # would stick out of the ends
+            return None
+        centres.append(np.stack([0 * z, 0 * z, z], axis=1))
+        radii.append(np.full(count, big))
+    return np.concatenate(centres), np.concatenate(radii)
+
+
+def _disc_cover(radius: float, c: float, protrusion: float) -> tuple[Float[Array, "disc 2"], float] | None:
+    """Centres of equal balls that cover the slab |z| <= c of a cylinder and stick out of it by at most `protrusion`."""
+    if np.hypot(radius, c) - min(radius, c) <= protrusion:
+        return np.zeros((1, 2)), float(np.hypot(radius, c))
+    if c > radius:  # balls that reach both faces would bulge out of the side
+        return None
+    R = c + protrusion
+    rho = np.sqrt(R**2 - c**2)  # what a ball covers on both faces of the slab
+    centres: list[Array] = []
+    outer, d = radius, radius + protrusion - R
+    for _ in range(200):
+        if outer <= rho:
+            centres.append(np.zeros((1, 2)))
+            return np.concatenate(centres), float(R)
+        d = min(max(d, 0.0), outer)
+        if d <= 0.0:
+            return None
+        alpha = np.arccos(np.clip((outer**2 + d**2 - rho**2) / (2 * outer * d), -1.0, 1.0))
+        if alpha < 1e-3:
+            return None
+        m = max(3, int(np.ceil(np.pi / alpha)))
+        angle = 2 * np.pi * (np.arange(m) + 0.5 * (len(centres) % 2)) / m
+        centres.append(d * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        inside = rho**2 - (d * np.sin(np.pi / m)) ** 2
+        if inside < 0:
+            return None
+        inner = d * np.cos(np.pi / m) - np.sqrt(inside)
+        if inner <= 0.0:
+            return np.concatenate(centres), float(R)
+        # The next ring covers up to `inner` with some overlap: balls whose neighbours meet on that circle.
+        outer, d = inner, inner - 0.35 * rho if inner > rho else 0.0
+    return None
+
+
+def convex_cover(
+    points: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION, pitch: float = 0.004
+) -> Cover:
+    """Cover a convex body greedily.
+
+    Args:
+        points: Samples of the body, every point of it within `pitch` of one.
+        planes: Outward unit normals n and offsets d of its faces, n . x <= d inside.
+        protrusion: How far spheres may stick out [m].
+        pitch: Density of `points` [m].
+    """
+    slack = pitch
+    depth = np.min(planes[:, 3] - points @ planes[:, :3].T, axis=1)
+    radii = np.maximum(depth, 0.0) + protrusion
+    usable = radii > slack
+    candidates, radii = points[usable], radii[usable]
+    if len(candidates) > MAX_CANDIDATES:
+        chosen = np.linspace(0, len(candidates) - 1, MAX_CANDIDATES).astype(int)
+        candidates, radii = candidates[chosen], radii[chosen]
+    squared = np.sum(candidates**2, axis=1)[:, None] + np.sum(points**2, axis=1) - 2.0 * candidates @ points.T
+    covers = (squared <= ((radii - slack) ** 2)[:, None]).astype(np.float32)
+    left = np.ones(len(points), dtype=np.float32)
+    picked: list[int] = []
+    while left.any():
+        gain = covers @ left
+        k = int(np.argmax(gain))
+        if gain[k] <= 0:  # a thinned-out candidate: let the point cover itself
+            stray = int(np.argmax(left))
+            candidates, radii = np.vstack([candidates, points[stray]]), np.append(radii, depth[stray] + protrusion)
+            reach = np.linalg.norm(points - points[stray], axis=1) <= radii[-1] - slack
+            covers = np.vstack([covers, reach.astype(np.float32)])
+            k = len(candidates) - 1
+        picked.append(k)
+        left[covers[k] > 0] = 0.0
+    return candidates[picked], radii[picked]
+
+
+def samples_of_convex(vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], pitch: float) -> Float[Array, "m 3"]:
+    """Lattice points inside a convex body and its nearest points to lattice points just outside."""
+    lower, upper = vertices.min(axis=0) - pitch, vertices.max(axis=0) + pitch
+    axes = [np.arange(a, b + pitch, pitch) for a, b in zip(lower, upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    height = np.max(grid @ planes[:, :3].T - planes[:, 3], axis=1)
+    near = grid[height <= pitch]
+    outside = np.flatnonzero(height[height <= pitch] > 0.0)
+    for _ in range(30):  # alternate projections onto the violated half-spaces
+        excess = near[outside] @ planes[:, :3].T - planes[:, 3]
+        worst = np.argmax(excess, axis=1)
+        near[outside] -= np.maximum(excess[np.arange(len(outside)), worst], 0.0)[:, None] * planes[worst, :3]
+        outside = outside[excess.max(axis=1) > 1e-6]
+        if len(outside) == 0:
+            break
+    return np.concatenate([near, vertices])
+
+
+def hull_cover(vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION) -> Cover:
+    """Cover the convex hull of some vertices."""
+    # Points are dense enough that the slack of half a lattice diagonal costs few spheres, and few enough to be quick.
+    volume = float(np.prod(np.ptp(vertices, axis=0)))
+    pitch = min(max(0.0025, (volume / 12000.0) ** (1.0 / 3.0)), 0.0045)
+    spacing = pitch * np.sqrt(3.0) / 2.0
+    return convex_cover(samples_of_convex(vertices, planes, pitch), planes, protrusion, spacing)
+
+
+@lru_cache(maxsize=64)
+def ellipsoid_cover(semi_axes: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) -> Cover:
+    """Cover an ellipsoid: greedily, by way of the polytope of tangent planes around it."""
+    n = 162
+    k = np.arange(n) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * k / n), np.pi * (1 + 5**0.5) * k
+    unit = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    normal = unit / np.asarray(semi_axes)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    surface = unit * np.asarray(semi_axes)
+    planes = np.column_stack([normal, np.sum(normal * surface, axis=1)])
+    return hull_cover(surface * 1.0, planes, protrusion)
+
+
+def enclosing_sphere(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Float[Array, " 4"]:
+    """A small sphere around spheres, by steps towards the furthest one (Badoiu and Clarkson 2003)."""
+    centre = (centres.min(axis=0) + centres.max(axis=0)) / 2.0
+    for k in range(1, 400):
+        reach = np.linalg.norm(centres - centre, axis=1) + radii
+        far = int(np.argmax(reach))
+        centre = centre + (centres[far] - centre) * (1.0 - radii[far] / max(reach[far], 1e-12)) / (k + 1)
+    return np.append(centre, np.max(np.linalg.norm(centres - centre, axis=1) + radii))
