@@ -1,0 +1,281 @@
+"""The command line, `graceful-plan`. Thin: it calls the public API, prints, and turns outcomes into exit codes.
+
+0: done. 1: no verified trajectory, or a check failed. 2: misuse. 130: interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+import graceful_plan as gp
+from graceful_plan import documents
+from graceful_plan.exceptions import GracefulPlanError, SettingError, UnknownNameError
+from graceful_plan.scene import Scene
+
+DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    args = _parser().parse_args(argv)
+    try:
+        return args.run(args)
+    except GracefulPlanError as error:
+        print(f"graceful-plan {args.command}: {error}", file=sys.stderr)
+        return MISUSE
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            # The reader went away, as `head` does; a second complaint at shutdown is kept from it.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return DONE
+        print(f"graceful-plan {args.command}: {error}", file=sys.stderr)
+        return MISUSE
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="graceful-plan", description="Plan motions along which a failure at any moment does little harm."
+    )
+    parser.add_argument("--version", action="version", version=gp.__version__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    demo = _command(commands, "demo", _demo, "plan 'tabletop' with w = 0 and w = 1, compare, draw")
+    demo.add_argument("--output", type=FilePath, default=FilePath("graceful_plan_demo"), help="folder for what is made")
+    _add_budget(demo)
+
+    plan = _command(commands, "plan", _plan, "plan one motion")
+    _add_scene(plan)
+    plan.add_argument("--start", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
+    plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
+    plan.add_argument("--w", type=float, default=1.0, help="safety weight; 0 is an ordinary planner (default 1)")
+    plan.add_argument("--planner", default="anytime", help="see `graceful-plan planners`")
+    plan.add_argument("--output", type=FilePath, metavar="FILE", help="write the trajectory to FILE.json or FILE.csv")
+    _add_budget(plan)
+
+    evaluate = _command(commands, "evaluate", _evaluate, "judge a path or trajectory from any planner")
+    evaluate.add_argument("motion", type=FilePath, help="JSON file with a path or a trajectory")
+    _add_scene(evaluate)
+    evaluate.add_argument("--w", type=float, default=1.0, help="safety weight of the total (default 1)")
+
+    _command(commands, "scenes", _scenes, "list the bundled scenes and their tasks")
+    _command(commands, "planners", _planners, "list the planners and their settings")
+    _command(commands, "doctor", _doctor, "versions, instruction set in use, self-test")
+    return parser
+
+
+def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    parser.add_argument("--task", help="task of the scene; default: its first, unless start and goal are given")
+
+
+def _add_budget(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--time-limit", type=float, metavar="S", help="seconds of search (default 1)")
+    parser.add_argument("--iterations", type=int, help="planner iterations: reproducible, unlike a time limit")
+    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+
+
+def _budget(args: argparse.Namespace) -> dict[str, Any]:
+    limit = args.time_limit if args.time_limit is not None or args.iterations is not None else 1.0
+    return {"time_limit": limit, "iterations": args.iterations, "seed": args.seed}
+
+
+# --- commands --------------------------------------------------------------------------------------------------------
+
+
+def _demo(args: argparse.Namespace) -> int:
+    from graceful_plan import demo
+
+    with _Progress(args.json) as progress:
+        outcome = demo.run(args.output, callback=progress, **_budget(args))
+    solved = all(result.status is gp.PlanStatus.SOLVED for result in outcome.results.values())
+    costs = {label: result.cost for label, result in outcome.results.items()}
+    document = {
+        "schema": "graceful_plan.demo",
+        "version": 1,
+        "results": {
+            label: {"status": result.status.name, "cost": documents.cost_document(result.cost)}
+            for label, result in outcome.results.items()
+        },
+        "files": [str(file) for file in outcome.files],
+    }
+    text = [documents.cost_table(costs), ""] if solved else []
+    text += [f"{label}: {_sentence(result)}" for label, result in outcome.results.items()]
+    text += ["", *(f"wrote {file}" for file in outcome.files)]
+    _print(args, document, "\n".join(text))
+    return DONE if solved else FAILED
+
+
+def _plan(args: argparse.Namespace) -> int:
+    scene, start, goal = _problem(args)
+    if args.output is not None and args.output.suffix not in (".json", ".csv"):
+        raise SettingError("--output", str(args.output), "a file name that ends in .json or .csv")
+    with _Progress(args.json) as progress:
+        result = gp.plan(start, goal, scene, w=args.w, planner=args.planner, callback=progress, **_budget(args))
+    text = [_sentence(result)]
+    if result.status is gp.PlanStatus.SOLVED:
+        text += ["", documents.cost_table({f"w = {args.w:g}": result.cost})]
+        if args.output is not None:
+            trajectory = result.unwrap()
+            write = trajectory.to_csv if args.output.suffix == ".csv" else trajectory.to_json
+            write(args.output)
+            text += ["", f"wrote {args.output}"]
+    _print(args, documents.result_document(result), "\n".join(text))
+    return DONE if result.status is gp.PlanStatus.SOLVED else FAILED
+
+
+def _evaluate(args: argparse.Namespace) -> int:
+    motion = documents.read_motion(args.motion)
+    scene = _task(args)[0]
+    path = motion if isinstance(motion, gp.Path) else motion.path
+    cost = gp.evaluate(path, scene, gp.Objective(w=args.w))
+    verdict = gp.verify(motion, scene)
+    rows = [
+        [name, "passed" if check.passed else "FAILED", check.worst, check.detail]
+        for name, check in verdict.checks.items()
+    ]
+    document = {
+        "schema": "graceful_plan.evaluation",
+        "version": 1,
+        "cost": documents.cost_document(cost),
+        "verdict": documents.verdict_document(verdict),
+    }
+    text = [documents.cost_table({f"w = {args.w:g}": cost}), ""]
+    _print(args, document, "\n".join([*text, documents.table(["check", "", "worst", ""], rows)]))
+    return DONE if verdict.passed else FAILED
+
+
+def _scenes(args: argparse.Namespace) -> int:
+    scenes = {name: gp.load_scene(name) for name in gp.scenes()}
+    document = {
+        name: {
+            "joints": list(scene.joints),
+            "keyframes": sorted(scene.keyframes),
+            "entities": {entity.name: entity.category for entity in scene.entities.values()},
+            "tasks": {task.name: task.description for task in scene.tasks.values()},
+        }
+        for name, scene in scenes.items()
+    }
+    lines = []
+    for name, scene in scenes.items():
+        lines += [f"{name}: {len(scene.entities)} entities, {len(scene.joints)} joints"]
+        lines += [f"  {task.name}: {task.description}" for task in scene.tasks.values()]
+    _print(args, document, "\n".join(lines))
+    return DONE
+
+
+def _planners(args: argparse.Namespace) -> int:
+    document = {
+        name: {
+            "summary": (planner.__doc__ or "").strip().splitlines()[0],
+            "anytime": planner.anytime,
+            "settings": {field.name: repr(field.default) for field in dataclasses.fields(planner)},
+        }
+        for name, planner in gp.PLANNERS.items()
+    }
+    rows = [[name, "yes" if entry["anytime"] else "no", entry["summary"]] for name, entry in document.items()]
+    _print(args, document, documents.table(["planner", "anytime", ""], rows))
+    return DONE
+
+
+def _doctor(args: argparse.Namespace) -> int:
+    from graceful_plan import doctor
+
+    findings = doctor.examine()
+    document = {
+        finding.name: {"ok": finding.ok, "value": finding.value, "detail": finding.detail} for finding in findings
+    }
+    rows = [
+        ["ok" if finding.ok else "FAILED", finding.name, finding.value, finding.detail] for finding in findings
+    ]
+    _print(args, document, documents.table(["", "what", "value", ""], rows))
+    return DONE if all(finding.ok for finding in findings) else FAILED
+
+
+# --- parts -----------------------------------------------------------------------------------------------------------
+
+
+def _task(args: argparse.Namespace) -> tuple[Scene, gp.Task | None]:
+    """Return the scene to plan in and the task whose object it holds, if one was asked for."""
+    scene = gp.load_scene(args.scene)
+    own_ends = getattr(args, "start", None) is not None and getattr(args, "goal", None) is not None
+    name = args.task
+    if name is None and (own_ends or not scene.tasks):
+        return scene, None
+    if name is None:
+        name = next(iter(scene.tasks))
+    if name not in scene.tasks:
+        raise UnknownNameError("task", name, scene.tasks)
+    task = scene.tasks[name]
+    return task.scene, task
+
+
+def _problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
+    scene, task = _task(args)
+    ends = []
+    for option, words, default in (("--start", args.start, task and task.start), ("--goal", args.goal, task and task.goal)):
+        if words is None and task is None:
+            raise SettingError(option, None, f"a keyframe ({', '.join(scene.keyframes) or 'none here'}) or joint values")
+        ends.append(default if words is None else _configuration(option, words))
+    return scene, ends[0], ends[1]
+
+
+def _configuration(option: str, words: Sequence[str]) -> str | list[float]:
+    """Read a keyframe's name, or one number a joint."""
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        if len(words) == 1:
+            return words[0]
+        raise SettingError(option, " ".join(words), "the name of a keyframe, or numbers only") from None
+
+
+def _sentence(result: gp.PlanResult) -> str:
+    text = f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else "")
+    if result.trajectory is not None:
+        text += f" {result.trajectory.duration:.2f} s long."
+    return text
+
+
+def _print(args: argparse.Namespace, document: Any, text: str) -> None:
+    print(documents.to_json(document) if args.json else text)
+
+
+class _Progress:
+    """Shows the best cost so far while planning, if somebody sits at a terminal."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.shown = sys.stderr.isatty() and not quiet
+
+    def __enter__(self) -> Callable[[Any], None] | None:
+        return self.show if self.shown else None
+
+    def __exit__(self, *_: object) -> None:
+        if self.shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def show(self, point: gp.TracePoint) -> None:
+        """Overwrite the line with the newest improvement."""
+        text = f"{point.time:6.2f} s  total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

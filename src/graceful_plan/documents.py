@@ -1,0 +1,143 @@
+"""Results as JSON documents and as text tables: what the command line prints. Also reads paths from JSON files."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+from graceful_plan.exceptions import FormatError
+from graceful_plan.path import Path
+from graceful_plan.result import CostBreakdown, PlanResult, Verdict
+from graceful_plan.trajectory import Trajectory
+
+_PATH_SCHEMA = {"schema": "graceful_plan.path", "version": 1}
+
+
+def to_json(document: Any) -> str:
+    """Return strict JSON text; numbers that are not finite become null."""
+    return json.dumps(_finite(document), allow_nan=False, indent=2)
+
+
+def cost_document(cost: CostBreakdown) -> dict[str, Any]:
+    """Return a cost breakdown as a document."""
+    return {
+        "motion": cost.motion,
+        "impact": cost.impact,
+        "w": cost.w,
+        "total": cost.total,
+        "impact_by_entity": dict(cost.impact_by_entity),
+        "impact_by_component": dict(cost.impact_by_component),
+    }
+
+
+def verdict_document(verdict: Verdict) -> dict[str, Any]:
+    """Return the judge's findings as a document."""
+    checks = {
+        name: {
+            "passed": check.passed,
+            "worst": check.worst,
+            "limit": check.limit,
+            "first": check.first,
+            "detail": check.detail,
+        }
+        for name, check in verdict.checks.items()
+    }
+    return {"passed": verdict.passed, "checks": checks}
+
+
+def result_document(result: PlanResult) -> dict[str, Any]:
+    """Return everything about the outcome of `plan` as a document, the trajectory included."""
+    return {
+        "schema": "graceful_plan.result",
+        "version": 1,
+        "status": result.status.name,
+        "meaning": result.status.value,
+        "detail": result.detail,
+        "goal_index": result.goal_index,
+        "cost": None if result.path is None else cost_document(result.cost),
+        "verdict": verdict_document(result.verdict),
+        "trace": [
+            {"time": point.time, "total": point.total, "motion": point.motion, "impact": point.impact}
+            for point in result.trace
+        ],
+        "stats": dict(result.stats),
+        "path": None if result.path is None else path_document(result.path),
+        "trajectory": None if result.trajectory is None else json.loads(result.trajectory.to_json()),
+    }
+
+
+def path_document(path: Path) -> dict[str, Any]:
+    """Return a path as a document that `read_motion` reads."""
+    return {**_PATH_SCHEMA, "q": path.q.tolist()}
+
+
+def read_motion(file: str | FilePath) -> Path | Trajectory:
+    """Read a trajectory or a path from a JSON file.
+
+    Raises:
+        FormatError: If the file holds neither.
+        ShapeError: If its numbers do not form an array.
+        NonFiniteError: If one of them is NaN or infinite.
+    """
+    try:
+        document = json.loads(FilePath(file).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(str(file), f"not JSON: {error}") from None
+    if isinstance(document, dict) and document.get("schema") == "graceful_plan.result":
+        document = document.get("trajectory") or document.get("path")
+    if not isinstance(document, dict):
+        raise FormatError(str(file), "it holds neither a path nor a trajectory")
+    if document.get("schema") != _PATH_SCHEMA["schema"]:
+        return Trajectory.from_json(json.dumps(document))
+    if document.keys() != {*_PATH_SCHEMA, "q"} or document["version"] != _PATH_SCHEMA["version"]:
+        raise FormatError(str(file), f"a path has the keys schema, version (1) and q; found {', '.join(document)}")
+    return Path(document["q"])
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lay out a text table: the first column to the left, numbers to the right with four significant digits."""
+    cells = [list(header), *([_cell(value) for value in row] for row in rows)]
+    numeric = [all(isinstance(row[i], int | float) for row in rows) for i in range(len(header))]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    lines = [
+        "  ".join(c.rjust(w) if right else c.ljust(w) for c, w, right in zip(row, widths, numeric, strict=True)).rstrip()
+        for row in cells
+    ]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def cost_table(costs: Mapping[str, CostBreakdown]) -> str:
+    """Compare cost breakdowns side by side: motion, impact, total, then where the impact comes from, worst first."""
+    columns = list(costs.values())
+    rows: list[list[object]] = [
+        ["motion", *(cost.motion for cost in columns)],
+        ["impact", *(cost.impact for cost in columns)],
+        ["motion + w * impact", *(cost.total for cost in columns)],
+    ]
+    for heading, parts in (
+        ("component", [cost.impact_by_component for cost in columns]),
+        ("entity", [cost.impact_by_entity for cost in columns]),
+    ):
+        worst = {name: max(part.get(name, 0.0) for part in parts) for part in parts for name in part}
+        for name in sorted((name for name in worst if worst[name] > 0.0), key=lambda name: -worst[name]):
+            rows.append([f"  {heading} {name}", *(part.get(name, 0.0) for part in parts)])
+    return table(["", *costs], rows)
+
+
+def _cell(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,181 @@
+"""Figures for papers and reports, with matplotlib and without a display."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.path import Path
+from graceful_plan.scene import Scene
+from graceful_plan.viz.footprints import DropImpact, entity_outlines, object_positions, outline, surface_points
+
+Array = np.ndarray
+
+PATH_COLOURS = ("#111111", "#0b62c4", "#00805a", "#a3408f")
+"""Apart from each other and from the heat map for colour-blind eyes too; in print, the line styles tell them apart."""
+_LINE_STYLES = ((0, (5, 2)), "-", (0, (1, 1)), (0, (6, 2, 1, 2)))
+_HEAT = ("#ffffff", "#fff3c4", "#fed976", "#fd8d3c", "#e31a1c", "#8c0d26")
+"""White where nothing is at stake, darker with the impact."""
+_STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+}
+_GRID = 0.005
+_MARGIN = 0.14
+_STEP = 0.02
+
+
+def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath) -> None:
+    """Draw what different paths risk: seen from above over the impact of a drop, and along the way.
+
+    Args:
+        scene: With an object in the gripper and at least one entity.
+        paths: Geometry by label, the first one dashed; at most four.
+        file: Where the picture goes; the ending says the format (png, pdf, svg).
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    dense = {label: path.resampled(_STEP) for label, path in paths.items()}
+    positions = {label: object_positions(scene, path) for label, path in dense.items()}
+    drop = DropImpact(scene=scene)
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(10.0, 4.7), dpi=200, layout="constrained")
+        FigureCanvasAgg(figure)
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.75, 1.0))
+        above, impact, height = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
+        image = _draw_from_above(above, scene, dense, positions, drop)
+        figure.colorbar(image, ax=above, location="bottom", shrink=0.6, aspect=40, pad=0.02, label="impact if the object falls here")
+        _draw_along(impact, dense, {label: drop.along(path.q) for label, path in dense.items()})
+        impact.set(title="Impact if it falls now", ylabel="impact", ylim=(0, None))
+        impact.tick_params(labelbottom=False)
+        _draw_along(height, dense, {label: p[:, 2] for label, p in positions.items()})
+        height.set(title="Height of the object", xlabel="length of the path so far [rad]", ylabel="height [m]")
+        height.sharex(impact)
+        figure.savefig(file)
+
+
+def _draw_from_above(
+    axes: Any, scene: Scene, paths: Mapping[str, Path], positions: Mapping[str, Float[Array, "n 3"]], drop: DropImpact
+) -> Any:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    x, y = _window(positions)
+    label = list(paths)[-1]
+    reference = paths[label].q[np.argsort(positions[label][:, 2])[len(positions[label]) // 2]]
+    heat = drop.over_plane(reference, x, y)
+    image = axes.imshow(
+        heat,
+        extent=(x[0] - _GRID / 2, x[-1] + _GRID / 2, y[0] - _GRID / 2, y[-1] + _GRID / 2),
+        origin="lower",
+        cmap=LinearSegmentedColormap.from_list("impact", _HEAT),
+        vmin=0.0,
+        vmax=max(float(heat.max()), 1e-9),
+        alpha=0.85,
+        interpolation="bilinear",
+    )
+    _draw_entities(axes, scene)
+    for i, (label, position) in enumerate(positions.items()):
+        _draw_path(axes, i, label, position)
+        _draw_object(axes, scene, paths[label], i)
+    ends = next(iter(positions.values()))[[0, -1]]
+    for end, name in zip(ends, ("start", "goal"), strict=True):
+        axes.annotate(
+            name, end[:2], xytext=(0, 11), textcoords="offset points", ha="center", weight="bold", bbox=_halo_box(), zorder=9
+        )
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set_title("Seen from above; numbers: severity")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=len(paths))
+    return image
+
+
+def _window(positions: Mapping[str, Float[Array, "n 3"]]) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
+    """Grid that shows the paths and a margin around them [m]."""
+    points = np.concatenate(list(positions.values()))[:, :2]
+    low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    return np.arange(low[0], high[0], _GRID), np.arange(low[1], high[1], _GRID)
+
+
+def _draw_entities(axes: Any, scene: Scene) -> None:
+    """Outline every entity with its severity for the carried object."""
+    from matplotlib.patches import Polygon
+
+    component = "carried" if "carried" in scene.components else next(iter(scene.components))
+    shapes = {name: _visible(parts) for name, parts in entity_outlines(scene, list(scene.entities)).items()}
+    middles = {name: np.concatenate(parts).mean(axis=0) for name, parts in shapes.items() if parts}
+    sizes = {name: float(np.prod(np.subtract(*_extent(shapes[name])))) for name in middles}
+    for name, middle in middles.items():
+        for polygon in shapes[name]:
+            axes.add_patch(Polygon(polygon, closed=True, fill=False, edgecolor="#444444", linewidth=0.8))
+        severity = scene.entities[name].severity[component]
+        low, high = _extent(shapes[name])
+        others = [m for other, m in middles.items() if sizes[other] < sizes[name]]
+        crowded = any(np.all((m > low) & (m < high)) for m in others)
+        place = low + 0.012 if crowded else middle
+        axes.text(
+            *place, f"{severity:g}", ha="center", va="center", fontsize=7, color="#222222", clip_on=True, zorder=3.5
+        )
+
+
+def _extent(polygons: Sequence[Float[Array, "corner 2"]]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+    points = np.concatenate(polygons)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _visible(polygons: Sequence[Float[Array, "corner 2"]]) -> list[Float[Array, "corner 2"]]:
+    """Leave out outlines inside of the extent of another one, such as the legs of a table."""
+    extents = [_extent([polygon]) for polygon in polygons]
+    return [
+        polygon
+        for i, polygon in enumerate(polygons)
+        if not any(
+            i != j and np.all(low <= extents[i][0]) and np.all(extents[i][1] <= high) and not np.array_equal(polygon, polygons[j])
+            for j, (low, high) in enumerate(extents)
+        )
+    ]
+
+
+def _draw_path(axes: Any, index: int, label: str, position: Float[Array, "n 3"]) -> None:
+    from matplotlib.patheffects import Stroke
+
+    colour, style = PATH_COLOURS[index], _LINE_STYLES[index]
+    halo = axes.plot(*position[:, :2].T, color="white", linewidth=4.0, alpha=0.7, zorder=4 + index)
+    halo[0].set_path_effects([Stroke(linewidth=4.5, foreground="white")])
+    axes.plot(*position[:, :2].T, color=colour, linestyle=style, linewidth=2.0, label=label, zorder=5 + index)
+
+
+def _draw_object(axes: Any, scene: Scene, path: Path, index: int) -> None:
+    """Outline the carried object at a few places along the way."""
+    from matplotlib.patches import Polygon
+
+    if scene.carried is None:
+        return
+    for i in np.linspace(0, len(path) - 1, 7).astype(int):
+        data = scene.data_at(path.q[i])
+        points = [surface_points(scene, data, geom) for geom in scene.components["carried"].geoms]
+        corners = outline(np.concatenate(points))
+        ends = i in (0, len(path) - 1)
+        axes.add_patch(
+            Polygon(corners, facecolor=PATH_COLOURS[index], alpha=0.35 if ends else 0.14, edgecolor="none", zorder=3)
+        )
+
+
+def _draw_along(axes: Any, paths: Mapping[str, Path], values: Mapping[str, Float[Array, " n"]]) -> None:
+    for i, (label, path) in enumerate(paths.items()):
+        length = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
+        axes.plot(length, values[label], color=PATH_COLOURS[i], linestyle=_LINE_STYLES[i], linewidth=1.8, label=label)
+    axes.margins(x=0.01)
+
+
+def _halo_box() -> dict[str, Any]:
+    return {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
