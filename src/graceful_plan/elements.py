@@ -1,7 +1,7 @@
 """What a scene is made of: small frozen records, no MuJoCo.
 
-Components are the parts of the robot that can do harm (`body`, `carried`, `contents`); entities are what can be harmed.
-`Notes` is everything a scene knows beyond its MuJoCo model, as given by a scene file, by arguments or by the model's custom text.
+Components are the parts of the robot that can do harm (`body`, `carried`, `contents`); entities are what can be
+harmed. `Notes` is everything a scene knows beyond its MuJoCo model, from a scene file or from arguments.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Liquid:
         volume: Amount [litres].
         temperature: [degrees Celsius]; from 60 on, water counts as hot.
         kind: "water" for anything thin, "oil" for hot oil and soup.
-        geoms: Names of the geoms of the carried body that stand for the liquid; without any, the geom "<body>_contents".
+        geoms: Names of the geoms of the carried body that stand for it; without any, the geom "<body>_contents".
     """
 
     volume: float
@@ -135,8 +135,8 @@ Contents = Liquid | Dry
 class AllowedContact:
     """Two geoms or bodies, by name, that may touch.
 
-    "always": along the whole path. "ends": only in one unbroken stretch at the beginning of a path and one at its end, such as an
-    object that stands on its support until it is lifted.
+    "always": along the whole path. "ends": only in one unbroken stretch at the beginning of a path and one at its end,
+    such as an object that stands on its support until it is lifted.
     """
 
     first: str
@@ -173,7 +173,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class EntityNote:
-    """What an entity is: its class, and severities that replace those of the table, for all components or by component."""
+    """What an entity is: its class, and severities that replace the table's, for all components or by component."""
 
     category: str
     severity: float | Mapping[str, float] | None = None

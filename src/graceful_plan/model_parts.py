@@ -19,6 +19,7 @@ Array = np.ndarray
 _OBJ = mujoco.mjtObj
 _GEOM = mujoco.mjtGeom
 _JOINT = mujoco.mjtJoint
+_NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _SCALAR_JOINTS = (int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE))
 
 SUPPORTED_GEOMS = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CAPSULE, _GEOM.mjGEOM_ELLIPSOID,
@@ -88,7 +89,7 @@ def check_supported(model: mujoco.MjModel) -> None:
         kind = _GEOM(model.geom_type[geom])
         if collides(model, geom) and kind not in SUPPORTED_GEOMS:
             problems.append(f"geom {geom_label(model, geom)!r} of type {kind.name.removeprefix('mjGEOM_').lower()}")
-    if model.opt.disableflags & (int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)):
+    if model.opt.disableflags & _NO_CONTACTS:
         problems.append("contacts switched off by <flag>")
     problems += ["flexible bodies"] * bool(model.nflex) + ["plugins"] * bool(model.nplugin)
     if problems:
@@ -133,11 +134,12 @@ def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
     root = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, robot) if robot else -1
     if root > 0:
         return subtree(model, root)
-    found = frozenset(b for b in range(1, model.nbody) if model.body(b).name.startswith(robot)) if robot else frozenset()
+    every = names(model, _OBJ.mjOBJ_BODY, range(model.nbody))
+    found = frozenset(b for b, name in enumerate(every) if b > 0 and robot and name.startswith(robot))
     if not found:
-        prefixes = {name.partition("/")[0] + "/" for name in names(model, _OBJ.mjOBJ_BODY, range(model.nbody)) if "/" in name}
-        tops = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
-        raise UnknownNameError("robot prefix or root body", robot, prefixes | set(names(model, _OBJ.mjOBJ_BODY, tops)))
+        prefixes = {name.partition("/")[0] + "/" for name in every if "/" in name}
+        roots = {every[b] for b in range(1, model.nbody) if model.body_parentid[b] == 0}
+        raise UnknownNameError("robot prefix or root body", robot, prefixes | roots)
     return found
 
 
@@ -158,33 +160,43 @@ def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]
         body = int(model.body_parentid[body])
     other = [j for j in chain if int(model.jnt_type[j]) not in _SCALAR_JOINTS]
     if other:
-        raise UnsupportedError(f"joints {names(model, _OBJ.mjOBJ_JOINT, other)} between world and tool: only hinge and slide")
+        wrong = ", ".join(names(model, _OBJ.mjOBJ_JOINT, other))
+        raise UnsupportedError(f"joints between world and tool have to be hinge or slide, not: {wrong}")
     if not chain:
         raise SceneError(f"no joint moves the body {model.body(tool_body).name!r} of the tool")
     return tuple(chain)
 
 
 def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -> Limits:
-    """Collect limits: positions and torques from the model, the rest from the notes or the model's custom numbers.
+    """Collect limits: positions and torques from the model, the rest from the notes or custom numbers.
 
-    A hinge without limits gets one turn to each side. Torque comes from the notes, actuatorfrcrange or the forcerange of
-    the actuators on the joint; infinite if none of them is there.
+    A hinge without limits gets one turn to each side. Torque comes from the notes, actuatorfrcrange or the
+    forcerange of the actuators on the joint; infinite if none of them is there.
 
     Raises:
         SceneError: If a slide has no limits, or speeds or accelerations are given nowhere.
     """
-    given = {"velocity": notes.velocity, "acceleration": notes.acceleration, "torque": notes.torque}
-    values = {name: _limit(model, joints, notes, name, value) for name, value in given.items()}
-    torque = values["torque"]
+    torque = _limit(model, joints, notes, "torque", notes.torque)
     if torque is None:
         torque = np.array([_torque(model, j) for j in joints])
-    for name in ("velocity", "acceleration"):
-        if values[name] is None:
-            raise SceneError(
-                f"no {name} limits: give {name}=[{len(joints)} numbers], or the model a custom numeric {_custom(model, notes, name)!r}"
-            )
-    position = np.array([_range(model, j) for j in joints])
-    return Limits(position=position, velocity=values["velocity"], acceleration=values["acceleration"], torque=torque)
+    return Limits(
+        position=np.array([_range(model, j) for j in joints]),
+        velocity=_needed_limit(model, joints, notes, "velocity", notes.velocity),
+        acceleration=_needed_limit(model, joints, notes, "acceleration", notes.acceleration),
+        torque=torque,
+    )
+
+
+def _needed_limit(
+    model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes, name: str, given: tuple[float, ...] | None
+) -> Float[Array, " nq"]:
+    found = _limit(model, joints, notes, name, given)
+    if found is None:
+        custom = _custom(model, notes, name)
+        raise SceneError(
+            f"no {name} limits: give {name}=[{len(joints)} numbers], or the model a custom numeric {custom!r}"
+        )
+    return found
 
 
 def _custom(model: mujoco.MjModel, notes: Notes, name: str) -> str:
@@ -201,7 +213,9 @@ def _limit(
         return None
     values = np.array(model.numeric(custom).data if given is None else given, dtype=float)
     if values.shape != (len(joints),) or not np.isfinite(values).all() or (values <= 0.0).any():
-        raise SettingError(f"{name} limits", values.tolist(), f"{len(joints)} finite numbers above 0, one for each planned joint")
+        raise SettingError(
+            f"{name} limits", values.tolist(), f"{len(joints)} finite numbers above 0, one a planned joint"
+        )
     return values
 
 

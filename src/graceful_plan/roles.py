@@ -105,19 +105,23 @@ def find_entities(
                 raise SceneError(f"the entity {name!r} is part of the robot")
     by_entity, by_class = _split_overrides(notes)
     table = notes.severity.with_overrides(by_class)
-    held = _held_bodies(model, notes)
+    held = held_bodies(model, notes)
     entities = {}
     for name, note in notes.entities.items():
         with notes.about(f"entities.{name}"):
             table.check_class(note.category)
             if bodies[name] in held:
                 continue
-            inner = set().union(*(subtree(model, b) for other, b in bodies.items() if other != name and b in subtree(model, bodies[name])))
-            geoms = colliding_geoms(model, subtree(model, bodies[name]) - inner - held)
+            inside = subtree(model, bodies[name])
+            others = (subtree(model, b) for b in bodies.values() if b in inside and b != bodies[name])
+            geoms = colliding_geoms(model, inside.difference(held, *others))
             if not geoms:
                 raise SceneError(f"the entity {name!r} has no geoms that collide")
-            own = _by_component(f"severity of {name}", note.severity) | _by_component(f"severity of {name}", by_entity.get(name))
-            severity = {c.name: own[c.name] if c.name in own else table.severity(note.category, c.component_class) for c in components.values()}
+            own = _by_component(name, note.severity) | _by_component(name, by_entity.get(name))
+            severity = {
+                c.name: own[c.name] if c.name in own else table.severity(note.category, c.component_class)
+                for c in components.values()
+            }
             entities[name] = Entity(name=name, category=note.category, geoms=geoms, severity=MappingProxyType(severity))
     return MappingProxyType(entities)
 
@@ -127,7 +131,7 @@ def _split_overrides(notes: Notes) -> tuple[dict, dict]:
     for name, value in notes.overrides.items():
         with notes.about(f"severity.{name}"):
             if name in notes.entities:
-                _by_component(f"severity of {name}", value)
+                _by_component(name, value)
                 by_entity[name] = value
             elif name in notes.severity.classes:
                 notes.severity.with_overrides({name: value})
@@ -141,20 +145,24 @@ def _by_component(name: str, value: float | Mapping[str, float] | None) -> dict[
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        return dict.fromkeys(COMPONENTS, check_severity(name, value))
+        return dict.fromkeys(COMPONENTS, check_severity(f"severity of {name}", value))
     for component in value:
         if component not in COMPONENTS:
             raise UnknownNameError("component", component, COMPONENTS)
-    return {component: check_severity(f"{name} hit by {component}", number) for component, number in value.items()}
+    return {
+        component: check_severity(f"severity of {name} hit by {component}", number)
+        for component, number in value.items()
+    }
 
 
-def _held_bodies(model: mujoco.MjModel, notes: Notes) -> frozenset[int]:
+def held_bodies(model: mujoco.MjModel, notes: Notes) -> frozenset[int]:
+    """Return the bodies in the gripper."""
     return frozenset() if notes.held is None else subtree(model, model.body(notes.held.body).id)
 
 
 def unlabelled_bodies(model: mujoco.MjModel, notes: Notes, robot: Collection[int]) -> tuple[str, ...]:
     """Return the bodies with geoms that collide which are neither robot nor held nor in an entity."""
-    known = set(robot) | _held_bodies(model, notes)
+    known = set(robot) | held_bodies(model, notes)
     for name in notes.entities:
         known |= subtree(model, model.body(name).id)
     rest = [b for b in range(model.nbody) if b not in known and colliding_geoms(model, [b])]
@@ -170,10 +178,10 @@ def held_note(
     robot: Collection[int],
     name: str,
     *,
-    X_TO: ArrayLike | None,
-    contents: Contents | None,
-    object_class: str | None,
-    fingers: float | Mapping[str, float] | None,
+    X_TO: ArrayLike | None = None,
+    contents: Contents | None = None,
+    object_class: str | None = None,
+    fingers: float | Mapping[str, float] | None = None,
 ) -> ObjectNote:
     """Return how an object of the notes, or any body, is held, with nothing left to default.
 
@@ -184,8 +192,9 @@ def held_note(
     note = notes.objects.get(name)
     if note is None:
         loose = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and b not in robot]
-        if name not in names(model, _OBJ.mjOBJ_BODY, loose):
-            raise UnknownNameError("object or body that can be held", name, {*notes.objects, *names(model, _OBJ.mjOBJ_BODY, loose)})
+        valid = names(model, _OBJ.mjOBJ_BODY, loose)
+        if mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name) < 0:
+            raise UnknownNameError("object or body that can be held", name, {*notes.objects, *valid})
         note = ObjectNote(body=name)
     body = find(model, _OBJ.mjOBJ_BODY, "body", note.body)
     _check_holdable(model, body, robot)
@@ -199,10 +208,19 @@ def held_note(
     )
 
 
+def check_objects(model: mujoco.MjModel, notes: Notes, robot: Collection[int]) -> None:
+    """Raise what attaching one of the declared objects would raise."""
+    for name in notes.objects:
+        with notes.about(f"objects.{name}"):
+            holding = replace(notes, held=held_note(model, notes, robot, name))
+            find_entities(model, holding, robot, find_components(model, holding, robot))
+
+
 def free_joint(model: mujoco.MjModel, body: int) -> int:
     """Return the address in qpos of a body's free joint; -1 if it has none."""
     joint = int(model.body_jntadr[body])
-    return int(model.jnt_qposadr[joint]) if joint >= 0 and int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE) else -1
+    is_free = joint >= 0 and int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE)
+    return int(model.jnt_qposadr[joint]) if is_free else -1
 
 
 def _check_holdable(model: mujoco.MjModel, body: int, robot: Collection[int]) -> None:
@@ -228,7 +246,8 @@ def rigid_pose(name: str, value: ArrayLike) -> Float[Array, "4 4"]:
     """
     pose = finite_array(name, value, ndim=2, last=4)
     R = pose[:3, :3]
-    if pose.shape != (4, 4) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
+    square = pose.shape == (4, 4) and pose[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+    if not square or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
         raise SettingError(name, pose.tolist(), "a 4 x 4 matrix of a rotation and a translation")
     pose = pose.copy()
     pose.flags.writeable = False

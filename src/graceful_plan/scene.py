@@ -1,7 +1,7 @@
 """A scene: robot, surroundings and what is known about both; the library's door to MuJoCo.
 
-A `Scene` never changes. `attach`, `detach`, `with_severity` and `add_*` return new scenes. Frames: W world, T tool, O carried object.
-Where the arm is, in terms of q, is a question for `kernels.py`; this module only hands out the model and its names.
+A `Scene` never changes: `attach`, `detach`, `with_severity` and `add_*` return new ones. Frames: W world, T tool,
+O carried object. Batches of configurations are the business of `kernels.py`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from graceful_plan import roles, screening
-from graceful_plan.contact_pairs import tested_pairs
+from graceful_plan.contacts import allowed_pairs, declared_contacts, geoms_named, tested_pairs, without
 from graceful_plan.elements import (
     AllowedContact,
     Carried,
@@ -34,15 +34,12 @@ from graceful_plan.exceptions import SceneError
 from graceful_plan.model_parts import (
     check_numbers,
     check_supported,
-    colliding_geoms,
     find,
     finger_positions,
     joint_limits,
     names,
     planned_joints,
-    rigid_group,
     robot_bodies,
-    subtree,
 )
 from graceful_plan.path import finite_array
 from graceful_plan.scene_edit import add_hull, add_primitive
@@ -60,21 +57,21 @@ _GEOM = mujoco.mjtGeom
 class Scene:
     """A robot among things that can be harmed. Made by `load_scene` or `Scene.from_mjcf`; equal only to itself.
 
-    | field            | meaning                                                                                        |
-    |------------------|------------------------------------------------------------------------------------------------|
-    | model            | the full dynamics model; read only                                                             |
-    | joints           | names of the planned joints, from the base to the tool                                         |
-    | qpos_adr         | address of each planned joint in the model's qpos                                              |
-    | limits           | what the planned joints can do                                                                 |
-    | home_qpos        | qpos of everything: fingers as they are held, entities at their initial poses                  |
-    | components       | by name: "body" (links that move), "carried", "contents"                                       |
-    | entities         | by name: what can be harmed                                                                    |
-    | unlabelled       | bodies that are obstacles and nothing else, since nobody said what they are                    |
-    | keyframes        | configurations by name                                                                         |
-    | allowed_contacts | what may touch                                                                                 |
-    | robot_bodies     | ids of the robot's bodies                                                                      |
-    | notes            | everything that was declared                                                                   |
-    | spec             | what the model was compiled from; copy it before any change                                    |
+    | field            | meaning                                                                         |
+    |------------------|---------------------------------------------------------------------------------|
+    | model            | the full dynamics model; read only                                              |
+    | joints           | names of the planned joints, from the base to the tool                          |
+    | qpos_adr         | address of each planned joint in the model's qpos                               |
+    | limits           | what the planned joints can do                                                  |
+    | home_qpos        | qpos of everything: fingers as they are held, entities at their initial poses   |
+    | components       | by name: "body" (the links that move), "carried", "contents"                    |
+    | entities         | by name: what can be harmed                                                     |
+    | unlabelled       | bodies that are obstacles and nothing else, since nobody said what they are     |
+    | keyframes        | configurations by name                                                          |
+    | allowed_contacts | what may touch                                                                  |
+    | robot_bodies     | ids of the robot's bodies                                                       |
+    | notes            | everything that was declared                                                    |
+    | spec             | what the model was compiled from; copy it before any change                     |
     """
 
     model: mujoco.MjModel
@@ -123,12 +120,14 @@ class Scene:
             carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
             X_TO: Pose of the carried body in the tool frame.
             contents: What is inside of it.
-            entities: Class of each body that can be harmed, by body name; each stands for its whole subtree. The model may say
-                the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class are obstacles only.
+            entities: Class of each body that can be harmed, by body name; each stands for its whole subtree. The model
+                may say the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class are
+                obstacles only.
             severity: A table, a file with one, or replacements as for `with_severity`.
             fingers: Position of the joints behind the tool's body, or positions by joint name.
-            velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric "<robot>velocity_limit".
-            acceleration: The same for accelerations [rad/s2 or m/s2].
+            velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric
+                "<robot>velocity_limit".
+            acceleration: The same for accelerations [rad/s2 or m/s2], custom numeric "<robot>acceleration_limit".
             torque: The same [N m or N]. Default: the model's actuators; infinite if they have no limits.
             keyframes: Configurations by name, besides the model's own keyframes.
             allowed_contacts: What may touch, besides gripper and carried object.
@@ -151,7 +150,9 @@ class Scene:
             velocity=None if velocity is None else tuple(velocity),
             acceleration=None if acceleration is None else tuple(acceleration),
             torque=None if torque is None else tuple(torque),
-            entities={k: v if isinstance(v, EntityNote) else EntityNote(category=v) for k, v in (entities or {}).items()},
+            entities={
+                k: v if isinstance(v, EntityNote) else EntityNote(category=v) for k, v in (entities or {}).items()
+            },
             severity=table,
             overrides=overrides,
             keyframes={k: tuple(finite_array(f"keyframe {k}", q, ndim=1)) for k, q in (keyframes or {}).items()},
@@ -161,13 +162,9 @@ class Scene:
         return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
 
     @classmethod
-    def build(cls, spec: mujoco.MjSpec, notes: Notes, model: mujoco.MjModel | None = None) -> Scene:
+    def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
         """Make a scene of a MjSpec, which must not change any more, and notes. For loaders; users call `from_mjcf`."""
-        if model is None:
-            model = screening.compile_spec(spec, notes.file)
-            with notes.about("world"):
-                check_numbers(model)
-                check_supported(model)
+        model = _compile(spec, notes) if compiled is None else compiled
         with notes.about("robot"):
             tool_body = int(model.site_bodyid[find(model, _OBJ.mjOBJ_SITE, "tool site", notes.tool)])
             robot = robot_bodies(model, notes.robot)
@@ -189,7 +186,7 @@ class Scene:
             entities=roles.find_entities(model, notes, robot, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
             keyframes=find_keyframes(model, notes, qpos_adr, limits),
-            allowed_contacts=_allowed(model, notes, tool_body),
+            allowed_contacts=declared_contacts(model, notes, tool_body),
             notes=notes,
             robot_bodies=robot,
             spec=spec,
@@ -233,7 +230,7 @@ class Scene:
     # --- questions ----------------------------------------------------------------------------------------------------
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
-        """Return fresh MjData at a configuration, the carried object at the tool; positions are computed, contacts are not.
+        """Return fresh MjData at a configuration, the carried object at the tool. Contacts are not computed.
 
         Args:
             q: Configuration of the planned joints [rad or m].
@@ -262,25 +259,12 @@ class Scene:
 
     @cached_property
     def _collision_pairs(self) -> Int[Array, "pair 2"]:
-        moving = set(self.robot_bodies)
-        if self.carried is not None:
-            moving |= subtree(self.model, self.model.body(self.carried.body).id)
-        allowed = self.allowed_pairs("always")
-        pairs = tested_pairs(self.model, moving)
-        keep = [(min(a, b), max(a, b)) not in allowed for a, b in pairs.tolist()]
-        pairs = pairs[np.array(keep, dtype=bool)]
-        pairs.flags.writeable = False
-        return pairs
+        moving = self.robot_bodies | roles.held_bodies(self.model, self.notes)
+        return without(tested_pairs(self.model, moving), self.allowed_pairs("always"))
 
     def allowed_pairs(self, when: str) -> frozenset[tuple[int, int]]:
         """Return the pairs of geoms, lower id first, that may touch "always" or at the "ends" of a path."""
-        return frozenset(
-            (min(a, b), max(a, b))
-            for contact in self.allowed_contacts
-            if contact.when == when
-            for a in self.geoms_named(contact.first)
-            for b in self.geoms_named(contact.second)
-        )
+        return allowed_pairs(self.model, self.allowed_contacts, when)
 
     def geoms_named(self, name: str) -> tuple[int, ...]:
         """Return the geoms that a name in an allowed contact stands for.
@@ -290,7 +274,7 @@ class Scene:
         Raises:
             UnknownNameError: If there is neither.
         """
-        return _geoms_named(self.model, name)
+        return geoms_named(self.model, name)
 
     def describe(self) -> str:
         """Return a readable summary: robot, components, entities with severities, what may touch."""
@@ -308,15 +292,17 @@ class Scene:
         fingers: float | Mapping[str, float] | None = None,
         support: Sequence[str] = (),
     ) -> Scene:
-        """Return this scene with an object in the gripper. It is no entity and no obstacle any more; the gripper may touch it.
+        """Return this scene with an object in the gripper, no entity or obstacle any more; the gripper may touch it.
 
         Args:
             name: An object of the scene, or any body that stands by itself.
-            X_TO: Pose of the object's body in the tool frame. Default: as declared for the object, else the body's origin at the
-                tool, upright while the tool points down.
+            X_TO: Pose of the object's body in the tool frame. Default: as declared for the object, else the body's
+                origin at the tool, upright while the tool points down.
             contents: What is inside of it. Default: as declared.
-            object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as declared, else by mass.
-            fingers: Position of the joints behind the tool's body while carrying, or by joint name. Default: as declared.
+            object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as
+                declared, else by mass.
+            fingers: Position of the joints behind the tool's body while carrying, or by joint name. Default: as
+                declared.
             support: Bodies or geoms that it may touch at the ends of a path, since it stands on them there.
 
         Raises:
@@ -327,7 +313,14 @@ class Scene:
         if self.notes.held is not None:
             raise SceneError(f"{self.notes.held.body!r} is in the gripper already; detach() it first")
         held = roles.held_note(
-            self.model, self.notes, self.robot_bodies, name, X_TO=X_TO, contents=contents, object_class=object_class, fingers=fingers
+            self.model,
+            self.notes,
+            self.robot_bodies,
+            name,
+            X_TO=X_TO,
+            contents=contents,
+            object_class=object_class,
+            fingers=fingers,
         )
         notes = replace(self.notes, held=held, support=tuple(support))
         if roles.free_joint(self.model, self.model.body(held.body).id) >= 0:
@@ -350,8 +343,8 @@ class Scene:
         """Return this scene with other severities.
 
         Args:
-            severity: A whole table, or replacements: by entity, a number or numbers by component ("body", "carried", "contents");
-                by entity class, a number or numbers by component class. A name that is both is the entity.
+            severity: A whole table, or replacements: by entity, a number or numbers by component ("body", "carried",
+                "contents"); by entity class, a number or numbers by component class. A name that is both is the entity.
 
         Raises:
             UnknownNameError: If a name is neither an entity nor a class.
@@ -377,11 +370,15 @@ class Scene:
         """Return this scene with a sphere of some radius [m] that does not move; the rest as in `add_box`."""
         return self._with_body(name, _GEOM.mjGEOM_SPHERE, [radius], 1, pose, entity)
 
-    def add_cylinder(self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None) -> Scene:
+    def add_cylinder(
+        self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
+    ) -> Scene:
         """Return this scene with a cylinder along z of its pose [m] that does not move; the rest as in `add_box`."""
         return self._with_body(name, _GEOM.mjGEOM_CYLINDER, [radius, half_length], 2, pose, entity)
 
-    def add_capsule(self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None) -> Scene:
+    def add_capsule(
+        self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
+    ) -> Scene:
         """Return this scene with a capsule along z of its pose that does not move.
 
         `half_length` [m] is that of the straight part, without the caps; the rest as in `add_box`.
@@ -389,7 +386,7 @@ class Scene:
         return self._with_body(name, _GEOM.mjGEOM_CAPSULE, [radius, half_length], 2, pose, entity)
 
     def add_mesh(self, name: str, vertices: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
-        """Return this scene with the convex hull of some points [m], given in the frame of `pose`; the rest as in `add_box`."""
+        """Return this scene with the convex hull of points [m] in the frame of `pose`; the rest as in `add_box`."""
         spec = self.spec.copy()
         add_hull(spec, name, vertices, pose)
         return self._rebuilt(spec, name, entity)
@@ -408,29 +405,17 @@ class Scene:
         return Scene.build(spec, replace(self.notes, entities=known))
 
 
+def _compile(spec: mujoco.MjSpec, notes: Notes) -> mujoco.MjModel:
+    with notes.about("world"):
+        model = screening.compile_spec(spec)
+        check_numbers(model)
+        check_supported(model)
+    return model
+
+
 def _severity(given: SeverityTable | Mapping[str, Any] | str | Path | None) -> tuple[SeverityTable, dict[str, Any]]:
     if isinstance(given, SeverityTable):
         return given, {}
     if isinstance(given, str | Path):
         return SeverityTable.load(given), {}
     return SeverityTable.shipped(), dict(given or {})
-
-
-def _allowed(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tuple[AllowedContact, ...]:
-    """Collect what may touch: as declared, gripper and held object always, held object and supports at the ends."""
-    found = list(notes.allowed)
-    if notes.held is not None:
-        gripper = [b for b in sorted(subtree(model, tool_body)) if colliding_geoms(model, [b])]
-        found += [AllowedContact(name, notes.held.body, "always") for name in names(model, _OBJ.mjOBJ_BODY, gripper)]
-        found += [AllowedContact(notes.held.body, support, "ends") for support in notes.support]
-    for contact in found:
-        _geoms_named(model, contact.first)
-        _geoms_named(model, contact.second)
-    return tuple(found)
-
-
-def _geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
-    body = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name)
-    if body >= 0:
-        return colliding_geoms(model, {0} if body == 0 else rigid_group(model, body))
-    return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)

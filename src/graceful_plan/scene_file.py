@@ -1,43 +1,41 @@
-"""Scene files: YAML next to a MJCF world.
+"""Scene files: YAML next to a MJCF world. Unknown keys are refused; units are m, rad, s, litres, degrees Celsius.
 
-    version: 1
-    name: tabletop                    # default: the file's name
+version: 1
+name: tabletop                   # default: the file's name
+description: One sentence.
+world: tabletop.xml              # MJCF in the same folder or below it
+robot:
+  model: panda                   # a bundled robot or a MJCF file beside this one; none if the world has the robot in it
+  prefix: panda/                 # goes before the names of the robot's bodies, joints, sites; default "<model>/"
+  position: [0, 0, 0]            # of the base in W
+  quaternion: [1, 0, 0, 0]       # wxyz
+  body_class: arm_collapse       # how it fails: arm_collapse, arm_braked or base_coast
+  velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
+tool: panda/tool                 # site; default "<prefix>tool"
+fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
+entities:                        # what can be harmed: each body with its subtree
+  mug: glass                     # its class
+  vase: {class: heirloom, severity: 40}    # a number, or by component: {body: 40, carried: 30, contents: 1}
+severity:                        # replaces values of the shipped table, by entity class
+  table: {medium: 1}             # by component class, or one number for all
+objects:                         # what can be carried: defaults of attach() and of tasks
+  mug:
+    body: mug                    # default: the object's name
+    class: glass                 # light, medium, heavy, sharp or glass; default: by mass
+    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame
+    fingers: 0.035
+    contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
+keyframes:
+  ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
+tasks:
+  serve:
     description: One sentence.
-    world: tabletop.xml               # MJCF in the same folder or below it
-    robot:
-      model: panda                    # a bundled robot, or a MJCF file beside this one; left out if the world has the robot in it
-      prefix: panda/                  # put before the names of the robot's bodies, joints, sites; default "<model>/"
-      position: [0, 0, 0]             # of the base in W [m]
-      quaternion: [1, 0, 0, 0]        # wxyz
-      body_class: arm_collapse        # how it fails: arm_collapse, arm_braked or base_coast
-      velocity: [...]                 # limits of the planned joints, also acceleration and torque; default: from the model
-    tool: panda/tool                  # site; default "<prefix>tool"
-    fingers: 0.04                     # position of the joints behind the tool, or {joint: position}
-    entities:                         # what can be harmed: each body with its subtree
-      mug: glass                      # its class
-      vase: {class: heirloom, severity: 40}           # severity: a number, or by component: {body: 40, carried: 30, contents: 1}
-    severity:                         # replaces values of the shipped table, by entity class
-      table: {medium: 1}              # by component class, or one number for all
-    objects:                          # what can be carried; default of attach() and of tasks
-      mug:
-        body: mug                     # default: the object's name
-        class: glass                  # light, medium, heavy, sharp, glass; default: by mass
-        grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}      # pose of the body in the tool frame
-        fingers: 0.035
-        contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
-    keyframes:
-      ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
-    tasks:
-      serve:
-        description: One sentence.
-        start: ready                  # keyframe or configuration
-        goal: [over_table, by_window] # keyframe, configuration, or a list of those to choose from
-        object: mug
-        support: {start: counter, goal: table}        # what the object stands on at the ends: bodies or geoms
-    allowed_contacts:
-      - {first: panda/link0, second: pedestal, when: always}        # or: ends
-
-Unknown keys are refused. Units are metres, radians, seconds, litres, degrees Celsius.
+    start: ready                 # keyframe or configuration
+    goal: [by_plate, by_window]  # keyframe, configuration, or a list of those to choose from
+    object: mug
+    support: {start: counter, goal: table}    # what the object stands on at the ends: bodies or geoms
+allowed_contacts:
+  - {first: cable, second: pedestal, when: always}    # or: ends
 """
 
 from __future__ import annotations
@@ -50,12 +48,13 @@ from typing import TypeVar
 import mujoco
 import numpy as np
 
-from graceful_plan import screening
+from graceful_plan import roles, screening
 from graceful_plan.elements import AllowedContact, Contents, Dry, EntityNote, Liquid, Notes, ObjectNote, TaskNote
 from graceful_plan.exceptions import GracefulPlanError, SceneError
 from graceful_plan.robots import robot_file, robots
 from graceful_plan.scene import Scene
 from graceful_plan.severity import SeverityTable
+from graceful_plan.tasks import find_tasks
 from graceful_plan.yaml_file import Block, read_yaml
 
 T = TypeVar("T")
@@ -74,7 +73,11 @@ def read_scene(file: Path) -> Scene:
     if root["version"].number() != 1:
         raise root["version"].error("only version 1 of scene files is known")
     notes = _notes(root, file)
-    return Scene.build(_spec(root, file, notes.robot), notes)
+    scene = Scene.build(_spec(root, file, notes.robot), notes)
+    # Complain now about what would fail only when somebody plans a task.
+    roles.check_objects(scene.model, notes, scene.robot_bodies)
+    find_tasks(scene)
+    return scene
 
 
 @dataclass
@@ -103,8 +106,8 @@ def _notes(root: Block, file: Path) -> Notes:
     robot = root["robot"]
     robot.only("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque")
     prefix = _prefix(robot)
-    name, description, body_class, tool = root.get("name"), root.get("description"), robot.get("body_class"), root.get("tool")
-    allowed = root.get("allowed_contacts")
+    name, description, tool, allowed = (root.get(key) for key in ("name", "description", "tool", "allowed_contacts"))
+    body_class = robot.get("body_class")
     return Notes(
         name=name.string() if name else file.stem,
         description=description.string() if description else "",
@@ -112,7 +115,9 @@ def _notes(root: Block, file: Path) -> Notes:
         tool=tool.string() if tool else f"{prefix}tool",
         body_class=body_class.string() if body_class else "arm_collapse",
         fingers=_fingers(root.get("fingers")),
-        **{kind: _optional_numbers(robot.get(kind)) for kind in ("velocity", "acceleration", "torque")},
+        velocity=_optional_numbers(robot.get("velocity")),
+        acceleration=_optional_numbers(robot.get("acceleration")),
+        torque=_optional_numbers(robot.get("torque")),
         entities=lines.table(root, "entities", _entity),
         severity=SeverityTable.shipped(),
         overrides=lines.table(root, "severity", lambda _, block: _number_or_numbers(block)),
@@ -144,7 +149,8 @@ def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
     model = robot_file(block.string()) if block.string() in robots() else _relative(file, block)
     position, quaternion = root["robot"].get("position"), root["robot"].get("quaternion")
     frame = spec.worldbody.add_frame(
-        pos=position.numbers(3) if position else (0.0, 0.0, 0.0), quat=_quaternion(quaternion) if quaternion else (1.0, 0.0, 0.0, 0.0)
+        pos=position.numbers(3) if position else (0.0, 0.0, 0.0),
+        quat=_quaternion(quaternion) if quaternion else (1.0, 0.0, 0.0, 0.0),
     )
     try:
         spec.attach(screening.load_spec(model), prefix=prefix, frame=frame)

@@ -1,7 +1,7 @@
 """Screen MJCF from strangers before MuJoCo compiles it, and say in which file and line something is wrong.
 
-MuJoCo itself loads absolute and `..` includes, expands a billion replicas, and takes NaN positions and negative timesteps. The
-screen reads the XML with a streaming parser, so that nothing is expanded while it looks.
+MuJoCo itself loads absolute and `..` includes, expands a billion replicas, and takes NaN positions and negative
+timesteps. The screen reads the XML with a streaming parser, so that nothing is expanded while it looks.
 """
 
 from __future__ import annotations
@@ -33,9 +33,11 @@ _REFUSED = {
     "composite": "composite bodies are not supported",
     "skin": "skins are not supported",
 }  # fmt: skip
-_COUNTS = {"count", "dim", "nsample", "width", "height", "nrow", "ncol", "offwidth", "offheight", "shadowsize", "offsamples",
-           "numslices", "numstacks", "numquads", "nstack", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam",
-           "nuser_tendon", "nuser_actuator", "nuser_sensor", "nconmax", "njmax", "nkey", "actdim"}  # fmt: skip
+_COUNTS = frozenset(
+    "count dim nsample width height nrow ncol offwidth offheight shadowsize offsamples numslices numstacks numquads"
+    " nstack nconmax njmax nkey actdim nuser_body nuser_jnt nuser_geom nuser_site nuser_cam nuser_tendon"
+    " nuser_actuator nuser_sensor".split()
+)
 _WORDS = {"name", "class", "childclass", "model", "data"}
 """Attributes whose text may look like a number without being one ("data" only where it is text)."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
@@ -48,7 +50,7 @@ def load_spec(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     Raises:
         SceneError: If it is broken or hostile, with file and line.
     """
-    if isinstance(source, mujoco.MjSpec):
+    if not isinstance(source, str | Path):
         return source.copy()
     if isinstance(source, str) and source.lstrip().startswith("<"):
         _Screen(None).text(source.encode(), "<text>", 0)
@@ -60,7 +62,7 @@ def load_spec(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     return _parsed(None, file)
 
 
-def compile_spec(spec: mujoco.MjSpec, file: str | None = None) -> mujoco.MjModel:
+def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Compile a model.
 
     Raises:
@@ -69,7 +71,7 @@ def compile_spec(spec: mujoco.MjSpec, file: str | None = None) -> mujoco.MjModel
     try:
         return spec.compile()
     except (ValueError, RuntimeError) as error:
-        raise _translated(error, file) from None
+        raise _translated(error, None) from None
 
 
 def _parsed(text: str | None, file: Path | None) -> mujoco.MjSpec:
@@ -144,7 +146,8 @@ class _Reader:
         try:
             self.parser.Parse(content, True)
         except expat.ExpatError as error:
-            raise SceneError(f"broken XML: {expat.ErrorString(error.code)}", file=self.name, line=error.lineno) from None
+            reason = f"broken XML: {expat.ErrorString(error.code)}"
+            raise SceneError(reason, file=self.name, line=error.lineno) from None
         for kind, given, line in self.pending:
             self.check_asset(kind, given, line)
 

@@ -77,8 +77,8 @@ class SeverityTable:
         """Return a table with some values replaced.
 
         Args:
-            overrides: By entity class, one number for all component classes or numbers by component class. A class that the
-                table does not have is added.
+            overrides: By entity class, one number for all component classes or numbers by component class. A class
+                that the table does not have is added.
         """
         rows = {category: dict(row) for category, row in self.rows.items()}
         for category, values in overrides.items():

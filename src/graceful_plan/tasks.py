@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from graceful_plan.elements import Limits, Notes, Task, TaskNote
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
@@ -21,7 +21,9 @@ Array = np.ndarray
 _SLACK = 1e-6
 
 
-def find_keyframes(model: mujoco.MjModel, notes: Notes, qpos_adr: Array, limits: Limits) -> Mapping[str, Float[Array, " nq"]]:
+def find_keyframes(
+    model: mujoco.MjModel, notes: Notes, qpos_adr: Int[Array, " nq"], limits: Limits
+) -> Mapping[str, Float[Array, " nq"]]:
     """Return the model's own keyframes, seen by the planned joints, and those of the notes.
 
     Raises:

@@ -21,7 +21,7 @@ MAX_VALUES = 100_000
 # libyaml reads ten times as fast where PyYAML was built with it.
 _Loader: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _STRING = "tag:yaml.org,2002:str"
-_PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "map", "seq", "timestamp")}
+_PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in "str int float bool null map seq timestamp".split()}
 
 
 @dataclass(frozen=True)
