@@ -1,0 +1,91 @@
+"""Goals given as a pose of the tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.path import finite_array
+
+if TYPE_CHECKING:
+    from typing import Self
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGoal:
+    """A pose that the tool should reach, within tolerances.
+
+    Args:
+        X_WT: Pose of the tool in W, homogeneous.
+        position_tolerance: Largest distance of the tool's origin [m], > 0.
+        orientation_tolerance: Largest angle of rotation between wanted and reached orientation [rad], > 0.
+        free_yaw: Whether the tool may be turned about its own z axis; then only the axis counts.
+
+    Raises:
+        ShapeError: If it is not a 4 x 4 matrix.
+        SettingError: If it is not a rigid pose or a tolerance is not above 0.
+    """
+
+    X_WT: Float[Array, "4 4"]
+    position_tolerance: float = 0.001
+    orientation_tolerance: float = 0.01
+    free_yaw: bool = False
+
+    def __post_init__(self) -> None:
+        X = finite_array("X_WT", self.X_WT, ndim=2)
+        if X.shape != (4, 4):
+            raise ShapeError("X_WT", X.shape, "(4, 4)")
+        R = X[:3, :3]
+        rigid = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+        if not rigid or not np.allclose(X[3], [0.0, 0.0, 0.0, 1.0], atol=1e-9):
+            raise SettingError("X_WT", X.tolist(), "a rotation and a translation, last row 0 0 0 1")
+        for name in ("position_tolerance", "orientation_tolerance"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise SettingError(name, getattr(self, name), "a finite number > 0")
+        X = X.copy()
+        X.flags.writeable = False
+        object.__setattr__(self, "X_WT", X)
+
+    @classmethod
+    def at(
+        cls,
+        position: ArrayLike,
+        quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        position_tolerance: float = 0.001,
+        orientation_tolerance: float = 0.01,
+        free_yaw: bool = False,
+    ) -> Self:
+        """Make a goal from a position [m] and a quaternion wxyz, which is normalised.
+
+        Raises:
+            SettingError: If the quaternion is zero.
+        """
+        w, x, y, z = q = finite_array("quaternion", quaternion, ndim=1, last=4)
+        norm = float(q @ q)
+        if norm < 1e-12:
+            raise SettingError("quaternion", q.tolist(), "a quaternion wxyz other than zero")
+        v = np.array([x, y, z])
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        X_WT = np.eye(4)
+        X_WT[:3, :3] = ((w * w - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) + 2.0 * w * cross) / norm
+        X_WT[:3, 3] = finite_array("position", position, ndim=1, last=3)
+        return cls(X_WT, position_tolerance, orientation_tolerance, free_yaw)
+
+
+def pose_error(goal: PoseGoal, X_WT: Float[Array, "4 4"]) -> tuple[float, float]:
+    """Return distance [m] and angle [rad] between a reached pose and a goal; with free yaw, the angle of the z axes."""
+    distance = float(np.linalg.norm(X_WT[:3, 3] - goal.X_WT[:3, 3]))
+    if goal.free_yaw:
+        a, b = X_WT[:3, 2], goal.X_WT[:3, 2]
+        return distance, float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+    R = goal.X_WT[:3, :3].T @ X_WT[:3, :3]
+    skew = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return distance, float(np.arctan2(np.linalg.norm(skew), 0.5 * (np.trace(R) - 1.0)))

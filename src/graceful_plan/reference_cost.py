@@ -1,0 +1,130 @@
+"""The default objective once more, slowly: Algorithm 1 of the paper and joint-space length, in plain NumPy on MuJoCo.
+
+The judge recomputes a planner's cost with this, and tests compare the kernels with it. It shares no code with either.
+
+References:
+    T. Nguyen et al., "Failing Gracefully", Algorithm 1. P is clipped at 1 here: stacked geoms count their area more
+    than once, which would make it more than certain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.exact import Judge
+from graceful_plan.path import Path
+from graceful_plan.result import CostBreakdown
+from graceful_plan.scene import Scene
+from graceful_plan.trajectory import Trajectory
+
+Array = np.ndarray
+Exposure = Literal["length", "time", "waypoints"]
+
+
+def reference_probability(
+    scene: Scene, q: Float[Array, "n nq"], components: Sequence[str] | None = None
+) -> Float[Array, "n component entity"]:
+    """Compute Algorithm 1: how likely each entity is hit by each component when it fails in each configuration.
+
+    Every geom is replaced by its axis-aligned box. A robot geom counts against an entity's geom if it is above all of
+    it; the overlap of their ground areas, summed over all pairs of geoms, is divided by the area of the entity and by
+    that of the component, and the larger ratio is P.
+
+    Args:
+        scene: Where.
+        q: Configurations.
+        components: Names of components; all of the scene's by default.
+    """
+    names = list(scene.components) if components is None else list(components)
+    robot = [np.array(scene.components[name].geoms) for name in names]
+    entities = [np.array(entity.geoms) for entity in scene.entities.values()]
+    lower, upper = _boxes(scene, q)
+    area = np.prod((upper - lower)[..., :2], axis=-1)
+    P = np.zeros((len(q), len(robot), len(entities)))
+    for j, r in enumerate(robot):
+        for i, e in enumerate(entities):
+            high = np.minimum(upper[:, r, None, :2], upper[:, None, e, :2])
+            low = np.maximum(lower[:, r, None, :2], lower[:, None, e, :2])
+            overlap = np.prod(np.maximum(0.0, high - low), axis=-1)
+            above = lower[:, r, None, 2] > upper[:, None, e, 2]
+            total = np.where(above, overlap, 0.0).sum(axis=(1, 2))
+            P[:, j, i] = np.maximum(_ratio(total, area[:, e].sum(axis=1)), _ratio(total, area[:, r].sum(axis=1)))
+    return np.minimum(P, 1.0)
+
+
+def reference_cost(
+    motion: Path | Trajectory,
+    scene: Scene,
+    *,
+    w: float = 1.0,
+    components: Sequence[str] = ("carried", "contents"),
+    exposure: Exposure = "length",
+    step: float = 0.0025,
+) -> CostBreakdown:
+    """Compute joint-space length plus weighted impact of a motion.
+
+    Args:
+        motion: A path, or a trajectory (along its curve, not along straight lines between samples).
+        scene: Where.
+        w: Safety weight.
+        components: Components whose failure counts; those that the scene does not have are left out.
+        exposure: Integrate over "length" or "time", or sum over "waypoints".
+        step: Longest piece of the trapezoid rule [rad].
+
+    Raises:
+        TypeError: If exposure is "time" and the motion is a path.
+    """
+    names = [name for name in components if name in scene.components]
+    q, t = _points(motion, step, exposure)
+    lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    severity = np.array([[entity.severity[name] for entity in scene.entities.values()] for name in names])
+    harm = reference_probability(scene, q, names) * severity.reshape(1, len(names), len(scene.entities))
+    if exposure == "waypoints":
+        exposed = harm.sum(axis=0)
+    else:
+        weight = lengths if exposure == "length" else np.diff(t)
+        exposed = np.einsum("n,nji->ji", weight, 0.5 * (harm[:-1] + harm[1:]))
+    return CostBreakdown(
+        motion=float(lengths.sum()),
+        impact=float(exposed.sum()),
+        w=w,
+        impact_by_entity=dict(zip(scene.entities, exposed.sum(axis=0).tolist(), strict=True)),
+        impact_by_component=dict(zip(names, exposed.sum(axis=1).tolist(), strict=True)),
+    )
+
+
+def _points(
+    motion: Path | Trajectory, step: float, exposure: Exposure
+) -> tuple[Float[Array, "n nq"], Float[Array, " n"]]:
+    """Sample the motion; times are all zero on a path."""
+    if isinstance(motion, Trajectory):
+        if exposure == "waypoints" or len(motion) == 1:
+            return motion.q, motion.t
+        parts = np.maximum(1, np.ceil(motion.path.segment_lengths / step)).astype(int)
+        ends = zip(motion.t[:-1], motion.t[1:], parts, strict=True)
+        t = np.append(np.concatenate([a + (b - a) * np.arange(k) / k for a, b, k in ends]), motion.t[-1])
+        return motion.at(t).q, t
+    if exposure == "time":
+        raise TypeError("a path has no time; give a trajectory")
+    q = motion.q if exposure == "waypoints" else motion.resampled(step).q
+    return q, np.zeros(len(q))
+
+
+def _boxes(scene: Scene, q: Float[Array, "n nq"]) -> tuple[Float[Array, "n geom 3"], Float[Array, "n geom 3"]]:
+    """Axis-aligned boxes of all geoms in W: lower and upper corners [m]."""
+    judge, model = Judge(scene), scene.model
+    xpos, xmat = np.empty((len(q), model.ngeom, 3)), np.empty((len(q), model.ngeom, 3, 3))
+    for n, configuration in enumerate(q):
+        data = judge.place(configuration)
+        xpos[n], xmat[n] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
+    centre = xpos + np.einsum("ngij,gj->ngi", xmat, model.geom_aabb[:, :3])
+    half = np.einsum("ngij,gj->ngi", np.abs(xmat), model.geom_aabb[:, 3:])
+    return centre - half, centre + half
+
+
+def _ratio(total: Float[Array, " n"], area: Float[Array, " n"]) -> Float[Array, " n"]:
+    return np.divide(total, area, out=np.zeros_like(total), where=area > 0.0)
