@@ -155,7 +155,10 @@ def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
     for geom, others in sorted(partners.items()):
         key = (frames.of_body[scene.model.geom_bodyid[geom]], frozenset(others))
         by_key.setdefault(key, []).append(geom)
-    return [_Group(frame=f, geoms=tuple(geoms), partners=others) for (f, others), geoms in sorted(by_key.items(), key=lambda i: (i[0][0], i[1]))]
+    return [
+        _Group(frame=f, geoms=tuple(geoms), partners=others)
+        for (f, others), geoms in sorted(by_key.items(), key=lambda i: (i[0][0], i[1]))
+    ]
 
 
 def _robot_arrays(
@@ -231,7 +234,9 @@ def _cover_group(
         X_LG = np.linalg.inv(X_WL) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
         centres.append(c @ X_LG[:3, :3].T + X_LG[:3, 3])
         radii.append(r)
-        sticks_out = max(sticks_out, 0.0 if model.geom_type[geom] == _GEOM.mjGEOM_SPHERE else sphere_cover.MAX_PROTRUSION)
+        sticks_out = max(
+            sticks_out, 0.0 if model.geom_type[geom] == _GEOM.mjGEOM_SPHERE else sphere_cover.MAX_PROTRUSION
+        )
     all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
     keep = _not_inside_others(all_centres, all_radii)
     return all_centres[keep], all_radii[keep], sticks_out
@@ -280,7 +285,12 @@ def _hull_triangles(model: mujoco.MjModel, mesh: int) -> Float[Array, "triangle 
     vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
     hull = ConvexHull(vertices)
     corners = vertices[hull.simplices]
-    flipped = np.einsum("ti,ti->t", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3]) < 0
+    flipped = (
+        np.einsum(
+            "ti,ti->t", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3]
+        )
+        < 0
+    )
     corners[flipped] = corners[flipped][:, [0, 2, 1]]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     return corners[area > 1e-10]
@@ -313,7 +323,11 @@ def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> Wo
             triangles.append(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
         hull_start.append(hull_start[-1] + (len(triangles[-1]) if name == "mesh" else 0))
     pose = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1) if geoms else np.zeros((0, 12))
-    radius = np.where(model.geom_type[geoms] == _GEOM.mjGEOM_PLANE, -1.0, model.geom_rbound[geoms] + 1e-6) if geoms else np.zeros(0)
+    radius = (
+        np.where(model.geom_type[geoms] == _GEOM.mjGEOM_PLANE, -1.0, model.geom_rbound[geoms] + 1e-6)
+        if geoms
+        else np.zeros(0)
+    )
     return WorldArrays(
         kind=np.array(kind, dtype=int),
         pose=pose,

@@ -142,7 +142,10 @@ def _disc_cover(radius: float, c: float, protrusion: float) -> tuple[Float[Array
 
 
 def convex_cover(
-    points: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION, pitch: float = 0.004
+    points: Float[Array, "n 3"],
+    planes: Float[Array, "face 4"],
+    protrusion: float = MAX_PROTRUSION,
+    pitch: float = 0.004,
 ) -> Cover:
     """Cover a convex body greedily.
 
@@ -178,7 +181,9 @@ def convex_cover(
     return candidates[picked], radii[picked]
 
 
-def samples_of_convex(vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], pitch: float) -> Float[Array, "m 3"]:
+def samples_of_convex(
+    vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], pitch: float
+) -> Float[Array, "m 3"]:
     """Lattice points inside a convex body and its nearest points to lattice points just outside."""
     lower, upper = vertices.min(axis=0) - pitch, vertices.max(axis=0) + pitch
     axes = [np.arange(a, b + pitch, pitch) for a, b in zip(lower, upper, strict=True)]
@@ -196,7 +201,9 @@ def samples_of_convex(vertices: Float[Array, "n 3"], planes: Float[Array, "face 
     return np.concatenate([near, vertices])
 
 
-def hull_cover(vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION) -> Cover:
+def hull_cover(
+    vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION
+) -> Cover:
     """Cover the convex hull of some vertices."""
     # Points are dense enough that the slack of half a lattice diagonal costs few spheres, and few enough to be quick.
     volume = float(np.prod(np.ptp(vertices, axis=0)))

@@ -423,12 +423,12 @@ NB_MODULE(_native, m) {
       .def(nb::init<Space&, Reals, Reals, double, int, uint64_t>(), "space"_a, "start"_a, "goals"_a, "range"_a, "max_nodes"_a, "seed"_a,
            nb::keep_alive<1, 2>())
       .def("run", &ConnectPlanner::run, "iterations"_a, "seconds"_a)
-      .def_prop_ro("path", &ConnectPlanner::path);
+      .def_prop_ro("path", &ConnectPlanner::path, nb::rv_policy::move);
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(nb::init<Space&, Reals, Reals, double, int, double, int, uint64_t>(), "space"_a, "start"_a, "goals"_a, "range"_a,
            "max_nodes"_a, "spacing"_a, "pool"_a, "seed"_a, nb::keep_alive<1, 2>())
       .def("run", &AnytimePlanner::run, "iterations"_a, "seconds"_a)
-      .def_prop_ro("path", &AnytimePlanner::path)
+      .def_prop_ro("path", &AnytimePlanner::path, nb::rv_policy::move)
       .def_prop_ro("total", &AnytimePlanner::total)
       .def_prop_ro("optimal", &AnytimePlanner::optimal);
 }

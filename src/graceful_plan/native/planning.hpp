@@ -71,19 +71,19 @@ class Random {
 // Iterations and seconds that one call may use; the clock is read every few iterations only.
 class Slice {
  public:
-  Slice(int64_t iterations, double seconds) : left_(iterations), seconds_(seconds), start_(std::chrono::steady_clock::now()) {}
+  Slice(int64_t iterations, double seconds) : limit_(iterations), seconds_(seconds), start_(std::chrono::steady_clock::now()) {}
   bool next() {
-    if (left_ <= 0) return false;
-    if ((++used_ & 7) == 0 && std::isfinite(seconds_) &&
+    if (used_ == limit_) return false;
+    if ((used_ & 7) == 7 && std::isfinite(seconds_) &&
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count() > seconds_)
       return false;
-    --left_;
+    ++used_;
     return true;
   }
   int64_t used() const { return used_; }
 
  private:
-  int64_t left_, used_ = 0;
+  int64_t limit_, used_ = 0;
   double seconds_;
   std::chrono::steady_clock::time_point start_;
 };

@@ -1,0 +1,1 @@
+"""Costs: the contract, motion, impact, and the objective that puts them together."""

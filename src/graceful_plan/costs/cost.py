@@ -1,0 +1,124 @@
+"""The cost contract: a density over states, integrated along a path by `Objective`.
+
+A cost is a small frozen object with one method, `state`. It is handed a `StateBatch` and returns one number per state:
+what it costs to be there, per unit of path length (or time, see `Objective.exposure`). No registration is needed: pass
+the object as `Objective(motion=...)` or `Objective(impact=...)`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.compile import CompiledScene, compile_scene
+from graceful_plan.exceptions import CostError, ShapeError
+from graceful_plan.scene import Scene
+
+Array = np.ndarray
+
+
+class StateBatch:
+    """States of a moving robot, with everything that costs ask for computed once, when asked.
+
+    Args:
+        scene: The scene that they are in.
+        q: Configurations [rad or m].
+        direction: Unit direction of motion in joint space; zero where the robot is at rest.
+        speed: Joint-space speed along `direction` [rad/s]; zero by default.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        q: Float[Array, "n nq"],
+        direction: Float[Array, "n nq"] | None = None,
+        speed: Float[Array, " n"] | None = None,
+    ) -> None:
+        if q.ndim != 2 or q.shape[1] != len(scene.joints):
+            raise ShapeError("q", q.shape, f"(n, {len(scene.joints)})")
+        self.scene = scene
+        self.q = q
+        self.direction = np.zeros_like(q) if direction is None else direction
+        self.speed = np.zeros(len(q)) if speed is None else speed
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @cached_property
+    def compiled(self) -> CompiledScene:
+        """The scene's tables and kernels."""
+        return compile_scene(self.scene)
+
+    @property
+    def qd(self) -> Float[Array, "n nq"]:
+        """Joint velocities [rad/s]."""
+        return self.direction * self.speed[:, None]
+
+    @cached_property
+    def link_poses(self) -> Float[Array, "n link 4 4"]:
+        """Pose of every link in W [m]; links as in `RobotArrays`."""
+        return self.compiled.kernels.link_poses(self.q)
+
+    @cached_property
+    def tool_poses(self) -> Float[Array, "n 4 4"]:
+        """X_WT: pose of the tool in W [m]."""
+        robot = self.compiled.robot
+        return self.link_poses[:, robot.tool_link] @ robot.X_LT
+
+    @cached_property
+    def object_poses(self) -> Float[Array, "n 4 4"]:
+        """X_WO: pose of the carried object in W [m].
+
+        Raises:
+            ShapeError: If nothing is carried.
+        """
+        if self.scene.carried is None:
+            raise ShapeError("object_poses", (), "a scene with a carried object; see Scene.attach")
+        return self.tool_poses @ self.scene.carried.X_TO
+
+    @cached_property
+    def clearance(self) -> Float[Array, " n"]:
+        """Signed clearance [m]."""
+        return self.compiled.kernels.clearance(self.q)
+
+
+class Cost(ABC):
+    """Base of all costs: a frozen object with `state`, and `gradient` if it can."""
+
+    @abstractmethod
+    def state(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return the cost density at each state.
+
+        Laws: finite and never negative; each entry depends on its own state alone; the same input gives the same output.
+        """
+
+    def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
+        """Return the derivative of `state` with respect to q, or None if the cost has none."""
+        del batch
+        return None
+
+
+class NonFiniteCostError(CostError):
+    """A cost returned a NaN or an infinity; planning ends with the status NONFINITE."""
+
+
+def checked_state(cost: Cost, batch: StateBatch) -> Float[Array, " n"]:
+    """Evaluate a cost and hold it to its contract.
+
+    Raises:
+        CostError: If it returns the wrong shape or a negative number.
+        NonFiniteCostError: If it returns a NaN or an infinity.
+    """
+    value = np.asarray(cost.state(batch), dtype=np.float64)
+    if value.shape != (len(batch),):
+        raise CostError(cost, f"state() returned shape {value.shape} for {len(batch)} states, expected ({len(batch)},)")
+    if not np.all(np.isfinite(value)):
+        worst = int(np.flatnonzero(~np.isfinite(value))[0])
+        raise NonFiniteCostError(cost, f"state() returned {value[worst]} at q = {np.round(batch.q[worst], 4).tolist()}")
+    if np.any(value < 0.0):
+        worst = int(np.argmin(value))
+        raise CostError(cost, f"state() returned {value[worst]:.3g} < 0 at q = {np.round(batch.q[worst], 4).tolist()}")
+    return value

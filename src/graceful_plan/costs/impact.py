@@ -1,0 +1,61 @@
+"""Failure impact: who is hit if the robot fails here, times how bad that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.costs.cost import Cost, StateBatch
+from graceful_plan.costs.interactions import MODELS, BoxOverlap, InteractionModel
+from graceful_plan.elements import COMPONENTS
+from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.scene import Scene
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class ImpactCost(Cost):
+    """I(q) = sum over components and entities of P S.
+
+    Args:
+        model: An interaction model, or the word for one of `costs.interactions.MODELS`.
+        components: Which parts of the robot count: "body", "carried", "contents". Those that a scene does not have
+            contribute nothing.
+
+    Raises:
+        UnknownNameError: If there is no such model or component.
+    """
+
+    model: str | InteractionModel = "aabb"
+    components: tuple[str, ...] = ("carried", "contents")
+
+    def __post_init__(self) -> None:
+        if isinstance(self.model, str) and self.model not in MODELS:
+            raise UnknownNameError("interaction model", self.model, MODELS)
+        for name in self.components:
+            if name not in COMPONENTS:
+                raise UnknownNameError("component", name, COMPONENTS)
+
+    @property
+    def interaction(self) -> InteractionModel:
+        """The interaction model."""
+        return MODELS[self.model]() if isinstance(self.model, str) else self.model
+
+    def severity(self, scene: Scene) -> Float[Array, "component entity"]:
+        """S of each of the scene's components against each entity, zero for components that do not count."""
+        rows = [
+            [entity.severity[name] if name in self.components else 0.0 for entity in scene.entities.values()]
+            for name in scene.components
+        ]
+        return np.array(rows, dtype=np.float64).reshape(len(scene.components), len(scene.entities))
+
+    def state(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Expected severity given a failure at each state."""
+        return np.einsum("nce,ce->n", self.interaction.probability(batch), self.severity(batch.scene))
+
+    def on_kernel(self) -> bool:
+        """Whether the native kernel computes the same."""
+        return isinstance(self.interaction, BoxOverlap)

@@ -1,0 +1,23 @@
+"""The interaction model contract: who is hit, given that the robot fails here and now."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.costs.cost import StateBatch
+
+Array = np.ndarray
+
+
+class InteractionModel(ABC):
+    """Base of all interaction models: a frozen object with one method."""
+
+    @abstractmethod
+    def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
+        """Return P(component hits entity | failure) for each state, in the order of the scene's components and entities.
+
+        Laws: in [0, 1]; each state on its own; independent of severities.
+        """

@@ -1,0 +1,40 @@
+"""Motion costs: what it takes to move, whether or not anything fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.costs.cost import Cost, StateBatch
+from graceful_plan.exceptions import SettingError, ShapeError
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class JointLength(Cost):
+    """Euclidean length in joint space [rad], optionally with a weight per joint.
+
+    Args:
+        weights: Factor on each joint's motion, positive; None weighs all alike.
+    """
+
+    weights: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.weights is not None and not all(np.isfinite(w) and w > 0 for w in self.weights):
+            raise SettingError("weights", self.weights, "positive numbers, one per joint")
+
+    def state(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Length per unit of unweighted length: 1 without weights."""
+        if self.weights is None:
+            return np.ones(len(batch))
+        if len(self.weights) != batch.q.shape[1]:
+            raise ShapeError("JointLength.weights", (len(self.weights),), f"({batch.q.shape[1]},)")
+        return np.linalg.norm(batch.direction * np.asarray(self.weights), axis=1)
+
+    def gradient(self, batch: StateBatch) -> Float[Array, "n nq"]:
+        """Zero: the density does not depend on where the robot is."""
+        return np.zeros_like(batch.q)

@@ -1,0 +1,196 @@
+r"""The objective J = V + w S, and how a path is charged for it.
+
+.. math:: J = \int (m(q) + w\, I(q))\, ds \qquad V = \int m\, ds, \quad S = \int I\, ds
+
+ds is joint-space length by default, the same for motion and impact, so that J does not depend on how densely a path is
+sampled and stays additive over edges. Integrals are trapezoid sums with sub-steps of at most `COST_STEP`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from graceful_plan.compile import compile_scene
+from graceful_plan.costs.cost import Cost, StateBatch, checked_state
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.motion import JointLength
+from graceful_plan.exceptions import SettingError
+from graceful_plan.kernels import COST_STEP
+from graceful_plan.path import Path
+from graceful_plan.result import CostBreakdown
+from graceful_plan.scene import Scene
+from graceful_plan.trajectory import Trajectory
+
+Array = np.ndarray
+
+Exposure = Literal["length", "time", "waypoints"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Objective:
+    """What to minimise.
+
+    Args:
+        motion: Cost of moving, a density over length.
+        impact: Cost of failing, a density over the exposure.
+        w: Safety weight, at least 0; 0 is an ordinary planner.
+        exposure: What the impact is integrated over: "length" [rad]; "time" [s], on a path at the joints' velocity limits
+            and on a trajectory as timed; "waypoints", the paper's plain sum over vertices, start included.
+    """
+
+    motion: Cost = JointLength()
+    impact: Cost = ImpactCost()
+    w: float = 1.0
+    exposure: Exposure = "length"
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.w) and self.w >= 0.0):
+            raise SettingError("w", self.w, "a finite number, at least 0")
+        if self.exposure not in ("length", "time", "waypoints"):
+            raise SettingError("exposure", self.exposure, "'length', 'time' or 'waypoints'")
+        for name, cost in (("motion", self.motion), ("impact", self.impact)):
+            if not isinstance(cost, Cost):
+                raise SettingError(name, cost, "a graceful_plan.Cost")
+
+    def with_weight(self, w: float) -> Objective:
+        """The same objective with another safety weight."""
+        return replace(self, w=w)
+
+    def bind(self, scene: Scene) -> SceneObjective:
+        """Make it ready to evaluate edges in a scene."""
+        return SceneObjective(self, scene)
+
+
+class SceneObjective:
+    """An objective in a scene: what planners see (`BoundObjective`), and the breakdown of whole paths."""
+
+    def __init__(self, objective: Objective, scene: Scene) -> None:
+        self.objective, self.scene = objective, scene
+        self.kernels = compile_scene(scene).kernels
+
+    @property
+    def w(self) -> float:
+        """Safety weight."""
+        return self.objective.w
+
+    @property
+    def motion_is_length(self) -> bool:
+        """Whether V is the joint-space length, so that distances bound J from below."""
+        return self.objective.motion == JointLength()
+
+    @property
+    def kernel_severity(self) -> Float[Array, "component entity"] | None:
+        """Severities with which the native kernel computes the edge costs, None if it cannot."""
+        impact = self.objective.impact
+        on_kernel = self.motion_is_length and self.objective.exposure == "length" and isinstance(impact, ImpactCost)
+        return impact.severity(self.scene) if on_kernel and impact.on_kernel() else None
+
+    def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
+        """Impact given a failure at each state, at rest."""
+        return checked_state(self.objective.impact, StateBatch(self.scene, q))
+
+    def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
+        """V and S of straight edges from `q0` to `q1`."""
+        severity = self.kernel_severity
+        if severity is not None:
+            return self.kernels.edge_costs(q0, q1, severity)
+        samples = _Samples(q0, q1, self.scene.limits.velocity)
+        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
+        motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)
+        if self.objective.exposure == "waypoints":
+            return np.stack([motion, self.states(q1)], axis=1)
+        measure = samples.length if self.objective.exposure == "length" else samples.duration
+        return np.stack([motion, samples.integral(checked_state(self.objective.impact, batch), measure)], axis=1)
+
+    def breakdown(self, path: Path | Trajectory) -> CostBreakdown:
+        """Cost of a whole path, or of a trajectory, with where its impact comes from."""
+        points = path.path if isinstance(path, Trajectory) else path
+        if isinstance(path, Trajectory) and self.objective.exposure == "time":
+            batch, weight = _timed_batch(self.scene, path)
+            motion = self.edges(points.q[:-1], points.q[1:])[:, 0].sum()
+        elif self.objective.exposure == "waypoints":
+            batch, weight = StateBatch(self.scene, points.q), np.ones(len(points))
+            motion = self.edges(points.q[:-1], points.q[1:])[:, 0].sum()
+        else:
+            samples = _Samples(points.q[:-1], points.q[1:], self.scene.limits.velocity)
+            batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
+            motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
+            weight = samples.weights(samples.length if self.objective.exposure == "length" else samples.duration)
+        return self._breakdown(float(motion), batch, weight)
+
+    def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
+        impact = self.objective.impact
+        if not isinstance(impact, ImpactCost):
+            total = float(weight @ checked_state(impact, batch))
+            return CostBreakdown(motion=motion, impact=total, w=self.w)
+        exposure = np.tensordot(weight, impact.interaction.probability(batch), axes=1)
+        parts = exposure * impact.severity(self.scene)
+        return CostBreakdown(
+            motion=motion,
+            impact=float(parts.sum()),
+            w=self.w,
+            impact_by_entity=dict(zip(self.scene.entities, parts.sum(axis=0).tolist(), strict=True)),
+            impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
+        )
+
+
+class _Samples:
+    """Evenly spaced samples of many edges in one batch, both ends of each included, with trapezoid weights."""
+
+    def __init__(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], velocity: Float[Array, " nq"]) -> None:
+        delta = q1 - q0
+        self.length = np.linalg.norm(delta, axis=1)
+        self.duration = np.max(np.abs(delta) / velocity, axis=1, initial=0.0)
+        pieces = np.maximum(1, np.ceil(self.length / COST_STEP)).astype(int)
+        self.first = np.concatenate([[0], np.cumsum(pieces + 1)[:-1]]).astype(int)
+        self.edge = np.repeat(np.arange(len(q0)), pieces + 1)
+        self._piece = np.arange(len(self.edge)) - self.first[self.edge]
+        self._pieces = pieces
+        s = self._piece / pieces[self.edge]
+        self.q = q0[self.edge] + s[:, None] * delta[self.edge]
+        safe = np.where(self.length > 0, self.length, 1.0)
+        self.direction = (delta / safe[:, None])[self.edge]
+        self.speed = np.where(self.duration > 0, self.length / np.where(self.duration > 0, self.duration, 1.0), 0.0)[
+            self.edge
+        ]
+
+    def weights(self, measure: Float[Array, " n"]) -> Float[Array, " m"]:
+        """Trapezoid weight of each sample when each edge measures `measure`."""
+        ends = (self._piece == 0) | (self._piece == self._pieces[self.edge])
+        return np.where(ends, 0.5, 1.0) * (measure / self._pieces)[self.edge]
+
+    def integral(self, values: Float[Array, " m"], measure: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Integral of sampled values over each edge."""
+        if len(self.first) == 0:
+            return np.zeros(0)
+        return np.add.reduceat(values * self.weights(measure), self.first)
+
+
+def _timed_batch(scene: Scene, trajectory: Trajectory) -> tuple[StateBatch, Float[Array, " n"]]:
+    speed = np.linalg.norm(trajectory.qd, axis=1)
+    direction = trajectory.qd / np.where(speed > 0, speed, 1.0)[:, None]
+    gaps = np.diff(trajectory.t)
+    weight = np.zeros(len(trajectory.t))
+    weight[:-1] += 0.5 * gaps
+    weight[1:] += 0.5 * gaps
+    return StateBatch(scene, trajectory.q, direction, speed), weight
+
+
+def evaluate(path: Path | Trajectory | Array, scene: Scene, objective: Objective | None = None) -> CostBreakdown:
+    """Compute the cost of any path, from any planner.
+
+    Args:
+        path: A path, a trajectory, or an array of configurations [n, nq].
+        scene: The scene, with what is carried attached.
+        objective: What to compute; the default `Objective()` if None.
+
+    Raises:
+        ShapeError: If the path does not fit the scene.
+        CostError: If a cost breaks its contract.
+    """
+    points = path if isinstance(path, Path | Trajectory) else Path(path)
+    return (objective or Objective()).bind(scene).breakdown(points)
