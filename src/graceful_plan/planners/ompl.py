@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,12 +27,6 @@ from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.settings import count, fraction, positive
 from graceful_plan.planners.shortcut import Shortcut
 from graceful_plan.planners.trivial import start_is_goal
-
-if TYPE_CHECKING:
-    from graceful_plan.planners.ompl_session import Session
-
-_K_RRG = 1.1
-"""OMPL's margin on the least number of neighbours e (1 + 1/d) ln n."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,22 +56,13 @@ class RRT(Planner):
         """Yield the first path found, then shorter cuts of it."""
         questions = Questions(problem, objective, budget)
 
-        def open_session() -> Session:
-            from ompl import geometric as og
-
-            from graceful_plan.planners.ompl_session import Session
-
-            def make(si):  # noqa: ANN001, ANN202 - types of a module imported lazily
-                planner = og.RRT(si)
-                planner.setGoalBias(self.goal_bias)
-                if self.range is not None:
-                    planner.setRange(self.range)
-                return planner
-
-            return Session(questions, _seed(rng), make)
+        def configure(planner: Any) -> None:
+            planner.setGoalBias(self.goal_bias)
+            if self.range is not None:
+                planner.setRange(self.range)
 
         with suppress(Interrupted):
-            for path in _run(open_session, problem, budget):
+            for path in _improvements(questions, rng, "RRT", configure):
                 yield path
                 if self.shortcut:
                     yield from Shortcut().improve(path, questions, budget, rng)
@@ -156,21 +141,12 @@ class BITStar(Planner):
         """Yield better and better paths until the budget ends or a straight line is proven best."""
         questions = Questions(problem, objective, budget)
 
-        def open_session() -> Session:
-            from ompl import geometric as og
-
-            from graceful_plan.planners.ompl_session import Session
-
-            def make(si):  # noqa: ANN001, ANN202 - types of a module imported lazily
-                planner = og.BITstar(si)
-                planner.setSamplesPerBatch(self.samples_per_batch)
-                planner.setRewireFactor(self.rewire_factor)
-                return planner
-
-            return Session(questions, _seed(rng), make)
+        def configure(planner: Any) -> None:
+            planner.setSamplesPerBatch(self.samples_per_batch)
+            planner.setRewireFactor(self.rewire_factor)
 
         with suppress(Interrupted):
-            yield from _run(open_session, problem, budget)
+            yield from _improvements(questions, rng, "BITstar", configure)
 
 
 def _check_rrt_star(range_: float | None, goal_bias: float, rewire_factor: float) -> None:
@@ -194,33 +170,31 @@ def _solve_rrt_star(
     def neighbours(n: int) -> int:
         return int(np.ceil(factor * np.e * (1.0 + 1.0 / d) * np.log(n + 1.0)))
 
-    def open_session() -> Session:
-        from ompl import geometric as og
+    def configure(planner: Any) -> None:
+        planner.setGoalBias(goal_bias)
+        planner.setRewireFactor(factor / 2.0 ** (d + 1))
+        if range_ is not None:
+            planner.setRange(range_)
 
-        from graceful_plan.planners.ompl_session import Session
-
-        def make(si):  # noqa: ANN001, ANN202 - types of a module imported lazily
-            planner = getattr(og, kind)(si)
-            planner.setGoalBias(goal_bias)
-            planner.setRewireFactor(factor / 2.0 ** (d + 1))
-            if range_ is not None:
-                planner.setRange(range_)
-            return planner
-
-        return Session(questions, _seed(rng), make, neighbours, informed=kind == "InformedRRTstar")
-
+    informed = kind == "InformedRRTstar"
     with suppress(Interrupted):
-        yield from _run(open_session, problem, budget)
+        yield from _improvements(questions, rng, kind, configure, neighbours, informed)
 
 
-def _run(open_session: Callable[[], Session], problem: Problem, budget: Budget) -> Iterator[Path]:
-    if start_is_goal(problem):
+def _improvements(
+    questions: Questions,
+    rng: np.random.Generator,
+    kind: str,
+    configure: Callable[[Any], None],
+    neighbours: Callable[[int], int] | None = None,
+    informed: bool = False,
+) -> Iterator[Path]:
+    budget = questions.budget
+    if start_is_goal(questions.problem):
         if budget.spend():
-            yield Path(problem.start[None])
-        return
-    if not budget.exhausted:
-        yield from open_session().improvements(budget)
+            yield Path(questions.problem.start[None])
+    elif not budget.exhausted:
+        from graceful_plan.planners.ompl_session import Session  # importing the library must not import OMPL
 
-
-def _seed(rng: np.random.Generator) -> int:
-    return int(rng.integers(1, 2**31))
+        seed = int(rng.integers(1, 2**31))
+        yield from Session(questions, seed, kind, configure, neighbours, informed).improvements(budget)

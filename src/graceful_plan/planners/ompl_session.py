@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import dist
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from ompl import base as ob
+from ompl import geometric as og
 from ompl import util as ou
 
 from graceful_plan.path import Path
@@ -63,7 +65,7 @@ class _Validator(ob.MotionValidator):
         self._informed, self._incumbent = informed, incumbent
         self._n = len(questions.problem.start)
 
-    def checkMotion(self, s0: ob.State, s1: ob.State) -> bool:  # noqa: D102, N802 - OMPL's name
+    def checkMotion(self, s0: ob.State, s1: ob.State) -> bool:
         a, b = s0[0 : self._n], s1[0 : self._n]
         q0, q1 = np.array([a]), np.array([b])
         if self._informed is not None and np.isfinite(self._incumbent.cost):
@@ -122,23 +124,23 @@ class _Objective(ob.OptimizationObjective):
         self._focus: Vertex | None = None
         self._costs: dict[tuple[Vertex, Vertex], float] = {}
 
-    def isSymmetric(self) -> bool:  # noqa: D102, N802
+    def isSymmetric(self) -> bool:
         return self._symmetric
 
-    def stateCost(self, s: ob.State) -> ob.Cost:  # noqa: D102, N802
+    def stateCost(self, s: ob.State) -> ob.Cost:
         return ob.Cost(0.0)
 
-    def motionCost(self, s0: ob.State, s1: ob.State) -> ob.Cost:  # noqa: D102, N802
+    def motionCost(self, s0: ob.State, s1: ob.State) -> ob.Cost:
         a, b = tuple(s0[0 : self._n]), tuple(s1[0 : self._n])
         cost = self._costs.get((a, b))
         if cost is None:
             cost = self._ask(a, b)
         return ob.Cost(cost)
 
-    def motionCostHeuristic(self, s0: ob.State, s1: ob.State) -> ob.Cost:  # noqa: D102, N802
+    def motionCostHeuristic(self, s0: ob.State, s1: ob.State) -> ob.Cost:
         return ob.Cost(self._bound * dist(s0[0 : self._n], s1[0 : self._n]) if self._bound else 0.0)
 
-    def motionCostBestEstimate(self, s0: ob.State, s1: ob.State) -> ob.Cost:  # noqa: D102, N802
+    def motionCostBestEstimate(self, s0: ob.State, s1: ob.State) -> ob.Cost:
         return self.motionCostHeuristic(s0, s1)
 
     def _ask(self, a: Vertex, b: Vertex) -> float:
@@ -167,7 +169,8 @@ class Session:
     Args:
         questions: The problem and the objective.
         seed: For OMPL's own generator, > 0; OMPL has one seed per process.
-        make: Builds the planner from the space information.
+        kind: Name of the planner's class in `ompl.geometric`.
+        configure: Sets the settings of the planner.
         neighbours: How many neighbours the planner looks at among n states; None to evaluate edges one by one.
         informed: Whether to draw and keep only states that can improve the best path.
     """
@@ -176,7 +179,8 @@ class Session:
         self,
         questions: Questions,
         seed: int,
-        make: Callable[[ob.SpaceInformation], ob.Planner],
+        kind: str,
+        configure: Callable[[Any], None],
         neighbours: Callable[[int], int] | None = None,
         informed: bool = False,
     ) -> None:
@@ -201,7 +205,8 @@ class Session:
             self.definition.setOptimizationObjective(
                 _Objective(si, questions, known, facts.length_bound, facts.symmetric)
             )
-            self.planner = make(si)
+            self.planner = getattr(og, kind)(si)
+            configure(self.planner)
             self.planner.setProblemDefinition(self.definition)
             self.planner.setup()
 

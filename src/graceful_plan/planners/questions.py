@@ -71,14 +71,21 @@ class Questions:
         Raises:
             CostError: If the objective returns a NaN, an infinity or a negative number.
         """
-        cost = self._sliced("edges", lambda a, b: edge_totals(self.objective, a, b), q0, q1)
+        return self._sliced("edges", self._totals, q0, q1)
+
+    def path_cost(self, path: Path) -> float:
+        """Total cost of a path, asked in one piece so that a path found in the last moment is not lost.
+
+        Raises:
+            CostError: As for `edge_costs`.
+        """
+        return float(self._totals(path.q[:-1], path.q[1:]).sum())
+
+    def _totals(self, q0: Array, q1: Array) -> Array:
+        cost = edge_totals(self.objective, q0, q1)
         if not np.all(np.isfinite(cost) & (cost >= 0.0)):
             raise CostError(self.objective, "edge costs must be finite and >= 0")
         return cost
-
-    def path_cost(self, path: Path) -> float:
-        """Total cost of a path."""
-        return float(self.edge_costs(path.q[:-1], path.q[1:]).sum())
 
     def _sliced(self, kind: str, ask: Callable[..., Array], *arrays: Array) -> Array:
         answers, begin, n = [], 0, len(arrays[0])
