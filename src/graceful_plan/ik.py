@@ -54,11 +54,6 @@ class IKResult:
     orientation_error: float
     colliding: int
 
-    @property
-    def reachable(self) -> bool:
-        """Whether some configuration reaches the pose, even if it collides."""
-        return len(self.q) > 0 or self.colliding > 0
-
 
 def solve_ik(
     goal: PoseGoal,
