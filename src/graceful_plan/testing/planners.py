@@ -1,11 +1,4 @@
-"""Checks that tell the author of a planner or a cost what is wrong with theirs.
-
-    from graceful_plan.testing import check_planner
-    check_planner(MyPlanner())
-
-Each check runs the object on small problems and compares what it does with the contract. All findings are reported
-together, in the words of the contract.
-"""
+"""Check of planners, on small problems in the plane."""
 
 from __future__ import annotations
 
@@ -17,29 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.problems import DensityObjective, FunctionProblem
+from graceful_plan.testing.contract import ContractError
 
 Array = np.ndarray
 Findings = Iterator[str]
 
 _GOAL_TOLERANCE = 1e-9
 _ENDLESS_SECONDS = 30.0
-
-
-class ContractError(GracefulPlanError, AssertionError):
-    """An object breaks the contract of its kind.
-
-    Args:
-        subject: The planner or cost.
-        findings: What is wrong, one sentence each.
-    """
-
-    def __init__(self, subject: object, findings: tuple[str, ...]) -> None:
-        self.subject, self.findings = subject, findings
-        super().__init__("\n".join([f"{type(subject).__name__} breaks its contract:", *(f"- {f}" for f in findings)]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,10 +62,8 @@ class _Watched(Problem):
 
     def __init__(self, problem: FunctionProblem) -> None:
         self.inner = problem
-        for name in ("start", "goals", "lower", "upper"):
-            value = getattr(problem, name).copy()
-            value.flags.writeable = False
-            setattr(self, name, value)
+        self.start, self.goals = _read_only(problem.start), _read_only(problem.goals)
+        self.lower, self.upper = _read_only(problem.lower), _read_only(problem.upper)
         self.improper: set[str] = set()
 
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
@@ -100,6 +78,12 @@ class _Watched(Problem):
     def _note(self, q: Array) -> None:
         if not np.all(np.isfinite(q)):
             self.improper.add("asked the problem about a configuration that is not finite")
+
+
+def _read_only(array: Array) -> Array:
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
 
 
 class _Directed:

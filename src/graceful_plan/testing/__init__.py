@@ -1,0 +1,14 @@
+"""Checks that tell the author of a planner or a cost what is wrong with theirs.
+
+    from graceful_plan.testing import check_cost, check_planner
+    check_planner(MyPlanner())
+    check_cost(MyCost(), scene)
+
+Each check runs the object and compares what it does with the contract. All findings are reported together.
+"""
+
+from graceful_plan.testing.contract import ContractError
+from graceful_plan.testing.costs import check_cost
+from graceful_plan.testing.planners import PlannerTrial, check_planner
+
+__all__ = ["ContractError", "PlannerTrial", "check_cost", "check_planner"]
