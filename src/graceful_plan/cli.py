@@ -13,8 +13,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-import numpy as np
-
 import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.exceptions import GracefulPlanError, SettingError, UnknownNameError
@@ -202,9 +200,7 @@ def _doctor(args: argparse.Namespace) -> int:
     document = {
         finding.name: {"ok": finding.ok, "value": finding.value, "detail": finding.detail} for finding in findings
     }
-    rows = [
-        ["ok" if finding.ok else "FAILED", finding.name, finding.value, finding.detail] for finding in findings
-    ]
+    rows = [["ok" if finding.ok else "FAILED", finding.name, finding.value, finding.detail] for finding in findings]
     _print(args, document, documents.table(["", "what", "value", ""], rows))
     return DONE if all(finding.ok for finding in findings) else FAILED
 
@@ -230,9 +226,14 @@ def _task(args: argparse.Namespace) -> tuple[Scene, gp.Task | None]:
 def _problem(args: argparse.Namespace) -> tuple[Scene, Any, Any]:
     scene, task = _task(args)
     ends = []
-    for option, words, default in (("--start", args.start, task and task.start), ("--goal", args.goal, task and task.goal)):
+    for option, words, default in (
+        ("--start", args.start, task and task.start),
+        ("--goal", args.goal, task and task.goal),
+    ):
         if words is None and task is None:
-            raise SettingError(option, None, f"a keyframe ({', '.join(scene.keyframes) or 'none here'}) or joint values")
+            raise SettingError(
+                option, None, f"a keyframe ({', '.join(scene.keyframes) or 'none here'}) or joint values"
+            )
         ends.append(default if words is None else _configuration(option, words))
     return scene, ends[0], ends[1]
 

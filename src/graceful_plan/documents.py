@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from graceful_plan.exceptions import FormatError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, finite_array
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
 from graceful_plan.trajectory import Trajectory
 
@@ -96,7 +96,7 @@ def read_motion(file: str | FilePath) -> Path | Trajectory:
         return Trajectory.from_json(json.dumps(document))
     if document.keys() != {*_PATH_SCHEMA, "q"} or document["version"] != _PATH_SCHEMA["version"]:
         raise FormatError(str(file), f"a path has the keys schema, version (1) and q; found {', '.join(document)}")
-    return Path(document["q"])
+    return Path(finite_array("path", document["q"], ndim=2))
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -105,7 +105,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     numeric = [all(isinstance(row[i], int | float) for row in rows) for i in range(len(header))]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
     lines = [
-        "  ".join(c.rjust(w) if right else c.ljust(w) for c, w, right in zip(row, widths, numeric, strict=True)).rstrip()
+        "  ".join(
+            c.rjust(w) if right else c.ljust(w) for c, w, right in zip(row, widths, numeric, strict=True)
+        ).rstrip()
         for row in cells
     ]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import Objective
 from graceful_plan.path import Path
 from graceful_plan.scene import Scene
-from graceful_plan.viz.footprints import DropImpact, entity_outlines, object_positions, outline, surface_points
+from graceful_plan.viz.drop import FALLING, drop_impact
+from graceful_plan.viz.footprints import entity_outlines, object_positions, outline, surface_points
 
 Array = np.ndarray
 
@@ -32,6 +35,8 @@ _STYLE = {
 _GRID = 0.005
 _MARGIN = 0.14
 _STEP = 0.02
+_NARROWEST, _WIDEST = 1.2, 1.8
+"""Width of the view from above over its height."""
 
 
 def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath) -> None:
@@ -48,15 +53,17 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath)
 
     dense = {label: path.resampled(_STEP) for label, path in paths.items()}
     positions = {label: object_positions(scene, path) for label, path in dense.items()}
-    drop = DropImpact(scene=scene)
+    falling = Objective(impact=ImpactCost(components=FALLING)).bind(scene)
     with rc_context(_STYLE):
         figure = Figure(figsize=(10.0, 4.7), dpi=200, layout="constrained")
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(2, 2, width_ratios=(1.75, 1.0))
         above, impact, height = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
-        image = _draw_from_above(above, scene, dense, positions, drop)
-        figure.colorbar(image, ax=above, location="bottom", shrink=0.6, aspect=40, pad=0.02, label="impact if the object falls here")
-        _draw_along(impact, dense, {label: drop.along(path.q) for label, path in dense.items()})
+        image = _draw_from_above(above, scene, dense, positions)
+        figure.colorbar(
+            image, ax=above, location="bottom", shrink=0.6, aspect=40, pad=0.02, label="impact if the object falls here"
+        )
+        _draw_along(impact, dense, {label: falling.states(path.q) for label, path in dense.items()})
         impact.set(title="Impact if it falls now", ylabel="impact", ylim=(0, None))
         impact.tick_params(labelbottom=False)
         _draw_along(height, dense, {label: p[:, 2] for label, p in positions.items()})
@@ -66,14 +73,14 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath)
 
 
 def _draw_from_above(
-    axes: Any, scene: Scene, paths: Mapping[str, Path], positions: Mapping[str, Float[Array, "n 3"]], drop: DropImpact
+    axes: Any, scene: Scene, paths: Mapping[str, Path], positions: Mapping[str, Float[Array, "n 3"]]
 ) -> Any:
     from matplotlib.colors import LinearSegmentedColormap
 
     x, y = _window(positions)
     label = list(paths)[-1]
     reference = paths[label].q[np.argsort(positions[label][:, 2])[len(positions[label]) // 2]]
-    heat = drop.over_plane(reference, x, y)
+    heat = drop_impact(scene, reference, x, y)
     image = axes.imshow(
         heat,
         extent=(x[0] - _GRID / 2, x[-1] + _GRID / 2, y[0] - _GRID / 2, y[-1] + _GRID / 2),
@@ -91,7 +98,14 @@ def _draw_from_above(
     ends = next(iter(positions.values()))[[0, -1]]
     for end, name in zip(ends, ("start", "goal"), strict=True):
         axes.annotate(
-            name, end[:2], xytext=(0, 11), textcoords="offset points", ha="center", weight="bold", bbox=_halo_box(), zorder=9
+            name,
+            end[:2],
+            xytext=(0, 17),
+            textcoords="offset points",
+            ha="center",
+            weight="bold",
+            bbox=_halo_box(),
+            zorder=9,
         )
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.set_title("Seen from above; numbers: severity")
@@ -103,21 +117,24 @@ def _window(positions: Mapping[str, Float[Array, "n 3"]]) -> tuple[Float[Array, 
     """Grid that shows the paths and a margin around them [m]."""
     points = np.concatenate(list(positions.values()))[:, :2]
     low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    wanted = np.array([_NARROWEST, 1.0 / _WIDEST]) * (high - low)[::-1]
+    missing = np.maximum(0.0, wanted - (high - low))
+    low, high = low - missing / 2, high + missing / 2
     return np.arange(low[0], high[0], _GRID), np.arange(low[1], high[1], _GRID)
 
 
 def _draw_entities(axes: Any, scene: Scene) -> None:
-    """Outline every entity with its severity for the carried object."""
+    """Outline every entity with the severity of whatever falls on it."""
     from matplotlib.patches import Polygon
 
-    component = "carried" if "carried" in scene.components else next(iter(scene.components))
+    falling = [name for name in FALLING if name in scene.components]
     shapes = {name: _visible(parts) for name, parts in entity_outlines(scene, list(scene.entities)).items()}
     middles = {name: np.concatenate(parts).mean(axis=0) for name, parts in shapes.items() if parts}
     sizes = {name: float(np.prod(np.subtract(*_extent(shapes[name])))) for name in middles}
     for name, middle in middles.items():
         for polygon in shapes[name]:
             axes.add_patch(Polygon(polygon, closed=True, fill=False, edgecolor="#444444", linewidth=0.8))
-        severity = scene.entities[name].severity[component]
+        severity = sum(scene.entities[name].severity[component] for component in falling)
         low, high = _extent(shapes[name])
         others = [m for other, m in middles.items() if sizes[other] < sizes[name]]
         crowded = any(np.all((m > low) & (m < high)) for m in others)
@@ -139,18 +156,18 @@ def _visible(polygons: Sequence[Float[Array, "corner 2"]]) -> list[Float[Array, 
         polygon
         for i, polygon in enumerate(polygons)
         if not any(
-            i != j and np.all(low <= extents[i][0]) and np.all(extents[i][1] <= high) and not np.array_equal(polygon, polygons[j])
+            i != j
+            and np.all(low <= extents[i][0])
+            and np.all(extents[i][1] <= high)
+            and not np.array_equal(polygon, polygons[j])
             for j, (low, high) in enumerate(extents)
         )
     ]
 
 
 def _draw_path(axes: Any, index: int, label: str, position: Float[Array, "n 3"]) -> None:
-    from matplotlib.patheffects import Stroke
-
     colour, style = PATH_COLOURS[index], _LINE_STYLES[index]
-    halo = axes.plot(*position[:, :2].T, color="white", linewidth=4.0, alpha=0.7, zorder=4 + index)
-    halo[0].set_path_effects([Stroke(linewidth=4.5, foreground="white")])
+    axes.plot(*position[:, :2].T, color="white", linewidth=4.5, zorder=4)
     axes.plot(*position[:, :2].T, color=colour, linestyle=style, linewidth=2.0, label=label, zorder=5 + index)
 
 

@@ -1,0 +1,198 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan import cli, demo, documents
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command; return exit code, standard output and standard error."""
+
+    def run(*argv: str) -> tuple[int, str, str]:
+        code = cli.main(argv)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def motion(tmp_path_factory):
+    """A verified trajectory in a file."""
+    file = tmp_path_factory.mktemp("motion") / "trajectory.json"
+    task = next(iter(gp.load_scene("tabletop").tasks.values()))
+    gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50).unwrap().to_json(file)
+    return file
+
+
+def test_plan_prints_the_cost_and_writes_the_trajectory(run, tmp_path):
+    code, out, err = run("plan", "--w", "0", "--iterations", "50", "--output", str(tmp_path / "t.json"))
+    assert (code, err) == (cli.DONE, "")
+    assert out.startswith("SOLVED: ")
+    assert "motion + w * impact" in out
+    trajectory = gp.Trajectory.from_json(tmp_path / "t.json")
+    np.testing.assert_allclose(trajectory.q[0], next(iter(gp.load_scene("tabletop").tasks.values())).start, atol=1e-6)
+
+
+def test_plan_json_is_one_document_and_reproducible(run):
+    argv = ("plan", "--json", "--iterations", "50", "--seed", "3")
+    first, second = (run(*argv) for _ in range(2))
+    assert first[0] == cli.DONE
+    a, b = (json.loads(out) for _, out, _ in (first, second))
+    assert a["status"] == "SOLVED"
+    assert a["verdict"]["passed"]
+    assert a["cost"]["total"] == pytest.approx(a["cost"]["motion"] + a["cost"]["impact"])
+    assert a["path"] == b["path"]
+
+
+def test_plan_between_keyframes_and_numbers(run):
+    scene = gp.load_scene("tabletop")
+    name, q = next(iter(scene.keyframes.items()))
+    numbers = [repr(float(x)) for x in q]
+    code, out, _ = run("plan", "--start", name, "--goal", *numbers, "--iterations", "5", "--json")
+    assert (code, json.loads(out)["status"]) == (cli.DONE, "SOLVED")
+
+
+def test_csv_by_its_ending(run, tmp_path):
+    code, _, _ = run("plan", "--w", "0", "--iterations", "50", "--output", str(tmp_path / "t.csv"))
+    assert code == cli.DONE
+    assert (tmp_path / "t.csv").read_text().startswith("t [s],")
+
+
+def test_failure_has_its_own_exit_code(run):
+    scene = gp.load_scene("tabletop")
+    outside = [repr(float(x)) for x in scene.limits.position[:, 1] + 1.0]
+    code, out, _ = run("plan", "--start", "ready", "--goal", *outside)
+    assert code == cli.FAILED
+    assert out.startswith("INVALID_GOAL: ")
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (("plan", "--scene", "atlantis"), "unknown scene 'atlantis'; valid: desk"),
+        (("plan", "--scene", "nowhere.yaml"), "nowhere.yaml"),
+        (("plan", "--task", "juggle"), "unknown task 'juggle'"),
+        (("plan", "--planner", "hope"), "unknown planner 'hope'"),
+        (("plan", "--w", "-1"), "w = -1.0"),
+        (("plan", "--w", "nan"), "w = nan"),
+        (("plan", "--time-limit", "nan"), "time_limit = nan"),
+        (("plan", "--start", "0", "0"), "shape (2,)"),
+        (("plan", "--start", "ready", "now"), "--start = 'ready now'"),
+        (("plan", "--start", "nowhere"), "unknown keyframe 'nowhere'"),
+        (("plan", "--output", "trajectory.txt"), "ends in .json or .csv"),
+        (("plan", "--iterations", "1", "--output", "no/such/folder/t.json"), "No such file or directory"),
+        (("evaluate", "nowhere.json"), "nowhere.json: cannot be read"),
+    ],
+)
+def test_misuse_is_one_line_without_a_traceback(run, argv, message):
+    code, out, err = run(*argv)
+    assert (code, out) == (cli.MISUSE, "")
+    assert message in err
+    assert err.startswith(f"graceful-plan {argv[0]}: ")
+    assert "Traceback" not in err
+    assert err.count("\n") == 1
+
+
+def test_unknown_command_is_misuse(run):
+    with pytest.raises(SystemExit) as stop:
+        run("levitate")
+    assert stop.value.code == cli.MISUSE
+
+
+def test_evaluate_judges_a_trajectory(run, motion):
+    code, out, _ = run("evaluate", str(motion))
+    assert code == cli.DONE
+    assert "FAILED" not in out
+    code, out, _ = run("evaluate", str(motion), "--w", "2", "--json")
+    document = json.loads(out)
+    assert document["verdict"]["passed"]
+    assert document["cost"]["total"] == pytest.approx(document["cost"]["motion"] + 2 * document["cost"]["impact"])
+
+
+def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
+    scene = next(iter(gp.load_scene("tabletop").tasks.values())).scene
+    low, high = scene.limits.position.T
+    q = np.random.default_rng(0).uniform(low, high, (200, len(low)))
+    colliding = q[~(gp.clearance(scene, q) > 0.0)]
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps(documents.path_document(gp.Path(colliding[:3]))))
+    code, out, _ = run("evaluate", str(file))
+    assert code == cli.FAILED
+    assert "FAILED" in out
+
+
+def test_scenes_lists_all_with_their_tasks(run):
+    code, out, _ = run("scenes", "--json")
+    document = json.loads(out)
+    assert code == cli.DONE
+    assert tuple(document) == gp.scenes()
+    assert all(scene["tasks"] and scene["entities"] for scene in document.values())
+    assert all(name in run("scenes")[1] for name in gp.scenes())
+
+
+def test_planners_lists_all_with_their_settings(run):
+    code, out, _ = run("planners", "--json")
+    document = json.loads(out)
+    assert code == cli.DONE
+    assert {"anytime", "rrt_connect"} <= set(document)
+    assert all(entry["summary"] for entry in document.values())
+    assert all(name in run("planners")[1] for name in document)
+
+
+def test_doctor_finds_this_machine_healthy(run):
+    code, out, _ = run("doctor", "--json")
+    document = json.loads(out)
+    assert [name for name, finding in document.items() if not finding["ok"]] == []
+    assert code == cli.DONE
+    assert document["instruction set"]["value"]
+    assert document["mujoco"]["value"].startswith("4.")
+
+
+def test_demo_writes_picture_and_trajectories_and_lowers_the_impact(run, tmp_path):
+    code, out, err = run("demo", "--output", str(tmp_path / "made"), "--iterations", "2000")
+    assert (code, err) == (cli.DONE, "")
+    assert "motion + w * impact" in out
+    made = sorted(file.name for file in (tmp_path / "made").iterdir())
+    assert made == ["demo.png", "trajectory_w0.csv", "trajectory_w0.json", "trajectory_w1.csv", "trajectory_w1.json"]
+
+
+def test_demo_json_compares_both(run, tmp_path):
+    code, out, _ = run("demo", "--output", str(tmp_path), "--iterations", "2000", "--json")
+    plain, graceful = json.loads(out)["results"].values()
+    assert code == cli.DONE
+    assert graceful["cost"]["impact"] <= 0.5 * plain["cost"]["impact"]
+    assert graceful["cost"]["motion"] >= plain["cost"]["motion"]
+
+
+def test_interrupt_ends_with_130(run, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gp, "plan", interrupted)
+    assert run("plan")[::2] == (cli.INTERRUPTED, "interrupted\n")
+
+
+def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
+    assert run("plan", "--iterations", "50")[2] == ""
+    monkeypatch.setattr(sys.stderr.__class__, "isatty", lambda self: True)
+    code, out, err = run("plan", "--iterations", "50")
+    assert code == cli.DONE
+    assert "\x1b" not in out
+    assert "motion" in err
+    assert err.endswith("\r\x1b[K")
+    assert run("plan", "--iterations", "50", "--json")[2] == ""
+
+
+def test_reader_that_goes_away_is_no_error():
+    command = f"{sys.executable} -m graceful_plan.cli scenes --json | true"
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (cli.DONE, "")
+
+
+def test_demo_labels_say_the_weight():
+    assert {f"w = {w:g}" for w in demo.WEIGHTS.values()} == {label.split(" (")[0] for label in demo.WEIGHTS}

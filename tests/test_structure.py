@@ -1,0 +1,155 @@
+"""The shape of the project: imports point one way, importing is light, tables and documents say what is true."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from graceful_plan import arrays, elements
+
+ROOT = Path(__file__).parents[1]
+LIBRARY = ROOT / "src" / "graceful_plan"
+FILES = sorted(LIBRARY.rglob("*.py"))
+
+LAYERS = (
+    {"kernels", "compile"},
+    {"costs"},
+    {"planners"},
+    {"plan", "problems", "testing", "tuning"},
+    {"__init__"},
+    {"cli", "demo", "doctor", "viz"},
+)
+"""From the bottom up; a module that is named nowhere lies below all of them, with the scene and the tables."""
+
+HEAVY = ("scipy", "toppra", "ompl", "mink", "casadi", "fcl", "matplotlib", "qpsolvers")
+
+
+def layer(module: str) -> int:
+    return next((i for i, names in enumerate(LAYERS, start=1) if module in names), 0)
+
+
+def module_of(file: Path) -> str:
+    """Name a module by its place directly below the package: planners/prm.py is `planners`."""
+    return file.relative_to(LIBRARY).with_suffix("").parts[0]
+
+
+def imports(tree: ast.Module) -> Iterator[str]:
+    """Yield the full name of everything imported, but for types only."""
+    for_types = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in for_types:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0 and node.module, "imports are absolute"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imported_modules(file: Path) -> set[str]:
+    """Name the modules below graceful_plan that a file imports; `__init__` stands for the package itself."""
+    found = set()
+    for name in imports(ast.parse(file.read_text())):
+        first, *rest = name.split(".")
+        if first == "graceful_plan":
+            inside = rest and ((LIBRARY / rest[0]).is_dir() or (LIBRARY / f"{rest[0]}.py").exists())
+            found.add(rest[0] if inside or rest[:1] == ["_native"] else "__init__")
+    return found
+
+
+def test_imports_point_downwards():
+    upwards = [
+        f"{file.relative_to(LIBRARY)} imports {name}"
+        for file in FILES
+        for name in imported_modules(file)
+        if name != module_of(file) and layer(name) > layer(module_of(file))
+    ]
+    assert not upwards
+
+
+def test_layers_name_real_modules():
+    modules = {module_of(file) for file in FILES}
+    assert set().union(*LAYERS) <= modules
+
+
+@pytest.mark.parametrize("judge", ["verify", "exact"])
+def test_the_judge_shares_nothing_with_the_planners(judge):
+    shared = imported_modules(LIBRARY / f"{judge}.py") & {"kernels", "compile", "planners", "plan", "_native"}
+    assert not shared
+
+
+def test_library_never_imports_what_is_built_on_it():
+    roots = {name.split(".")[0] for file in FILES for name in imports(ast.parse(file.read_text()))}
+    assert "numpy" in roots
+    assert not roots & {"failbench", "benchmarks", "tests", "examples"}
+
+
+def test_only_the_command_line_prints():
+    printing = {
+        file.name
+        for file in FILES
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    }
+    assert printing == {"cli.py"}
+
+
+def test_import_is_light_and_has_no_effects():
+    code = f"""
+import os, sys, threading
+before = dict(os.environ)
+import graceful_plan
+assert dict(os.environ) == before, "environment changed"
+assert threading.active_count() == 1, "threads started"
+print(*[name for name in {HEAVY} if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.stderr, done.returncode) == ("", "", 0)
+
+
+def field_tables() -> list[type]:
+    classes = [cls for module in (arrays, elements) for _, cls in inspect.getmembers(module, dataclasses.is_dataclass)]
+    return [cls for cls in classes if "| field" in (cls.__doc__ or "")]
+
+
+def test_every_table_of_arrays_is_found():
+    assert {cls.__name__ for cls in field_tables()} >= {"RobotArrays", "WorldArrays", "HazardArrays", "Limits"}
+
+
+@pytest.mark.parametrize("cls", field_tables(), ids=lambda cls: cls.__name__)
+def test_field_tables_list_the_fields(cls):
+    rows = re.findall(r"^\s*\| (\w+) ", inspect.getdoc(cls) or "", flags=re.MULTILINE)
+    assert rows == ["field", *(field.name for field in dataclasses.fields(cls))]
+
+
+def readme_snippets() -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def test_readme_has_snippets():
+    assert readme_snippets()
+
+
+@pytest.mark.parametrize("snippet", readme_snippets())
+def test_readme_snippet_runs(snippet, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(snippet, "README.md", "exec"), {})
+
+
+def test_readme_names_existing_files():
+    text = (ROOT / "README.md").read_text()
+    for link in re.findall(r"\]\(([^)#:]+)\)", text):
+        assert (ROOT / link).exists(), link
