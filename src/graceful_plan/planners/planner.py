@@ -11,7 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -38,6 +38,7 @@ class Problem(ABC):
         """Tell which straight edges from `q0` to `q1` are free of collision."""
 
 
+@runtime_checkable
 class BoundObjective(Protocol):
     """What a planner sees of the cost J = V + w S: additive over edges, never negative."""
 
@@ -79,7 +80,8 @@ class Budget:
     """Planner iterations; each planner documents what one of its iterations is."""
     cancelled: Callable[[], bool] = field(default=lambda: False)
     spent: int = field(default=0, init=False)
-    started: float = field(default_factory=time.perf_counter, init=False)
+    started: float = field(default_factory=time.perf_counter)
+    """Clock reading [s] at which the budget began."""
 
     @property
     def elapsed(self) -> float:
