@@ -50,7 +50,7 @@ def reference_probability(
             high = np.minimum(upper[:, r, None, :2], upper[:, None, e, :2])
             low = np.maximum(lower[:, r, None, :2], lower[:, None, e, :2])
             overlap = np.prod(np.maximum(0.0, high - low), axis=-1)
-            above = lower[:, r, None, 2] > upper[:, None, e, 2]
+            above = lower[:, r, 2][:, :, None] > upper[:, e, 2][:, None, :]
             total = np.where(above, overlap, 0.0).sum(axis=(1, 2))
             P[:, j, i] = np.maximum(_ratio(total, area[:, e].sum(axis=1)), _ratio(total, area[:, r].sum(axis=1)))
     return np.minimum(P, 1.0)
@@ -72,14 +72,11 @@ def reference_cost(
         scene: Where.
         w: Safety weight.
         components: Components whose failure counts; those that the scene does not have are left out.
-        exposure: Integrate over "length" or "time", or sum over "waypoints".
+        exposure: Integrate over "length" or "time" (of a path, at the joints' velocity limits), or sum over "waypoints".
         step: Longest piece of the trapezoid rule [rad].
-
-    Raises:
-        TypeError: If exposure is "time" and the motion is a path.
     """
     names = [name for name in components if name in scene.components]
-    q, t = _points(motion, step, exposure)
+    q, t = _points(motion, step, exposure, scene.limits.velocity)
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
     severity = np.array([[entity.severity[name] for entity in scene.entities.values()] for name in names])
     harm = reference_probability(scene, q, names) * severity.reshape(1, len(names), len(scene.entities))
@@ -98,20 +95,19 @@ def reference_cost(
 
 
 def _points(
-    motion: Path | Trajectory, step: float, exposure: Exposure
+    motion: Path | Trajectory, step: float, exposure: Exposure, velocity: Float[Array, " nq"]
 ) -> tuple[Float[Array, "n nq"], Float[Array, " n"]]:
-    """Sample the motion; times are all zero on a path."""
-    if isinstance(motion, Trajectory):
-        if exposure == "waypoints" or len(motion) == 1:
-            return motion.q, motion.t
-        parts = np.maximum(1, np.ceil(motion.path.segment_lengths / step)).astype(int)
-        ends = zip(motion.t[:-1], motion.t[1:], parts, strict=True)
-        t = np.append(np.concatenate([a + (b - a) * np.arange(k) / k for a, b, k in ends]), motion.t[-1])
-        return motion.at(t).q, t
-    if exposure == "time":
-        raise TypeError("a path has no time; give a trajectory")
-    q = motion.q if exposure == "waypoints" else motion.resampled(step).q
-    return q, np.zeros(len(q))
+    """Sample the motion: configurations and times [s]."""
+    if isinstance(motion, Path):
+        q = motion.q if exposure == "waypoints" else motion.resampled(step).q
+        pace = (np.abs(np.diff(q, axis=0)) / velocity).max(axis=1, initial=0.0)
+        return q, np.concatenate([[0.0], np.cumsum(pace)])
+    if exposure == "waypoints" or len(motion) == 1:
+        return motion.q, motion.t
+    parts = np.maximum(1, np.ceil(motion.path.segment_lengths / step)).astype(int)
+    ends = zip(motion.t[:-1], motion.t[1:], parts, strict=True)
+    t = np.append(np.concatenate([a + (b - a) * np.arange(k) / k for a, b, k in ends]), motion.t[-1])
+    return motion.at(t).q, t
 
 
 def _boxes(scene: Scene, q: Float[Array, "n nq"]) -> tuple[Float[Array, "n geom 3"], Float[Array, "n geom 3"]]:

@@ -1,0 +1,105 @@
+"""graceful_plan: motion planning that chooses paths along which a failure at any moment does little harm."""
+
+from graceful_plan._version import __version__
+from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.checks import clearance, interaction_probability
+from graceful_plan.costs.cost import Cost, StateBatch
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.interactions import BoxOverlap, InteractionModel
+from graceful_plan.costs.motion import JointLength
+from graceful_plan.costs.objective import Objective, evaluate
+from graceful_plan.elements import AllowedContact, Dry, Limits, Liquid, Task
+from graceful_plan.exceptions import (
+    CostError,
+    GracefulPlanError,
+    NonFiniteError,
+    PlanningFailed,
+    SceneError,
+    SettingError,
+    ShapeError,
+    UnknownNameError,
+    UnsupportedError,
+)
+from graceful_plan.path import Path
+from graceful_plan.plan import plan
+from graceful_plan.planners import (
+    PLANNERS,
+    PRM,
+    RRT,
+    TRRT,
+    Anytime,
+    BiTRRT,
+    BITStar,
+    InformedRRTStar,
+    Planner,
+    PRMStar,
+    RRTConnect,
+    RRTStar,
+)
+from graceful_plan.pose_goal import PoseGoal
+from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
+from graceful_plan.retime import retime
+from graceful_plan.scene import Scene
+from graceful_plan.scenes import load_scene, scenes
+from graceful_plan.severity import SeverityTable
+from graceful_plan.trajectory import Trajectory
+from graceful_plan.verify import verify
+
+__all__ = [
+    "PLANNERS",
+    "PRM",
+    "RRT",
+    "TRRT",
+    "AllowedContact",
+    "Anytime",
+    "BITStar",
+    "BiTRRT",
+    "BoxOverlap",
+    "Check",
+    "Cost",
+    "CostBreakdown",
+    "CostError",
+    "Dry",
+    "GracefulPlanError",
+    "HazardArrays",
+    "ImpactCost",
+    "InformedRRTStar",
+    "InteractionModel",
+    "JointLength",
+    "Limits",
+    "Liquid",
+    "NonFiniteError",
+    "Objective",
+    "PRMStar",
+    "Path",
+    "PlanResult",
+    "PlanStatus",
+    "Planner",
+    "PlanningFailed",
+    "PoseGoal",
+    "RRTConnect",
+    "RRTStar",
+    "RobotArrays",
+    "Scene",
+    "SceneError",
+    "SettingError",
+    "SeverityTable",
+    "ShapeError",
+    "StateBatch",
+    "Task",
+    "TracePoint",
+    "Trajectory",
+    "UnknownNameError",
+    "UnsupportedError",
+    "Verdict",
+    "WorldArrays",
+    "__version__",
+    "clearance",
+    "evaluate",
+    "interaction_probability",
+    "load_scene",
+    "plan",
+    "retime",
+    "scenes",
+    "verify",
+]

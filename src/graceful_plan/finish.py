@@ -1,0 +1,78 @@
+"""From a path to a verified trajectory: time it, judge it, and cut corners less where the judge objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.path import Path
+from graceful_plan.pose_goal import PoseGoal
+from graceful_plan.result import CostBreakdown, Verdict
+from graceful_plan.retime import retime
+from graceful_plan.scene import Scene
+from graceful_plan.trajectory import Trajectory
+from graceful_plan.verify import verify
+
+DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
+"""How far the motion may cut the path's corners [rad], from swift to exact; 0 stops at every corner."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finished:
+    """A timed path and what the judge says of it."""
+
+    trajectory: Trajectory | None
+    cost: CostBreakdown
+    verdict: Verdict
+    problem: str = ""
+    """Why there is no trajectory."""
+
+
+def finish(path: Path, scene: Scene, objective: SceneObjective, goal: PoseGoal | None = None, speed: float = 1.0) -> Finished:
+    """Time and judge a path.
+
+    Args:
+        path: What a planner found, with ways out at both ends.
+        scene: The scene.
+        objective: What it was planned for.
+        goal: The pose to be reached, if that was the goal.
+        speed: In (0, 1]: fraction of the velocity limits to use.
+    """
+    cost = objective.breakdown(path)
+    verdict, problem, trajectory = Verdict(), "", None
+    for deviation in DEVIATIONS:
+        try:
+            trajectory = retime(path, scene.limits, scene.joints, deviation=deviation, speed=speed)
+        except RetimingError as error:
+            problem = str(error)
+            continue
+        if objective.objective.exposure == "time":
+            cost = objective.breakdown(trajectory)
+        verdict = _judge(trajectory, path, scene, objective, cost, goal)
+        if verdict.passed or "collision" not in verdict.failures:
+            break
+    return Finished(trajectory=trajectory, cost=cost, verdict=verdict, problem=problem)
+
+
+def _judge(
+    trajectory: Trajectory,
+    path: Path,
+    scene: Scene,
+    objective: SceneObjective,
+    cost: CostBreakdown,
+    goal: PoseGoal | None,
+) -> Verdict:
+    impact = objective.objective.impact
+    # The judge knows how to recompute the published model over the joint length; other costs it takes as they are.
+    recomputable = objective.kernel_severity is not None and isinstance(impact, ImpactCost)
+    return verify(
+        trajectory,
+        scene,
+        start=path.q[0],
+        goal=path.q[-1] if goal is None else goal,
+        cost=cost if recomputable else None,
+        cost_path=path if recomputable else None,
+        components=impact.components if isinstance(impact, ImpactCost) else (),
+    )

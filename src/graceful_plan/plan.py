@@ -1,0 +1,230 @@
+"""plan(): check, compile, search, time, verify, return."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from graceful_plan.compile import CompiledScene, compile_scene
+from graceful_plan.costs.cost import NonFiniteCostError
+from graceful_plan.costs.objective import Objective, SceneObjective
+from graceful_plan.escape import way_out
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.finish import Finished, finish
+from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.kernels import CHECK_STEP
+from graceful_plan.path import Path
+from graceful_plan.planners import PLANNERS, Planner
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.pose_goal import PoseGoal
+from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene import Scene
+from graceful_plan.search import Callback, Search, search
+
+Array = np.ndarray
+
+DEFAULT_TIME_LIMIT = 1.0
+"""Seconds that a call may take when neither a time limit nor a number of iterations is given."""
+_CAUTION = ((0.0, CHECK_STEP), (0.003, CHECK_STEP / 2), (0.01, CHECK_STEP / 4))
+"""Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
+_RESERVE = 0.1
+"""Seconds kept for timing and verification, at most a third of the time limit."""
+
+
+def plan(
+    start: Configuration,
+    goal: Goal,
+    scene: Scene,
+    w: float | None = None,
+    *,
+    planner: str | Planner = "anytime",
+    objective: Objective | None = None,
+    time_limit: float | None = None,
+    iterations: int | None = None,
+    seed: int = 0,
+    speed: float = 1.0,
+    callback: Callback | None = None,
+) -> PlanResult:
+    """Plan a motion that costs little and along which a failure at any moment does little harm.
+
+    Args:
+        start: Configuration [rad or m], or the name of a keyframe.
+        goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
+        scene: Robot, surroundings and what is carried.
+        w: Safety weight: how much motion [rad] a unit of impact times length is worth. 1 by default, or the objective's.
+        planner: Name of a planner (see `PLANNERS`) or a settings object.
+        objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
+        time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
+        iterations: Planner iterations; with these alone, the result depends on the seed only.
+        seed: Of all random numbers.
+        speed: In (0, 1]: fraction of the velocity limits to use.
+        callback: Called with every improvement; returning True ends the search.
+
+    Returns:
+        The result, SOLVED only if the independent judge passed the timed trajectory.
+
+    Raises:
+        GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
+    """
+    started = time.perf_counter()
+    solver = _planner(planner)
+    bound = _objective(objective, w).bind(scene)
+    limit = _time_limit(time_limit, iterations, speed)
+    resolved_start = resolve_start(start, scene)
+    if not len(resolved_start.q):
+        return PlanResult(status=PlanStatus.INVALID_START, detail=resolved_start.detail)
+    resolved_goal = resolve_goal(goal, scene, resolved_start.q[0], seed=seed)
+    if not len(resolved_goal.q):
+        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=resolved_goal.detail)
+    rng = np.random.default_rng(seed)
+    ends = _ways_out(resolved_start.q[0], resolved_goal.q, compile_scene(scene), scene, rng)
+    if isinstance(ends, PlanResult):
+        return ends
+    try:
+        result = _search_and_finish(
+            ends, solver, bound, Budget(limit, iterations, started=started), rng, callback, goal, speed
+        )
+    except NonFiniteCostError as error:
+        return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
+    notes = [*resolved_start.notes, *resolved_goal.notes, *([result.detail] if result.detail else [])]
+    index = None if result.goal_index is None else resolved_goal.index[result.goal_index]
+    stats = {**result.stats, "total_time": time.perf_counter() - started}
+    return replace(result, detail="; ".join(notes), goal_index=index, stats=stats)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Ends:
+    """Start and goals with clearance, and the ways from the real start and to the real goals."""
+
+    compiled: CompiledScene
+    departure: Path
+    arrivals: tuple[Path, ...]
+    goal_index: tuple[int, ...]
+
+
+def _ways_out(
+    start: Float[Array, " nq"],
+    goals: Float[Array, "goal nq"],
+    compiled: CompiledScene,
+    scene: Scene,
+    rng: np.random.Generator,
+) -> _Ends | PlanResult:
+    departure = way_out(start, compiled.kernels, scene, rng)
+    if departure is None:
+        detail = "start: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
+        return PlanResult(status=PlanStatus.INVALID_START, detail=detail)
+    ways = [(k, way_out(goal, compiled.kernels, scene, rng)) for k, goal in enumerate(goals)]
+    arrivals = [(k, way.reversed()) for k, way in ways if way is not None]
+    if not arrivals:
+        detail = "goal: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
+        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=detail)
+    index, paths = zip(*arrivals, strict=True)
+    return _Ends(compiled=compiled, departure=departure, arrivals=paths, goal_index=index)
+
+
+def _search_and_finish(
+    ends: _Ends,
+    planner: Planner,
+    objective: SceneObjective,
+    budget: Budget,
+    rng: np.random.Generator,
+    callback: Callback | None,
+    goal: Goal,
+    speed: float,
+) -> PlanResult:
+    """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
+    finish_by = budget.time_limit
+    budget.time_limit -= min(_RESERVE, finish_by / 3.0)
+    found, done, stats = Search(), None, {}
+    for margin, check_step in _CAUTION:
+        problem = SceneProblem(
+            kernels=ends.compiled.kernels,
+            start=ends.departure.q[-1],
+            goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+            margin=min(margin, _clearance_of_ends(ends)),
+            check_step=check_step,
+        )
+        found = search(planner, problem, objective, budget, rng, callback)
+        stats["search_time"] = budget.elapsed
+        if found.path is None:
+            break
+        path, index = _with_ends(found.path, ends)
+        pose = goal if isinstance(goal, PoseGoal) else None
+        done = finish(path, objective.scene, objective, pose, speed)
+        if done.verdict.passed:
+            stats["iterations"] = float(budget.spent)
+            return _solved(path, done, found, ends.goal_index[index], stats)
+        if budget.exhausted:
+            break
+    return _failed(found, done, budget, stats)
+
+
+def _clearance_of_ends(ends: _Ends) -> float:
+    """Half the clearance at the ends: a margin that leaves them free."""
+    configurations = np.stack([ends.departure.q[-1], *(arrival.q[0] for arrival in ends.arrivals)])
+    return 0.5 * max(0.0, float(ends.compiled.kernels.clearance(configurations).min()))
+
+
+def _with_ends(path: Path, ends: _Ends) -> tuple[Path, int]:
+    reached = [float(np.linalg.norm(arrival.q[0] - path.q[-1])) for arrival in ends.arrivals]
+    index = int(np.argmin(reached))
+    q = np.concatenate([ends.departure.q[:-1], path.q, ends.arrivals[index].q[1:]])
+    return Path(q).without_duplicates(), index
+
+
+def _solved(path: Path, done: Finished, found: Search, index: int, stats: dict[str, float]) -> PlanResult:
+    return PlanResult(
+        status=PlanStatus.SOLVED,
+        path=path,
+        trajectory=done.trajectory,
+        cost=done.cost,
+        verdict=done.verdict,
+        trace=tuple(found.trace),
+        goal_index=index,
+        stats=stats,
+    )
+
+
+def _failed(found: Search, done: Finished | None, budget: Budget, stats: dict[str, float]) -> PlanResult:
+    trace = tuple(found.trace)
+    if done is not None and done.trajectory is None:
+        return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=done.problem, trace=trace, stats=stats)
+    if done is not None and found.path is not None:
+        objections = "; ".join(f"{name}: {done.verdict.checks[name].detail}" for name in done.verdict.failures)
+        detail = f"the judge refused every path found; the last for {objections}"
+        return PlanResult(status=PlanStatus.TIMEOUT, detail=detail, verdict=done.verdict, trace=trace, stats=stats)
+    status = PlanStatus.INFEASIBLE if found.gave_up else PlanStatus.TIMEOUT
+    return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", trace=trace, stats=stats)
+
+
+def _planner(planner: str | Planner) -> Planner:
+    if isinstance(planner, Planner):
+        return planner
+    if not isinstance(planner, str):
+        raise SettingError("planner", planner, "a name or a Planner")
+    if planner not in PLANNERS:
+        raise UnknownNameError("planner", planner, PLANNERS)
+    return PLANNERS[planner]()
+
+
+def _objective(objective: Objective | None, w: float | None) -> Objective:
+    if objective is None:
+        return Objective(w=1.0 if w is None else w)
+    return objective if w is None else objective.with_weight(w)
+
+
+def _time_limit(time_limit: float | None, iterations: int | None, speed: float) -> float:
+    if iterations is not None and (isinstance(iterations, bool) or iterations < 0):
+        raise SettingError("iterations", iterations, "a whole number, at least 0")
+    if time_limit is not None and not time_limit >= 0.0:
+        raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
+    if not 0.0 < speed <= 1.0:
+        raise SettingError("speed", speed, "a fraction in (0, 1]")
+    if time_limit is None:
+        return DEFAULT_TIME_LIMIT if iterations is None else np.inf
+    return float(time_limit)
