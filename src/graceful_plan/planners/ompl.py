@@ -7,8 +7,8 @@ where results must be reproducible.
 References:
     [LaValle1998] Rapidly-exploring random trees.
     [Karaman2011] Sampling-based algorithms for optimal motion planning (RRT*).
-    [Gammell2014] Informed RRT*. Differs in: OMPL's direct sampling of the informed set knows path length only, so
-    states are drawn from the box around the set and refused outside of it.
+    [Gammell2014] Informed RRT*. This and BIT* differ in: OMPL's direct sampling of the informed set knows path
+    length only, so states are drawn from the box around the set and refused outside of it.
     [Gammell2015] Batch informed trees (BIT*).
 """
 
@@ -144,9 +144,10 @@ class BITStar(Planner):
         def configure(planner: Any) -> None:
             planner.setSamplesPerBatch(self.samples_per_batch)
             planner.setRewireFactor(self.rewire_factor)
+            planner.setStopOnSolnImprovement(True)  # so that the next batch is drawn from a smaller box
 
         with suppress(Interrupted):
-            yield from _improvements(questions, rng, "BITstar", configure)
+            yield from _improvements(questions, rng, "BITstar", configure, informed=True)
 
 
 def _check_rrt_star(range_: float | None, goal_bias: float, rewire_factor: float) -> None:

@@ -22,13 +22,15 @@ from ompl import util as ou
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
 
 Array = np.ndarray
 Vertex = tuple[float, ...]
 
 _SLICE_SECONDS = 0.02
 _SLICE_ITERATIONS = 100
+_ESTIMATES_BETWEEN_LOOKS = 2000  # about 5 ms
+_PROVEN = 1e-8  # relative gap to the least possible cost at which a path is the best there is
 
 
 @contextmanager
@@ -123,6 +125,7 @@ class _Objective(ob.OptimizationObjective):
         self._n = len(questions.problem.start)
         self._focus: Vertex | None = None
         self._costs: dict[tuple[Vertex, Vertex], float] = {}
+        self._estimates = 0
 
     def isSymmetric(self) -> bool:
         return self._symmetric
@@ -138,6 +141,9 @@ class _Objective(ob.OptimizationObjective):
         return ob.Cost(cost)
 
     def motionCostHeuristic(self, s0: ob.State, s1: ob.State) -> ob.Cost:
+        self._estimates += 1
+        if self._estimates % _ESTIMATES_BETWEEN_LOOKS == 0 and out_of_time(self._questions.budget):
+            raise Interrupted  # BIT* draws a whole batch by rejection without a look at its termination condition
         return ob.Cost(self._bound * dist(s0[0 : self._n], s1[0 : self._n]) if self._bound else 0.0)
 
     def motionCostBestEstimate(self, s0: ob.State, s1: ob.State) -> ob.Cost:
@@ -202,9 +208,9 @@ class Session:
             si.setup()
             self.definition = ob.ProblemDefinition(si)
             self._set_ends(si)
-            self.definition.setOptimizationObjective(
-                _Objective(si, questions, known, facts.length_bound, facts.symmetric)
-            )
+            ours = _Objective(si, questions, known, facts.length_bound, facts.symmetric)
+            ours.setCostThreshold(ob.Cost(self.sampler.least_cost * (1.0 + _PROVEN)))
+            self.definition.setOptimizationObjective(ours)
             self.planner = getattr(og, kind)(si)
             configure(self.planner)
             self.planner.setProblemDefinition(self.definition)
@@ -247,7 +253,7 @@ class Session:
         return Path(q)
 
     def _optimal(self) -> bool:
-        return self.incumbent.cost <= self.sampler.least_cost * (1.0 + 1e-8)
+        return self.incumbent.cost <= self.sampler.least_cost * (1.0 + _PROVEN)
 
     def _shrink(self) -> None:
         """Draw from the box around the informed set only; the validator refuses what is outside of the set."""

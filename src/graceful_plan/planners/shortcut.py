@@ -12,6 +12,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from jaxtyping import Float
 
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.settings import count, fraction, positive
 
 Array = np.ndarray
@@ -140,11 +141,11 @@ class Shortcut:
         fraction("least_reach", self.least_reach)
 
     def improve(self, path: Path, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
-        """Yield cheaper and cheaper versions of a free path; nothing if there is none within the budget.
+        """Yield cheaper and cheaper versions of a free path; nothing if there is none within the budget."""
+        with suppress(Interrupted):
+            yield from self._rounds(path, questions, budget, rng)
 
-        Raises:
-            Interrupted: When the time is over in the middle of a round.
-        """
+    def _rounds(self, path: Path, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
         q = path.without_duplicates().q
         if len(q) < 2:
             return
