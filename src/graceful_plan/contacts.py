@@ -30,8 +30,8 @@ def tested_pairs(model: mujoco.MjModel, moving: Collection[int]) -> Int[Array, "
     body = np.asarray(model.geom_bodyid)
     weld = np.asarray(model.body_weldid)[body]
     tested = _affine(model) & ~_related(model, weld) & ~_excluded(model, body)
-    tested[model.pair_geom1, model.pair_geom2] = tested[model.pair_geom2, model.pair_geom1] = True
     tested &= weld[:, None] != weld[None, :]
+    tested[model.pair_geom1, model.pair_geom2] = tested[model.pair_geom2, model.pair_geom1] = True
     mine = np.isin(body, list(moving))
     tested &= mine[:, None]
     # One of (a, b) and (b, a): prefer a first geom that moves.

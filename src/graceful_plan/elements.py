@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -91,7 +91,7 @@ class Liquid:
 
     volume: float
     temperature: float = 20.0
-    kind: Literal["water", "oil"] = "water"
+    kind: str = "water"
     geoms: tuple[str, ...] = ()
     HOT: ClassVar[float] = 60.0
     """Temperature [degrees Celsius] from which a splash scalds."""
@@ -141,7 +141,7 @@ class AllowedContact:
 
     first: str
     second: str
-    when: Literal["always", "ends"] = "always"
+    when: str = "always"
 
     def __post_init__(self) -> None:
         if self.when not in ("always", "ends"):
