@@ -14,9 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
@@ -27,8 +28,7 @@ Array = np.ndarray
 
 _NEGLIGIBLE = 1e-9
 """Relative gain below which a change is rounding, not an improvement."""
-_SAME_POINT = 1e-9
-"""Distance [rad] below which neighbouring vertices of a candidate are merged."""
+_TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -52,22 +52,33 @@ class Line:
         self.q, self.cost = q, cost
         self.arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
 
-    def at(self, s: float) -> tuple[int, Float[Array, " nq"]]:
-        """Segment and point at arc length `s`."""
-        i = int(np.clip(np.searchsorted(self.arc, s, side="right") - 1, 0, len(self.q) - 2))
-        span = self.arc[i + 1] - self.arc[i]
-        t = (s - self.arc[i]) / span if span > 0.0 else 0.0
+    def at(self, s: Float[Array, " n"]) -> tuple[Int[Array, " n"], Float[Array, "n nq"]]:
+        """Segment and point at each arc length."""
+        i = np.clip(np.searchsorted(self.arc, s, side="right") - 1, 0, len(self.q) - 2)
+        t = ((s - self.arc[i]) / np.maximum(self.arc[i + 1] - self.arc[i], _TINY))[:, None]
         return i, (1.0 - t) * self.q[i] + t * self.q[i + 1]
 
-    def replacement(self, s0: float, s1: float, middle: Float[Array, "n nq"]) -> Replacement:
-        """Replace the stretch between two arc lengths by the polyline over `middle`."""
-        (i, a), (j, b) = self.at(s0), self.at(s1)
+    def stretches(self, n: int, reach: float, rng: np.random.Generator) -> Stretches:
+        """Random stretches of about `reach` times the path, all inside of it."""
+        span = reach * self.arc[-1] * rng.uniform(0.5, 1.0, n)
+        begin = rng.uniform(0.0, 1.0, n) * (self.arc[-1] - span)
+        return Stretches(begin, begin + span, *self.at(begin), *self.at(begin + span))
+
+    def replacement(self, i: int, a: Array, middle: Array, j: int, b: Array) -> Replacement:
+        """Go from point `a` on segment `i` over `middle` to point `b` on segment `j`."""
         q = np.concatenate([self.q[i : i + 1], a[None], middle, b[None], self.q[j + 1 : j + 2]])
-        apart = np.linalg.norm(np.diff(q, axis=0), axis=1) > _SAME_POINT
-        inner = q[1:-1][apart[:-1]]
-        while len(inner) and np.linalg.norm(inner[-1] - q[-1]) <= _SAME_POINT:
-            inner = inner[:-1]
-        return Replacement(i, j + 1, np.concatenate([q[:1], inner, q[-1:]]))
+        return Replacement(int(i), int(j) + 1, q)
+
+
+class Stretches(NamedTuple):
+    """Parts of a path: arc lengths of both ends, and segment and point there."""
+
+    begin: Float[Array, " n"]
+    end: Float[Array, " n"]
+    first: Int[Array, " n"]
+    a: Float[Array, "n nq"]
+    last: Int[Array, " n"]
+    b: Float[Array, "n nq"]
 
 
 Move = Callable[[Line, int, float, np.random.Generator], list[Replacement]]
@@ -75,46 +86,44 @@ Move = Callable[[Line, int, float, np.random.Generator], list[Replacement]]
 
 
 def leave_out(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
-    """Join vertices that are not neighbours; near ones first, all pairs if there are few."""
+    """Join vertices that are not neighbours: half of the proposals skip as few as possible, half any number."""
     first, last = np.triu_indices(len(line.q), k=2)
     order = np.argsort(last - first, kind="stable")
-    near, rest = order[: n // 2], order[n // 2 :]
-    if len(rest) > n - len(near):
-        rest = rng.choice(rest, n - len(near), replace=False)
-    picked = np.concatenate([near, rest])
+    near, rest = order[: max(n // 2, len(line.q) - 2)], order[max(n // 2, len(line.q) - 2) :]
+    picked = np.concatenate([near, rng.permutation(rest)[: n // 2]])
     return [Replacement(int(i), int(j), line.q[[i, j]]) for i, j in zip(first[picked], last[picked], strict=True)]
 
 
 def cut(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
     """Go straight between two points anywhere on the path."""
     nothing = line.q[:0]
-    return [line.replacement(s0, s1, nothing) for s0, s1 in _stretches(line, n, reach, rng)]
+    parts = line.stretches(n, reach, rng)
+    ends = zip(parts.first, parts.a, parts.last, parts.b, strict=True)
+    return [line.replacement(i, a, nothing, j, b) for i, a, j, b in ends if i != j]
 
 
 def straighten_joint(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
     """Let one joint go straight between two points while the others stay as they are."""
     proposals = []
-    for s0, s1 in _stretches(line, n, reach, rng):
-        (i, a), (j, b) = line.at(s0), line.at(s1)
-        if i == j:
-            continue
-        joint = int(rng.integers(line.q.shape[1]))
-        middle = line.q[i + 1 : j + 1].copy()
-        t = (line.arc[i + 1 : j + 1] - s0) / max(s1 - s0, _SAME_POINT)
-        middle[:, joint] = a[joint] + t * (b[joint] - a[joint])
-        proposals.append(line.replacement(s0, s1, middle))
+    parts = line.stretches(n, reach, rng)
+    joints = rng.integers(line.q.shape[1], size=n)
+    for s0, s1, i, a, j, b, joint in zip(*parts, joints, strict=True):
+        if i != j:
+            middle = line.q[i + 1 : j + 1].copy()
+            middle[:, joint] = a[joint] + (line.arc[i + 1 : j + 1] - s0) / (s1 - s0) * (b[joint] - a[joint])
+            proposals.append(line.replacement(i, a, middle, j, b))
     return proposals
 
 
 def move_aside(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Replacement]:
     """Pull a point of the path to a random side, and with it the stretch around it."""
-    proposals = []
-    for s0, s1 in _stretches(line, n, reach, rng):
-        _, point = line.at(rng.uniform(s0, s1))
-        size = 0.5 * (s1 - s0) * 10.0 ** rng.uniform(-2.0, 0.0)
-        direction = rng.normal(size=len(point))
-        proposals.append(line.replacement(s0, s1, (point + size * direction / np.linalg.norm(direction))[None]))
-    return proposals
+    parts = line.stretches(n, reach, rng)
+    span = parts.end - parts.begin
+    _, points = line.at(parts.begin + rng.uniform(size=n) * span)
+    direction = rng.normal(size=points.shape)
+    direction *= (0.5 * span * 10.0 ** rng.uniform(-2.0, 0.0, n) / np.linalg.norm(direction, axis=1))[:, None]
+    moved = zip(parts.first, parts.a, points + direction, parts.last, parts.b, strict=True)
+    return [line.replacement(i, a, point[None], j, b) for i, a, point, j, b in moved]
 
 
 MOVES: tuple[Move, ...] = (leave_out, cut, straighten_joint, move_aside)
@@ -206,12 +215,6 @@ def _with_replacements(line: Line, taken: list[tuple[Replacement, Array]]) -> Li
         q += [line.q[at + 1 : new.first + 1], new.q[1:]]
         cost += [line.cost[at : new.first], new_cost]
         at = new.last
-    return Line(np.concatenate([*q, line.q[at + 1 :]]), np.concatenate([*cost, line.cost[at:]]))
-
-
-def _stretches(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[tuple[float, float]]:
-    """Random stretches of about `reach` times the path, all inside of it."""
-    total = line.arc[-1]
-    span = reach * total * rng.uniform(0.5, 1.0, n)
-    begin = rng.uniform(0.0, 1.0, n) * (total - span)
-    return [(float(s), float(s + d)) for s, d in zip(begin, span, strict=True)]
+    vertices, costs = np.concatenate([*q, line.q[at + 1 :]]), np.concatenate([*cost, line.cost[at:]])
+    moved = np.any(np.diff(vertices, axis=0) != 0.0, axis=1)
+    return Line(vertices[np.concatenate([[True], moved])], costs[moved])
