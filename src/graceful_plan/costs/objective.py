@@ -146,7 +146,7 @@ class _Samples:
         self.length = np.linalg.norm(delta, axis=1)
         self.duration = np.max(np.abs(delta) / velocity, axis=1, initial=0.0)
         pieces = np.maximum(1, np.ceil(self.length / COST_STEP)).astype(int)
-        self.first = np.concatenate([[0], np.cumsum(pieces + 1)[:-1]]).astype(int)
+        self.first = np.cumsum(pieces + 1) - (pieces + 1)
         self.edge = np.repeat(np.arange(len(q0)), pieces + 1)
         self._piece = np.arange(len(self.edge)) - self.first[self.edge]
         self._pieces = pieces
