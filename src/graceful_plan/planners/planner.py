@@ -96,7 +96,7 @@ class Budget:
     @property
     def remaining_iterations(self) -> float:
         """Iterations left, infinite if they are not limited."""
-        return np.inf if self.iterations is None else max(0, self.iterations - self.spent)
+        return np.inf if self.iterations is None else float(max(0, self.iterations - self.spent))
 
     @property
     def exhausted(self) -> bool:
