@@ -69,6 +69,7 @@ class Judge:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.model, self._checked, self._ends = _prepared(scene)
+        self._movers = frozenset(scene.collision_pairs()[:, 0].tolist())
         self._data = mujoco.MjData(self.model)
         self._data.qpos[:] = scene.home_qpos
         self._adr = scene.qpos_adr
@@ -137,9 +138,11 @@ class Judge:
         return sorted(found)
 
     def named(self, touch: Touch) -> Contact:
-        """Put a touch in words."""
-        model = self.scene.model
-        return Contact(geom_label(model, touch.first), geom_label(model, touch.second), -touch.distance)
+        """Put a touch in words, what moves first."""
+        first, second = (geom_label(self.scene.model, geom) for geom in (touch.first, touch.second))
+        if touch.first not in self._movers:
+            first, second = second, first
+        return Contact(first, second, -touch.distance)
 
 
 def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True) -> list[Contact]:

@@ -57,18 +57,19 @@ class PoseGoal:
     def at(
         cls,
         position: ArrayLike,
-        quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        quaternion: ArrayLike | None = None,
         *,
         position_tolerance: float = 0.001,
         orientation_tolerance: float = 0.01,
         free_yaw: bool = False,
     ) -> Self:
-        """Make a goal from a position [m] and a quaternion wxyz, which is normalised.
+        """Make a goal from a position [m] and a quaternion wxyz, which is normalised; None stands for no rotation.
 
         Raises:
             SettingError: If the quaternion is zero.
         """
-        w, x, y, z = q = finite_array("quaternion", quaternion, ndim=1, last=4)
+        given = [1.0, 0.0, 0.0, 0.0] if quaternion is None else quaternion
+        w, x, y, z = q = finite_array("quaternion", given, ndim=1, last=4)
         norm = float(q @ q)
         if norm < 1e-12:
             raise SettingError("quaternion", q.tolist(), "a quaternion wxyz other than zero")

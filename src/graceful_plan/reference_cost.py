@@ -72,7 +72,8 @@ def reference_cost(
         scene: Where.
         w: Safety weight.
         components: Components whose failure counts; those that the scene does not have are left out.
-        exposure: Integrate over "length" or "time" (of a path, at the joints' velocity limits), or sum over "waypoints".
+        exposure: Integrate over "length" or "time", or sum over "waypoints". A path is timed at the joints' velocity
+            limits.
         step: Longest piece of the trapezoid rule [rad].
     """
     names = [name for name in components if name in scene.components]
