@@ -62,7 +62,7 @@ def _subdivided(moved: Float[Array, " piece"], step: float) -> Float[Array, " sa
     return np.append(piece + (np.arange(begin[-1]) - begin[piece]) / parts[piece], float(len(parts)))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def reach(scene: Scene) -> Float[Array, " nq"]:
     """Bound how far any moving point is from each planned joint's axis, in every configuration.
 

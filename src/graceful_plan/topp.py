@@ -122,7 +122,7 @@ def fastest_with_toppra(
     for first, last in pairwise(stops):
         section = _Section(grid, first, last)
         solver = TOPPRA(constraints, section, gridpoints=section.s, solver_wrapper="seidel")
-        _, found, _ = solver.compute_parameterization(0.0, 0.0)
+        found = solver.compute_parameterization(0.0, 0.0)[1]
         if found is None or not np.all(np.isfinite(found)):
             raise RetimingError(
                 f"toppra found no timing from {grid.s[first]:.3g} to {grid.s[last]:.3g} rad of the path"
