@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NoReturn
 from xml.parsers import expat
 
 import mujoco
@@ -53,12 +55,12 @@ def load_spec(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     if not isinstance(source, str | Path):
         return source.copy()
     if isinstance(source, str) and source.lstrip().startswith("<"):
-        _Screen(None).text(source.encode(), "<text>", 0)
+        _Screen(None).text(source)
         return _parsed(source, None)
     file = Path(source)
     if file.suffix.lower() == ".mjb":
         raise SceneError("binary models cannot be screened; give the MJCF", file=str(file))
-    _Screen(file.parent.resolve()).file(file, 0)
+    _Screen(file.parent.resolve()).model(file)
     return _parsed(None, file)
 
 
@@ -94,10 +96,27 @@ class _Screen:
     root: Path | None
     elements: int = 0
     files: int = 0
-    including: list[Path] = field(default_factory=list)
+    reading: list[Path] = field(default_factory=list)
+    places: set[Path] = field(default_factory=set)
+    """Folders of the files read so far, in which MuJoCo may look for others."""
+    folders: set[str] = field(default_factory=lambda: {""})
+    """Folders for assets that the model declares, relative to one of those places."""
+    assets: list[_Asset] = field(default_factory=list)
+
+    def model(self, file: Path) -> None:
+        """Screen a file, what it includes and the assets that it names."""
+        self.file(file, 1)
+        for asset in self.assets:
+            self.asset(asset)
+
+    def text(self, text: str) -> None:
+        """Screen a model that is not in a file, so that there is no folder to find others in."""
+        _Reader(self, "<text>", 1).read(text.encode())
+        for asset in self.assets:
+            self.asset(asset)
 
     def file(self, file: Path, replicas: int) -> None:
-        """Screen a file, standing inside of so many replicas (0: none)."""
+        """Screen a file that is wanted so many times."""
         try:
             size = file.stat().st_size
             if size > MAX_BYTES:
@@ -106,26 +125,53 @@ class _Screen:
         except OSError as error:
             raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
         resolved = file.resolve()
-        if resolved in self.including:
+        if resolved in self.reading:
             raise SceneError("includes itself", file=str(file))
         self.files += 1
         if self.files > MAX_FILES:
             raise SceneError(f"more than {MAX_FILES} files are included", file=str(file))
-        self.including.append(resolved)
-        self.text(content, str(file), replicas)
-        self.including.pop()
+        self.places.add(resolved.parent)
+        self.reading.append(resolved)
+        _Reader(self, str(file), replicas).read(content)
+        self.reading.pop()
 
-    def text(self, content: bytes, name: str, replicas: int) -> None:
-        """Screen the content of a file."""
-        _Reader(self, name, max(1, replicas)).read(content)
-
-    def inside(self, given: str, folder: str) -> Path | None:
-        """Return the file that is meant, or None if it is outside of the root folder."""
-        path = Path(folder) / given
-        if self.root is None or path.is_absolute() or ".." in path.parts or "\\" in given:
+    def found(self, given: str, folders: Iterable[str] = ("",)) -> list[Path] | None:
+        """Return the files that may be meant, or None if one of them is outside of the root folder."""
+        if self.root is None or "\\" in given:
             return None
-        resolved = (self.root / path).resolve()  # a symbolic link may lead out
-        return resolved if resolved.is_relative_to(self.root) else None
+        found = []
+        for place in sorted(self.places):
+            for folder in folders:
+                path = Path(folder) / given
+                if path.is_absolute() or ".." in path.parts:
+                    return None
+                resolved = (place / path).resolve()  # a symbolic link may lead out
+                if not resolved.is_relative_to(self.root):
+                    return None
+                if resolved.is_file():
+                    found.append(resolved)
+        return found
+
+    def asset(self, asset: _Asset) -> None:
+        """Screen a file that is named by an asset. If there is none, MuJoCo says where it looked."""
+        found = self.found(asset.given, sorted(self.folders))
+        if found is None:
+            message = f"file {asset.given!r} of <{asset.tag}>: only files in the folder of the scene, by relative path"
+            raise SceneError(message, file=asset.file, line=asset.line)
+        for file in found:
+            if file.stat().st_size > MAX_ASSET_BYTES:
+                message = f"{asset.given!r} has more than {MAX_ASSET_BYTES} bytes"
+                raise SceneError(message, file=asset.file, line=asset.line)
+
+
+@dataclass(frozen=True)
+class _Asset:
+    """A file named by an asset, and where."""
+
+    tag: str
+    given: str
+    file: str
+    line: int
 
 
 class _Reader:
@@ -134,8 +180,6 @@ class _Reader:
     def __init__(self, screen: _Screen, name: str, replicas: int) -> None:
         self.screen, self.name = screen, name
         self.replicas = [replicas]
-        self.folder = ""
-        self.pending: list[tuple[str, str, int]] = []  # asset files: checked at the end, when the folders are known
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self.start
         self.parser.EndElementHandler = self.end
@@ -148,10 +192,8 @@ class _Reader:
         except expat.ExpatError as error:
             reason = f"broken XML: {expat.ErrorString(error.code)}"
             raise SceneError(reason, file=self.name, line=error.lineno) from None
-        for kind, given, line in self.pending:
-            self.check_asset(kind, given, line)
 
-    def refuse(self, message: str) -> None:
+    def refuse(self, message: str) -> NoReturn:
         raise SceneError(message, file=self.name, line=self.parser.CurrentLineNumber)
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -172,7 +214,8 @@ class _Reader:
         for key, value in attributes.items():
             self.attribute(tag, key, value)
         if tag == "include":
-            self.include(attributes.get("file", ""))
+            given = attributes.get("file", "")
+            self.embedded(f"include of {given!r}", given)
 
     def end(self, _tag: str) -> None:
         self.replicas.pop()
@@ -180,13 +223,12 @@ class _Reader:
     def attribute(self, tag: str, key: str, value: str) -> None:
         if key in _COUNTS or (tag == "numeric" and key == "size"):
             self.count(key, value)
-        elif key == "file" and tag != "include":
-            self.pending.append((tag, value, self.parser.CurrentLineNumber))
+        elif key.startswith("file") and tag != "include":
+            self.asset(tag, value)
         elif key in _FOLDERS:
-            if self.screen.inside(".", value) is None:
+            if self.screen.found(".", [value]) is None:
                 self.refuse(f"{key}={value!r} is outside of the folder of the scene")
-            if key != "texturedir":
-                self.folder = value
+            self.screen.folders.add(value)
         elif tag == "size" and key == "memory":
             self.refuse("the memory size cannot be set")
         elif tag == "mesh" and key == "builtin":
@@ -195,6 +237,14 @@ class _Reader:
             self.timestep(value)
         if (key not in _WORDS or tag == "numeric") and any(_BAD_NUMBER.match(word) for word in value.split()):
             self.refuse(f"{key}={value!r} of <{tag}> is not finite")
+
+    def asset(self, tag: str, given: str) -> None:
+        line = self.parser.CurrentLineNumber
+        if tag == "model":
+            self.embedded(f"file {given!r} of <model>", given)
+        else:
+            # Which folders there are is known at the end only.
+            self.screen.assets.append(_Asset(tag, given, self.name, line))
 
     def timestep(self, value: str) -> None:
         try:
@@ -217,25 +267,11 @@ class _Reader:
                 self.refuse(f"{key}={value!r} is more than {MAX_COUNT}")
         return largest
 
-    def include(self, given: str) -> None:
-        file = self.screen.inside(given, "")
-        if file is None:
-            self.refuse(f"include of {given!r}: only files in the folder of the scene, by relative path")
-        else:
-            if not file.is_file():
-                self.refuse(f"include of {given!r}: there is no such file")
+    def embedded(self, what: str, given: str) -> None:
+        found = self.screen.found(given)
+        if found is None:
+            self.refuse(f"{what}: only files in the folder of the scene, by relative path")
+        if not found:
+            self.refuse(f"{what}: there is no such file")
+        for file in found:
             self.screen.file(file, self.replicas[-1])
-
-    def check_asset(self, tag: str, given: str, line: int) -> None:
-        file = self.screen.inside(given, "" if tag == "model" else self.folder)
-        if file is None and tag == "texture":
-            file = self.screen.inside(given, "")
-        if file is None:
-            message = f"file {given!r} of <{tag}>: only files in the folder of the scene, by relative path"
-            raise SceneError(message, file=self.name, line=line)
-        if not file.is_file():
-            return  # MuJoCo says where it looked
-        if tag == "model":
-            self.screen.file(file, self.replicas[-1])
-        elif file.stat().st_size > MAX_ASSET_BYTES:
-            raise SceneError(f"{given!r} has more than {MAX_ASSET_BYTES} bytes", file=self.name, line=line)
