@@ -23,7 +23,7 @@ from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Prob
 from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.roadmap import Roadmap
 from graceful_plan.planners.settings import count, positive
-from graceful_plan.planners.shortcut import Shortcut
+from graceful_plan.planners.shortcut import MOVES, Shortcut
 from graceful_plan.planners.trivial import start_is_goal
 
 Array = np.ndarray
@@ -124,7 +124,7 @@ class PRMStar(Planner):
             informed=self.informed,
             first_only=False,
             max_samples=self.max_samples,
-            shortcut=Shortcut(patience=4) if self.shortcut else None,
+            shortcut=Shortcut(patience=len(MOVES)) if self.shortcut else None,
         )
         return _solve(growth, problem, objective, budget, rng)
 

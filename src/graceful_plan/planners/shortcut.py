@@ -67,7 +67,7 @@ class Line:
     def replacement(self, i: int, a: Array, middle: Array, j: int, b: Array) -> Replacement:
         """Go from point `a` on segment `i` over `middle` to point `b` on segment `j`."""
         q = np.concatenate([self.q[i : i + 1], a[None], middle, b[None], self.q[j + 1 : j + 2]])
-        return Replacement(int(i), int(j) + 1, q)
+        return Replacement(i, j + 1, q)
 
 
 class Stretches(NamedTuple):
@@ -98,7 +98,7 @@ def cut(line: Line, n: int, reach: float, rng: np.random.Generator) -> list[Repl
     """Go straight between two points anywhere on the path."""
     nothing = line.q[:0]
     parts = line.stretches(n, reach, rng)
-    ends = zip(parts.first, parts.a, parts.last, parts.b, strict=True)
+    ends = zip(parts.first.tolist(), parts.a, parts.last.tolist(), parts.b, strict=True)
     return [line.replacement(i, a, nothing, j, b) for i, a, j, b in ends if i != j]
 
 
@@ -111,7 +111,7 @@ def straighten_joint(line: Line, n: int, reach: float, rng: np.random.Generator)
         if i != j:
             middle = line.q[i + 1 : j + 1].copy()
             middle[:, joint] = a[joint] + (line.arc[i + 1 : j + 1] - s0) / (s1 - s0) * (b[joint] - a[joint])
-            proposals.append(line.replacement(i, a, middle, j, b))
+            proposals.append(line.replacement(int(i), a, middle, int(j), b))
     return proposals
 
 
@@ -122,11 +122,12 @@ def move_aside(line: Line, n: int, reach: float, rng: np.random.Generator) -> li
     _, points = line.at(parts.begin + rng.uniform(size=n) * span)
     direction = rng.normal(size=points.shape)
     direction *= (0.5 * span * 10.0 ** rng.uniform(-2.0, 0.0, n) / np.linalg.norm(direction, axis=1))[:, None]
-    moved = zip(parts.first, parts.a, points + direction, parts.last, parts.b, strict=True)
+    moved = zip(parts.first.tolist(), parts.a, points + direction, parts.last.tolist(), parts.b, strict=True)
     return [line.replacement(i, a, point[None], j, b) for i, a, point, j, b in moved]
 
 
-MOVES: tuple[Move, ...] = (leave_out, cut, straighten_joint, move_aside)
+MOVES: tuple[Move, ...] = (leave_out, move_aside, cut, move_aside, straighten_joint, move_aside)
+"""What the rounds take turns in; moving aside, which alone can leave the hull of the path, comes up most."""
 
 
 @dataclass(frozen=True, kw_only=True)
