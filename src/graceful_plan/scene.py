@@ -45,7 +45,7 @@ from graceful_plan.path import finite_array
 from graceful_plan.scene_edit import add_hull, add_primitive
 from graceful_plan.scene_summary import summary
 from graceful_plan.severity import SeverityTable
-from graceful_plan.tasks import find_keyframes, find_tasks
+from graceful_plan.tasks import check_keyframes, find_keyframes, find_tasks, model_keyframes
 
 Array = np.ndarray
 
@@ -159,6 +159,7 @@ class Scene:
             allowed=tuple(allowed_contacts),
         )
         scene = cls.build(spec, notes)
+        check_keyframes(notes, scene.limits)
         return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
 
     @classmethod
@@ -174,7 +175,12 @@ class Scene:
         qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
         home = model.qpos0.copy()
         home[list(held_still)] = list(held_still.values())
-        notes = replace(notes, entities=roles.custom_entities(model) | dict(notes.entities))
+        notes = replace(
+            notes,
+            entities=roles.custom_entities(model) | dict(notes.entities),
+            # Kept here, since adding a joint to a MjSpec spoils its keyframes.
+            keyframes=model_keyframes(model, qpos_adr) | dict(notes.keyframes),
+        )
         components = roles.find_components(model, notes, robot)
         return cls(
             model=model,
@@ -185,7 +191,7 @@ class Scene:
             components=components,
             entities=roles.find_entities(model, notes, robot, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
-            keyframes=find_keyframes(model, notes, qpos_adr, limits),
+            keyframes=find_keyframes(notes),
             allowed_contacts=declared_contacts(model, notes, tool_body),
             notes=notes,
             robot_bodies=robot,

@@ -54,7 +54,7 @@ from graceful_plan.exceptions import GracefulPlanError, SceneError
 from graceful_plan.robots import robot_file, robots
 from graceful_plan.scene import Scene
 from graceful_plan.severity import SeverityTable
-from graceful_plan.tasks import find_tasks
+from graceful_plan.tasks import check_keyframes, find_tasks
 from graceful_plan.yaml_file import Block, read_yaml
 
 T = TypeVar("T")
@@ -76,6 +76,7 @@ def read_scene(file: Path) -> Scene:
     scene = Scene.build(_spec(root, file, notes.robot), notes)
     # Complain now about what would fail only when somebody plans a task.
     roles.check_objects(scene.model, notes, scene.robot_bodies)
+    check_keyframes(notes, scene.limits)
     find_tasks(scene)
     return scene
 

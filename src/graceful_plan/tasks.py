@@ -21,22 +21,31 @@ Array = np.ndarray
 _SLACK = 1e-6
 
 
-def find_keyframes(
-    model: mujoco.MjModel, notes: Notes, qpos_adr: Int[Array, " nq"], limits: Limits
-) -> Mapping[str, Float[Array, " nq"]]:
-    """Return the model's own keyframes, seen by the planned joints, and those of the notes.
+def model_keyframes(model: mujoco.MjModel, qpos_adr: Int[Array, " nq"]) -> dict[str, tuple[float, ...]]:
+    """Return the model's own keyframes, as far as the planned joints go."""
+    return {
+        model.key(i).name: tuple(model.key_qpos[i][qpos_adr].tolist()) for i in range(model.nkey) if model.key(i).name
+    }
 
-    Raises:
-        ShapeError: If one of the notes has the wrong number of joints.
-        SettingError: If one of the notes is outside of the limits.
-    """
-    found = {model.key(i).name: model.key_qpos[i][qpos_adr] for i in range(model.nkey) if model.key(i).name}
-    for name, q in notes.keyframes.items():
-        with notes.about(f"keyframes.{name}"):
-            found[name] = _configuration(f"keyframe {name!r}", q, limits)
+
+def find_keyframes(notes: Notes) -> Mapping[str, Float[Array, " _"]]:
+    """Return the keyframes of the notes as arrays that cannot be written to."""
+    found = {name: np.array(q, dtype=float) for name, q in notes.keyframes.items()}
     for q in found.values():
         q.flags.writeable = False
     return MappingProxyType(found)
+
+
+def check_keyframes(notes: Notes, limits: Limits) -> None:
+    """Check declared keyframes. Those of a model are not: many models have some outside of their limits.
+
+    Raises:
+        ShapeError: If one has the wrong number of joints.
+        SettingError: If one is outside of the limits.
+    """
+    for name, q in notes.keyframes.items():
+        with notes.about(f"keyframes.{name}"):
+            _configuration(f"keyframe {name!r}", q, limits)
 
 
 def find_tasks(scene: Scene) -> Mapping[str, Task]:
