@@ -227,6 +227,7 @@ class Notes:
     support: tuple[str, ...] = ()
     """What the held object may touch at the ends of a path."""
     file: str | None = None
+    """The scene file while it is being read; later mistakes are not its fault."""
     lines: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     """Where things stand in that file, by dotted name such as "entities.mug"."""
 
@@ -236,10 +237,10 @@ class Notes:
         try:
             yield
         except GracefulPlanError as error:
-            if self.file is None or place not in self.lines or getattr(error, "file", None) is not None:
+            if self.file is None or getattr(error, "file", None) is not None:
                 raise
             kind = type(error) if isinstance(error, SceneError) else SceneError
-            raise kind(f"{place}: {error}", file=self.file, line=self.lines[place]) from error
+            raise kind(f"{place}: {error}", file=self.file, line=self.lines.get(place)) from error
 
 
 def _check_positive(name: str, value: float) -> None:

@@ -208,14 +208,6 @@ def held_note(
     )
 
 
-def check_objects(model: mujoco.MjModel, notes: Notes, robot: Collection[int]) -> None:
-    """Raise what attaching one of the declared objects would raise."""
-    for name in notes.objects:
-        with notes.about(f"objects.{name}"):
-            holding = replace(notes, held=held_note(model, notes, robot, name))
-            find_entities(model, holding, robot, find_components(model, holding, robot))
-
-
 def free_joint(model: mujoco.MjModel, body: int) -> int:
     """Return the address in qpos of a body's free joint; -1 if it has none."""
     joint = int(model.body_jntadr[body])

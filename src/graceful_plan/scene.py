@@ -167,10 +167,14 @@ class Scene:
         """Make a scene of a MjSpec, which must not change any more, and notes. For loaders; users call `from_mjcf`."""
         model = _compile(spec, notes) if compiled is None else compiled
         with notes.about("robot"):
-            tool_body = int(model.site_bodyid[find(model, _OBJ.mjOBJ_SITE, "tool site", notes.tool)])
             robot = robot_bodies(model, notes.robot)
+        with notes.about("tool"):
+            tool_body = int(model.site_bodyid[find(model, _OBJ.mjOBJ_SITE, "tool site", notes.tool)])
             joints = planned_joints(model, tool_body, robot)
+        with notes.about("robot"):
             limits = joint_limits(model, joints, notes)
+            components = roles.find_components(model, notes, robot)
+        with notes.about("fingers"):
             held_still = finger_positions(model, robot, joints, tool_body, notes)
         qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
         home = model.qpos0.copy()
@@ -181,7 +185,6 @@ class Scene:
             # Kept here, since adding a joint to a MjSpec spoils its keyframes.
             keyframes=model_keyframes(model, qpos_adr) | dict(notes.keyframes),
         )
-        components = roles.find_components(model, notes, robot)
         return cls(
             model=model,
             joints=tuple(names(model, _OBJ.mjOBJ_JOINT, joints)),
@@ -191,7 +194,7 @@ class Scene:
             components=components,
             entities=roles.find_entities(model, notes, robot, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
-            keyframes=find_keyframes(notes),
+            keyframes=find_keyframes(notes, len(joints)),
             allowed_contacts=declared_contacts(model, notes, tool_body),
             notes=notes,
             robot_bodies=robot,

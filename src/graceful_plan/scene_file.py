@@ -41,7 +41,7 @@ allowed_contacts:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -74,11 +74,19 @@ def read_scene(file: Path) -> Scene:
         raise root["version"].error("only version 1 of scene files is known")
     notes = _notes(root, file)
     scene = Scene.build(_spec(root, file, notes.robot), notes)
-    # Complain now about what would fail only when somebody plans a task.
-    roles.check_objects(scene.model, notes, scene.robot_bodies)
+    _check_promises(scene)
+    return replace(scene, notes=replace(scene.notes, file=None, lines={}))
+
+
+def _check_promises(scene: Scene) -> None:
+    """Complain now, with a line, about what would fail only when somebody plans a task."""
+    notes = scene.notes
     check_keyframes(notes, scene.limits)
+    for name in notes.objects:
+        with notes.about(f"objects.{name}"):
+            held = roles.held_note(scene.model, notes, scene.robot_bodies, name)
+            Scene.build(scene.spec, replace(notes, held=held, file=None), scene.model)
     find_tasks(scene)
-    return scene
 
 
 @dataclass

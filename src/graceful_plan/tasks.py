@@ -28,11 +28,16 @@ def model_keyframes(model: mujoco.MjModel, qpos_adr: Int[Array, " nq"]) -> dict[
     }
 
 
-def find_keyframes(notes: Notes) -> Mapping[str, Float[Array, " _"]]:
-    """Return the keyframes of the notes as arrays that cannot be written to."""
-    found = {name: np.array(q, dtype=float) for name, q in notes.keyframes.items()}
-    for q in found.values():
-        q.flags.writeable = False
+def find_keyframes(notes: Notes, nq: int) -> Mapping[str, Float[Array, " nq"]]:
+    """Return the keyframes of the notes as arrays that cannot be written to.
+
+    Raises:
+        ShapeError: If one has the wrong number of joints.
+    """
+    found = {}
+    for name, values in notes.keyframes.items():
+        with notes.about(f"keyframes.{name}"):
+            found[name] = _configuration(f"keyframe {name!r}", values, nq)
     return MappingProxyType(found)
 
 
@@ -40,12 +45,11 @@ def check_keyframes(notes: Notes, limits: Limits) -> None:
     """Check declared keyframes. Those of a model are not: many models have some outside of their limits.
 
     Raises:
-        ShapeError: If one has the wrong number of joints.
         SettingError: If one is outside of the limits.
     """
     for name, q in notes.keyframes.items():
         with notes.about(f"keyframes.{name}"):
-            _configuration(f"keyframe {name!r}", q, limits)
+            _check_limits(f"keyframe {name!r}", np.array(q), limits)
 
 
 def find_tasks(scene: Scene) -> Mapping[str, Task]:
@@ -81,19 +85,26 @@ def _task(scene: Scene, name: str, note: TaskNote) -> Task:
 
 def _end(scene: Scene, given: str | tuple[float, ...]) -> Float[Array, " nq"]:
     if not isinstance(given, str):
-        return _configuration("configuration", given, scene.limits)
-    if given not in scene.keyframes:
+        q = _configuration("configuration", given, len(scene.joints))
+    elif given in scene.keyframes:
+        q = scene.keyframes[given]
+    else:
         raise UnknownNameError("keyframe", given, scene.keyframes)
-    return scene.keyframes[given]
+    _check_limits("configuration" if not isinstance(given, str) else f"keyframe {given!r}", q, scene.limits)
+    return q
 
 
-def _configuration(name: str, values: tuple[float, ...], limits: Limits) -> Float[Array, " nq"]:
+def _configuration(name: str, values: tuple[float, ...], nq: int) -> Float[Array, " nq"]:
     q = np.array(values, dtype=float)
+    if q.shape != (nq,):
+        raise ShapeError(name, q.shape, f"({nq},), one number for each planned joint")
+    q.flags.writeable = False
+    return q
+
+
+def _check_limits(name: str, q: Float[Array, " nq"], limits: Limits) -> None:
     lower, upper = limits.position.T
-    if q.shape != lower.shape:
-        raise ShapeError(name, q.shape, f"({len(lower)},), one number for each planned joint")
     outside = np.flatnonzero((q < lower - _SLACK) | (q > upper + _SLACK))
     if len(outside):
         j = int(outside[0])
         raise SettingError(f"joint {j} of {name}", float(q[j]), f"between {lower[j]:g} and {upper[j]:g}")
-    return q

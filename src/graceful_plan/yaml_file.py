@@ -154,7 +154,7 @@ def parse_yaml(text: str, file: str) -> Block:
         raise SceneError(f"broken YAML: {' '.join(str(error).split())}", file=file) from None
     if not isinstance(root, yaml.MappingNode):
         raise SceneError("has to be a mapping at its top", file=file, line=1)
-    return _block(root, file, Path(file).name)
+    return _block(root, file, Path(file).name, root.start_mark.line + 1)
 
 
 def _screen(text: str, file: str) -> None:
@@ -172,8 +172,7 @@ def _screen(text: str, file: str) -> None:
             raise SceneError(f"more than {MAX_VALUES} values", file=file, line=line)
 
 
-def _block(node: yaml.Node, file: str, name: str) -> Block:
-    line = node.start_mark.line + 1
+def _block(node: yaml.Node, file: str, name: str, line: int) -> Block:
     if node.tag not in _PLAIN_TAGS:
         raise SceneError(f"the tag {node.tag} is not allowed", file=file, line=line)
     value: dict[str, Block] | list[Block] | str
@@ -185,9 +184,9 @@ def _block(node: yaml.Node, file: str, name: str) -> Block:
                 raise SceneError(f"a key of {name} is not text; put it in quotes", file=file, line=key_line)
             if key.value in value:
                 raise SceneError(f"the key {key.value!r} of {name} stands twice", file=file, line=key_line)
-            value[key.value] = _block(child, file, f"{name}.{key.value}")
+            value[key.value] = _block(child, file, f"{name}.{key.value}", key_line)
     elif isinstance(node, yaml.SequenceNode):
-        value = [_block(child, file, f"{name}[{i}]") for i, child in enumerate(node.value)]
+        value = [_block(child, file, f"{name}[{i}]", child.start_mark.line + 1) for i, child in enumerate(node.value)]
     else:
         value = node.value
     return Block(file, line, name, value, node.tag)
