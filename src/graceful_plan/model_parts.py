@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from graceful_plan.elements import Limits, Notes
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
@@ -55,8 +55,8 @@ def subtree(model: mujoco.MjModel, body: int) -> frozenset[int]:
     """Return a body and everything that hangs on it; the world stands for itself alone."""
     inside = {body}
     if body != 0:
-        for other in range(body + 1, model.nbody):  # parents come first
-            if int(model.body_parentid[other]) in inside:
+        for other, parent in enumerate(model.body_parentid.tolist()):  # parents come first
+            if parent in inside:
                 inside.add(other)
     return frozenset(inside)
 
@@ -66,16 +66,17 @@ def rigid_group(model: mujoco.MjModel, body: int) -> frozenset[int]:
     return frozenset(b for b in subtree(model, body) if model.body_weldid[b] == model.body_weldid[body])
 
 
-def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom takes part in collisions at all."""
-    if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-        return True
-    return bool(np.any(model.pair_geom1 == geom) or np.any(model.pair_geom2 == geom))
+def collides(model: mujoco.MjModel) -> Bool[Array, " geom"]:
+    """Tell which geoms take part in collisions at all."""
+    taking_part = (np.asarray(model.geom_contype) != 0) | (np.asarray(model.geom_conaffinity) != 0)
+    taking_part[model.pair_geom1] = taking_part[model.pair_geom2] = True
+    return taking_part
 
 
 def colliding_geoms(model: mujoco.MjModel, bodies: Collection[int]) -> tuple[int, ...]:
     """Return the geoms of some bodies that can collide, ascending."""
-    return tuple(g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in bodies and collides(model, g))
+    mine = np.isin(model.geom_bodyid, list(bodies))
+    return tuple(np.flatnonzero(mine & collides(model)).tolist())
 
 
 def check_supported(model: mujoco.MjModel) -> None:
@@ -85,9 +86,9 @@ def check_supported(model: mujoco.MjModel) -> None:
         UnsupportedError: Naming them all.
     """
     problems = []
-    for geom in range(model.ngeom):
+    for geom in np.flatnonzero(collides(model)).tolist():
         kind = _GEOM(model.geom_type[geom])
-        if collides(model, geom) and kind not in SUPPORTED_GEOMS:
+        if kind not in SUPPORTED_GEOMS:
             problems.append(f"geom {geom_label(model, geom)!r} of type {kind.name.removeprefix('mjGEOM_').lower()}")
     if model.opt.disableflags & _NO_CONTACTS:
         problems.append("contacts switched off by <flag>")
