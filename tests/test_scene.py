@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import dataclasses
 import gc
+import re
 from pathlib import Path
 
 import mujoco
@@ -445,7 +447,23 @@ def test_contacts_of_random_configurations_are_among_the_pairs(name: str) -> Non
 
 
 def test_pairs_and_poses_cannot_be_written_to(tabletop: Scene) -> None:
-    for array in (tabletop.collision_pairs(), tabletop.keyframes["lift"], tabletop.tasks["lift_to_goal"].goal):
+    task = tabletop.tasks["lift_to_goal"]
+    assert task.scene.carried is not None
+    limits = tabletop.limits
+    for array in (
+        tabletop.collision_pairs(),
+        tabletop.keyframes["lift"],
+        tabletop.home_qpos,
+        tabletop.qpos_adr,
+        limits.position,
+        limits.velocity,
+        limits.acceleration,
+        limits.torque,
+        task.goal,
+        task.start,
+        task.scene.carried.X_TO,
+        tabletop.attach("white1").carried.X_TO,  # type: ignore[union-attr]
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
@@ -517,6 +535,11 @@ def test_a_configuration_has_the_right_shape(tabletop: Scene) -> None:
         tabletop.data_at([0.0] * 6)
     with pytest.raises(NonFiniteError, match="q is not finite"):
         tabletop.data_at([np.nan] * 7)
+
+
+def test_the_table_of_fields_is_true() -> None:
+    table = re.findall(r"^    \| (\w+) +\|", Scene.__doc__ or "", flags=re.MULTILINE)
+    assert table[1:] == [field.name for field in dataclasses.fields(Scene)]
 
 
 def test_scenes_are_equal_only_to_themselves(tabletop: Scene) -> None:

@@ -7,7 +7,7 @@ harmed. `Notes` is everything a scene knows beyond its MuJoCo model, from a scen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -232,7 +232,7 @@ class Notes:
     """Where things stand in that file, by dotted name such as "entities.mug"."""
 
     @contextmanager
-    def about(self, place: str) -> Iterator[None]:
+    def about(self, place: str) -> Generator[None, None, None]:
         """Turn errors about something from a scene file into a SceneError with file and line."""
         try:
             yield

@@ -180,12 +180,15 @@ def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -
     torque = _limit(model, joints, notes, "torque", notes.torque)
     if torque is None:
         torque = np.array([_torque(model, j) for j in joints])
-    return Limits(
+    limits = Limits(
         position=np.array([_range(model, j) for j in joints]),
         velocity=_needed_limit(model, joints, notes, "velocity", notes.velocity),
         acceleration=_needed_limit(model, joints, notes, "acceleration", notes.acceleration),
         torque=torque,
     )
+    for values in (limits.position, limits.velocity, limits.acceleration, limits.torque):
+        values.flags.writeable = False
+    return limits
 
 
 def _needed_limit(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,8 +31,10 @@ from graceful_plan.severity import check_severity
 Array = np.ndarray
 
 _OBJ = mujoco.mjtObj
+_Severity = float | Mapping[str, float]
 
 FROM_ABOVE = np.diag([1.0, -1.0, -1.0, 1.0])
+FROM_ABOVE.flags.writeable = False
 """Default grasp X_TO: the object's origin at the tool, upright while the tool points down."""
 
 
@@ -126,8 +129,9 @@ def find_entities(
     return MappingProxyType(entities)
 
 
-def _split_overrides(notes: Notes) -> tuple[dict, dict]:
-    by_entity, by_class = {}, {}
+def _split_overrides(notes: Notes) -> tuple[dict[str, Any], dict[str, Any]]:
+    by_entity: dict[str, Any] = {}
+    by_class: dict[str, Any] = {}
     for name, value in notes.overrides.items():
         with notes.about(f"severity.{name}"):
             if name in notes.entities:
@@ -141,7 +145,7 @@ def _split_overrides(notes: Notes) -> tuple[dict, dict]:
     return by_entity, by_class
 
 
-def _by_component(name: str, value: float | Mapping[str, float] | None) -> dict[str, float]:
+def _by_component(name: str, value: _Severity | None) -> dict[str, float]:
     if value is None:
         return {}
     if not isinstance(value, Mapping):

@@ -114,7 +114,8 @@ class Scene:
         """Make a scene from any MJCF model with an arm in it.
 
         Args:
-            source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first.
+            source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
+                name other files only in the same folder and below; a MjSpec is trusted.
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
             tool: Name of the site that stands for the tool. The hinges and slides between the world and it are planned.
             carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
@@ -179,6 +180,7 @@ class Scene:
         qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
         home = model.qpos0.copy()
         home[list(held_still)] = list(held_still.values())
+        home.flags.writeable = qpos_adr.flags.writeable = False
         notes = replace(
             notes,
             entities=roles.custom_entities(model) | dict(notes.entities),
