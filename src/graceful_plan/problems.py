@@ -92,6 +92,8 @@ class FunctionProblem(Problem):
         """Tell which straight edges are free of obstacles."""
         if self.edge_free is not None:
             return np.asarray(self.edge_free(q0, q1), dtype=bool)
+        if self.free is _everywhere:
+            return np.ones(len(q0), dtype=bool)
         points, _, begin = _pieces(q0, q1, self.step)
         return np.logical_and.reduceat(self.states_free(points), begin) if len(begin) else np.zeros(0, dtype=bool)
 

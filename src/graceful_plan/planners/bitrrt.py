@@ -57,9 +57,9 @@ class _Side:
         """Add `q` behind node `near` if the edge is free and its climb, as travelled, is accepted."""
         here = self.tree.q[near]
         q0, q1 = (here, q) if self.forward else (q, here)
-        if not self.questions.edges_free(q0[None], q1[None])[0]:
+        if not self.questions.edge_free(q0, q1):
             return None
-        cost = float(self.questions.state_costs(q[None])[0])
+        cost = self.questions.state_cost(q)
         ends = (self.tree.costs[near], cost) if self.forward else (cost, self.tree.costs[near])
         if not self.test.accepts(*ends, distance):
             return None

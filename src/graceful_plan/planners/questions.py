@@ -73,6 +73,14 @@ class Questions:
         """
         return self._sliced("edges", self._totals, q0, q1)
 
+    def edge_free(self, q0: Float[Array, " nq"], q1: Float[Array, " nq"]) -> bool:
+        """Tell whether one edge is free, without a look at the clock."""
+        return bool(self.problem.edges_free(q0[None], q1[None])[0])
+
+    def state_cost(self, q: Float[Array, " nq"]) -> float:
+        """Weighted impact of one configuration, without a look at the clock."""
+        return self.objective.w * float(self.objective.states(q[None])[0]) if self.objective.w else 0.0
+
     def path_cost(self, path: Path) -> float:
         """Total cost of a path, asked in one piece so that a path found in the last moment is not lost.
 

@@ -125,9 +125,9 @@ def _extend(
     tree: Tree, near: int, q: np.ndarray, distance: float, questions: Questions, test: TransitionTest
 ) -> int | None:
     """Add `q` behind node `near` if the edge is free and the climb accepted."""
-    if not questions.edges_free(tree.q[near][None], q[None])[0]:
+    if not questions.edge_free(tree.q[near], q):
         return None
-    cost = float(questions.state_costs(q[None])[0])
+    cost = questions.state_cost(q)
     if not test.accepts(tree.costs[near], cost, distance):
         return None
     return tree.add(q, cost, near)
