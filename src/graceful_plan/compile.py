@@ -179,7 +179,10 @@ def _robot_arrays(
     protrusion = 0.0
     for group in groups:
         link = len(parent)
-        parent.append(group.frame), joint.append(-1), slide.append(0), X_PL.append(np.eye(4))
+        parent.append(group.frame)
+        joint.append(-1)
+        slide.append(0)
+        X_PL.append(np.eye(4))
         centres, radii, sticks_out = _cover_group(scene.model, data, frames.X_W[group.frame], group.geoms)
         protrusion = max(protrusion, sticks_out)
         spheres.append(np.column_stack([centres, radii]))
@@ -251,7 +254,7 @@ def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " 
 
 
 def _cover_geom(model: mujoco.MjModel, geom: int) -> sphere_cover.Cover:
-    size = tuple(float(v) for v in model.geom_size[geom])
+    size = (float(model.geom_size[geom, 0]), float(model.geom_size[geom, 1]), float(model.geom_size[geom, 2]))
     kind = _KIND.get(_GEOM(int(model.geom_type[geom])))
     if kind == "sphere":
         return sphere_cover.sphere_cover(size[0])

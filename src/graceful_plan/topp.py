@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -109,7 +110,7 @@ def fastest_with_toppra(
     from toppra.constraint import SecondOrderConstraint as Torque
 
     scheme = DiscretizationType.Interpolation
-    constraints = [
+    constraints: list[Any] = [
         JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
         JointAccelerationConstraint(np.stack([-acceleration, acceleration], axis=1), discretization_scheme=scheme),
     ]

@@ -86,8 +86,10 @@ class SceneObjective:
     def kernel_severity(self) -> Float[Array, "component entity"] | None:
         """Severities with which the native kernel computes the edge costs, None if it cannot."""
         impact = self.objective.impact
-        on_kernel = self.motion_is_length and self.objective.exposure == "length" and isinstance(impact, ImpactCost)
-        return impact.severity(self.scene) if on_kernel and impact.on_kernel() else None
+        if not isinstance(impact, ImpactCost) or not impact.on_kernel():
+            return None
+        by_length = self.motion_is_length and self.objective.exposure == "length"
+        return impact.severity(self.scene) if by_length else None
 
     def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
         """Impact given a failure at each state, at rest."""

@@ -7,7 +7,7 @@ information, which owns it. States are read with `s[0:n]`; none is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import dist
@@ -34,7 +34,7 @@ _PROVEN = 1e-8  # relative gap to the least possible cost at which a path is the
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _quiet() -> Generator[None, None, None]:
     """Silence OMPL's console output, for it reports normal events (such as seeding again) as errors."""
     level = ou.getLogLevel()
     ou.setLogLevel(ou.LOG_NONE)

@@ -204,7 +204,7 @@ def _are_free(
         return []
     problem = questions.problem
     inside = [bool(np.all((proposals[k].q >= problem.lower) & (proposals[k].q <= problem.upper))) for k in order]
-    edges = np.concatenate([np.arange(begin[k], begin[k + 1]) for k in order])
+    edges = np.concatenate([np.arange(int(begin[k]), int(begin[k + 1])) for k in order])
     free = questions.edges_free(q0[edges], q1[edges])
     ends = np.cumsum([begin[k + 1] - begin[k] for k in order])[:-1]
     return [ok and bool(part.all()) for ok, part in zip(inside, np.split(free, ends), strict=True)]

@@ -111,7 +111,7 @@ def _check_gradient(cost: Cost, states: _RandomStates) -> Findings:
     error = np.abs(gradient - expected)
     allowed = _GRADIENT_TOLERANCE * max(float(np.abs(expected).max()), float(np.abs(gradient).max()))
     # a cost may have kinks: a few states next to one are forgiven
-    wrong = (error > allowed).any(axis=1)
+    wrong = np.atleast_1d((error > allowed).any(axis=1))
     if wrong.mean() > 0.05:
         state, joint = np.unravel_index(int(np.argmax(error)), error.shape)
         yield (

@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -148,7 +149,7 @@ def _check_settings(planner: object) -> Findings:
     if not isinstance(planner, Planner):
         yield "is not a graceful_plan.planners.Planner"
         return
-    frozen = dataclasses.is_dataclass(planner) and type(planner).__dataclass_params__.frozen
+    frozen = dataclasses.is_dataclass(planner) and getattr(type(planner), "__dataclass_params__").frozen  # noqa: B009
     if not frozen:
         yield "is not a frozen dataclass"
     if not isinstance(getattr(planner, "name", None), str) or not planner.name:
@@ -193,13 +194,18 @@ def _check_solution(planner: Planner, trial: PlannerTrial) -> Findings:
         yield f"spent {budget.spent} of {trial.iterations} iterations"
 
 
+def _global_random_state() -> Array:
+    state: Any = np.random.get_state()  # noqa: NPY002 - to see whether somebody else touches it
+    return state[1].copy()
+
+
 def _check_determinism(planner: Planner, trial: PlannerTrial) -> Findings:
     """The same seed."""
-    before = np.random.get_state()[1].copy()  # noqa: NPY002 - to see whether somebody else touches it
+    before = _global_random_state()
     first, second = (_run(planner, _around_block(), _hill(), trial) for _ in range(2))
     if len(first) != len(second) or not all(np.array_equal(a.q, b.q) for a, b in zip(first, second, strict=True)):
         yield "gave different paths for the same seed and number of iterations"
-    if not np.array_equal(before, np.random.get_state()[1]):  # noqa: NPY002
+    if not np.array_equal(before, _global_random_state()):
         yield "drew from numpy's global random state instead of `rng`"
 
 
