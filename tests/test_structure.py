@@ -21,9 +21,9 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
-    {"costs"},
+    {"costs", "checks"},
     {"planners"},
-    {"plan", "problems", "testing", "tuning"},
+    {"plan", "search", "finish", "escape", "problems", "testing"},
     {"__init__"},
     {"cli", "demo", "doctor", "viz"},
 )

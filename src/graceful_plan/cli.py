@@ -184,13 +184,17 @@ def _planners(args: argparse.Namespace) -> int:
         name: {
             "summary": (planner.__doc__ or "").strip().splitlines()[0],
             "anytime": planner.anytime,
-            "settings": {field.name: repr(field.default) for field in dataclasses.fields(planner)},
+            "settings": {field.name: repr(field.default) for field in _settings(planner)},
         }
         for name, planner in gp.PLANNERS.items()
     }
     rows = [[name, "yes" if entry["anytime"] else "no", entry["summary"]] for name, entry in document.items()]
     _print(args, document, documents.table(["planner", "anytime", ""], rows))
     return DONE
+
+
+def _settings(planner: Any) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(planner)
 
 
 def _doctor(args: argparse.Namespace) -> int:

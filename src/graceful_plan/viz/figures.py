@@ -23,7 +23,7 @@ PATH_COLOURS = ("#111111", "#0b62c4", "#00805a", "#a3408f")
 _LINE_STYLES = ((0, (5, 2)), "-", (0, (1, 1)), (0, (6, 2, 1, 2)))
 _HEAT = ("#ffffff", "#fff3c4", "#fed976", "#fd8d3c", "#e31a1c", "#8c0d26")
 """White where nothing is at stake, darker with the impact."""
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
