@@ -12,6 +12,7 @@ from graceful_plan.exact import Judge, first_collision, state_contacts
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.motion_samples import motion_samples, reach
 from graceful_plan.path import Path
+from graceful_plan.placement import Placement
 from graceful_plan.pose_goal import PoseGoal
 from graceful_plan.reference_cost import reference_cost, reference_probability
 from graceful_plan.result import CostBreakdown
@@ -194,11 +195,11 @@ def test_no_point_moves_farther_than_the_step_between_samples(scene: Scene, kind
     path = _path((0.5, 0.0), (-1.0, 0.8), (2.0, -1.0))
     motion = path if kind == "path" else _timed(path, scene)
     samples = motion_samples(motion, scene, 0.01)
-    judge, geoms = Judge(scene), [*scene.components["body"].geoms, *scene.components["carried"].geoms]
+    placement, geoms = Placement(scene), [*scene.components["body"].geoms, *scene.components["carried"].geoms]
     model, corners = scene.model, np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     points = []
     for q in samples.q:
-        data = judge.place(q)
+        data = placement.place(q)
         box = model.geom_aabb[geoms, :3][:, None] + corners * model.geom_aabb[geoms, 3:][:, None]
         R = data.geom_xmat[geoms].reshape(-1, 3, 3)
         points.append(data.geom_xpos[geoms][:, None] + np.einsum("gij,gcj->gci", R, box))
@@ -213,6 +214,14 @@ def test_reach_of_a_known_arm(empty_handed: Scene, scene: Scene) -> None:
     np.testing.assert_allclose(reach(empty_handed), [0.45 + 0.325, 0.325], atol=1e-9)
     # The mug's bounding sphere, at the tool.
     assert reach(scene)[1] == pytest.approx(0.36 + 0.04 * np.sqrt(3.0))
+
+
+def test_placement_is_where_the_scene_says(scene: Scene) -> None:
+    placement = Placement(scene)
+    for q in np.random.default_rng(0).uniform(*scene.limits.position.T, size=(5, 2)):
+        data, expected = placement.place(q), scene.data_at(q)
+        np.testing.assert_allclose(data.geom_xpos, expected.geom_xpos, atol=1e-12)
+        np.testing.assert_allclose(data.geom_xmat, expected.geom_xmat, atol=1e-12)
 
 
 def test_a_motion_without_motion(scene: Scene) -> None:

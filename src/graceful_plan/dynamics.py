@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from graceful_plan.exact import Judge
+from graceful_plan.placement import Placement
 from graceful_plan.scene import Scene
 
 Array = np.ndarray
@@ -20,8 +20,8 @@ class RobotDynamics:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._judge = Judge(scene)
-        model = self._judge.model
+        self._placement = Placement(scene)
+        model = self._placement.model
         joints = [model.joint(name).id for name in scene.joints]
         self._dofs = model.jnt_dofadr[joints]
         self._tool_body = int(model.site_bodyid[model.site(scene.tool).id])
@@ -31,7 +31,7 @@ class RobotDynamics:
         self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]
     ) -> Float[Array, " nq"]:
         """Return the joint torques [N m or N] for a state and an acceleration."""
-        model, data = self._judge.model, self._judge.place(q)
+        model, data = self._placement.model, self._placement.place(q)
         data.qvel[:] = data.qacc[:] = 0.0
         data.qvel[self._dofs], data.qacc[self._dofs] = qd, qdd
         mujoco.mj_comPos(model, data)
@@ -46,7 +46,7 @@ class RobotDynamics:
 
     def _of_load(self, body: int, data: mujoco.MjData) -> Float[Array, " nv"]:
         """Torques that accelerate a body of the carried object and hold it, by virtual work."""
-        model = self._judge.model
+        model = self._placement.model
         J_v, J_w, dJ_v, dJ_w = (np.zeros((3, model.nv)) for _ in range(4))
         centre = data.xipos[body].copy()
         mujoco.mj_jac(model, data, J_v, J_w, centre, self._tool_body)

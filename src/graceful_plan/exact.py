@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 from graceful_plan.model_parts import geom_label
 from graceful_plan.motion_samples import motion_samples
 from graceful_plan.path import Path
+from graceful_plan.placement import Placement
 from graceful_plan.scene import Scene
 from graceful_plan.trajectory import Trajectory
 
@@ -68,19 +69,9 @@ class Judge:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.model, self._checked, self._ends = _prepared(scene)
+        model, self._checked, self._ends = _prepared(scene)
+        self._placement = Placement(scene, model)
         self._movers = frozenset(scene.collision_pairs()[:, 0].tolist())
-        self._data = mujoco.MjData(self.model)
-        self._data.qpos[:] = scene.home_qpos
-        self._adr = scene.qpos_adr
-        self._carried_adr = -1
-        if scene.carried is not None:
-            body = self.model.body(scene.carried.body).id
-            self._carried_adr = int(self.model.jnt_qposadr[self.model.body_jntadr[body]])
-            self._quat_TO = np.zeros(4)
-            mujoco.mju_mat2Quat(self._quat_TO, np.ascontiguousarray(scene.carried.X_TO[:3, :3]).ravel())
-            self._p_TO = np.ascontiguousarray(scene.carried.X_TO[:3, 3])
-        self._site = self._data.site(scene.tool)
 
     def touches(self, q: Float[Array, "n nq"], start: int = 0) -> Iterator[Touch]:
         """Yield what overlaps in each configuration, in order; allowed contacts at the ends are in it, others are not.
@@ -89,9 +80,9 @@ class Judge:
             q: Configurations.
             start: What to call the first one.
         """
-        model, data = self.model, self._data
+        model = self._placement.model
         for sample, configuration in enumerate(q, start):
-            self.place(configuration)
+            data = self._placement.place(configuration)
             mujoco.mj_collision(model, data)
             if data.ncon:
                 contact = data.contact
@@ -99,22 +90,6 @@ class Judge:
                 for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
                     if distance < 0.0 and self._checked[a, b]:
                         yield Touch(sample, min(a, b), max(a, b), distance)
-
-    def place(self, q: Float[Array, " nq"]) -> mujoco.MjData:
-        """Put robot and carried object where a configuration puts them; the data are overwritten by the next call."""
-        data = self._data
-        data.qpos[self._adr] = q
-        mujoco.mj_kinematics(self.model, data)
-        if self._carried_adr >= 0:
-            adr = self._carried_adr
-            quat_WT, p_WO, quat_WO = np.zeros(4), np.zeros(3), np.zeros(4)
-            mujoco.mju_mat2Quat(quat_WT, self._site.xmat)
-            mujoco.mju_rotVecQuat(p_WO, self._p_TO, quat_WT)
-            mujoco.mju_mulQuat(quat_WO, quat_WT, self._quat_TO)
-            data.qpos[adr : adr + 3] = p_WO + self._site.xpos
-            data.qpos[adr + 3 : adr + 7] = quat_WO
-            mujoco.mj_kinematics(self.model, data)
-        return data
 
     def is_violation(self, touch: Touch, *, at_end: bool) -> bool:
         """Whether a touch is a collision, given whether it belongs to the stretch of contact at an end of the path."""

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from graceful_plan.exact import Judge
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
+from graceful_plan.placement import Placement
 from graceful_plan.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene import Scene
 
@@ -128,8 +128,8 @@ class _Solver:
     """Iterations towards one pose."""
 
     def __init__(self, goal: PoseGoal, scene: Scene) -> None:
-        self.goal, self.scene, self.judge = goal, scene, Judge(scene)
-        self.model = self.judge.model
+        self.goal, self.scene, self.placement = goal, scene, Placement(scene)
+        self.model = scene.model
         self.site = self.model.site(scene.tool).id
         self.dofs = self.model.jnt_dofadr[[self.model.joint(name).id for name in scene.joints]]
         self.lower, self.upper = scene.limits.position.T
@@ -179,7 +179,7 @@ class _Solver:
         limits = [mink.ConfigurationLimit(self.model)]
         ended = q.copy()
         for i, seed in enumerate(q):
-            configuration = mink.Configuration(self.model, self.judge.place(seed).qpos.copy())
+            configuration = mink.Configuration(self.model, self.placement.place(seed).qpos.copy())
             for _ in range(iterations):
                 velocity = mink.solve_ik(
                     configuration, [task], 1.0, "daqp", damping=1e-6, limits=limits, constraints=frozen
@@ -205,7 +205,7 @@ class _Solver:
         return near & (np.linalg.norm(error[:, 3:], axis=1) <= _PRECISION * self.goal.orientation_tolerance)
 
     def _pose(self, q: Float[Array, " nq"]) -> Float[Array, "4 4"]:
-        data = self.judge.place(q)
+        data = self.placement.place(q)
         X_WT = np.eye(4)
         X_WT[:3, :3] = data.site_xmat[self.site].reshape(3, 3)
         X_WT[:3, 3] = data.site_xpos[self.site]
@@ -217,7 +217,7 @@ class _Solver:
         full = np.empty((6, self.model.nv))
         R, goal = np.empty((len(q), 3, 3)), self.goal.X_WT
         for i, configuration in enumerate(q):
-            data = self.judge.place(configuration)
+            data = self.placement.place(configuration)
             mujoco.mj_comPos(self.model, data)
             mujoco.mj_jacSite(self.model, data, full[:3], full[3:], self.site)
             jacobian[i] = full[:, self.dofs]

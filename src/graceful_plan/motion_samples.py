@@ -7,13 +7,18 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
+from graceful_plan.model_parts import subtree
 from graceful_plan.path import Path
+from graceful_plan.placement import Placement
 from graceful_plan.scene import Scene
 from graceful_plan.trajectory import Trajectory
 
 Array = np.ndarray
+
+_NEIGHBOURHOOD = 0.06
+"""Size [m] of the stretches of a motion in each of which one bound on levers is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,31 +32,70 @@ class MotionSamples:
 
 def motion_samples(motion: Path | Trajectory, scene: Scene, step: float) -> MotionSamples:
     """Sample a motion so that no point of the robot or the carried object moves farther than `step` [m] in between."""
-    lever = reach(scene)
-    if isinstance(motion, Trajectory):
-        return _along_trajectory(motion, lever, step)
-    moved = np.abs(np.diff(motion.q, axis=0)) @ lever
-    at = np.concatenate([[0.0], np.cumsum(motion.segment_lengths)])
-    place = _subdivided(moved, step)
-    index = np.minimum(place.astype(int), max(len(motion) - 2, 0))
-    share = (place - index)[:, None]
     if len(motion) == 1:
-        return MotionSamples(motion.q, at)
-    q = (1.0 - share) * motion.q[index] + share * motion.q[index + 1]
-    return MotionSamples(q, np.interp(place, np.arange(len(at)), at))
+        return MotionSamples(motion.q, motion.t if isinstance(motion, Trajectory) else np.zeros(1))
+    travel = _travel(motion)
+    coarse = _subdivided(travel @ reach(scene), _NEIGHBOURHOOD)
+    middle, share = 0.5 * (coarse[:-1] + coarse[1:]), np.diff(coarse)
+    lever = _levers_near(_at(motion, middle).q, scene)
+    moved = share * (travel[middle.astype(int)] * lever).sum(axis=1)
+    return _at(motion, np.interp(_subdivided(moved, step), np.arange(len(coarse)), coarse))
 
 
-def _along_trajectory(trajectory: Trajectory, lever: Float[Array, " nq"], step: float) -> MotionSamples:
-    if len(trajectory) == 1:
-        return MotionSamples(trajectory.q, trajectory.t)
-    h = np.diff(trajectory.t)[:, None]
-    a0, a1 = trajectory.piece_accelerations
+def _travel(motion: Path | Trajectory) -> Float[Array, "piece nq"]:
+    """Bound how far each joint travels on each piece between samples or vertices."""
+    if isinstance(motion, Path):
+        return np.abs(np.diff(motion.q, axis=0))
+    h = np.diff(motion.t)[:, None]
+    a0, a1 = motion.piece_accelerations
     # The velocity is quadratic on a piece; its ends and the change that the accelerations allow bound it.
-    fastest = np.maximum(np.abs(trajectory.qd[:-1]), np.abs(trajectory.qd[1:]))
-    bulge = np.where(a0 * a1 < 0.0, 0.5 * h * np.minimum(np.abs(a0), np.abs(a1)), 0.0)
-    place = _subdivided((h * (fastest + bulge)) @ lever, step)
-    t = np.interp(place, np.arange(len(trajectory)), trajectory.t)
-    return MotionSamples(trajectory.at(t).q, t)
+    fastest = np.maximum(np.abs(motion.qd[:-1]), np.abs(motion.qd[1:]))
+    return h * (fastest + np.where(a0 * a1 < 0.0, 0.5 * h * np.minimum(np.abs(a0), np.abs(a1)), 0.0))
+
+
+def _at(motion: Path | Trajectory, place: Float[Array, " sample"]) -> MotionSamples:
+    """Evaluate a motion at fractional piece numbers."""
+    if isinstance(motion, Trajectory):
+        t = np.interp(place, np.arange(len(motion)), motion.t)
+        return MotionSamples(motion.at(t).q, t)
+    index = np.minimum(place.astype(int), len(motion) - 2)
+    share = (place - index)[:, None]
+    along = np.concatenate([[0.0], np.cumsum(motion.segment_lengths)])
+    q = (1.0 - share) * motion.q[index] + share * motion.q[index + 1]
+    return MotionSamples(q, np.interp(place, np.arange(len(along)), along))
+
+
+def _levers_near(q: Float[Array, "n nq"], scene: Scene) -> Float[Array, "n nq"]:
+    """Bound distances from the joints' axes, as `reach` does, but only in the neighbourhood of each configuration.
+
+    There no point is farther than half a `_NEIGHBOURHOOD` from where it is in that configuration.
+    """
+    model, placement = scene.model, Placement(scene)
+    joints = [model.joint(name).id for name in scene.joints]
+    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+    geoms, carries = _carried_geoms(scene)
+    centre = np.empty((len(q), 1, len(geoms), 3))
+    anchor, axis = np.empty((2, len(q), len(joints), 1, 3))
+    for i, configuration in enumerate(q):
+        data = placement.place(configuration)
+        centre[i, 0], anchor[i, :, 0], axis[i, :, 0] = data.geom_xpos[geoms], data.xanchor[joints], data.xaxis[joints]
+    # |axis x r|^2 = |r|^2 - (axis . r)^2
+    r = centre - anchor
+    squared = np.einsum("njgi,njgi->njg", r, r) - np.einsum("njgi,njgi->njg", r, np.broadcast_to(axis, r.shape)) ** 2
+    levers = np.where(carries, np.sqrt(np.maximum(squared, 0.0)) + model.geom_rbound[geoms], 0.0).max(axis=2)
+    return np.where(slides, 1.0, np.minimum(levers + 0.5 * _NEIGHBOURHOOD, reach(scene)))
+
+
+def _carried_geoms(scene: Scene) -> tuple[Int[Array, " geom"], Bool[Array, "nq geom"]]:
+    """Return the geoms that move, and which of them each planned joint moves."""
+    model = scene.model
+    held = [] if scene.carried is None else sorted(subtree(model, model.body(scene.carried.body).id))
+    below = []
+    for name in scene.joints:
+        moved = subtree(model, int(model.jnt_bodyid[model.joint(name).id])) | set(held)
+        below.append(np.isin(model.geom_bodyid, sorted(moved)))
+    geoms = np.flatnonzero(below[0])
+    return geoms, np.array(below)[:, geoms]
 
 
 def _subdivided(moved: Float[Array, " piece"], step: float) -> Float[Array, " sample"]:

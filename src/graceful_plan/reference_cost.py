@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from graceful_plan.exact import Judge
 from graceful_plan.path import Path
+from graceful_plan.placement import Placement
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene import Scene
 from graceful_plan.trajectory import Trajectory
@@ -113,10 +113,10 @@ def _points(
 
 def _boxes(scene: Scene, q: Float[Array, "n nq"]) -> tuple[Float[Array, "n geom 3"], Float[Array, "n geom 3"]]:
     """Axis-aligned boxes of all geoms in W: lower and upper corners [m]."""
-    judge, model = Judge(scene), scene.model
+    placement, model = Placement(scene), scene.model
     xpos, xmat = np.empty((len(q), model.ngeom, 3)), np.empty((len(q), model.ngeom, 3, 3))
     for n, configuration in enumerate(q):
-        data = judge.place(configuration)
+        data = placement.place(configuration)
         xpos[n], xmat[n] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
     centre = xpos + np.einsum("ngij,gj->ngi", xmat, model.geom_aabb[:, :3])
     half = np.einsum("ngij,gj->ngi", np.abs(xmat), model.geom_aabb[:, 3:])

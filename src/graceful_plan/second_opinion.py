@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from graceful_plan.exact import Judge, Touch
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.motion_samples import MotionSamples
+from graceful_plan.placement import Placement
 from graceful_plan.result import Check
 from graceful_plan.scene import Scene
 
@@ -40,14 +41,14 @@ def fcl_touches(q: Float[Array, "n nq"], scene: Scene) -> list[Touch]:
     """Return all overlaps of the scene's collision pairs in each configuration."""
     import fcl
 
-    judge, model = Judge(scene), scene.model
+    placement, model = Placement(scene), scene.model
     pairs = np.sort(scene.collision_pairs(), axis=1)
     shapes = {int(g): _shape(model, int(g)) for g in np.unique(pairs)}
     objects = {g: fcl.CollisionObject(shape, fcl.Transform()) for g, shape in shapes.items()}
     request = fcl.CollisionRequest(num_max_contacts=4, enable_contact=True)
     found = []
     for sample, configuration in enumerate(q):
-        data = judge.place(configuration)
+        data = placement.place(configuration)
         for g, item in objects.items():
             item.setTransform(fcl.Transform(data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g]))
         for a, b in _near(model, data, pairs):

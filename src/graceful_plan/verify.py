@@ -16,6 +16,7 @@ from graceful_plan.exact import Judge
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.motion_samples import MotionSamples, motion_samples
 from graceful_plan.path import Path, finite_array
+from graceful_plan.placement import Placement
 from graceful_plan.pose_goal import PoseGoal, pose_error
 from graceful_plan.reference_cost import Exposure, reference_cost
 from graceful_plan.result import Check, CostBreakdown, Verdict
@@ -160,7 +161,7 @@ def _end_point(q: Float[Array, " nq"], wanted: Float[Array, "goal nq"], at: floa
 
 def _pose(goal: PoseGoal, q: Float[Array, " nq"], scene: Scene, at: float) -> Check:
     X_WT = np.eye(4)
-    site = Judge(scene).place(q).site(scene.tool)
+    site = Placement(scene).place(q).site(scene.tool)
     X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
     position, orientation = pose_error(goal, X_WT)
     worst = max(position / goal.position_tolerance, orientation / goal.orientation_tolerance)
