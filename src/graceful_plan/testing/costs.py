@@ -23,11 +23,11 @@ _SAME = 1e-9
 """Relative difference that the order of a summation may make."""
 
 
-def check_cost(cost: Cost, scene: Scene, *, samples: int = 64, seed: int = 0) -> None:
+def check_cost(cost: object, scene: Scene, *, samples: int = 64, seed: int = 0) -> None:
     """Evaluate a cost on random states of a scene and report everything that breaks the contract of `Cost`.
 
     Args:
-        cost: The cost to check.
+        cost: The `Cost` to check.
         scene: A scene in which it can be evaluated.
         samples: Number of random states.
         seed: Of the random states.
