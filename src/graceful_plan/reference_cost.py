@@ -40,19 +40,22 @@ def reference_probability(
         components: Names of components; all of the scene's by default.
     """
     names = list(scene.components) if components is None else list(components)
-    robot = [np.array(scene.components[name].geoms) for name in names]
-    entities = [np.array(entity.geoms) for entity in scene.entities.values()]
-    lower, upper = _boxes(scene, q)
-    area = np.prod((upper - lower)[..., :2], axis=-1)
-    P = np.zeros((len(q), len(robot), len(entities)))
-    for j, r in enumerate(robot):
-        for i, e in enumerate(entities):
-            high = np.minimum(upper[:, r, None, :2], upper[:, None, e, :2])
-            low = np.maximum(lower[:, r, None, :2], lower[:, None, e, :2])
+    P = np.zeros((len(q), len(names), len(scene.entities)))
+    # Entities stand still while the robot moves, so one configuration shows them as well as any.
+    lower, upper = _boxes(scene, q[:1], range(scene.model.ngeom))
+    still = [(lower[:, list(e.geoms)], upper[:, list(e.geoms)]) for e in scene.entities.values()]
+    parts = [geom for name in names for geom in scene.components[name].geoms]
+    part_component = np.repeat(np.arange(len(names)), [len(scene.components[name].geoms) for name in names])
+    lower_parts, upper_parts = _boxes(scene, q, parts)
+    for j in range(len(names)):
+        lower_r, upper_r = lower_parts[:, part_component == j], upper_parts[:, part_component == j]
+        for i, (lower_e, upper_e) in enumerate(still):
+            high = np.minimum(upper_r[:, :, None, :2], upper_e[:, None, :, :2])
+            low = np.maximum(lower_r[:, :, None, :2], lower_e[:, None, :, :2])
             overlap = np.prod(np.maximum(0.0, high - low), axis=-1)
-            above = lower[:, r, 2][:, :, None] > upper[:, e, 2][:, None, :]
+            above = lower_r[:, :, None, 2] > upper_e[:, None, :, 2]
             total = np.where(above, overlap, 0.0).sum(axis=(1, 2))
-            P[:, j, i] = np.maximum(_ratio(total, area[:, e].sum(axis=1)), _ratio(total, area[:, r].sum(axis=1)))
+            P[:, j, i] = np.maximum(_ratio(total, _area(lower_e, upper_e)), _ratio(total, _area(lower_r, upper_r)))
     return np.minimum(P, 1.0)
 
 
@@ -111,17 +114,25 @@ def _points(
     return motion.at(t).q, t
 
 
-def _boxes(scene: Scene, q: Float[Array, "n nq"]) -> tuple[Float[Array, "n geom 3"], Float[Array, "n geom 3"]]:
-    """Axis-aligned boxes of all geoms in W: lower and upper corners [m]."""
-    placement, model = Placement(scene), scene.model
-    xpos, xmat = np.empty((len(q), model.ngeom, 3)), np.empty((len(q), model.ngeom, 3, 3))
+def _boxes(
+    scene: Scene, q: Float[Array, "n nq"], geoms: Sequence[int]
+) -> tuple[Float[Array, "n geom 3"], Float[Array, "n geom 3"]]:
+    """Axis-aligned boxes of some geoms in W: lower and upper corners [m]."""
+    placement, model, chosen = Placement(scene), scene.model, np.array(geoms, dtype=int)
+    xpos, xmat = np.empty((len(q), len(chosen), 3)), np.empty((len(q), len(chosen), 3, 3))
     for n, configuration in enumerate(q):
         data = placement.place(configuration)
-        xpos[n], xmat[n] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
-    centre = xpos + np.einsum("ngij,gj->ngi", xmat, model.geom_aabb[:, :3])
-    half = np.einsum("ngij,gj->ngi", np.abs(xmat), model.geom_aabb[:, 3:])
+        xpos[n], xmat[n] = data.geom_xpos[chosen], data.geom_xmat[chosen].reshape(-1, 3, 3)
+    centre = xpos + np.einsum("ngij,gj->ngi", xmat, model.geom_aabb[chosen, :3])
+    half = np.einsum("ngij,gj->ngi", np.abs(xmat), model.geom_aabb[chosen, 3:])
     return centre - half, centre + half
 
 
-def _ratio(total: Float[Array, " n"], area: Float[Array, " n"]) -> Float[Array, " n"]:
+def _area(lower: Float[Array, "n geom 3"], upper: Float[Array, "n geom 3"]) -> Float[Array, " n"]:
+    """Total ground area of some boxes [m^2]."""
+    return np.prod((upper - lower)[..., :2], axis=-1).sum(axis=1)
+
+
+def _ratio(total: Float[Array, " n"], area: Float[Array, " m"]) -> Float[Array, " n"]:
+    area = np.broadcast_to(area, total.shape)
     return np.divide(total, area, out=np.zeros_like(total), where=area > 0.0)
