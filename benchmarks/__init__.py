@@ -1,0 +1,1 @@
+"""Benchmarks: one runner, one module a subject, results in RESULTS.md. The library never imports this."""

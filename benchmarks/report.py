@@ -1,0 +1,71 @@
+"""Sections of RESULTS.md: tables, targets, and replacing one section without touching the others."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+HEADER = """# Results
+
+Written by `python benchmarks/run.py --write`, a section at a time; each names the machine, the date and the command.
+Failures stay in the tables. A target that is not met says so.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """One thing that has to hold, and what was measured."""
+
+    what: str
+    wanted: str
+    measured: str
+    met: bool | None
+    """None if it could not be measured."""
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Format a Markdown table; all but the first column are aligned to the right."""
+    lines = [_line(header), _line(["---", *["---:"] * (len(header) - 1)])]
+    return "\n".join([*lines, *(_line(row) for row in rows)]) + "\n"
+
+
+def targets(rows: Iterable[Target]) -> str:
+    """Format a table of targets."""
+    words = {True: "yes", False: "**no**", None: "**not measured**"}
+    return table(("target", "wanted", "measured", "met"), [(t.what, t.wanted, t.measured, words[t.met]) for t in rows])
+
+
+def quantity(value: float, unit: str = "", digits: int = 3) -> str:
+    """Format a number to some significant digits; "none" for infinity and NaN."""
+    if not math.isfinite(value):
+        return "none"
+    text = f"{value:.{digits}g}"
+    return f"{float(text):g}{unit}" if "e" in text else f"{text}{unit}"
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """Format a share as a percentage; "none" for infinity and NaN."""
+    return f"{100.0 * share:.{digits}f} %" if math.isfinite(share) else "none"
+
+
+def replace_section(document: str, name: str, body: str) -> str:
+    """Return the document with the section called `name` replaced, or added at its end."""
+    begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+    section = f"{begin}\n{body.strip()}\n{end}"
+    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), flags=re.DOTALL)
+    if pattern.search(document):
+        return pattern.sub(lambda _: section, document, count=1)
+    return f"{(document or HEADER).rstrip()}\n\n{section}\n"
+
+
+def write_section(file: Path, name: str, body: str) -> None:
+    """Replace a section in a file, which is made if there is none."""
+    document = file.read_text() if file.exists() else ""
+    file.write_text(replace_section(document, name, body))
+
+
+def _line(cells: Sequence[object]) -> str:
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"

@@ -1,0 +1,74 @@
+"""Run benchmarks and print a Markdown section a subject; with `--write`, put it into RESULTS.md.
+
+python benchmarks/run.py [subject ...] [--quick] [--write] [--processes N] [--seconds S]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import time
+import traceback
+from datetime import UTC, datetime
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
+
+from benchmarks import machine, report, suite  # noqa: E402 - after the path to them is known
+
+SUBJECTS = ("kernels", "safety", "first_path", "planners", "best_known", "optima", "startup", "discretisation")
+"""In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
+ON_REQUEST = frozenset({"best_known"})
+"""Run only when named: it takes the better part of an hour and is to be done before `planners`."""
+RESULTS = Path(__file__).with_name("RESULTS.md")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run subjects and return how many of them raised."""
+    args = _parser().parse_args(arguments)
+    options = suite.Options(quick=args.quick, processes=args.processes, seconds=args.seconds)
+    print(machine.describe())
+    failed = 0
+    for name in args.subjects or [name for name in SUBJECTS if name not in ON_REQUEST]:
+        try:
+            body = section(name, options, arguments)
+        except Exception:
+            failed += 1
+            traceback.print_exc()
+            continue
+        print(f"\n{body}", flush=True)
+        if args.write:
+            report.write_section(RESULTS, name, body)
+    return failed
+
+
+def section(name: str, options: suite.Options, arguments: list[str] | None) -> str:
+    """Run one subject and format its section."""
+    subject = importlib.import_module(f"benchmarks.subjects.{name}")
+    load, started = machine.load(), time.perf_counter()
+    body = subject.run(options)
+    seconds = time.perf_counter() - started
+    command = " ".join(["python benchmarks/run.py", *(sys.argv[1:] if arguments is None else arguments)])
+    made = f"{datetime.now(UTC):%Y-%m-%d}, `{command}`, {seconds:.0f} s, load average {load:.1f} before it began."
+    quick = "\n\n**Quick run: sizes too small for its figures to mean much.**" if options.quick else ""
+    return f"## {subject.TITLE}\n\n{made} {machine.describe()}.{quick}\n\n{body}"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subjects", nargs="*", choices=SUBJECTS, metavar="subject", help=", ".join(SUBJECTS))
+    parser.add_argument("--quick", action="store_true", help="small sizes: does it work?")
+    parser.add_argument("--write", action="store_true", help="replace the sections in RESULTS.md")
+    parser.add_argument(
+        "--processes", type=int, default=max(1, (os.cpu_count() or 1)), help="for planning jobs (default: one a core)"
+    )
+    parser.add_argument("--seconds", type=float, help="time limit of a run, for best_known, planners and optima")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""One module a subject: TITLE, and run(options), which measures and returns Markdown."""

@@ -1,0 +1,95 @@
+"""Look for the best path of every task with every planner, and keep it. Can be interrupted and resumed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import graceful_plan as gp
+from benchmarks import known, planning, report, suite
+from benchmarks.known import BestKnown, Run
+from benchmarks.planning import Job, Record
+
+TITLE = "Best known: the least total cost of every task"
+LONG = 60.0
+"""Time limit of the default planner's first seed [s]."""
+SHORT = 20.0
+"""Time limit of all other runs [s]."""
+SEEDS = 4
+"""Seeds of the default planner."""
+MEASURED = f"""\
+The default planner for {LONG:g} s with one seed and for {SHORT:g} s with {SEEDS - 1} more, every other planner for
+{SHORT:g} s with one seed, unless `--seconds` sets one limit for all; runs that are listed in a file are not repeated.
+The best verified path of each task is in `benchmarks/best_known/` and is judged again, cost and collisions, whenever
+it is read. Runs of the planner table that are better replace it too, which is why a run named here may be shorter.
+"""
+
+
+def run(options: suite.Options) -> str:
+    """Do what has not been done yet and report what is known."""
+    tasks = suite.task_names(options)
+    best = {name: known.renewed(name, suite.task(name)) for name in tasks}
+    done: dict[str, list[Run]] = {name: list(entry.runs) if entry else [] for name, entry in best.items()}
+    jobs = [job for job in _schedule(tasks, options) if not _was_done(job, done[job.task])]
+    for record in suite.spread(planning.run, jobs, options.processes, "best known"):
+        name = record.job.task
+        done[name].append(_noted(record))
+        best[name] = _improved(record, best[name], done[name], keep=not options.quick)
+    return f"{MEASURED}\n{report.table(HEADER, [_row(name, best[name], done[name]) for name in tasks])}"
+
+
+HEADER = ("task", "J", "motion", "impact", "found by", "runs", "runs without a path", "second best planner")
+
+
+def _schedule(tasks: list[str], options: suite.Options) -> list[Job]:
+    """All runs, the most promising first, so that an interrupted search has something for every task."""
+    long = options.seconds or (0.5 if options.quick else LONG)
+    short = options.seconds or (0.5 if options.quick else SHORT)
+    others = [planner for planner in gp.PLANNERS if planner != "anytime"]
+    seeds = (("anytime", seed, short) for seed in range(1, SEEDS))
+    plans = [("anytime", 0, long), *((planner, 0, short) for planner in others), *seeds]
+    return [
+        Job(task=task, planner=planner, seed=seed, time_limit=seconds)
+        for planner, seed, seconds in plans
+        for task in tasks
+    ]
+
+
+def _was_done(job: Job, runs: list[Run]) -> bool:
+    return any(run.planner == job.planner and run.seed == job.seed and run.seconds >= job.time_limit for run in runs)
+
+
+def _noted(record: Record) -> Run:
+    job = record.job
+    total = record.total if record.solved else None
+    return Run(planner=job.planner, seed=job.seed, seconds=job.time_limit, total=total)
+
+
+def _improved(record: Record, best: BestKnown | None, runs: list[Run], *, keep: bool) -> BestKnown | None:
+    """Take the better one, note the run, and write the file if it is to be kept."""
+    job = record.job
+    if record.solved and record.path is not None:
+        task = suite.task(job.task)
+        best = known.offer(job.task, task, best, record.path, job.planner, job.seed, job.time_limit)
+    if best is not None:
+        best = replace(best, runs=tuple(runs))
+        if keep:
+            known.write(best)
+    return best
+
+
+def _row(name: str, best: BestKnown | None, runs: list[Run]) -> list[str]:
+    failed = sum(run.total is None for run in runs)
+    if best is None:
+        return [name, "none", "", "", "", str(len(runs)), str(failed), ""]
+    found = f"{best.planner}, seed {best.seed}, {best.seconds:g} s"
+    costs = [report.quantity(value, digits=5) for value in (best.total, best.motion, best.impact)]
+    others = [run for run in runs if run.planner != best.planner and run.total is not None]
+    second = min(others, key=lambda run: run.total or 0.0, default=None)
+    told = (
+        ""
+        if second is None or second.total is None
+        else (
+            f"{second.planner}, {report.percent(second.total / best.total - 1.0 if best.total else second.total)} above"
+        )
+    )
+    return [name, *costs, found, str(len(runs)), str(failed), told]

@@ -1,0 +1,214 @@
+"""How fast the kernels are, on one thread, for every instruction set, beside MuJoCo on the same configurations."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from benchmarks import report, suite
+from graceful_plan.compile import CompiledScene, compile_scene
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.kernels import CHECK_STEP, COST_STEP, Kernels, instruction_sets
+from graceful_plan.robots import robot_file
+from graceful_plan.scene import Scene
+
+Array = np.ndarray
+
+TITLE = "Kernels: configurations per second on one thread"
+N_BOXES = 20
+CARGO = 0.03
+"""Half side of the carried box [m]."""
+EDGE_LENGTH = 1.03
+"""Length of the edges [rad]: not a multiple of any block, so that rounding cannot change how many the kernel checks."""
+MEASURED = f"""\
+A Panda that carries a 6 cm box, against {N_BOXES} random oriented boxes and itself. "Free edges": straight edges of
+{EDGE_LENGTH:g} rad that are free, checked at {CHECK_STEP:g} rad; every configuration that the kernel checks is
+counted. "Uniform": drawn uniformly within the joint limits. Clearance is signed, that of the spheres. Algorithm 1
+runs on `tabletop` with the green cube in the gripper: "impact" is the sum of P S of carried object and contents,
+"interaction" all P with those of the links. "Edge costs" counts the samples of `edge_costs` at {COST_STEP:g} rad.
+MuJoCo is `mj_kinematics` and `mj_collision` called from Python, with the box as a part of the hand, so that it needs
+no placing. Best of several repetitions; millions of configurations per second.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How much to measure."""
+
+    uniform: int
+    edges: int
+    heavy: int
+    """Configurations of the slower kernels."""
+    mujoco: int
+    repetitions: int
+
+
+FULL = Sizes(uniform=200_000, edges=10_000, heavy=50_000, mujoco=20_000, repetitions=7)
+QUICK = Sizes(uniform=20_000, edges=1000, heavy=5000, mujoco=1000, repetitions=2)
+
+WANTED = {"free edges": 6.0, "uniform": 3.0, "clearance": 1.0, "clearance and gradient": 0.5, "impact": 3.0}
+"""Targets with AVX-512, in millions of configurations per second."""
+
+
+def run(options: suite.Options) -> str:
+    """Measure every kernel with every instruction set, then MuJoCo."""
+    sizes = QUICK if options.quick else FULL
+    rng = np.random.default_rng(0)
+    boxes = compile_scene(boxes_scene(np.random.default_rng(0)))
+    tabletop = compile_scene(_carrying(suite.scene("tabletop")))
+    severity = ImpactCost().severity(_carrying(suite.scene("tabletop")))
+    lower, upper = boxes.robot.lower, boxes.robot.upper
+    q = rng.uniform(lower, upper, (sizes.uniform, len(lower)))
+    edges = free_edges(boxes.kernels, q, sizes.edges, rng)
+    rates = {
+        isa: _rates(Kernels(boxes.robot, boxes.world, boxes.hazards, isa=isa), q, edges, sizes)
+        | _impact_rates(Kernels(tabletop.robot, tabletop.world, tabletop.hazards, isa=isa), severity, q, edges, sizes)
+        for isa in instruction_sets()
+    }
+    rates["MuJoCo"] = _mujoco_rates(q, edges, sizes)
+    return f"{MEASURED}\n{_facts(boxes, q)}\n\n{_targets(rates)}\n{_table(rates)}"
+
+
+def boxes_scene(rng: np.random.Generator, *, fixed_cargo: bool = False) -> Scene:
+    """Make the arm among boxes; `fixed_cargo` makes the carried box a part of the hand, for MuJoCo's own use."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.attach(mujoco.MjSpec.from_file(str(robot_file("panda"))), prefix="panda/", frame=spec.worldbody.add_frame())
+    names = [f"box{i}" for i in range(N_BOXES)]
+    for name in names:
+        body = spec.worldbody.add_body(name=name, pos=_position(rng), quat=_rotation(rng))
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=rng.uniform(0.02, 0.1, 3))
+    if fixed_cargo:
+        hand, tool = spec.body("panda/hand"), spec.site("panda/tool")
+        hand.add_geom(name="cargo", type=mujoco.mjtGeom.mjGEOM_BOX, size=[CARGO] * 3, pos=tool.pos, quat=tool.quat)
+        return Scene.from_mjcf(spec, robot="panda/", tool="panda/tool", entities=dict.fromkeys(names, "glass"))
+    cargo = spec.worldbody.add_body(name="cargo", pos=[2.0, 2.0, 2.0])
+    cargo.add_freejoint()
+    cargo.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[CARGO] * 3)
+    entities = dict.fromkeys(names, "glass")
+    return Scene.from_mjcf(spec, robot="panda/", tool="panda/tool", carried="cargo", entities=entities)
+
+
+def free_edges(kernels: Kernels, q: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Draw free edges of one length from free configurations in random directions."""
+    first = q[kernels.free(q)]
+    direction = rng.normal(size=first.shape)
+    second = first + EDGE_LENGTH * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    inside = np.all((second >= kernels.robot.lower) & (second <= kernels.robot.upper), axis=1)
+    first, second = first[inside], second[inside]
+    free = kernels.edges_free(first, second)
+    return first[free][:count], second[free][:count]
+
+
+def configurations_checked(length: Array, lanes: int) -> int:
+    """Count the configurations that the kernel looks at on free edges: whole blocks of lanes."""
+    return int(((length / (CHECK_STEP * lanes)).astype(int) + 1).sum()) * lanes
+
+
+def _position(rng: np.random.Generator) -> Array:
+    """Draw where a box goes: in reach, not in the arm's base."""
+    while True:
+        p = rng.uniform([-0.8, -0.8, 0.0], [0.8, 0.8, 1.1])
+        if np.hypot(p[0], p[1]) > 0.25:
+            return p
+
+
+def _rotation(rng: np.random.Generator) -> Array:
+    quat = rng.normal(size=4)
+    return quat / np.linalg.norm(quat)
+
+
+def _carrying(scene: Scene) -> Scene:
+    return next(task.scene for task in scene.tasks.values() if task.object_name is not None)
+
+
+def _best_seconds(work: Callable[[], object], repetitions: int) -> float:
+    best = np.inf
+    for _ in range(repetitions):
+        started = time.perf_counter()
+        work()
+        best = min(best, time.perf_counter() - started)
+    return best
+
+
+def _rates(kernels: Kernels, q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
+    heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
+    work: dict[str, tuple[int, Callable[[], object]]] = {
+        "free edges": (configurations_checked(length, kernels.core.lanes), lambda: kernels.edges_free(*edges)),
+        "uniform": (len(q), lambda: kernels.free(q)),
+        "clearance": (len(heavy), lambda: kernels.clearance(heavy)),
+        "clearance and gradient": (len(heavy), lambda: kernels.clearance_gradient(heavy)),
+        "forward kinematics": (len(heavy), lambda: kernels.link_poses(heavy)),
+    }
+    return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
+
+
+def _impact_rates(
+    kernels: Kernels, severity: Array, q: Array, edges: tuple[Array, Array], sizes: Sizes
+) -> dict[str, float]:
+    heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
+    samples = int(np.ceil(length / COST_STEP).sum()) + len(length)
+    work: dict[str, tuple[int, Callable[[], object]]] = {
+        "impact": (len(heavy), lambda: kernels.impact(heavy, severity)),
+        "interaction": (len(heavy), lambda: kernels.interaction(heavy)),
+        "edge costs": (samples, lambda: kernels.edge_costs(*edges, severity)),
+    }
+    return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
+
+
+def _mujoco_rates(q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
+    scene = boxes_scene(np.random.default_rng(0), fixed_cargo=True)
+    model, data, adr = scene.model, scene.data_at(q[0]), scene.qpos_adr
+    share = np.random.default_rng(1).uniform(size=(len(edges[0]), 1))
+    along = (1.0 - share) * edges[0] + share * edges[1]
+
+    def check(configurations: Array) -> None:
+        for configuration in configurations:
+            data.qpos[adr] = configuration
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+
+    rates = {}
+    for name, configurations in (("free edges", along[: sizes.mujoco]), ("uniform", q[: sizes.mujoco])):
+        seconds = _best_seconds(lambda c=configurations: check(c), max(2, sizes.repetitions // 2))
+        rates[name] = len(configurations) / seconds / 1e6
+    return rates
+
+
+def _facts(boxes: CompiledScene, q: Array) -> str:
+    robot = boxes.robot
+    free = report.percent(float(boxes.kernels.free(q).mean()))
+    return (
+        f"{len(robot.sphere)} spheres on {len(np.unique(robot.sphere_link))} links, {len(robot.self_pair)} pairs of "
+        f"links, {len(boxes.world.kind)} obstacles; {free} of the uniform configurations are free."
+    )
+
+
+def _targets(rates: dict[str, dict[str, float]]) -> str:
+    best = instruction_sets()[0]
+    # What a kernel has to reach was set for AVX-512; with less there is nothing to meet.
+    judged = "v4" in best
+    return report.targets(
+        report.Target(
+            what=f"{name}, {best}",
+            wanted=f">= {wanted:g} M/s",
+            measured=f"{rates[best][name]:.2f} M/s",
+            met=rates[best][name] >= wanted if judged else None,
+        )
+        for name, wanted in WANTED.items()
+    )
+
+
+def _table(rates: dict[str, dict[str, float]]) -> str:
+    best = instruction_sets()[0]
+    columns = [*rates, "best / MuJoCo"]
+    rows = []
+    for name in rates[best]:
+        row = [f"{rates[column][name]:.3g}" if name in rates[column] else "" for column in rates]
+        ratio = f"{rates[best][name] / rates['MuJoCo'][name]:.0f} x" if name in rates["MuJoCo"] else ""
+        rows.append([name, *row, ratio])
+    return report.table(["M configurations/s", *columns], rows)

@@ -1,0 +1,216 @@
+"""Every planner on every task, and how good the default is after one second."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import known, planning, report, suite
+from benchmarks.planning import Job, Record
+
+TITLE = "Planners: plan(w=1) on every task"
+DETAILS = Path(__file__).parents[1] / "planners.json"
+CHECKPOINTS = (0.1, 1.0, 5.0)
+"""When gaps are read from the trace [s]."""
+GAP_AT_MOST = 0.05
+MEASURED = """\
+Whole calls of `plan(w=1)`, scenes loaded and compiled before. "Gap" is how much the total cost J lies above the best
+known of the task: the lesser of what `best_known/` holds and the best of this very run. "First": when the search had
+its first path. Gaps at {at} s are read from the trace of one call with a limit of {limit:g} s, whose result was
+SOLVED; a run without a path by then, or that was not SOLVED, counts as infinite, and "none" is the median of more
+than half such runs. The default's own calls have `time_limit=1.0`, and their gap is that of the path returned,
+verification within the second.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How many runs, and how long [s]."""
+
+    seeds: int
+    time_limit: float
+    default_seeds: int
+
+
+FULL = Sizes(seeds=2, time_limit=5.0, default_seeds=10)
+QUICK = Sizes(seeds=1, time_limit=1.0, default_seeds=2)
+
+
+def run(options: suite.Options) -> str:
+    """Run all planners, then the default by itself; better paths than known are kept if this is no quick run."""
+    sizes = QUICK if options.quick else FULL
+    limit = options.seconds or sizes.time_limit
+    tasks = suite.task_names(options)
+    jobs = [
+        Job(task=task, planner=planner, seed=seed, time_limit=limit)
+        for seed in range(sizes.seeds)
+        for task in tasks
+        for planner in gp.PLANNERS
+    ]
+    default = [Job(task=task, seed=seed, time_limit=1.0) for seed in range(sizes.default_seeds) for task in tasks]
+    # The default's second is its own: no other process beside it.
+    own = list(suite.spread(planning.run, default, 1, "default planner"))
+    table = list(suite.spread(planning.run, jobs, options.processes, "planners"))
+    best, doubts = references([*own, *table], tasks, keep=not options.quick)
+    if not options.quick:
+        DETAILS.write_text(json.dumps(_details(table, best), indent=1) + "\n")
+    at = tuple(seconds for seconds in CHECKPOINTS if seconds <= limit)
+    parts = [
+        MEASURED.format(at=", ".join(f"{seconds:g}" for seconds in at), limit=limit),
+        *(f"- {doubt}\n" for doubt in doubts),
+        report.targets(_targets(own, best)),
+        f"### The default, time_limit=1.0, {sizes.default_seeds} seeds\n",
+        _default_table(own, best),
+        f"### All planners over all tasks, {sizes.seeds} seeds, {limit:g} s, {options.processes} at a time\n",
+        _planner_table(table, best, at),
+    ]
+    for seconds in at:
+        parts += [f"### Median gap at {seconds:g} s, planner by task\n", _task_table(table, best, seconds)]
+    parts += ["### Solved and median time to first [ms], planner by task\n", _first_table(table, tasks)]
+    return "\n".join(parts)
+
+
+def references(records: list[Record], tasks: list[str], *, keep: bool) -> tuple[dict[str, float], list[str]]:
+    """Return the least total known of each task, and what is wrong with the files.
+
+    Args:
+        records: Runs that may have found something better.
+        tasks: Names of tasks.
+        keep: Whether to store what is better.
+    """
+    best, doubts = {}, []
+    for name in tasks:
+        task = suite.task(name)
+        try:
+            stored = known.load(name, task)
+        except known.StaleBestKnownError as error:
+            stored = None
+            doubts.append(f"Refused: {error}")
+        if stored is None:
+            doubts.append(f"{name}: no best known before this run")
+        found = min((r for r in records if r.job.task == name and r.solved), key=lambda r: r.total, default=None)
+        if found is not None and found.path is not None:
+            job = found.job
+            better = known.offer(name, task, stored, found.path, job.planner, job.seed, job.time_limit)
+            if keep and better is not None and better is not stored:
+                known.write(better)
+            stored = better
+        best[name] = np.inf if stored is None else stored.total
+    return best, doubts
+
+
+def gap(total: float, best: float) -> float:
+    """How much a total lies above the best known, relative to it; infinite if either is."""
+    if not (np.isfinite(total) and np.isfinite(best)):
+        return np.inf
+    return total / best - 1.0 if best else total
+
+
+def _median_gap(records: list[Record], best: dict[str, float], seconds: float) -> float:
+    return float(np.median([gap(r.total_at(seconds), best[r.job.task]) for r in records])) if records else np.nan
+
+
+def _targets(own: list[Record], best: dict[str, float]) -> Iterator[report.Target]:
+    medians = {task: _median_of(_of(own, task), best) for task in best}
+    good = [task for task, value in medians.items() if value <= GAP_AT_MOST]
+    worst = max(medians, key=lambda task: medians[task])
+    yield report.Target(
+        what="median gap of plan(w=1, time_limit=1.0), every task",
+        wanted=f"<= {report.percent(GAP_AT_MOST, 0)}",
+        measured=f"{len(good)} of {len(medians)} tasks; worst {report.percent(medians[worst])} ({worst})",
+        met=len(good) == len(medians),
+    )
+
+
+def _median_of(records: list[Record], best: dict[str, float]) -> float:
+    return float(np.median([gap(r.total, best[r.job.task]) if r.solved else np.inf for r in records]))
+
+
+def _of(records: list[Record], task: str | None = None, planner: str | None = None) -> list[Record]:
+    return [r for r in records if task in (None, r.job.task) and planner in (None, r.job.planner)]
+
+
+def _default_table(own: list[Record], best: dict[str, float]) -> str:
+    rows = []
+    for task in best:
+        records = _of(own, task)
+        gaps = [gap(r.total, best[task]) if r.solved else np.inf for r in records]
+        cells = (
+            report.quantity(best[task], digits=5),
+            report.percent(float(np.median(gaps))),
+            report.percent(max(gaps)),
+        )
+        seconds = f"{max(r.seconds for r in records):.2f}"
+        rows.append((task, *cells, _solved(records), _first(records), seconds))
+    header = ("task", "best known J", "median gap", "worst gap", "solved", "first [ms]", "longest call [s]")
+    return report.table(header, rows)
+
+
+def _planner_table(records: list[Record], best: dict[str, float], at: tuple[float, ...]) -> str:
+    rows = []
+    for planner in gp.PLANNERS:
+        mine = _of(records, planner=planner)
+        gaps = (report.percent(_median_gap(mine, best, seconds)) for seconds in at)
+        rows.append((planner, _solved(mine), _first(mine), *gaps))
+    return report.table(("planner", "solved", "first [ms]", *(f"gap at {seconds:g} s" for seconds in at)), rows)
+
+
+def _task_table(records: list[Record], best: dict[str, float], seconds: float) -> str:
+    rows = (
+        (task, *(report.percent(_median_gap(_of(records, task, planner), best, seconds)) for planner in gp.PLANNERS))
+        for task in best
+    )
+    return report.table(("task", *gp.PLANNERS), rows)
+
+
+def _first_table(records: list[Record], tasks: list[str]) -> str:
+    rows = []
+    for task in tasks:
+        cells = []
+        for planner in gp.PLANNERS:
+            mine = _of(records, task, planner)
+            cells.append(f"{_solved(mine)}, {_first(mine)}")
+        rows.append((task, *cells))
+    return report.table(("task", *gp.PLANNERS), rows)
+
+
+def _first(records: list[Record]) -> str:
+    """Median time to the first path [ms]."""
+    return report.quantity(1e3 * float(np.median([r.first for r in records])))
+
+
+def _solved(records: list[Record]) -> str:
+    """Count what was solved and name what else happened."""
+    others = [r.status for r in records if not r.solved]
+    named = ", ".join(f"{others.count(status)} {status}" for status in sorted(set(others)))
+    return f"{len(records) - len(others)}/{len(records)}" + (f" ({named})" if named else "")
+
+
+def _details(records: list[Record], best: dict[str, float]) -> dict[str, object]:
+    """Everything about every run but its path, for those who want other statistics."""
+    runs = [
+        {
+            "task": r.job.task,
+            "planner": r.job.planner,
+            "seed": r.job.seed,
+            "time_limit": r.job.time_limit,
+            "status": r.status,
+            "detail": r.detail,
+            "seconds": _finite(r.seconds),
+            "total": _finite(r.total),
+            "first": _finite(r.first),
+            "total_at": {f"{seconds:g}": _finite(r.total_at(seconds)) for seconds in CHECKPOINTS},
+        }
+        for r in sorted(records, key=lambda r: (r.job.task, r.job.planner, r.job.seed))
+    ]
+    known_totals = {task: _finite(total) for task, total in best.items()}
+    return {"schema": 1, "w": planning.W, "best_known": known_totals, "runs": runs}
+
+
+def _finite(value: float) -> float | None:
+    return round(float(value), 6) if np.isfinite(value) else None
