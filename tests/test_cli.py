@@ -157,8 +157,10 @@ def test_demo_writes_picture_and_trajectories_and_lowers_the_impact(run, tmp_pat
     code, out, err = run("demo", "--output", str(tmp_path / "made"), "--iterations", "2000")
     assert (code, err) == (cli.DONE, "")
     assert "motion + w * impact" in out
-    made = sorted(file.name for file in (tmp_path / "made").iterdir())
-    assert made == ["demo.png", "trajectory_w0.csv", "trajectory_w0.json", "trajectory_w1.csv", "trajectory_w1.json"]
+    made = {file.name for file in (tmp_path / "made").iterdir()}
+    wanted = {"demo.png", "trajectory_w0.csv", "trajectory_w0.json", "trajectory_w1.csv", "trajectory_w1.json"}
+    assert wanted <= made <= wanted | {"view.png"}
+    assert all(name in out for name in made)
 
 
 def test_demo_json_compares_both(run, tmp_path):

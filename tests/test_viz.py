@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.path import Path
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene
-from graceful_plan.viz import figures
+from graceful_plan.viz import figures, render
 from graceful_plan.viz.drop import FALLING, drop_impact
 from graceful_plan.viz.footprints import entity_outlines, object_positions, outline, surface_points
 
@@ -95,3 +97,20 @@ def test_picture_is_drawn(task, tmp_path):
     header = file.read_bytes()[:24]
     assert header[:8] == b"\x89PNG\r\n\x1a\n"
     assert int.from_bytes(header[16:20], "big") >= 1600
+
+
+def test_view_is_rendered_or_declined(task, tmp_path):
+    file = tmp_path / "view.png"
+    rendered = render.render_paths(task.scene, {"one": Path(np.stack([task.start, task.goal[0]]))}, file)
+    assert rendered == file.exists()
+    if rendered:
+        from matplotlib.image import imread
+
+        assert np.ptp(imread(file)) > 0.5
+
+
+def test_view_is_declined_without_egl(task, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco.egl", None)
+    file = tmp_path / "view.png"
+    assert not render.render_paths(task.scene, {"one": Path(task.start[None])}, file)
+    assert not file.exists()

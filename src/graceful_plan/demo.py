@@ -22,14 +22,14 @@ class Outcome:
 
 
 def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None, **budget: Any) -> Outcome:
-    """Plan the first task of `tabletop` with w = 0 and w = 1; write trajectories and a picture into `output`.
+    """Plan the first task of `tabletop` with w = 0 and w = 1; write trajectories and pictures into `output`.
 
     Args:
         output: Folder; made if it does not exist.
         callback: Told of every improvement.
         budget: `time_limit`, `iterations` and `seed` of `plan`.
     """
-    from graceful_plan.viz import figures
+    from graceful_plan.viz import figures, render
 
     task = next(iter(gp.load_scene(SCENE).tasks.values()))
     results = {
@@ -48,4 +48,6 @@ def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None
     if len(paths) == len(results):
         files.append(output / "demo.png")
         figures.compare_paths(task.scene, paths, files[-1])
+        if render.render_paths(task.scene, paths, output / "view.png"):
+            files.append(output / "view.png")
     return Outcome(results=results, files=tuple(files))

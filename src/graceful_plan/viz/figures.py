@@ -15,11 +15,10 @@ from graceful_plan.path import Path
 from graceful_plan.scene import Scene
 from graceful_plan.viz.drop import FALLING, drop_impact
 from graceful_plan.viz.footprints import entity_outlines, object_positions, outline, surface_points
+from graceful_plan.viz.style import PATH_COLOURS
 
 Array = np.ndarray
 
-PATH_COLOURS = ("#111111", "#0b62c4", "#00805a", "#a3408f")
-"""Apart from each other and from the heat map for colour-blind eyes too; in print, the line styles tell them apart."""
 _LINE_STYLES = ((0, (5, 2)), "-", (0, (1, 1)), (0, (6, 2, 1, 2)))
 _HEAT = ("#ffffff", "#fff3c4", "#fed976", "#fd8d3c", "#e31a1c", "#8c0d26")
 """White where nothing is at stake, darker with the impact."""

@@ -1,0 +1,91 @@
+"""A view of scene and paths as a camera would see them, where off-screen rendering works; it is never required."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path as FilePath
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from graceful_plan.path import Path
+from graceful_plan.scene import Scene
+from graceful_plan.viz.footprints import object_positions
+from graceful_plan.viz.style import PATH_COLOURS
+
+Array = np.ndarray
+
+_WIDTH, _HEIGHT = 1600, 1000
+_DISTANCE, _AZIMUTH, _ELEVATION = 1.35, 65.0, -42.0
+"""Camera: metres and degrees, around the middle of the paths."""
+_RADIUS = 0.006
+_STEP = 0.05
+
+
+def render_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath) -> bool:
+    """Render the robot at the start, with the ways of the carried object as tubes.
+
+    Args:
+        scene: Where.
+        paths: Geometry by label, coloured as in `figures.compare_paths`.
+        file: PNG file to write.
+
+    Returns:
+        Whether there is a picture: False where EGL does not work.
+    """
+    from matplotlib.image import imsave
+
+    try:
+        from mujoco.egl import GLContext
+
+        context = GLContext(_WIDTH, _HEIGHT)
+    except (ImportError, AttributeError, OSError, RuntimeError):
+        return False
+    try:
+        context.make_current()
+        imsave(file, _pixels(scene, [object_positions(scene, path.resampled(_STEP)) for path in paths.values()], paths))
+    finally:
+        context.free()
+    return True
+
+
+def _pixels(
+    scene: Scene, positions: list[Float[Array, "_ 3"]], paths: Mapping[str, Path]
+) -> UInt8[Array, "height width 3"]:
+    model = copy.copy(scene.model)
+    model.vis.global_.offwidth, model.vis.global_.offheight = _WIDTH, _HEIGHT
+    model.vis.quality.offsamples = 8
+    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.55
+    data = scene.data_at(next(iter(paths.values())).q[0])
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = np.concatenate(positions).mean(axis=0)
+    camera.distance, camera.azimuth, camera.elevation = _DISTANCE, _AZIMUTH, _ELEVATION
+    view = mujoco.MjvScene(model, maxgeom=10_000)
+    mujoco.mjv_updateScene(
+        model, data, mujoco.MjvOption(), mujoco.MjvPerturb(), camera, int(mujoco.mjtCatBit.mjCAT_ALL), view
+    )
+    for position, colour in zip(positions, PATH_COLOURS, strict=False):
+        _add_tube(view, position, colour)
+    renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+    mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), renderer)
+    viewport = mujoco.MjrRect(0, 0, _WIDTH, _HEIGHT)
+    mujoco.mjr_render(viewport, view, renderer)
+    pixels = np.zeros((_HEIGHT, _WIDTH, 3), dtype=np.uint8)
+    mujoco.mjr_readPixels(pixels, None, viewport, renderer)
+    renderer.free()
+    return pixels[::-1]
+
+
+def _add_tube(view: Any, position: Float[Array, "n 3"], colour: str) -> None:
+    """Append capsules between neighbouring points to what is rendered."""
+    rgba = np.array([int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] + [1.0], dtype=np.float32)
+    kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+    for a, b in pairwise(position):
+        geom = view.geoms[view.ngeom]
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
+        mujoco.mjv_connector(geom, kind, _RADIUS, a, b)
+        view.ngeom += 1
