@@ -6,6 +6,7 @@ inside of a convex body sticks out by at most R - d, which bounds the protrusion
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,8 +17,10 @@ Array = np.ndarray
 MAX_PROTRUSION = 0.0095
 """How far a cover may stick out of its geom [m]; below the promised 1 cm by the width of float32 and of samples."""
 
-MAX_CANDIDATES = 600
-"""Balls that the greedy cover of a hull chooses from."""
+CANDIDATES = 24
+"""Balls that are compared before the greedy cover of a hull takes the next."""
+_LAYERS = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 30, 42)
+"""Numbers of layers that a cylinder's cover is tried with."""
 
 Cover = tuple[Float[Array, "sphere 3"], Float[Array, " sphere"]]
 
@@ -79,66 +82,90 @@ def _box_lattice(half: Float[Array, " 3"], protrusion: float) -> Array:
 
 
 def cylinder_cover(radius: float, half_length: float, protrusion: float = MAX_PROTRUSION) -> Cover:
-    """Cover a cylinder along z: rings of spheres near both ends, spheres on the axis or rings between them."""
-    options = [c for n in range(1, 40) if (c := _cylinder_layers(radius, half_length, n, protrusion)) is not None]
-    return min(options, key=lambda cover: len(cover[1]))
+    """Cover a cylinder along z by the best of several ways; thin ones end up with spheres on the axis, plates with rings."""
+    options = [_cylinder_on_axis(radius, half_length, n, protrusion) for n in _LAYERS[:8]]
+    options += [_cylinder_with_core(radius, half_length, n, protrusion) for n in _LAYERS]
+    return min((cover for cover in options if cover is not None), key=lambda cover: len(cover[1]))
 
 
-def _cylinder_layers(radius: float, half_length: float, n: int, protrusion: float) -> Cover | None:
-    """End layers of half height `half_length / n`; what lies between them is covered from the axis."""
+def _cylinder_on_axis(radius: float, half_length: float, n: int, protrusion: float) -> Cover | None:
+    """Rings at both ends in layers of half height `half_length / n`, spheres on the axis between them."""
     c = half_length / n
-    disc = _disc_cover(radius, c, protrusion)
-    if disc is None:
+    rings = _rings(radius, c, protrusion)
+    if rings is None or n == 1:
         return None
-    xy, R = disc
-    ends = [half_length - c, c - half_length] if n > 1 else [0.0]
-    centres = [np.column_stack([xy, np.full(len(xy), z)]) for z in ends]
-    radii = [np.full(len(xy), R)] * len(ends)
-    gap = half_length - 2 * c
-    if gap > 0:
-        big = radius + min(protrusion, protrusion + 2 * c)
-        half_gap = np.sqrt(big**2 - radius**2)
-        count = max(1, int(np.ceil(gap / half_gap)))
-        z = (np.arange(count) + 0.5) * 2 * gap / count - gap
-        if big > half_length - np.abs(z).max() + protrusion:  # would stick out of the ends
-            return None
-        centres.append(np.stack([0 * z, 0 * z, z], axis=1))
-        radii.append(np.full(count, big))
-    return np.concatenate(centres), np.concatenate(radii)
+    gap, R = half_length - 2.0 * c, radius + protrusion
+    count = max(1, int(np.ceil(gap / np.sqrt(R**2 - radius**2)))) if gap > 0.0 else 0
+    z = (np.arange(count) + 0.5) * 2.0 * gap / max(count, 1) - gap
+    if count and R > half_length - np.abs(z).max() + protrusion:  # would bulge out of the ends
+        return None
+    ends = [_at_height(rings, z_end) for z_end in (half_length - c, c - half_length)]
+    return _joined([*ends, (np.stack([0 * z, 0 * z, z], axis=1), np.full(count, R))])
 
 
-def _disc_cover(radius: float, c: float, protrusion: float) -> tuple[Float[Array, "disc 2"], float] | None:
-    """Centres of equal balls that cover the slab |z| <= c of a cylinder and stick out of it by at most `protrusion`."""
+def _cylinder_with_core(radius: float, half_length: float, n: int, protrusion: float) -> Cover | None:
+    """Rings in `n` layers, only the outermost between the ends; the core behind it by fewer, larger spheres."""
+    c = half_length / n
+    rings = _rings(radius, c, protrusion)
+    if rings is None:
+        return None
+    heights = (2.0 * np.arange(n) + 1.0) * c - half_length
+    if n < 3 or len(rings) == 1:
+        return _joined([_at_height(rings, z) for z in heights])
+    inner, height = rings[0].inner, half_length - 2.0 * c
+    behind = protrusion + min(radius - inner, 2.0 * c)  # the core may bulge into the layers around it
+    core = next(cover for m in range(1, 1000) if (cover := _in_layers(inner, height, m, behind)) is not None)
+    ends = [_at_height(rings, z) for z in (heights[0], heights[-1])]
+    return _joined([*ends, *(_at_height(rings[:1], z) for z in heights[1:-1]), core])
+
+
+def _in_layers(radius: float, half_length: float, n: int, protrusion: float) -> Cover | None:
+    c = half_length / n
+    rings = _rings(radius, c, protrusion)
+    return None if rings is None else _joined([_at_height(rings, (2 * k + 1) * c - half_length) for k in range(n)])
+
+
+@dataclass(frozen=True)
+class _Ring:
+    """Equal balls around the axis that cover a slab of a disc down to the radius `inner`."""
+
+    xy: Float[Array, "ball 2"]
+    radius: float
+    inner: float
+
+
+def _rings(radius: float, c: float, protrusion: float) -> list[_Ring] | None:
+    """Cover the slab |z| <= c of a cylinder by rings of balls that stick out of it by at most `protrusion`."""
     if np.hypot(radius, c) - min(radius, c) <= protrusion:
-        return np.zeros((1, 2)), float(np.hypot(radius, c))
+        return [_Ring(np.zeros((1, 2)), float(np.hypot(radius, c)), 0.0)]
     if c > radius:  # balls that reach both faces would bulge out of the side
         return None
     R = c + protrusion
     rho = np.sqrt(R**2 - c**2)  # what a ball covers on both faces of the slab
-    centres: list[Array] = []
-    outer, d = radius, radius + protrusion - R
-    for _ in range(200):
-        if outer <= rho:
-            centres.append(np.zeros((1, 2)))
-            return np.concatenate(centres), float(R)
-        d = min(max(d, 0.0), outer)
-        if d <= 0.0:
+    rings: list[_Ring] = []
+    outer, d = radius, radius - c
+    while outer > rho:
+        cosine = (outer**2 + d**2 - rho**2) / (2.0 * outer * d) if d > 0.0 else 1.0
+        if cosine > 0.999:  # the ring hardly reaches out to `outer`
             return None
-        alpha = np.arccos(np.clip((outer**2 + d**2 - rho**2) / (2 * outer * d), -1.0, 1.0))
-        if alpha < 1e-3:
-            return None
-        m = max(3, int(np.ceil(np.pi / alpha)))
-        angle = 2 * np.pi * (np.arange(m) + 0.5 * (len(centres) % 2)) / m
-        centres.append(d * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-        inside = rho**2 - (d * np.sin(np.pi / m)) ** 2
-        if inside < 0:
-            return None
-        inner = d * np.cos(np.pi / m) - np.sqrt(inside)
+        m = max(3, int(np.ceil(np.pi / np.arccos(cosine))))
+        angle = 2.0 * np.pi * (np.arange(m) + 0.5 * (len(rings) % 2)) / m
+        inner = d * np.cos(np.pi / m) - np.sqrt(max(0.0, rho**2 - (d * np.sin(np.pi / m)) ** 2))
+        rings.append(_Ring(d * np.stack([np.cos(angle), np.sin(angle)], axis=1), float(R), max(0.0, float(inner))))
         if inner <= 0.0:
-            return np.concatenate(centres), float(R)
-        # The next ring covers up to `inner` with some overlap: balls whose neighbours meet on that circle.
-        outer, d = inner, inner - 0.35 * rho if inner > rho else 0.0
-    return None
+            return rings
+        outer, d = inner, inner - 0.35 * rho  # the next ring overlaps with this one
+    return [*rings, _Ring(np.zeros((1, 2)), float(R), 0.0)]
+
+
+def _at_height(rings: list[_Ring], z: float) -> Cover:
+    xy = np.concatenate([ring.xy for ring in rings])
+    radii = np.concatenate([np.full(len(ring.xy), ring.radius) for ring in rings])
+    return np.column_stack([xy, np.full(len(xy), z)]), radii
+
+
+def _joined(covers: list[tuple[Array, Array]]) -> Cover:
+    return np.concatenate([c for c, _ in covers]), np.concatenate([r for _, r in covers])
 
 
 def convex_cover(
@@ -155,30 +182,20 @@ def convex_cover(
         protrusion: How far spheres may stick out [m].
         pitch: Density of `points` [m].
     """
-    slack = pitch
     depth = np.min(planes[:, 3] - points @ planes[:, :3].T, axis=1)
     radii = np.maximum(depth, 0.0) + protrusion
-    usable = radii > slack
-    candidates, radii = points[usable], radii[usable]
-    if len(candidates) > MAX_CANDIDATES:
-        chosen = np.linspace(0, len(candidates) - 1, MAX_CANDIDATES).astype(int)
-        candidates, radii = candidates[chosen], radii[chosen]
-    squared = np.sum(candidates**2, axis=1)[:, None] + np.sum(points**2, axis=1) - 2.0 * candidates @ points.T
-    covers = (squared <= ((radii - slack) ** 2)[:, None]).astype(np.float32)
-    left = np.ones(len(points), dtype=np.float32)
+    reach = radii - pitch  # a ball covers for certain what is within its radius less the gaps between samples
+    left = np.argsort(depth, kind="stable")  # the surface first, corners before all
     picked: list[int] = []
-    while left.any():
-        gain = covers @ left
-        k = int(np.argmax(gain))
-        if gain[k] <= 0:  # a thinned-out candidate: let the point cover itself
-            stray = int(np.argmax(left))
-            candidates, radii = np.vstack([candidates, points[stray]]), np.append(radii, depth[stray] + protrusion)
-            reach = np.linalg.norm(points - points[stray], axis=1) <= radii[-1] - slack
-            covers = np.vstack([covers, reach.astype(np.float32)])
-            k = len(candidates) - 1
-        picked.append(k)
-        left[covers[k] > 0] = 0.0
-    return candidates[picked], radii[picked]
+    while len(left):
+        able = np.flatnonzero(np.linalg.norm(points - points[left[0]], axis=1) <= reach)
+        able = able[np.linspace(0, len(able) - 1, min(len(able), CANDIDATES)).astype(int)]
+        distance = np.linalg.norm(points[left][None] - points[able][:, None], axis=-1)
+        covered = distance <= reach[able][:, None]
+        best = int(np.argmax(covered.sum(axis=1)))
+        picked.append(int(able[best]))
+        left = left[~covered[best]]
+    return points[picked], radii[picked]
 
 
 def samples_of_convex(
