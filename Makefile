@@ -11,7 +11,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(wildcard
 
 unexport PYTHONPATH
 
-.PHONY: help demo test lint types bench wheel lock clean
+.PHONY: help demo picture test lint bench wheel lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -25,6 +25,11 @@ help:
 
 demo: $(VENV)/.package
 	$(BIN)/graceful-plan demo
+
+# The picture in the README; with a number of iterations it does not depend on how fast the machine is.
+picture: $(VENV)/.package
+	$(BIN)/graceful-plan demo --iterations 5000
+	cp graceful_plan_demo/demo.png docs/images/demo.png
 
 test: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/python -m pytest -q $(ARGS)

@@ -142,8 +142,7 @@ def _plan(args: argparse.Namespace) -> int:
 def _evaluate(args: argparse.Namespace) -> int:
     motion = documents.read_motion(args.motion)
     scene = _task(args)[0]
-    path = motion if isinstance(motion, gp.Path) else motion.path
-    cost = gp.evaluate(path, scene, gp.Objective(w=args.w))
+    cost = gp.evaluate(motion, scene, gp.Objective(w=args.w))
     verdict = gp.verify(motion, scene)
     rows = [
         [name, "passed" if check.passed else "FAILED", check.worst, check.detail]
