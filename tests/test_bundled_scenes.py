@@ -33,14 +33,11 @@ def end_of(name: str, task: str, end: str) -> tuple[gp.Task, np.ndarray]:
     return found, found.start if end == "start" else found.goal[0]
 
 
-def impact_by_entity(scene: gp.Scene, q: np.ndarray) -> dict[str, float]:
-    """Greatest P S of object and contents against each entity, by Algorithm 1."""
-    P = gp.interaction_probability(scene, q)
-    names = list(scene.components)
-    return {
-        entity.name: max(P[names.index(c), e] * entity.severity[c] for c in names if c != "body")
-        for e, entity in enumerate(scene.entities.values())
-    }
+def worst_impact(scene: gp.Scene, q: np.ndarray) -> float:
+    """Greatest P S of object or contents against any entity at any of the configurations, by Algorithm 1."""
+    held = [name != "body" for name in scene.components]
+    severity = np.array([[entity.severity[c] for entity in scene.entities.values()] for c in scene.components])
+    return float((gp.interaction_probability(scene, q) * severity)[..., held, :].max())
 
 
 def near_pairs(scene: gp.Scene, data: mujoco.MjData) -> list[list[int]]:
@@ -178,14 +175,14 @@ def test_ends_have_room_by_exact_geometry(name: str, task: str, end: str) -> Non
 @pytest.mark.parametrize(("name", "task", "end"), ENDS)
 def test_ends_are_not_above_what_is_severe(name: str, task: str, end: str) -> None:
     found, q = end_of(name, task, end)
-    assert max(impact_by_entity(found.scene, q).values()) < _MILD
+    assert worst_impact(found.scene, q) < _MILD
 
 
 @pytest.mark.parametrize(("name", "task"), TASKS)
 def test_the_direct_way_passes_over_something_severe(name: str, task: str) -> None:
     found = household(name).tasks[task]
     way = gp.Path(np.stack([found.start, found.goal[0]])).resampled(0.02)
-    assert max(max(impact_by_entity(found.scene, q).values()) for q in way.q) > _MILD
+    assert worst_impact(found.scene, way.q) > _MILD
 
 
 @pytest.mark.parametrize("name", HOUSEHOLD)
