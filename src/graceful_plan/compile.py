@@ -281,22 +281,19 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 
 def _hull_triangles(model: mujoco.MjModel, mesh: int) -> Float[Array, "triangle 3 3"]:
-    """Convex hull of a mesh as triangles, counter-clockwise from outside, in the mesh frame."""
-    from scipy.spatial import ConvexHull
-
-    first = model.mesh_vertadr[mesh]
+    """Convex hull of a mesh as MuJoCo computed it: triangles, counter-clockwise from outside, in the mesh frame."""
+    first, graph = model.mesh_vertadr[mesh], model.mesh_graphadr[mesh]
     vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
-    hull = ConvexHull(vertices)
-    corners = vertices[hull.simplices]
-    flipped = (
-        np.einsum(
-            "ti,ti->t", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3]
-        )
-        < 0
-    )
-    corners[flipped] = corners[flipped][:, [0, 2, 1]]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return corners[area > 1e-10]
+    if graph < 0:
+        raise UnsupportedError(f"mesh {model.mesh(mesh).name!r} has no convex hull; use it in a geom that collides")
+    n_vertex, n_face = (int(n) for n in model.mesh_graph[graph : graph + 2])
+    # The graph holds the two counts, per vertex an edge address and its id, the edges, and the faces' vertex ids.
+    faces = graph + 2 + 2 * n_vertex + n_vertex + 3 * n_face
+    corners = vertices[model.mesh_graph[faces : faces + 3 * n_face].reshape(-1, 3)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ti,ti->t", normal, corners[:, 0] - corners.mean(axis=(0, 1))) < 0.0
+    corners[inward] = corners[inward][:, [0, 2, 1]]
+    return corners[np.linalg.norm(normal, axis=1) > 1e-10]
 
 
 def _planes(triangles: Float[Array, "triangle 3 3"]) -> Float[Array, "triangle 4"]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
@@ -30,7 +32,14 @@ class Finished:
     """Why there is no trajectory."""
 
 
-def finish(path: Path, scene: Scene, objective: SceneObjective, goal: PoseGoal | None = None, speed: float = 1.0) -> Finished:
+def finish(
+    path: Path,
+    scene: Scene,
+    objective: SceneObjective,
+    goal: PoseGoal | None = None,
+    speed: float = 1.0,
+    in_the_clear: bool = True,
+) -> Finished:
     """Time and judge a path.
 
     Args:
@@ -39,6 +48,7 @@ def finish(path: Path, scene: Scene, objective: SceneObjective, goal: PoseGoal |
         objective: What it was planned for.
         goal: The pose to be reached, if that was the goal.
         speed: In (0, 1]: fraction of the velocity limits to use.
+        in_the_clear: Whether the fast checker calls the whole path free, so that it can tell which corners not to cut.
     """
     cost = objective.breakdown(path)
     verdict, problem, trajectory = Verdict(), "", None
@@ -48,12 +58,19 @@ def finish(path: Path, scene: Scene, objective: SceneObjective, goal: PoseGoal |
         except RetimingError as error:
             problem = str(error)
             continue
+        if in_the_clear and deviation > 0.0 and not _keeps_clear(trajectory, objective):
+            continue
         if objective.objective.exposure == "time":
             cost = objective.breakdown(trajectory)
         verdict = _judge(trajectory, path, scene, objective, cost, goal)
         if verdict.passed or "collision" not in verdict.failures:
             break
     return Finished(trajectory=trajectory, cost=cost, verdict=verdict, problem=problem)
+
+
+def _keeps_clear(trajectory: Trajectory, objective: SceneObjective) -> bool:
+    samples = trajectory.sample(max(trajectory.duration / 1000.0, 1e-3)).q
+    return bool(np.all(objective.kernels.free(samples)))
 
 
 def _judge(

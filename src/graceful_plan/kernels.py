@@ -19,7 +19,9 @@ Array = np.ndarray
 
 CHECK_STEP = 1.0 / 32.0
 """Largest joint-space distance between checked configurations of an edge [rad]."""
-COST_STEP = 0.02
+FINE_STEP = 1.0 / 512.0
+"""The same for edges that become part of a path [rad]: no point of an arm moves more than some 3 mm in between."""
+COST_STEP = 0.015
 """Largest joint-space distance between samples of the impact along an edge [rad]."""
 
 

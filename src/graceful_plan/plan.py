@@ -16,7 +16,7 @@ from graceful_plan.escape import way_out
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.finish import Finished, finish
 from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
-from graceful_plan.kernels import CHECK_STEP
+from graceful_plan.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners import PLANNERS, Planner
 from graceful_plan.planners.planner import Budget
@@ -30,9 +30,9 @@ Array = np.ndarray
 
 DEFAULT_TIME_LIMIT = 1.0
 """Seconds that a call may take when neither a time limit nor a number of iterations is given."""
-_CAUTION = ((0.0, CHECK_STEP), (0.003, CHECK_STEP / 2), (0.01, CHECK_STEP / 4))
+_CAUTION = ((0.001, CHECK_STEP), (0.004, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
-_RESERVE = 0.1
+_RESERVE = 0.12
 """Seconds kept for timing and verification, at most a third of the time limit."""
 
 
@@ -138,9 +138,9 @@ def _search_and_finish(
     speed: float,
 ) -> PlanResult:
     """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
-    finish_by = budget.time_limit
-    budget.time_limit -= min(_RESERVE, finish_by / 3.0)
-    found, done, stats = Search(), None, {}
+    budget.time_limit -= min(_RESERVE, budget.time_limit / 3.0)
+    pose = goal if isinstance(goal, PoseGoal) else None
+    found, refused = Search(), None
     for margin, check_step in _CAUTION:
         problem = SceneProblem(
             kernels=ends.compiled.kernels,
@@ -150,18 +150,21 @@ def _search_and_finish(
             check_step=check_step,
         )
         found = search(planner, problem, objective, budget, rng, callback)
-        stats["search_time"] = budget.elapsed
-        if found.path is None:
+        stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
+        if found.path is not None:
+            path, index = _with_ends(found.path, ends)
+            done = finish(path, objective.scene, objective, pose, speed, _in_the_clear(ends, index))
+            if done.verdict.passed:
+                return _solved(path, done, found, ends.goal_index[index], stats)
+            refused = done
+        if budget.exhausted or (found.path is None and not found.refused):
             break
-        path, index = _with_ends(found.path, ends)
-        pose = goal if isinstance(goal, PoseGoal) else None
-        done = finish(path, objective.scene, objective, pose, speed)
-        if done.verdict.passed:
-            stats["iterations"] = float(budget.spent)
-            return _solved(path, done, found, ends.goal_index[index], stats)
-        if budget.exhausted:
-            break
-    return _failed(found, done, budget, stats)
+    return _failed(found, refused, budget, stats)
+
+
+def _in_the_clear(ends: _Ends, index: int) -> bool:
+    """Whether the whole path keeps clear of everything by the fast checker's account: there are no ways out in it."""
+    return len(ends.departure) == 1 and len(ends.arrivals[index]) == 1
 
 
 def _clearance_of_ends(ends: _Ends) -> float:
@@ -190,16 +193,16 @@ def _solved(path: Path, done: Finished, found: Search, index: int, stats: dict[s
     )
 
 
-def _failed(found: Search, done: Finished | None, budget: Budget, stats: dict[str, float]) -> PlanResult:
+def _failed(found: Search, refused: Finished | None, budget: Budget, stats: dict[str, float]) -> PlanResult:
+    if refused is None:
+        status = PlanStatus.TIMEOUT if budget.exhausted else PlanStatus.INFEASIBLE
+        return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", stats=stats)
     trace = tuple(found.trace)
-    if done is not None and done.trajectory is None:
-        return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=done.problem, trace=trace, stats=stats)
-    if done is not None and found.path is not None:
-        objections = "; ".join(f"{name}: {done.verdict.checks[name].detail}" for name in done.verdict.failures)
-        detail = f"the judge refused every path found; the last for {objections}"
-        return PlanResult(status=PlanStatus.TIMEOUT, detail=detail, verdict=done.verdict, trace=trace, stats=stats)
-    status = PlanStatus.INFEASIBLE if found.gave_up else PlanStatus.TIMEOUT
-    return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", trace=trace, stats=stats)
+    if refused.trajectory is None:
+        return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=refused.problem, trace=trace, stats=stats)
+    objections = "; ".join(f"{name}: {refused.verdict.checks[name].detail}" for name in refused.verdict.failures)
+    detail = f"the judge refused every path found; the last for {objections}"
+    return PlanResult(status=PlanStatus.TIMEOUT, detail=detail, verdict=refused.verdict, trace=trace, stats=stats)
 
 
 def _planner(planner: str | Planner) -> Planner:

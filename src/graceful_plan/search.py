@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.kernels import FINE_STEP
 from graceful_plan.path import Path
-from graceful_plan.planners.planner import Budget, Planner, Problem
+from graceful_plan.planners.planner import Budget, Planner
+from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.result import TracePoint
 
 Callback = Callable[[TracePoint], bool | None]
@@ -22,13 +24,13 @@ class Search:
 
     path: Path | None = None
     trace: list[TracePoint] = field(default_factory=list)
-    gave_up: bool = False
-    """Whether the planner ended before its budget did, without a path."""
+    refused: int = 0
+    """Paths that graze something between the configurations that the planner checked."""
 
 
 def search(
     planner: Planner,
-    problem: Problem,
+    problem: SceneProblem,
     objective: SceneObjective,
     budget: Budget,
     rng: np.random.Generator,
@@ -38,6 +40,9 @@ def search(
     found = Search()
     best = np.inf
     for path in planner.solve(problem, objective, budget, rng):
+        if not np.all(problem.kernels.edges_free(path.q[:-1], path.q[1:], FINE_STEP, problem.margin)):
+            found.refused += 1
+            continue
         edges = objective.edges(path.q[:-1], path.q[1:])
         motion, impact = (float(v) for v in edges.sum(axis=0)) if len(edges) else (0.0, 0.0)
         total = motion + objective.w * impact
@@ -47,5 +52,4 @@ def search(
         found.trace.append(TracePoint(time=budget.elapsed, total=total, motion=motion, impact=impact))
         if callback is not None and callback(found.trace[-1]):
             break
-    found.gave_up = found.path is None and not budget.exhausted
     return found

@@ -246,7 +246,7 @@ def ellipsoid_cover(semi_axes: tuple[float, float, float], protrusion: float = M
 def enclosing_sphere(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Float[Array, " 4"]:
     """A small sphere around spheres, by steps towards the furthest one (Badoiu and Clarkson 2003)."""
     centre = (centres.min(axis=0) + centres.max(axis=0)) / 2.0
-    for k in range(1, 400):
+    for k in range(1, 80):
         reach = np.linalg.norm(centres - centre, axis=1) + radii
         far = int(np.argmax(reach))
         centre = centre + (centres[far] - centre) * (1.0 - radii[far] / max(reach[far], 1e-12)) / (k + 1)

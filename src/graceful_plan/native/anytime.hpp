@@ -103,6 +103,7 @@ class Anytime {
     for (size_t d = 0; d < via.size(); ++d)
       via[d] = std::clamp(q[i][d] + s * (q[j][d] - q[i][d]) + radius * random_.normal() / std::sqrt(double(space_.dim)), space_.lower[d], space_.upper[d]);
     if (base < 1e-9 || !space_.edge_free(q[i].data(), via.data()) || !space_.edge_free(via.data(), q[j].data())) return false;
+    if (!space_.edge_certain(q[i].data(), via.data()) || !space_.edge_certain(via.data(), q[j].data())) return false;
     std::vector<Point> points(q.begin(), q.begin() + long(i) + 1);
     points.push_back(via);
     points.insert(points.end(), q.begin() + long(j), q.end());

@@ -279,17 +279,15 @@ std::vector<Point> points(const Reals& q) {
 // Collision and cost from the kernels.
 class SceneSpace final : public Space {
  public:
-  SceneSpace(const Core& core, Reals low, Reals high, Reals severity, double weight, double check_step, double cost_step, double margin)
-      : core_(core), severity_(point(severity)), check_step_(check_step), cost_step_(cost_step), margin_(margin) {
+  SceneSpace(const Core& core, Reals low, Reals high, Reals severity, double weight, double check_step, double fine_step,
+             double cost_step, double margin)
+      : core_(core), severity_(point(severity)), check_step_(check_step), fine_step_(fine_step), cost_step_(cost_step), margin_(margin) {
     core.check_severity(severity);
     lower = point(low), upper = point(high), dim = int(lower.size()), w = weight;
     require(dim == core.tables().n_joint && upper.size() == lower.size(), "limits");
   }
-  bool edge_free(const double* a, const double* b) override {
-    uint8_t free = 0;
-    core_.kernels().free_edges(core_.tables(), a, b, 1, check_step_, margin_, &free);
-    return free != 0;
-  }
+  bool edge_free(const double* a, const double* b) override { return free_at(a, b, check_step_); }
+  bool edge_certain(const double* a, const double* b) override { return free_at(a, b, fine_step_); }
   double impact(const double* a, const double* b) override {
     double cost[2];
     core_.kernels().edge_costs(core_.tables(), severity_.data(), a, b, 1, cost_step_, cost);
@@ -297,9 +295,15 @@ class SceneSpace final : public Space {
   }
 
  private:
+  bool free_at(const double* a, const double* b, double step) const {
+    uint8_t free = 0;
+    core_.kernels().free_edges(core_.tables(), a, b, 1, step, margin_, &free);
+    return free != 0;
+  }
+
   const Core& core_;
   Point severity_;
-  double check_step_, cost_step_, margin_;
+  double check_step_, fine_step_, cost_step_, margin_;
 };
 
 // Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2].
@@ -315,6 +319,7 @@ class CallbackSpace final : public Space {
     auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(edges_free_(row(a), row(b)));
     return free.data()[0];
   }
+  bool edge_certain(const double*, const double*) override { return true; }
   double impact(const double* a, const double* b) override { return costs(a, b).second; }
   double motion(const double* a, const double* b) override { return motion_is_length_ ? distance(a, b) : costs(a, b).first; }
   bool motion_is_length() const override { return motion_is_length_; }
@@ -414,8 +419,8 @@ NB_MODULE(_native, m) {
       .def("edge_costs", &Core::edge_costs, "severity"_a, "q0"_a, "q1"_a, "step"_a);
   nb::class_<Space>(m, "Space");
   nb::class_<SceneSpace, Space>(m, "SceneSpace")
-      .def(nb::init<const Core&, Reals, Reals, Reals, double, double, double, double>(), "core"_a, "lower"_a, "upper"_a, "severity"_a,
-           "w"_a, "check_step"_a, "cost_step"_a, "margin"_a, nb::keep_alive<1, 2>());
+      .def(nb::init<const Core&, Reals, Reals, Reals, double, double, double, double, double>(), "core"_a, "lower"_a, "upper"_a,
+           "severity"_a, "w"_a, "check_step"_a, "fine_step"_a, "cost_step"_a, "margin"_a, nb::keep_alive<1, 2>());
   nb::class_<CallbackSpace, Space>(m, "CallbackSpace")
       .def(nb::init<nb::object, nb::object, Reals, Reals, double, bool>(), "edges_free"_a, "edge_costs"_a, "lower"_a, "upper"_a, "w"_a,
            "motion_is_length"_a);

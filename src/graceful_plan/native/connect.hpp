@@ -64,7 +64,7 @@ class Connect {
   bool connect_directly() {
     for (const Point& goal : goals_) {
       if (!std::isinf(bound_) && space_.cost(start_.data(), goal.data()) >= bound_) continue;
-      if (!space_.edge_free(start_.data(), goal.data())) continue;
+      if (!space_.edge_free(start_.data(), goal.data()) || !space_.edge_certain(start_.data(), goal.data())) continue;
       path_ = {start_, goal};
       return true;
     }
@@ -136,6 +136,12 @@ class Connect {
     std::reverse(path_.begin(), path_.end());
     for (int i = grown_is_a ? from : added; i >= 0; i = b_.parent[size_t(i)]) path_.emplace_back(b_.node(i), b_.node(i) + space_.dim);
     path_.erase(std::unique(path_.begin(), path_.end()), path_.end());
+    for (size_t k = 0; k + 1 < path_.size(); ++k)
+      if (!space_.edge_certain(path_[k].data(), path_[k + 1].data())) {
+        reset(bound_);  // these trees hold an edge that grazes something between two checks
+        tried_direct_ = true;
+        return false;
+      }
     return true;
   }
 

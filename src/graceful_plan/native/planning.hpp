@@ -18,6 +18,8 @@ struct Space {
 
   virtual ~Space() = default;
   virtual bool edge_free(const double* a, const double* b) = 0;
+  // The same at a finer step, for edges that become part of a path; asked after edge_free.
+  virtual bool edge_certain(const double* a, const double* b) = 0;
   virtual double impact(const double* a, const double* b) = 0;  // S of an edge
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
   // Whether motion() is the length, so that distances bound the cost from below.

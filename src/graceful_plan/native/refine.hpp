@@ -87,6 +87,8 @@ class Refiner {
     if (!(after < limit)) return false;
     for (size_t k = 0; k + 1 < chain.size(); ++k)
       if (!space_.edge_free(chain[k], chain[k + 1])) return false;
+    for (size_t k = 0; k + 1 < chain.size(); ++k)
+      if (!space_.edge_certain(chain[k], chain[k + 1])) return false;
     path_.q.erase(path_.q.begin() + first + 1, path_.q.begin() + last);
     path_.q.insert(path_.q.begin() + first + 1, points.begin(), points.end());
     path_.edge.erase(path_.edge.begin() + first, path_.edge.begin() + last);

@@ -8,7 +8,7 @@ import numpy as np
 
 from graceful_plan import _native
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.kernels import COST_STEP
+from graceful_plan.kernels import COST_STEP, FINE_STEP
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.planners.scene_problem import SceneProblem
 
@@ -30,6 +30,7 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
             severity=np.ascontiguousarray(severity),
             w=objective.w,
             check_step=problem.check_step,
+            fine_step=FINE_STEP,
             cost_step=COST_STEP,
             margin=problem.margin,
         )
