@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks import known, planning, report, suite  # noqa: E402 - after the path to them is known
 from benchmarks import run as runner  # noqa: E402
-from benchmarks.subjects import kernels, planners  # noqa: E402
+from benchmarks.subjects import best_known, kernels, planners  # noqa: E402
 
 TASK = "tabletop_l1/green_to_blue"
 FILES = sorted(known.FOLDER.glob("*.json"))
@@ -135,6 +135,34 @@ def test_only_a_better_path_replaces_the_best_known(stored):
 
 def test_a_path_that_is_no_solution_is_not_taken(stored):
     assert known.offer(TASK, suite.task(TASK), None, np.array(stored.path)[:-1], "prm", 0, 1.0) is None
+
+
+def test_runs_that_were_done_are_not_repeated(stored, monkeypatch):
+    monkeypatch.setattr(suite, "task_names", lambda options: [TASK])
+    monkeypatch.setattr(gp, "PLANNERS", {name: gp.PLANNERS[name] for name in ("anytime", "rrt_connect")})
+    options = suite.Options(seconds=0.5)
+    body = best_known.run(options)
+    first = known.load(TASK, suite.task(TASK))
+    assert first is not None and f"{first.total:.5g}" in body
+    wanted = [("rrt_connect", 0), *(("anytime", seed) for seed in range(best_known.SEEDS))]
+    assert sorted((run.planner, run.seed) for run in first.runs) == sorted(wanted)
+    monkeypatch.setattr(planning, "run", lambda job: pytest.fail(f"{job} again"))
+    assert best_known.run(options) == body
+    assert known.load(TASK, suite.task(TASK)) == first
+
+
+def test_the_reference_of_gaps_is_the_best_of_file_and_run(stored, record):
+    total = stored.total
+    known.write(stored)
+    best, doubts = planners.references([], [TASK], keep=True)
+    assert (best, doubts) == ({TASK: total}, [])
+    known.write(dataclasses.replace(stored, total=2.0 * total))
+    best, doubts = planners.references([record], [TASK], keep=False)
+    assert best == {TASK: total} and "stored total" in doubts[0]
+    known.file_of(TASK).unlink()
+    best, doubts = planners.references([record], [TASK], keep=True)
+    assert best == {TASK: total} and TASK in doubts[0]
+    assert known.load(TASK, suite.task(TASK)) is not None
 
 
 # --- records and statistics ------------------------------------------------------------------------------------------

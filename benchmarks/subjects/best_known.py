@@ -12,7 +12,7 @@ from benchmarks.planning import Job, Record
 TITLE = "Best known: the least total cost of every task"
 LONG = 60.0
 """Time limit of the default planner's first seed [s]."""
-SHORT = 20.0
+SHORT = 15.0
 """Time limit of all other runs [s]."""
 SEEDS = 4
 """Seeds of the default planner."""

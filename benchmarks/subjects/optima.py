@@ -33,7 +33,7 @@ class Sizes:
     seconds: float
 
 
-FULL = Sizes(seeds=3, seconds=5.0)
+FULL = Sizes(seeds=2, seconds=4.0)
 QUICK = Sizes(seeds=1, seconds=0.3)
 HIGH_DIMENSION = {"disc, 7-D": disc, "two_media, 7-D": two_media}
 

@@ -37,7 +37,7 @@ class Sizes:
     default_seeds: int
 
 
-FULL = Sizes(seeds=2, time_limit=5.0, default_seeds=10)
+FULL = Sizes(seeds=1, time_limit=5.0, default_seeds=10)
 QUICK = Sizes(seeds=1, time_limit=1.0, default_seeds=2)
 
 
@@ -62,7 +62,7 @@ def run(options: suite.Options) -> str:
     at = tuple(seconds for seconds in CHECKPOINTS if seconds <= limit)
     parts = [
         MEASURED.format(at=", ".join(f"{seconds:g}" for seconds in at), limit=limit),
-        *(f"- {doubt}\n" for doubt in doubts),
+        "".join(f"- {doubt}\n" for doubt in doubts),
         report.targets(_targets(own, best)),
         f"### The default, time_limit=1.0, {sizes.default_seeds} seeds\n",
         _default_table(own, best),
@@ -83,16 +83,15 @@ def references(records: list[Record], tasks: list[str], *, keep: bool) -> tuple[
         tasks: Names of tasks.
         keep: Whether to store what is better.
     """
-    best, doubts = {}, []
+    best, doubts, missing = {}, [], []
     for name in tasks:
         task = suite.task(name)
+        stored = None
         try:
             stored = known.load(name, task)
+            missing += [name] if stored is None else []
         except known.StaleBestKnownError as error:
-            stored = None
             doubts.append(f"Refused: {error}")
-        if stored is None:
-            doubts.append(f"{name}: no best known before this run")
         found = min((r for r in records if r.job.task == name and r.solved), key=lambda r: r.total, default=None)
         if found is not None and found.path is not None:
             job = found.job
@@ -101,6 +100,8 @@ def references(records: list[Record], tasks: list[str], *, keep: bool) -> tuple[
                 known.write(better)
             stored = better
         best[name] = np.inf if stored is None else stored.total
+    if missing:
+        doubts.append(f"No best known before this run, so that its own best counts: {', '.join(missing)}")
     return best, doubts
 
 
