@@ -269,8 +269,10 @@ def _cover_geom(model: mujoco.MjModel, geom: int) -> sphere_cover.Cover:
     if kind == "mesh":
         triangles = _hull_triangles(model, int(model.geom_dataid[geom]))
         return sphere_cover.hull_cover(np.unique(triangles.reshape(-1, 3), axis=0), _planes(triangles))
-    raise UnsupportedError(f"geom {_geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
-                           "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes")  # fmt: skip
+    raise UnsupportedError(
+        f"geom {_geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
+        "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes"
+    )
 
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:

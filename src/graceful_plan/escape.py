@@ -1,7 +1,8 @@
-"""Ways out of tight places: from a configuration that is free by exact geometry to one that the fast checker calls free.
+"""Ways out of tight places: from a configuration free by exact geometry to one that the fast checker calls free.
 
-The fast checker's spheres stick out by up to a centimetre, so a gripper close to a table or an object that still stands on
-it seem to collide. Such a start or goal is left by a short move up the gradient of clearance, checked by exact geometry.
+The fast checker's spheres stick out by up to a centimetre, so a gripper close to a table or an object that still stands
+on it seem to collide. Such a start or goal is left by a short move up the gradient of clearance, checked by exact
+geometry.
 """
 
 from __future__ import annotations

@@ -106,4 +106,6 @@ class PlanningFailed(GracefulPlanError, RuntimeError):
 
     def __init__(self, result: PlanResult) -> None:
         self.result = result
-        super().__init__(f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else ""))
+        super().__init__(
+            f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else "")
+        )

@@ -95,7 +95,7 @@ class Kernels:
         return self.link_poses(q)[..., self.robot.tool_link, :, :] @ self.robot.X_LT
 
     def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:
-        """Tell which configurations keep at least `margin` [m] of clearance. Conservative: never free when in collision."""
+        """Tell which configurations keep at least `margin` [m] of clearance; never optimistic."""
         flat, batch = self._rows("q", q)
         return self.core.free_states(flat, margin).reshape(batch)
 

@@ -14,7 +14,9 @@ from graceful_plan.exceptions import NonFiniteError, ShapeError
 Array = np.ndarray
 
 
-def finite_array(name: str, value: ArrayLike, *, ndim: int | None = None, last: int | None = None) -> Float[Array, "..."]:
+def finite_array(
+    name: str, value: ArrayLike, *, ndim: int | None = None, last: int | None = None
+) -> Float[Array, "..."]:
     """Return `value` as a float64 array, refusing wrong shapes and numbers that are not finite.
 
     Raises:
@@ -77,5 +79,7 @@ class Path:
     def resampled(self, step: float) -> Path:
         """Subdivide every segment evenly so that no piece is longer than `step` [rad]; vertices stay."""
         pieces = np.maximum(1, np.ceil(self.segment_lengths / step).astype(int))
-        parts = [a + np.arange(k)[:, None] / k * (b - a) for a, b, k in zip(self.q[:-1], self.q[1:], pieces, strict=True)]
+        parts = [
+            a + np.arange(k)[:, None] / k * (b - a) for a, b, k in zip(self.q[:-1], self.q[1:], pieces, strict=True)
+        ]
         return Path(np.concatenate([*parts, self.q[-1:]]))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from graceful_plan.compile import CompiledScene, compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
@@ -56,7 +55,7 @@ def plan(
         start: Configuration [rad or m], or the name of a keyframe.
         goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
         scene: Robot, surroundings and what is carried.
-        w: Safety weight: how much motion [rad] a unit of impact times length is worth. 1 by default, or the objective's.
+        w: Safety weight: how much motion [rad] a unit of impact times length is worth; default: the objective's, or 1.
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.

@@ -17,7 +17,9 @@ class PlanStatus(Enum):
     """How planning ended; the value says what to do about it."""
 
     SOLVED = "A verified trajectory was found."
-    APPROXIMATE = "A verified trajectory ends near the goal, not within its tolerance; raise the time limit or the tolerance."
+    APPROXIMATE = (
+        "A verified trajectory ends near the goal, not within its tolerance; raise the time limit or the tolerance."
+    )
     INVALID_START = "The start is in collision or outside of the limits; move the robot or fix the scene."
     INVALID_GOAL = "No goal is reachable, free and inside the limits; choose another goal or a looser tolerance."
     TIMEOUT = "The budget ended before a verified trajectory was found; raise the time limit or the iterations."

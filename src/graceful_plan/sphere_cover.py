@@ -82,7 +82,7 @@ def _box_lattice(half: Float[Array, " 3"], protrusion: float) -> Array:
 
 
 def cylinder_cover(radius: float, half_length: float, protrusion: float = MAX_PROTRUSION) -> Cover:
-    """Cover a cylinder along z by the best of several ways; thin ones end up with spheres on the axis, plates with rings."""
+    """Cover a cylinder along z by the best of several ways; thin ones get spheres on the axis, plates get rings."""
     options = [_cylinder_on_axis(radius, half_length, n, protrusion) for n in _LAYERS[:8]]
     options += [_cylinder_with_core(radius, half_length, n, protrusion) for n in _LAYERS]
     return min((cover for cover in options if cover is not None), key=lambda cover: len(cover[1]))

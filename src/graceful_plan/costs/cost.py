@@ -92,7 +92,8 @@ class Cost(ABC):
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return the cost density at each state.
 
-        Laws: finite and never negative; each entry depends on its own state alone; the same input gives the same output.
+        Laws: finite and never negative; each entry depends on its own state alone; the same input gives the same
+        output.
         """
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:

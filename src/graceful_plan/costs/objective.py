@@ -38,8 +38,8 @@ class Objective:
         motion: Cost of moving, a density over length.
         impact: Cost of failing, a density over the exposure.
         w: Safety weight, at least 0; 0 is an ordinary planner.
-        exposure: What the impact is integrated over: "length" [rad]; "time" [s], on a path at the joints' velocity limits
-            and on a trajectory as timed; "waypoints", the paper's plain sum over vertices, start included.
+        exposure: What the impact is integrated over: "length" [rad]; "time" [s], on a path at the joints' velocity
+            limits and on a trajectory as timed; "waypoints", the paper's plain sum over vertices, start included.
     """
 
     motion: Cost = JointLength()

@@ -1,12 +1,13 @@
 """The default planner: RRT-Connect for a first path, then search and refinement by J until the budget ends.
 
-A planner of the AO-x family with J = V + w S as edge cost: RRT-Connect runs again and again with the incumbent's cost as
-bound on cost-to-come plus distance-to-go, so that whatever it finds is better. Between these searches it refines the
+A planner of the AO-x family with J = V + w S as edge cost: RRT-Connect runs again and again with the incumbent's cost
+as bound on cost-to-come plus distance-to-go, so that whatever it finds is better. Between these searches it refines the
 incumbent and a few challengers from other homotopy classes by moves that are kept only if J falls and edges are free:
 shortcuts, per-joint shortcuts, perturbed vertices, smooth bumps.
 
 References:
-    Hauser and Zhou, "Asymptotically optimal planning by feasible kinodynamic planning in a state-cost space", T-RO 2016.
+    Hauser and Zhou, "Asymptotically optimal planning by feasible kinodynamic planning in a state-cost space", T-RO,
+        2016.
     Wilson et al., "AORRTC: almost-surely asymptotically optimal planning with RRT-Connect", RA-L 2025.
     Geraerts and Overmars, "Creating high-quality paths for motion planning", IJRR 2007 (per-joint shortcuts).
 """

@@ -21,8 +21,8 @@ class SceneProblem(Problem):
         kernels: The scene's kernels.
         start: Start, free and inside the limits [rad or m].
         goals: Goals, free and inside the limits [rad or m].
-        check_step: Largest distance between checked configurations of an edge [rad]. The native planners check the edges of
-            a path once more at `FINE_STEP`.
+        check_step: Largest distance between checked configurations of an edge [rad]. The native planners check the
+            edges of a path once more at `FINE_STEP`.
         margin: Clearance to keep [m].
     """
 

@@ -17,7 +17,7 @@ class InteractionModel(ABC):
 
     @abstractmethod
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
-        """Return P(component hits entity | failure) for each state, in the order of the scene's components and entities.
+        """Return P(component hits entity | failure) for each state, in the scene's order of components and entities.
 
         Laws: in [0, 1]; each state on its own; independent of severities.
         """
