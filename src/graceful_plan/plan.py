@@ -139,7 +139,7 @@ def _search_and_finish(
     """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
     budget.time_limit -= min(_RESERVE, budget.time_limit / 3.0)
     pose = goal if isinstance(goal, PoseGoal) else None
-    found, refused = Search(), None
+    found, refused, stats = Search(), None, {}
     for margin, check_step in _CAUTION:
         problem = SceneProblem(
             kernels=ends.compiled.kernels,

@@ -194,11 +194,6 @@ def _check_solution(planner: Planner, trial: PlannerTrial) -> Findings:
         yield f"spent {budget.spent} of {trial.iterations} iterations"
 
 
-def _global_random_state() -> Array:
-    state: Any = np.random.get_state()  # noqa: NPY002 - to see whether somebody else touches it
-    return state[1].copy()
-
-
 def _check_determinism(planner: Planner, trial: PlannerTrial) -> Findings:
     """The same seed."""
     before = _global_random_state()
