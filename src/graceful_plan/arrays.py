@@ -88,7 +88,7 @@ class HazardArrays:
 
     | field          | meaning                                                 | unit | shape            |
     |----------------|---------------------------------------------------------|------|------------------|
-    | part_component | component of each moving box                            |      | part             |
+    | part_component | component of each moving box, ascending                 |      | part             |
     | part_link      | link that it rides on                                   |      | part             |
     | part_box       | pose in the link (rotation row-major, centre), half size | m   | part 15          |
     | target_entity  | entity of each static box, ascending                    |      | target           |

@@ -88,7 +88,7 @@ class Kernels:
     def link_poses(self, q: ArrayLike) -> Float[Array, "*batch link 4 4"]:
         """Pose of every link in W [m]."""
         flat, batch = self._rows("q", q)
-        return self.core.link_poses(flat).reshape(*batch, -1, 4, 4)
+        return self.core.link_poses(flat).reshape(*batch, len(self.robot.parent), 4, 4)
 
     def tool_pose(self, q: ArrayLike) -> Float[Array, "*batch 4 4"]:
         """Pose of the tool in W [m]."""

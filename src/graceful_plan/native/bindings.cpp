@@ -78,7 +78,7 @@ class Core {
     tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
     tables_.link = link_.data(), tables_.group = group_.data(), tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
     tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(), tables_.target = target_.data();
-    tables_.target_area = target_area_.data();
+    tables_.harmed = harmed_.data();
   }
 
   const Tables& tables() const { return tables_; }
@@ -234,6 +234,7 @@ class Core {
       Part part{};
       part.component = component.data()[k];
       require(part.component >= 0 && part.component < n_component, "component of a part");
+      require(k == 0 || component.data()[k - 1] <= part.component, "parts ordered by component");
       require(link.data()[k] >= 0 && size_t(link.data()[k]) < link_.size(), "link of a part");
       part.frame = link_[size_t(link.data()[k])].frame;
       const double* b = box.data() + 15 * k;
@@ -241,13 +242,21 @@ class Core {
       for (int i = 0; i < 3; ++i) part.p[i] = b[9 + i], part.half[i] = b[12 + i];
       part_.push_back(part);
     }
-    target_area_.assign(size_t(n_entity), 0.0);
+    harmed_.assign(size_t(n_entity), Harmed{0, 0, 0.0, {0, {1e9, 1e9, 1e9}, {-1e9, -1e9, 1e9}}});
     for (size_t k = 0; k < entity.shape(0); ++k) {
       Target t{};
       t.entity = entity.data()[k];
       require(t.entity >= 0 && t.entity < n_entity && (k == 0 || entity.data()[k - 1] <= t.entity), "targets ordered by entity");
       for (int i = 0; i < 3; ++i) t.lower[i] = target_box.data()[6 * k + size_t(i)], t.upper[i] = target_box.data()[6 * k + 3 + size_t(i)];
-      target_area_[size_t(t.entity)] += (t.upper[0] - t.lower[0]) * (t.upper[1] - t.lower[1]);
+      Harmed& harmed = harmed_[size_t(t.entity)];
+      if (harmed.first == harmed.last) harmed.first = int(k);
+      harmed.last = int(k) + 1;
+      harmed.area += (t.upper[0] - t.lower[0]) * (t.upper[1] - t.lower[1]);
+      for (int i = 0; i < 2; ++i) {
+        harmed.bound.lower[i] = std::min(harmed.bound.lower[i], t.lower[i]);
+        harmed.bound.upper[i] = std::max(harmed.bound.upper[i], t.upper[i]);
+      }
+      harmed.bound.upper[2] = std::min(harmed.bound.upper[2], t.upper[2]);
       target_.push_back(t);
     }
     tables_.n_part = int(part_.size()), tables_.n_target = int(target_.size());
@@ -265,7 +274,7 @@ class Core {
   std::vector<int32_t> pair_;
   std::vector<Part> part_;
   std::vector<Target> target_;
-  std::vector<double> target_area_;
+  std::vector<Harmed> harmed_;
 };
 
 Point point(const Reals& q) { return Point(q.data(), q.data() + q.size()); }

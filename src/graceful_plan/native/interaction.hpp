@@ -2,15 +2,64 @@
 
 using D = Lanes<double>;
 
+// Where boxes are over all lanes: the rectangle that they stay in and how high the highest bottom is. Most targets are out
+// of that, which a few scalar comparisons tell.
+struct Range {
+  double least[2], most[2], highest;
+
+  bool may_hit(const Target& t) const {
+    return highest > t.upper[2] && least[0] < t.upper[0] && most[0] > t.lower[0] && least[1] < t.upper[1] && most[1] > t.lower[1];
+  }
+  void include(const Range& other) {
+    for (int i = 0; i < 2; ++i) {
+      least[i] = other.least[i] < least[i] ? other.least[i] : least[i];
+      most[i] = other.most[i] > most[i] ? other.most[i] : most[i];
+    }
+    highest = other.highest > highest ? other.highest : highest;
+  }
+};
+
+// The parts' boxes in W.
 struct PartBoxes {
   D lower[kMaxParts][2], upper[kMaxParts][2], bottom[kMaxParts];
   D area[kMaxComponents];
+  Range range[kMaxParts], all[kMaxComponents];
 };
 
-static inline void place_parts(const Tables& tables, const Frame<D>* X_W, PartBoxes& boxes) {
-  for (int r = 0; r < tables.n_component; ++r) boxes.area[r] = D{};
+static inline double least_lane(D a) {
+  double r = a[0];
+  for (int i = 1; i < kLanes<double>; ++i) r = a[i] < r ? a[i] : r;
+  return r;
+}
+static inline double greatest_lane(D a) { return -least_lane(-a); }
+
+// What counts: all components, or those with a severity against anything.
+struct Hazard {
+  const double* severity;  // null: probabilities of everything
+  bool counts[kMaxComponents];
+  int first_part[kMaxComponents + 1];  // parts are ordered by component
+
+  Hazard(const Tables& tables, const double* S) : severity(S) {
+    int k = 0;
+    for (int r = 0; r < tables.n_component; ++r) {
+      first_part[r] = k;
+      while (k < tables.n_part && tables.part[k].component == r) ++k;
+      first_part[r + 1] = k;
+      counts[r] = !S;
+      for (int e = 0; S && e < tables.n_entity; ++e) counts[r] |= S[r * tables.n_entity + e] != 0.0;
+    }
+  }
+  double of(const Tables& tables, int r, int e) const { return severity[r * tables.n_entity + e]; }
+};
+
+static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const Hazard& hazard, PartBoxes& boxes) {
+  for (int r = 0; r < tables.n_component; ++r) {
+    boxes.area[r] = D{};
+    boxes.all[r] = {{1e9, 1e9}, {-1e9, -1e9}, -1e9};
+  }
   for (int k = 0; k < tables.n_part; ++k) {
     const Part& part = tables.part[k];
+    if (!hazard.counts[part.component]) continue;
     const Frame<D>& X = X_W[part.frame];
     const Vec<D> centre = transform(X, part.p);
     const D c[3] = {centre.x, centre.y, centre.z};
@@ -20,48 +69,57 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, PartBo
       for (int j = 0; j < 3; ++j)
         half[i] += absolute(X.R[3 * i] * part.R[j] + X.R[3 * i + 1] * part.R[3 + j] + X.R[3 * i + 2] * part.R[6 + j]) * part.half[j];
     }
-    for (int i = 0; i < 2; ++i) boxes.lower[k][i] = c[i] - half[i], boxes.upper[k][i] = c[i] + half[i];
+    for (int i = 0; i < 2; ++i) {
+      boxes.lower[k][i] = c[i] - half[i], boxes.upper[k][i] = c[i] + half[i];
+      boxes.range[k].least[i] = least_lane(boxes.lower[k][i]), boxes.range[k].most[i] = greatest_lane(boxes.upper[k][i]);
+    }
     boxes.bottom[k] = c[2] - half[2];
+    boxes.range[k].highest = greatest_lane(boxes.bottom[k]);
+    boxes.all[part.component].include(boxes.range[k]);
     boxes.area[part.component] += 4.0 * half[0] * half[1];
   }
 }
 
 // P(entity, component) = max(sum I / sum A_entity, sum I / sum A_component), I the overlap in xy of a pair of boxes of
 // which the component's is entirely above; sums over all pairs, respectively all boxes; at most 1.
-static inline void interactions(const Tables& tables, const PartBoxes& boxes, int component, int first_target, int last_target, D& P) {
+// False, with P = 0, if no box comes near.
+static inline bool interactions(const Tables& tables, const Hazard& hazard, const PartBoxes& boxes, int component, const Harmed& entity,
+                                D& P) {
+  P = D{};
+  if (!boxes.all[component].may_hit(entity.bound)) return false;
   D overlap = {};
-  for (int k = 0; k < tables.n_part; ++k) {
-    if (tables.part[k].component != component) continue;
-    for (int t = first_target; t < last_target; ++t) {
+  bool near = false;
+  for (int k = hazard.first_part[component]; k < hazard.first_part[component + 1]; ++k) {
+    for (int t = entity.first; t < entity.last; ++t) {
       const Target& target = tables.target[t];
+      if (!boxes.range[k].may_hit(target)) continue;
+      near = true;
       D x = relu(minimum(boxes.upper[k][0], D{} + target.upper[0]) - maximum(boxes.lower[k][0], D{} + target.lower[0]));
       D y = relu(minimum(boxes.upper[k][1], D{} + target.upper[1]) - maximum(boxes.lower[k][1], D{} + target.lower[1]));
       overlap += boxes.bottom[k] > target.upper[2] ? x * y : D{};
     }
   }
-  const D area = minimum(boxes.area[component], D{} + tables.target_area[tables.target[first_target].entity]);
+  if (!near) return false;
+  const D area = minimum(boxes.area[component], D{} + entity.area);
   P = minimum(overlap / area, D{} + 1.0);
+  return true;
 }
 
-template <class Visit> static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const double* severity, Visit visit) {
+template <class Visit> static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const Hazard& hazard, Visit visit) {
   PartBoxes boxes;
-  place_parts(tables, X_W, boxes);
-  for (int t = 0, end = 0; t < tables.n_target; t = end) {
-    const int entity = tables.target[t].entity;
-    while (end < tables.n_target && tables.target[end].entity == entity) ++end;
+  place_parts(tables, X_W, hazard, boxes);
+  for (int entity = 0; entity < tables.n_entity; ++entity)
     for (int r = 0; r < tables.n_component; ++r) {
-      if (severity && severity[r * tables.n_entity + entity] == 0.0) continue;
+      if (!hazard.counts[r] || (hazard.severity && hazard.of(tables, r, entity) == 0.0)) continue;
       D P;
-      interactions(tables, boxes, r, t, end, P);
-      visit(r, entity, P);
+      if (interactions(tables, hazard, boxes, r, tables.harmed[entity], P) || !hazard.severity) visit(r, entity, P);
     }
-  }
 }
 
-static inline D impact_of(const Tables& tables, const double* severity, const D* q) {
+static inline D impact_of(const Tables& tables, const Hazard& hazard, const D* q) {
   Frame<D> X_W[kMaxLinks];
   forward_kinematics<double>(tables, q, X_W);
   D impact = {};
-  for_each_interaction(tables, X_W, severity, [&](int r, int e, D P) { impact += P * severity[r * tables.n_entity + e]; });
+  for_each_interaction(tables, X_W, hazard, [&](int r, int e, D P) { impact += P * hazard.of(tables, r, e); });
   return impact;
 }

@@ -89,7 +89,7 @@ static void interaction(const Tables& tables, const double* q, size_t n, double*
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load<double>(tables, q, first, n, qs);
     forward_kinematics<double>(tables, qs, X_W);
-    for_each_interaction(tables, X_W, nullptr, [&](int r, int e, D P) {
+    for_each_interaction(tables, X_W, Hazard(tables, nullptr), [&](int r, int e, D P) {
       for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
         probability[(first + size_t(i)) * stride + size_t(r * tables.n_entity + e)] = P[i];
     });
@@ -98,9 +98,10 @@ static void interaction(const Tables& tables, const double* q, size_t n, double*
 
 static void impact(const Tables& tables, const double* severity, const double* q, size_t n, double* out) {
   D qs[kMaxJoints];
+  const Hazard hazard(tables, severity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load<double>(tables, q, first, n, qs);
-    const D value = impact_of(tables, severity, qs);
+    const D value = impact_of(tables, hazard, qs);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
   }
 }
@@ -109,6 +110,7 @@ static void impact(const Tables& tables, const double* severity, const double* q
 static void edge_costs(const Tables& tables, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost) {
   constexpr int W = kLanes<double>;
   D qs[kMaxJoints], lane;
+  const Hazard hazard(tables, severity);
   for (int i = 0; i < W; ++i) lane[i] = double(i);
   for (size_t k = 0; k < n; ++k) {
     const double *a = q0 + k * size_t(tables.n_joint), *b = q1 + k * size_t(tables.n_joint);
@@ -118,7 +120,7 @@ static void edge_costs(const Tables& tables, const double* severity, const doubl
     if (length > 0)
       for (int block = 0; block < n_block; ++block) {
         interpolate<double>(tables, a, b, (lane + double(block * W)) * (1.0 / last), qs);
-        const D value = impact_of(tables, severity, qs);
+        const D value = impact_of(tables, hazard, qs);
         for (int i = 0; i < W; ++i) sum += value[i];
         if (block == 0) sum -= 0.5 * value[0];
         if (block == n_block - 1) sum -= 0.5 * value[W - 1];

@@ -46,6 +46,12 @@ struct Target {  // an axis-aligned box of an entity
   double lower[3], upper[3];
 };
 
+struct Harmed {  // an entity: its targets, and a box around them of which upper[2] is the lowest top
+  int32_t first, last;
+  double area;  // in xy, over all boxes
+  Target bound;
+};
+
 struct Tables {
   int32_t n_joint, n_link, n_group, n_obstacle, n_pair, n_part, n_target, n_component, n_entity;
   const Link* link;
@@ -56,7 +62,7 @@ struct Tables {
   const int32_t* pair;  // pairs of groups
   const Part* part;
   const Target* target;
-  const double* target_area;  // per entity, over all of its boxes
+  const Harmed* harmed;         // per entity; without targets first == last
   const uint32_t* moved_by;   // per link: bit j set if joint j moves it
 };
 
