@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from graceful_plan.planners.planner import BoundObjective, Problem, edge_totals
+from graceful_plan.planners.questions import checked_costs
 
 Array = np.ndarray
 
@@ -43,6 +44,9 @@ def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFac
     The motion cost of edges of many places, directions and lengths, joint axes among them, is compared with their
     length. Only if it is the same multiple of the length for all is that multiple taken as the bound: then V is
     that multiple of the length and S >= 0 comes on top. Anything else gets the bound 0, which is always right.
+
+    Raises:
+        CostError: If the objective returns a NaN, an infinity or a negative number.
     """
     rng = np.random.default_rng(0)  # the same probes for everybody; no part of the planner's own randomness
     nq = len(problem.start)
@@ -55,9 +59,10 @@ def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFac
     if not moved.any():
         return ObjectiveFacts(length_bound=0.0, symmetric=False)
     cost = objective.edges(q0, q1)
+    forward = checked_costs(objective, "edge costs", cost[:, 0] + objective.w * cost[:, 1])
     ratio = cost[moved, 0] / length[moved]
     proportional = ratio.max() - ratio.min() <= 1e-9 * ratio.max()
-    forward, backward = cost[:, 0] + objective.w * cost[:, 1], edge_totals(objective, q1, q0)
+    backward = edge_totals(objective, q1, q0)
     return ObjectiveFacts(
         # a hair below the measured multiple, so that rounding never cuts off the optimum
         length_bound=float(ratio.min()) * (1.0 - 1e-9) if proportional else 0.0,

@@ -33,6 +33,17 @@ def out_of_time(budget: Budget) -> bool:
     return budget.elapsed >= budget.time_limit or budget.cancelled()
 
 
+def checked_costs(objective: BoundObjective, what: str, costs: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Return costs that are finite and not negative.
+
+    Raises:
+        CostError: If they are not.
+    """
+    if not np.all(np.isfinite(costs) & (costs >= 0.0)):
+        raise CostError(objective, f"{what} must be finite and >= 0")
+    return costs
+
+
 class Questions:
     """Asks in slices, each sized to take some milliseconds.
 
@@ -56,10 +67,12 @@ class Questions:
         return inside
 
     def state_costs(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Weighted impact w I(q)."""
-        if self.objective.w == 0.0:
-            return np.zeros(len(q))
-        return self.objective.w * self._sliced("states", self.objective.states, q)
+        """Weighted impact w I(q).
+
+        Raises:
+            CostError: If the objective returns a NaN, an infinity or a negative number.
+        """
+        return self._sliced("states", self._weighted_impact, q)
 
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which edges are free."""
@@ -79,7 +92,7 @@ class Questions:
 
     def state_cost(self, q: Float[Array, " nq"]) -> float:
         """Weighted impact of one configuration, without a look at the clock."""
-        return self.objective.w * float(self.objective.states(q[None])[0]) if self.objective.w else 0.0
+        return float(self._weighted_impact(q[None])[0])
 
     def path_cost(self, path: Path) -> float:
         """Total cost of a path, asked in one piece so that a path found in the last moment is not lost.
@@ -90,10 +103,12 @@ class Questions:
         return float(self._totals(path.q[:-1], path.q[1:]).sum())
 
     def _totals(self, q0: Array, q1: Array) -> Array:
-        cost = edge_totals(self.objective, q0, q1)
-        if not np.all(np.isfinite(cost) & (cost >= 0.0)):
-            raise CostError(self.objective, "edge costs must be finite and >= 0")
-        return cost
+        return checked_costs(self.objective, "edge costs", edge_totals(self.objective, q0, q1))
+
+    def _weighted_impact(self, q: Array) -> Array:
+        if self.objective.w == 0.0:
+            return np.zeros(len(q))
+        return self.objective.w * checked_costs(self.objective, "state costs", self.objective.states(q))
 
     def _sliced(self, kind: str, ask: Callable[..., Array], *arrays: Array) -> Array:
         answers, begin, n = [], 0, len(arrays[0])
