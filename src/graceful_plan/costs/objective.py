@@ -9,7 +9,6 @@ sampled and stays additive over edges. Integrals are trapezoid sums with sub-ste
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -27,8 +26,6 @@ from graceful_plan.trajectory import Trajectory
 
 Array = np.ndarray
 
-Exposure = Literal["length", "time", "waypoints"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Objective:
@@ -45,7 +42,7 @@ class Objective:
     motion: Cost = JointLength()
     impact: Cost = ImpactCost()
     w: float = 1.0
-    exposure: Exposure = "length"
+    exposure: str = "length"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.w) and self.w >= 0.0):

@@ -1,0 +1,262 @@
+"""plan() from outside: statuses, contracts, unhappy paths."""
+
+import time
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.exact import Judge, first_collision
+from graceful_plan.exceptions import NonFiniteError, PlanningFailed, SettingError, ShapeError, UnknownNameError
+from graceful_plan.reference_cost import reference_cost
+
+_NAMES = sorted(gp.PLANNERS)
+
+
+@pytest.fixture(scope="module")
+def task():
+    return gp.load_scene("tabletop").tasks["green_to_blue"]
+
+
+def _quick(task, **settings):
+    settings = {"time_limit": 0.4, **settings}
+    return gp.plan(task.start, task.goal, task.scene, **settings)
+
+
+# --- what is returned -------------------------------------------------------------------------------------------------
+
+
+def test_a_solved_plan_is_what_it_says(task):
+    result = _quick(task, w=1.0)
+    assert result.status is gp.PlanStatus.SOLVED
+    trajectory = result.unwrap()
+    assert first_collision(trajectory, task.scene) is None
+    np.testing.assert_array_equal(trajectory.q[0], task.start)
+    np.testing.assert_array_equal(trajectory.q[-1], task.goal[result.goal_index])
+    assert result.verdict.passed and {"collision", "cost", "goal", "rest"} <= set(result.verdict.checks)
+    slow = reference_cost(result.path, task.scene)
+    assert result.cost.total == pytest.approx(slow.total, rel=0.01)
+    assert trajectory.joints == task.scene.joints
+
+
+def test_the_trace_improves_up_to_the_result(task):
+    seen = []
+    result = _quick(task, callback=seen.append)
+    totals = [point.total for point in result.trace]
+    assert totals == sorted(totals, reverse=True) and len(totals) > 1
+    assert list(result.trace) == seen
+    assert result.trace[-1].total == pytest.approx(result.cost.total, rel=5e-3)
+
+
+def test_w_trades_motion_for_impact(task):
+    short, safe = _quick(task, w=0.0), _quick(task, w=1.0)
+    assert safe.cost.impact < 0.5 * short.cost.impact
+    assert safe.cost.motion > short.cost.motion
+    assert short.cost.motion == pytest.approx(np.linalg.norm(task.goal - task.start, axis=1).min(), rel=0.2)
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_every_planner_solves_a_task(task, name):
+    result = _quick(task, planner=name, w=1.0, time_limit=20.0 if name == "trrt" else 2.0, callback=lambda point: True)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+
+
+@pytest.mark.parametrize("name", ["anytime", "rrt_connect", "prm_star"])
+def test_iterations_make_it_reproducible(task, name):
+    a, b = (_quick(task, planner=name, time_limit=None, iterations=60, seed=3) for _ in range(2))
+    assert a.status is gp.PlanStatus.SOLVED
+    np.testing.assert_array_equal(a.trajectory.q, b.trajectory.q)
+    assert a.cost.total == b.cost.total
+
+
+def test_iterations_of_different_seeds_differ(task):
+    a, b = (_quick(task, time_limit=None, iterations=300, seed=seed) for seed in (1, 2))
+    assert not np.array_equal(a.path.q, b.path.q)
+
+
+def test_settings_objects_and_weights_of_objectives(task):
+    objective = gp.Objective(w=0.0)
+    a = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=gp.Anytime(pool=2), time_limit=0.3)
+    assert a.cost.w == 0.0
+    b = gp.plan(task.start, task.goal, task.scene, 2.0, objective=objective, time_limit=0.3)
+    assert b.cost.w == 2.0
+
+
+@pytest.mark.parametrize("exposure", ["length", "time", "waypoints"])
+def test_every_exposure_plans(task, exposure):
+    result = _quick(task, objective=gp.Objective(exposure=exposure), time_limit=0.5)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+
+
+def test_speed_slows_down(task):
+    fast, slow = (_quick(task, w=0.0, speed=speed) for speed in (1.0, 0.5))
+    assert slow.trajectory.duration == pytest.approx(2.0 * fast.trajectory.duration, rel=1e-3)
+
+
+# --- goals ------------------------------------------------------------------------------------------------------------
+
+
+def test_keyframes_and_poses(task):
+    scene = gp.load_scene("tabletop")
+    by_name = gp.plan("lift", "t1_goal", scene, w=0.0)
+    assert by_name.status is gp.PlanStatus.SOLVED
+    X_WT = scene.data_at(scene.keyframes["t1_goal"]).site(scene.tool)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = X_WT.xmat.reshape(3, 3), X_WT.xpos
+    result = gp.plan("lift", gp.PoseGoal(pose), scene, w=0.0)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+    assert result.verdict.checks["goal"].passed
+
+
+def test_the_cheapest_of_several_goals(task):
+    far, near = task.start + [1.0, 0, 0, 0, 0, 0, 0], task.start + [0.02, 0, 0, 0, 0, 0, 0]
+    result = gp.plan(task.start, [far, near], task.scene, w=0.0, time_limit=0.5)
+    assert result.goal_index == 1
+
+
+def test_start_is_goal(task):
+    result = gp.plan(task.start, task.start, task.scene)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert result.trajectory.duration == 0.0 and result.cost.total == 0.0
+
+
+def test_an_object_on_its_support_is_lifted_first():
+    task = gp.load_scene("dining_table").tasks["move_bottle"]
+    assert gp.clearance(task.scene, task.start) <= 0.0, "the fast checker sees the bottle touch the table"
+    result = _quick(task, time_limit=1.0)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+    np.testing.assert_array_equal(result.path.q[0], task.start)
+
+
+# --- unhappy paths ----------------------------------------------------------------------------------------------------
+
+
+def test_start_in_collision_names_the_pair(task):
+    touches = Judge(task.scene).touches(np.random.default_rng(0).uniform(*task.scene.limits.position.T, (200, 7)))
+    below = np.random.default_rng(0).uniform(*task.scene.limits.position.T, (200, 7))[next(iter(touches)).sample]
+    result = gp.plan(below, task.goal, task.scene)
+    assert result.status is gp.PlanStatus.INVALID_START
+    assert "mm in" in result.detail
+    assert gp.plan(task.start, below, task.scene).status is gp.PlanStatus.INVALID_GOAL
+
+
+def test_limits_are_clamped_or_refused(task):
+    start = task.start.copy()
+    start[1] = task.scene.limits.position[1, 1] + 1e-3
+    result = gp.plan(start, task.goal, task.scene)
+    assert result.status is gp.PlanStatus.INVALID_START and "panda/joint2" in result.detail
+    ready = task.scene.keyframes["ready"].copy()
+    ready[6] = task.scene.limits.position[6, 0] - 5e-7
+    result = gp.plan(ready, task.goal, task.scene, w=0.0)
+    assert result.status is gp.PlanStatus.SOLVED and "moved onto it" in result.detail
+
+
+def test_an_unreachable_pose_says_how_far_it_is(task):
+    result = gp.plan(task.start, gp.PoseGoal.at([2.0, 0.0, 0.5], [0, 1, 0, 0]), task.scene)
+    assert result.status is gp.PlanStatus.INVALID_GOAL and "misses it by" in result.detail
+
+
+_CORRIDOR = """<mujoco><compiler autolimits="true"/>
+<custom><numeric name="r/velocity_limit" data="1 1"/><numeric name="r/acceleration_limit" data="1 1"/></custom>
+<worldbody><body name="wall" pos="0.5 0 0"><geom type="box" size="0.02 2 1"/></body>
+  <body name="r/x"><joint name="x" type="slide" axis="1 0 0" range="-1 2"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body name="r/y"><joint name="y" type="slide" axis="0 1 0" range="-1 1"/><geom size="0.1"/><site name="t"/></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_an_unreachable_goal_ends_on_time(name):
+    scene = gp.Scene.from_mjcf(_CORRIDOR, robot="r/", tool="t")
+    started = time.perf_counter()
+    result = gp.plan([0.0, 0.0], [1.0, 0.0], scene, planner=name, time_limit=0.2)
+    assert result.status is gp.PlanStatus.TIMEOUT and result.trajectory is None
+    with pytest.raises(PlanningFailed, match="TIMEOUT"):
+        result.unwrap()
+    assert time.perf_counter() - started < 10.0, "returns"
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_no_budget_is_a_timeout_or_a_verified_path(task, name):
+    for settings in ({"time_limit": 0.0}, {"time_limit": None, "iterations": 0}):
+        result = _quick(task, planner=name, **settings)
+        assert result.status in (gp.PlanStatus.TIMEOUT, gp.PlanStatus.SOLVED)
+        assert (result.trajectory is None) == (result.status is gp.PlanStatus.TIMEOUT)
+
+
+def test_a_cost_that_is_not_finite_is_a_status(task):
+    class Nan(gp.Cost):
+        def state(self, batch):
+            return np.full(len(batch), np.nan)
+
+    result = _quick(task, objective=gp.Objective(impact=Nan()))
+    assert result.status is gp.PlanStatus.NONFINITE and "Nan" in result.detail
+
+
+def test_an_exception_in_a_cost_or_a_callback_reaches_the_caller(task):
+    class Broken(gp.Cost):
+        def state(self, batch):
+            raise RuntimeError("flat battery")
+
+    with pytest.raises(RuntimeError, match="flat battery"):
+        _quick(task, objective=gp.Objective(impact=Broken()))
+
+    def interrupt(point):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        _quick(task, callback=interrupt)
+    assert _quick(task, w=0.0).status is gp.PlanStatus.SOLVED, "nothing is left behind"
+
+
+def test_a_callback_can_stop_the_search(task):
+    calls = []
+    result = _quick(task, time_limit=20.0, callback=lambda point: calls.append(point) or len(calls) >= 2)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert len(result.trace) == 2 and result.stats["total_time"] < 15.0
+
+
+def test_two_plans_at_once(task):
+    import threading
+
+    results = {}
+
+    def work(seed):
+        results[seed] = _quick(task, time_limit=None, iterations=400, seed=seed)
+
+    threads = [threading.Thread(target=work, args=(seed,)) for seed in (1, 2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for seed, result in results.items():
+        again = _quick(task, time_limit=None, iterations=400, seed=seed)
+        np.testing.assert_array_equal(result.path.q, again.path.q)
+
+
+def test_misuse_names_the_culprit(task):
+    q, goal, scene = task.start, task.goal, task.scene
+    with pytest.raises(ShapeError, match="start"):
+        gp.plan(q[:6], goal, scene)
+    with pytest.raises(NonFiniteError, match="start"):
+        gp.plan(np.full(7, np.nan), goal, scene)
+    with pytest.raises(ShapeError, match="goal"):
+        gp.plan(q, np.zeros((2, 3)), scene)
+    with pytest.raises(UnknownNameError, match="unknown keyframe 'liftt'; valid: .*lift"):
+        gp.plan("liftt", goal, scene)
+    with pytest.raises(UnknownNameError, match="unknown planner 'rrtx'; valid: .*rrt_connect"):
+        gp.plan(q, goal, scene, planner="rrtx")
+    for name, value in (("time_limit", -1.0), ("speed", 0.0), ("speed", 1.5), ("iterations", -1)):
+        with pytest.raises(SettingError, match=name):
+            gp.plan(q, goal, scene, **{name: value})
+    with pytest.raises(SettingError, match="w = "):
+        gp.plan(q, goal, scene, -1.0)
+
+
+def test_without_an_object_there_is_no_impact():
+    scene = gp.load_scene("tabletop")
+    result = gp.plan("ready", "lift", scene, w=1.0, time_limit=0.3)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert result.cost.impact == 0.0
+    body = gp.Objective(impact=gp.ImpactCost(components=("body",)))
+    with_body = gp.plan("ready", "lift", scene, objective=body, time_limit=0.3)
+    assert with_body.cost.impact > 0.0
