@@ -1,8 +1,11 @@
 """Drive every native kernel and search loop on every bundled scene once; the sanitizers watch."""
 
+from pathlib import Path
+
 import numpy as np
 
 import graceful_plan as gp
+from graceful_plan import _native
 from graceful_plan.compile import compile_scene
 from graceful_plan.kernels import Kernels, instruction_sets
 
@@ -28,6 +31,9 @@ def drive(scene: gp.Scene, isa: str) -> None:
 
 
 def main() -> None:
+    print(_native.__file__)
+    assert "libasan" in Path("/proc/self/maps").read_text(), "the sanitizers are not there to watch"
+    assert b"__asan_report" in Path(_native.__file__).read_bytes(), "the native core was built without sanitizers"
     for name in gp.scenes():
         scene = gp.load_scene(name)
         for task in [*scene.tasks.values()][:1]:
