@@ -42,8 +42,8 @@ class TRRT(Planner):
     name: ClassVar[str] = "trrt"
     anytime: ClassVar[bool] = False
 
-    variant: Variant = "jaillet"
-    """"jaillet" (2010, probabilistic) or "devaurs" (2013, deterministic)."""
+    variant: Variant = "devaurs"
+    """"jaillet" (2010, probabilistic; climbs less, needs about ten times the samples) or "devaurs" (2013)."""
     range: float | None = None
     """Longest extension [rad]; by default 3.5 % of the extent of the space."""
     goal_bias: float = 0.05
