@@ -61,14 +61,18 @@ def test_a_scene_is_compiled_once(scene):
 
 def test_allowed_contacts_are_ignored(scene):
     """The gripper holds the object: in every configuration they overlap, and that is no collision."""
-    free_somewhere = compile_scene(scene).kernels.free(np.random.default_rng(1).uniform(*scene.limits.position.T, (200, 7)))
+    free_somewhere = compile_scene(scene).kernels.free(
+        np.random.default_rng(1).uniform(*scene.limits.position.T, (200, 7))
+    )
     assert free_somewhere.any()
 
 
 def test_ignored_obstacles_are_those_without_a_pair(scene):
     compiled = compile_scene(scene)
     world, robot = compiled.world, compiled.robot
-    base_geoms = {g for g in range(scene.model.ngeom) if scene.model.body(scene.model.geom_bodyid[g]).name == "panda/link0"}
+    base_geoms = {
+        g for g in range(scene.model.ngeom) if scene.model.body(scene.model.geom_bodyid[g]).name == "panda/link0"
+    }
     assert not base_geoms & set(world.geom.tolist()), "the robot's own base is no obstacle but part of self-collision"
     assert np.all(world.ignores >> len(robot.parent) == 0)
 
@@ -84,16 +88,18 @@ def test_a_carried_shape_that_cannot_be_covered_is_named():
     text = """<mujoco><compiler angle="radian" autolimits="true"/>
     <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
     <worldbody><geom name="wall" type="box" size="0.1 0.1 0.1"/>
-      <body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/><geom name="disc" type="hfield" hfield="h"/><site name="t"/></body>
+      <body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/><geom name="disc" type="hfield" hfield="h"/>
+        <site name="t"/></body>
     </worldbody><asset><hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 0 0 0"/></asset></mujoco>"""
-    with pytest.raises(UnsupportedError, match="hfield|HFIELD"):
+    with pytest.raises(UnsupportedError, match=r"hfield|HFIELD"):
         compile_scene(gp.Scene.from_mjcf(text, robot="r/", tool="t"))
 
 
 def test_a_scene_without_anything_around_compiles():
     text = """<mujoco><compiler angle="radian" autolimits="true"/>
     <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
-    <worldbody><body name="r/a"><joint name="j" range="-1 1"/><geom size="0.1"/><site name="t"/></body></worldbody></mujoco>"""
+    <worldbody><body name="r/a"><joint name="j" range="-1 1"/><geom size="0.1"/><site name="t"/>
+      </body></worldbody></mujoco>"""
     scene = gp.Scene.from_mjcf(text, robot="r/", tool="t")
     result = gp.plan([-0.5], [0.5], scene, time_limit=0.5)
     assert result.status is gp.PlanStatus.SOLVED

@@ -19,12 +19,16 @@ _P = 1e-9  # probabilities: impact runs in double precision
 _BALL = """
 <mujoco><compiler autolimits="true"/>
 <asset><mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.3 0  0 0 0.25  0.2 0.1 0.1"/></asset>
-<custom><numeric name="robot/velocity_limit" data="1 1 1"/><numeric name="robot/acceleration_limit" data="1 1 1"/></custom>
+<custom><numeric name="robot/velocity_limit" data="1 1 1"/><numeric name="robot/acceleration_limit" data="1 1 1"/>
+  </custom>
 <worldbody>
   <body name="obstacle" pos="0.1 -0.05 0.07" quat="0.8 0.2 -0.3 0.45">{geom}</body>
-  <body name="robot/x"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-    <body name="robot/y"><joint name="y" type="slide" axis="0 1 0" range="-1 1"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-      <body name="robot/z"><joint name="z" type="slide" axis="0 0 1" range="-1 1"/><geom name="ball" size="0.05"/><site name="tool"/>
+  <body name="robot/x"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body name="robot/y"><joint name="y" type="slide" axis="0 1 0" range="-1 1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <body name="robot/z"><joint name="z" type="slide" axis="0 0 1" range="-1 1"/><geom name="ball" size="0.05"/>
+        <site name="tool"/>
   </body></body></body>
 </worldbody></mujoco>"""
 
@@ -52,8 +56,10 @@ _ODD_ARM = """
       <joint name="b" type="slide" axis="1 1 0" range="-0.3 0.3" ref="0.1"/><geom type="box" size="0.05 0.04 0.1"/>
       <body name="odd/c" pos="0.2 0 0.1"><joint name="c" axis="0 0 -1" range="-2 2"/><geom type="sphere" size="0.06"/>
         <body name="odd/fixed" pos="0.1 0.1 0" euler="0 0.5 0"><geom type="cylinder" size="0.03 0.08"/>
-          <body name="odd/d" pos="0 0 0.15"><joint name="d1" axis="1 0 0" range="-2 2"/><joint name="d2" axis="0 1 0" range="-2 2"/>
-            <geom type="ellipsoid" size="0.03 0.05 0.04"/><site name="odd/tool" pos="0.02 0.03 0.1" euler="0.1 0.2 0.3"/>
+          <body name="odd/d" pos="0 0 0.15"><joint name="d1" axis="1 0 0" range="-2 2"/>
+            <joint name="d2" axis="0 1 0" range="-2 2"/>
+            <geom type="ellipsoid" size="0.03 0.05 0.04"/>
+              <site name="odd/tool" pos="0.02 0.03 0.1" euler="0.1 0.2 0.3"/>
   </body></body></body></body></body>
 </worldbody></mujoco>"""
 
@@ -105,13 +111,18 @@ def test_sine_and_cosine_hold_far_from_zero(odd, angle):
 def test_clearance_of_a_ball_is_the_distance(shape):
     scene = _ball_scene(shape)
     kernels = compile_scene(scene).kernels
-    ball, obstacle = scene.model.geom("ball").id, int(np.flatnonzero(scene.model.geom_bodyid == scene.model.body("obstacle").id)[0])
+    ball, obstacle = (
+        scene.model.geom("ball").id,
+        int(np.flatnonzero(scene.model.geom_bodyid == scene.model.body("obstacle").id)[0]),
+    )
     q = _random(scene, 200, seed=1)
     expected = [mujoco.mj_geomDistance(scene.model, scene.data_at(x), ball, obstacle, 10.0, None) for x in q]
     got = kernels.clearance(q)
     outside = np.array(expected) > 1e-3
     assert outside.any() and (~outside).any()
-    np.testing.assert_allclose(got[outside], np.array(expected)[outside], atol=2e-4)  # mj_geomDistance iterates for some
+    np.testing.assert_allclose(
+        got[outside], np.array(expected)[outside], atol=2e-4
+    )  # mj_geomDistance iterates for some
     assert np.all(got[outside] <= np.array(expected)[outside] + 2e-4)
     assert np.array_equal(kernels.free(q), got > 0.0)
 
@@ -123,8 +134,12 @@ def test_gradient_of_clearance_is_its_slope(shape):
     q = _random(scene, 300, seed=2)
     clearance, gradient = kernels.clearance_gradient(q)
     h = 2e-3  # single precision: smaller steps drown in rounding
-    slopes = np.stack([(kernels.clearance(q + h * e) - kernels.clearance(q - h * e)) / (2 * h) for e in np.eye(3)], axis=1)
-    smooth = (clearance > 0.02) & (np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-3)  # away from edges of Voronoi regions
+    slopes = np.stack(
+        [(kernels.clearance(q + h * e) - kernels.clearance(q - h * e)) / (2 * h) for e in np.eye(3)], axis=1
+    )
+    smooth = (clearance > 0.02) & (
+        np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-3
+    )  # away from edges of Voronoi regions
     assert smooth.sum() > 50
     error = np.abs(gradient - slopes)[smooth].max(axis=1)
     assert np.median(error) < 2e-4 and np.quantile(error, 0.9) < 1e-2
@@ -136,7 +151,9 @@ def test_gradient_of_an_arm_is_its_slope(table):
     q = _random(table, 400, seed=3)
     clearance, gradient = kernels.clearance_gradient(q)
     h = 1e-3
-    slopes = np.stack([(kernels.clearance(q + h * e) - kernels.clearance(q - h * e)) / (2 * h) for e in np.eye(7)], axis=1)
+    slopes = np.stack(
+        [(kernels.clearance(q + h * e) - kernels.clearance(q - h * e)) / (2 * h) for e in np.eye(7)], axis=1
+    )
     error = np.abs(gradient - slopes).max(axis=1)
     assert np.array_equal(clearance, kernels.clearance(q))
     assert np.median(error) < 2e-4 and np.mean(error < 5e-3) > 0.9  # the nearest pair changes somewhere in the rest

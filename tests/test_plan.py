@@ -159,8 +159,10 @@ def test_an_unreachable_pose_says_how_far_it_is(task):
 _CORRIDOR = """<mujoco><compiler autolimits="true"/>
 <custom><numeric name="r/velocity_limit" data="1 1"/><numeric name="r/acceleration_limit" data="1 1"/></custom>
 <worldbody><body name="wall" pos="0.5 0 0"><geom type="box" size="0.02 2 1"/></body>
-  <body name="r/x"><joint name="x" type="slide" axis="1 0 0" range="-1 2"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-    <body name="r/y"><joint name="y" type="slide" axis="0 1 0" range="-1 1"/><geom size="0.1"/><site name="t"/></body></body>
+  <body name="r/x"><joint name="x" type="slide" axis="1 0 0" range="-1 2"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body name="r/y"><joint name="y" type="slide" axis="0 1 0" range="-1 1"/><geom size="0.1"/><site name="t"/>
+      </body></body>
 </worldbody></mujoco>"""
 
 
@@ -241,9 +243,9 @@ def test_misuse_names_the_culprit(task):
         gp.plan(np.full(7, np.nan), goal, scene)
     with pytest.raises(ShapeError, match="goal"):
         gp.plan(q, np.zeros((2, 3)), scene)
-    with pytest.raises(UnknownNameError, match="unknown keyframe 'liftt'; valid: .*lift"):
+    with pytest.raises(UnknownNameError, match=r"unknown keyframe 'liftt'; valid: .*lift"):
         gp.plan("liftt", goal, scene)
-    with pytest.raises(UnknownNameError, match="unknown planner 'rrtx'; valid: .*rrt_connect"):
+    with pytest.raises(UnknownNameError, match=r"unknown planner 'rrtx'; valid: .*rrt_connect"):
         gp.plan(q, goal, scene, planner="rrtx")
     for name, value in (("time_limit", -1.0), ("speed", 0.0), ("speed", 1.5), ("iterations", -1)):
         with pytest.raises(SettingError, match=name):
