@@ -1,0 +1,33 @@
+"""The examples run, and do what they say."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+import graceful_plan as gp
+
+_EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def _load(name):
+    spec = importlib.util.spec_from_file_location(name, _EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_custom_cost_keeps_the_mug_away(capsys):
+    results = _load("custom_cost").main(time_limit=2.0)
+    assert results["away"].cost.impact < 0.7 * results["shortest"].cost.impact
+    assert "away: SOLVED" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("planner", sorted(gp.PLANNERS))
+def test_every_planner_takes_the_custom_cost(planner):
+    task = gp.load_scene("tabletop_l1").tasks["far_to_near"]
+    objective = gp.Objective(impact=_load("custom_cost").Nearness((0.0, -0.4, 0.5)), w=1.0)
+    result = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=planner, time_limit=1.0)
+    assert result.status in (gp.PlanStatus.SOLVED, gp.PlanStatus.TIMEOUT)
+    if result.status is gp.PlanStatus.SOLVED:
+        assert result.cost.impact == pytest.approx(gp.evaluate(result.path, task.scene, objective).impact)
