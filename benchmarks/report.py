@@ -51,20 +51,18 @@ def percent(share: float, digits: int = 1) -> str:
     return f"{100.0 * share:.{digits}f} %" if math.isfinite(share) else "none"
 
 
-def replace_section(document: str, name: str, body: str) -> str:
-    """Return the document with the section called `name` replaced, or added at its end."""
-    begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
-    section = f"{begin}\n{body.strip()}\n{end}"
-    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), flags=re.DOTALL)
-    if pattern.search(document):
-        return pattern.sub(lambda _: section, document, count=1)
-    return f"{(document or HEADER).rstrip()}\n\n{section}\n"
+def replace_section(document: str, name: str, body: str, order: Sequence[str]) -> str:
+    """Return the document with the section called `name` replaced or added, sections in the given order."""
+    found = dict(re.findall(r"<!-- begin (\w+) -->\n(.*?)\n<!-- end \1 -->", document, flags=re.DOTALL))
+    found[name] = body.strip()
+    sections = [f"<!-- begin {key} -->\n{found[key]}\n<!-- end {key} -->\n" for key in order if key in found]
+    return "\n".join([HEADER, *sections])
 
 
-def write_section(file: Path, name: str, body: str) -> None:
+def write_section(file: Path, name: str, body: str, order: Sequence[str]) -> None:
     """Replace a section in a file, which is made if there is none."""
     document = file.read_text() if file.exists() else ""
-    file.write_text(replace_section(document, name, body))
+    file.write_text(replace_section(document, name, body, order))
 
 
 def _line(cells: Sequence[object]) -> str:

@@ -42,7 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         print(f"\n{body}", flush=True)
         if args.write:
-            report.write_section(RESULTS, name, body)
+            report.write_section(RESULTS, name, body, SUBJECTS)
     return failed
 
 

@@ -220,15 +220,16 @@ def test_every_task_is_in_the_suite():
 # --- report ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_section_is_added_and_then_replaced_alone(tmp_path):
-    file = tmp_path / "RESULTS.md"
-    report.write_section(file, "kernels", "first")
-    report.write_section(file, "safety", "second")
-    report.write_section(file, "kernels", "third \\1")
+def test_a_section_is_added_in_order_and_then_replaced_alone(tmp_path):
+    file, order = tmp_path / "RESULTS.md", ("kernels", "safety", "optima")
+    report.write_section(file, "safety", "first", order)
+    report.write_section(file, "kernels", "second\n\nmore", order)
+    report.write_section(file, "safety", "third \\1", order)
     text = file.read_text()
     assert text.startswith(report.HEADER)
-    assert "first" not in text and text.index("third \\1") < text.index("second")
-    assert text.count("<!-- begin kernels -->") == text.count("<!-- end kernels -->") == 1
+    assert "first" not in text and text.index("second\n\nmore") < text.index("third \\1")
+    assert text.count("<!-- begin") == text.count("<!-- end") == 2
+    assert report.replace_section(text, "safety", "third \\1", order) == text
 
 
 def test_tables_keep_failures_and_escape_bars():
