@@ -76,7 +76,7 @@ def test_iterations_of_different_seeds_differ(task):
 
 def test_settings_objects_and_weights_of_objectives(task):
     objective = gp.Objective(w=0.0)
-    a = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=gp.Anytime(pool=2), time_limit=0.3)
+    a = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=gp.Anytime(challengers=2), time_limit=0.3)
     assert a.cost.w == 0.0
     b = gp.plan(task.start, task.goal, task.scene, 2.0, objective=objective, time_limit=0.3)
     assert b.cost.w == 2.0

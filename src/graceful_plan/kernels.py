@@ -77,6 +77,8 @@ class Kernels:
             target_box=_reals(hazards.target_box),
             n_component=hazards.severity.shape[0],
             n_entity=hazards.severity.shape[1],
+            tool_link=robot.tool_link,
+            tool_position=_reals(robot.X_LT[:3, 3]),
             isa=isa,
         )
 

@@ -4,6 +4,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -58,13 +59,32 @@ template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
   return Out<T>(data, shape.size(), shape.data(), owner);
 }
 
+constexpr int kClusterSize = 12;
+
+// Solve A y = b by Cramer's rule; A is positive definite.
+void solve3(const double A[3][3], const double b[3], double y[3]) {
+  const auto det = [](const double M[3][3]) {
+    return M[0][0] * (M[1][1] * M[2][2] - M[1][2] * M[2][1]) - M[0][1] * (M[1][0] * M[2][2] - M[1][2] * M[2][0]) +
+           M[0][2] * (M[1][0] * M[2][1] - M[1][1] * M[2][0]);
+  };
+  for (int k = 0; k < 3; ++k) {
+    double M[3][3];
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) M[i][j] = j == k ? b[i] : A[i][j];
+    y[k] = det(M) / det(A);
+  }
+}
+
 class Core {
  public:
   Core(Integers parent, Integers joint, Integers slide, Reals X_PL, int n_joint, Integers sphere_link, Reals sphere, Reals bound,
        Integers self_pair, Integers obstacle_kind, Reals obstacle_pose, Reals obstacle_size, Reals obstacle_bound,
        nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu> ignores, Integers hull_start, Reals triangles, Integers part_component,
-       Integers part_link, Reals part_box, Integers target_entity, Reals target_box, int n_component, int n_entity, const std::string& isa)
-      : kernels_(choose(isa)) {
+       Integers part_link, Reals part_box, Integers target_entity, Reals target_box, int n_component, int n_entity,
+       int tool_link, Reals tool_position, const std::string& isa)
+      : kernels_(choose(isa)), tool_link_(tool_link) {
+    require(tool_link >= 0 && size_t(tool_link) < parent.shape(0) && tool_position.size() == 3, "tool");
+    std::copy(tool_position.data(), tool_position.data() + 3, tool_position_);
     add_links(parent, joint, slide, X_PL, n_joint);
     add_groups(sphere_link, sphere, bound);
     for (size_t p = 0; p < self_pair.shape(0); ++p) {
@@ -76,7 +96,7 @@ class Core {
     add_hazards(part_component, part_link, part_box, target_entity, target_box, n_component, n_entity);
     tables_.n_joint = n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
     tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
-    tables_.link = link_.data(), tables_.group = group_.data(), tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
+    tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data(), tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
     tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(), tables_.target = target_.data();
     tables_.harmed = harmed_.data();
   }
@@ -154,6 +174,58 @@ class Core {
     kernels_.edge_costs(tables_, severity.data(), q0.data(), q1.data(), q0.shape(0), step, out);
     return array;
   }
+  // The Jacobian of the tool's position, and the inverse of J J^T applied to what a caller asks for.
+  struct ToolMotion {
+    double J[3][kMaxJoints] = {}, gram[3][3] = {};
+
+    // d += scale J^T (J J^T)^-1 step
+    void add(const double step[3], double scale, int n_joint, double* d) const {
+      double y[3];
+      solve3(gram, step, y);
+      for (int j = 0; j < n_joint; ++j)
+        for (int i = 0; i < 3; ++i) d[j] += scale * J[i][j] * y[i];
+    }
+  };
+
+  ToolMotion tool_motion(const double* q) const {
+    ToolMotion motion;
+    double X[kMaxLinks * 16], tool[3];
+    kernels_.link_poses(tables_, q, 1, X);
+    const double* T = X + 16 * tool_link_;
+    for (int r = 0; r < 3; ++r) {
+      tool[r] = T[4 * r + 3];
+      for (int c = 0; c < 3; ++c) tool[r] += T[4 * r + c] * tool_position_[c];
+    }
+    for (int l = tool_link_; l >= 0; l = link_[size_t(l)].parent) {
+      const Link& link = link_[size_t(l)];
+      if (link.joint < 0) continue;
+      const double* L = X + 16 * l;
+      const double z[3] = {L[2], L[6], L[10]}, r[3] = {tool[0] - L[3], tool[1] - L[7], tool[2] - L[11]};
+      for (int i = 0; i < 3; ++i) {
+        const int a = (i + 1) % 3, b = (i + 2) % 3;
+        motion.J[i][link.joint] = link.slide ? z[i] : z[a] * r[b] - z[b] * r[a];
+      }
+    }
+    for (int i = 0; i < 3; ++i) {
+      for (int k = 0; k < 3; ++k)
+        for (int j = 0; j < tables_.n_joint; ++j) motion.gram[i][k] += motion.J[i][j] * motion.J[k][j];
+      motion.gram[i][i] += 1e-4;  // damps steps near singular postures
+    }
+    return motion;
+  }
+
+  void keep_tool(const double* q, double* d) const {
+    const ToolMotion motion = tool_motion(q);
+    double moved[3] = {};
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < tables_.n_joint; ++j) moved[i] += motion.J[i][j] * d[j];
+    motion.add(moved, -1.0, tables_.n_joint, d);
+  }
+  void move_tool(const double* q, const double* step, double* d) const {
+    std::fill(d, d + tables_.n_joint, 0.0);
+    tool_motion(q).add(step, 1.0, tables_.n_joint, d);
+  }
+
   void check_severity(const Reals& severity) const {
     require(severity.size() == size_t(tables_.n_component * tables_.n_entity), "severity is not [component, entity]");
   }
@@ -184,12 +256,43 @@ class Core {
     for (int k = 0; k < n;) {
       const int l = sphere_link.data()[k];
       require(l >= 0 && l < int(link_.size()) && (k == 0 || sphere_link.data()[k - 1] < l), "spheres ordered by link");
-      Group group{l, link_[size_t(l)].frame, k, 0, {}};
+      Group group{l, link_[size_t(l)].frame, k, 0, int(cluster_.size()), 0, {}};
       while (k < n && sphere_link.data()[k] == l) ++k, ++group.count;
+      add_clusters(group.first, group.count);
+      group.n_cluster = int(cluster_.size()) - group.first_cluster;
       for (int i = 0; i < 4; ++i) group.bound[i] = float(bound.data()[4 * l + i]);
       group_of_[size_t(l)] = int(group_.size());
       group_.push_back(group);
     }
+  }
+  // Halve a range of spheres along its longest side until the parts are small; the spheres change places within it.
+  void add_clusters(int first, int count) {
+    struct Ball {
+      float v[4];
+    };
+    Ball* balls = reinterpret_cast<Ball*>(sphere_.data()) + first;
+    if (count > kClusterSize) {
+      float low[3], high[3];
+      int axis = 0;
+      for (int i = 0; i < 3; ++i) {
+        low[i] = high[i] = balls[0].v[i];
+        for (int k = 0; k < count; ++k) low[i] = std::min(low[i], balls[k].v[i]), high[i] = std::max(high[i], balls[k].v[i]);
+        if (high[i] - low[i] > high[axis] - low[axis]) axis = i;
+      }
+      std::stable_sort(balls, balls + count, [axis](const Ball& a, const Ball& b) { return a.v[axis] < b.v[axis]; });
+      add_clusters(first, count / 2);
+      return add_clusters(first + count / 2, count - count / 2);
+    }
+    Cluster cluster{first, count, {}};
+    for (int i = 0; i < 3; ++i) {
+      for (int k = 0; k < count; ++k) cluster.bound[i] += balls[k].v[i] / float(count);
+    }
+    for (int k = 0; k < count; ++k) {
+      float d2 = 0;
+      for (int i = 0; i < 3; ++i) d2 += (balls[k].v[i] - cluster.bound[i]) * (balls[k].v[i] - cluster.bound[i]);
+      cluster.bound[3] = std::max(cluster.bound[3], std::sqrt(d2) * (1 + 1e-6f) + balls[k].v[3]);
+    }
+    cluster_.push_back(cluster);
   }
   void add_triangles(const Reals& triangles) {
     for (size_t k = 0; k < triangles.shape(0); ++k) {
@@ -264,9 +367,12 @@ class Core {
   }
 
   const Kernels& kernels_;
+  int tool_link_;
+  double tool_position_[3];
   Tables tables_{};
   std::vector<Link> link_;
   std::vector<Group> group_;
+  std::vector<Cluster> cluster_;
   std::vector<int> group_of_;
   std::vector<float> sphere_;
   std::vector<Obstacle> obstacle_;
@@ -302,6 +408,17 @@ class SceneSpace final : public Space {
     core_.kernels().edge_costs(core_.tables(), severity_.data(), a, b, 1, cost_step_, cost);
     return cost[1];
   }
+  bool keep_tool(const double* q, double* displacement) override {
+    core_.keep_tool(q, displacement);
+    return true;
+  }
+  bool move_tool(const double* q, const double* step, double* displacement) override {
+    core_.move_tool(q, step, displacement);
+    return true;
+  }
+  void impacts(const double* points, int n, double* out) override {
+    core_.kernels().impact(core_.tables(), severity_.data(), points, size_t(n), out);
+  }
 
  private:
   bool free_at(const double* a, const double* b, double step) const {
@@ -315,37 +432,45 @@ class SceneSpace final : public Space {
   double check_step_, fine_step_, cost_step_, margin_;
 };
 
-// Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2].
+// Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2], state_costs(q) -> [n].
 class CallbackSpace final : public Space {
  public:
-  CallbackSpace(nb::object edges_free, nb::object edge_costs, Reals low, Reals high, double weight, bool motion_is_length)
-      : edges_free_(std::move(edges_free)), edge_costs_(std::move(edge_costs)), motion_is_length_(motion_is_length) {
+  CallbackSpace(nb::object edges_free, nb::object edge_costs, nb::object state_costs, Reals low, Reals high, double weight,
+                bool motion_is_length)
+      : edges_free_(std::move(edges_free)), edge_costs_(std::move(edge_costs)), state_costs_(std::move(state_costs)),
+        motion_is_length_(motion_is_length) {
     lower = point(low), upper = point(high), dim = int(lower.size()), w = weight;
     require(upper.size() == lower.size(), "limits");
   }
   bool edge_free(const double* a, const double* b) override {
     nb::gil_scoped_acquire gil;
-    auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(edges_free_(row(a), row(b)));
+    auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(edges_free_(rows(a), rows(b)));
     return free.data()[0];
   }
   bool edge_certain(const double*, const double*) override { return true; }
   double impact(const double* a, const double* b) override { return costs(a, b).second; }
+  void impacts(const double* points, int n, double* out) override {
+    nb::gil_scoped_acquire gil;
+    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(state_costs_(rows(points, n)));
+    require(cost.size() == size_t(n), "one cost per state");
+    std::copy(cost.data(), cost.data() + n, out);
+  }
   double motion(const double* a, const double* b) override { return motion_is_length_ ? distance(a, b) : costs(a, b).first; }
   bool motion_is_length() const override { return motion_is_length_; }
 
  private:
-  Out<double> row(const double* a) {
+  Out<double> rows(const double* points, int n = 1) {
     double* data;
-    auto array = make<double>({1, size_t(dim)}, data);
-    std::copy(a, a + dim, data);
+    auto array = make<double>({size_t(n), size_t(dim)}, data);
+    std::copy(points, points + n * dim, data);
     return array;
   }
   std::pair<double, double> costs(const double* a, const double* b) {
     nb::gil_scoped_acquire gil;
-    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>>(edge_costs_(row(a), row(b)));
+    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>>(edge_costs_(rows(a), rows(b)));
     return {cost.data()[0], cost.data()[1]};
   }
-  nb::object edges_free_, edge_costs_;
+  nb::object edges_free_, edge_costs_, state_costs_;
   bool motion_is_length_;
 };
 
@@ -378,8 +503,8 @@ class ConnectPlanner {
 
 class AnytimePlanner {
  public:
-  AnytimePlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, double spacing, int pool, uint64_t seed)
-      : space_(space), anytime_(space, point(start), points(goals), {{range, max_nodes}, spacing, pool}, seed) {}
+  AnytimePlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, double spacing, int challengers, uint64_t seed)
+      : space_(space), anytime_(space, point(start), points(goals), {{range, max_nodes}, spacing, challengers}, seed) {}
   nb::tuple run(int64_t iterations, double seconds) {
     Slice slice(iterations, seconds);
     bool improved;
@@ -412,10 +537,10 @@ NB_MODULE(_native, m) {
   nb::class_<Core>(m, "Core")
       .def(nb::init<Integers, Integers, Integers, Reals, int, Integers, Reals, Reals, Integers, Integers, Reals, Reals, Reals,
                     nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>, Integers, Reals, Integers, Integers, Reals, Integers, Reals,
-                    int, int, const std::string&>(),
+                    int, int, int, Reals, const std::string&>(),
            "parent"_a, "joint"_a, "slide"_a, "X_PL"_a, "n_joint"_a, "sphere_link"_a, "sphere"_a, "bound"_a, "self_pair"_a,
            "obstacle_kind"_a, "obstacle_pose"_a, "obstacle_size"_a, "obstacle_bound"_a, "ignores"_a, "hull_start"_a, "triangles"_a,
-           "part_component"_a, "part_link"_a, "part_box"_a, "target_entity"_a, "target_box"_a, "n_component"_a, "n_entity"_a, "isa"_a)
+           "part_component"_a, "part_link"_a, "part_box"_a, "target_entity"_a, "target_box"_a, "n_component"_a, "n_entity"_a, "tool_link"_a, "tool_position"_a, "isa"_a)
       .def_prop_ro("isa", &Core::isa)
       .def_prop_ro("lanes", &Core::lanes)
       .def("link_poses", &Core::link_poses, "q"_a)
@@ -431,7 +556,7 @@ NB_MODULE(_native, m) {
       .def(nb::init<const Core&, Reals, Reals, Reals, double, double, double, double, double>(), "core"_a, "lower"_a, "upper"_a,
            "severity"_a, "w"_a, "check_step"_a, "fine_step"_a, "cost_step"_a, "margin"_a, nb::keep_alive<1, 2>());
   nb::class_<CallbackSpace, Space>(m, "CallbackSpace")
-      .def(nb::init<nb::object, nb::object, Reals, Reals, double, bool>(), "edges_free"_a, "edge_costs"_a, "lower"_a, "upper"_a, "w"_a,
+      .def(nb::init<nb::object, nb::object, nb::object, Reals, Reals, double, bool>(), "edges_free"_a, "edge_costs"_a, "state_costs"_a, "lower"_a, "upper"_a, "w"_a,
            "motion_is_length"_a);
   nb::class_<ConnectPlanner>(m, "Connect")
       .def(nb::init<Space&, Reals, Reals, double, int, uint64_t>(), "space"_a, "start"_a, "goals"_a, "range"_a, "max_nodes"_a, "seed"_a,
@@ -440,7 +565,7 @@ NB_MODULE(_native, m) {
       .def_prop_ro("path", &ConnectPlanner::path, nb::rv_policy::move);
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(nb::init<Space&, Reals, Reals, double, int, double, int, uint64_t>(), "space"_a, "start"_a, "goals"_a, "range"_a,
-           "max_nodes"_a, "spacing"_a, "pool"_a, "seed"_a, nb::keep_alive<1, 2>())
+           "max_nodes"_a, "spacing"_a, "challengers"_a, "seed"_a, nb::keep_alive<1, 2>())
       .def("run", &AnytimePlanner::run, "iterations"_a, "seconds"_a)
       .def_prop_ro("path", &AnytimePlanner::path, nb::rv_policy::move)
       .def_prop_ro("total", &AnytimePlanner::total)

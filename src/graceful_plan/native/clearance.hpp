@@ -86,7 +86,7 @@ static inline F mesh_distance(const Tables& tables, const Obstacle& o, const Vec
     const Triangle& t = tables.triangle[o.first_triangle + k];
     F height = dot(p, t.normal) - t.offset;
     deepest = maximum(deepest, height);
-    nearest = minimum(nearest, triangle_squared(p, t, height));
+    if (any(height > 0.f)) nearest = minimum(nearest, triangle_squared(p, t, height));  // the nearest face is one that p sees
   }
   return deepest > 0.f ? square_root(nearest) : deepest;
 }
@@ -103,19 +103,32 @@ static inline F signed_distance(const Tables& tables, const Obstacle& o, const V
   }
 }
 
-// Whether a sphere touches; for the box, by far the commonest, without a square root.
-static inline MaskF touches(const Tables& tables, const Obstacle& o, const Vec<F>& centre, float radius) {
-  if (o.kind != kBox) return signed_distance(tables, o, centre) < radius;
-  Vec<F> p = local(o, centre);
-  F x = relu(absolute(p.x) - o.size[0]), y = relu(absolute(p.y) - o.size[1]), z = relu(absolute(p.z) - o.size[2]);
-  return x * x + y * y + z * z < radius * radius;
-}
-
 static inline MaskF near_bound(const Obstacle& o, const Vec<F>& centre, F reach) {
   if (o.bound[3] < 0.f) return ~MaskF{};
   F r = reach + o.bound[3];
   F dx = centre.x - o.bound[0], dy = centre.y - o.bound[1], dz = centre.z - o.bound[2];
   return dx * dx + dy * dy + dz * dz < r * r;
+}
+
+// A plane of a face that separates the sphere from the hull settles it; distances to triangles are for the few that are left.
+static inline MaskF touches_mesh(const Tables& tables, const Obstacle& o, const Vec<F>& centre, float radius) {
+  if (!any(near_bound(o, centre, F{} + radius))) return MaskF{};
+  F deepest = F{} - 1e30f;
+  for (int k = 0; k < o.n_triangle; ++k) {
+    const Triangle& t = tables.triangle[o.first_triangle + k];
+    deepest = maximum(deepest, dot(centre, t.normal) - t.offset);
+  }
+  if (!any(deepest < radius)) return MaskF{};
+  return mesh_distance(tables, o, centre) < radius;
+}
+
+// Whether a sphere touches; for the box, by far the commonest, without a square root.
+static inline MaskF touches(const Tables& tables, const Obstacle& o, const Vec<F>& centre, float radius) {
+  if (o.kind == kMesh) return touches_mesh(tables, o, centre, radius);
+  if (o.kind != kBox) return signed_distance(tables, o, centre) < radius;
+  Vec<F> p = local(o, centre);
+  F x = relu(absolute(p.x) - o.size[0]), y = relu(absolute(p.y) - o.size[1]), z = relu(absolute(p.z) - o.size[2]);
+  return x * x + y * y + z * z < radius * radius;
 }
 
 // World positions of bounding spheres, and of spheres as far as somebody asked for them.
@@ -155,8 +168,13 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
       if (!any(near_bound(o, placed.bound[g], F{} + reach))) continue;
       if (!any(touches(tables, o, placed.bound[g], reach))) continue;
       const Vec<F>* sphere = placed.spheres(g);
-      for (int k = group.first; k < group.first + group.count; ++k) hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + margin);
-      if (first_hit ? any(hit) : all(hit)) return hit;
+      for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
+        const Cluster& cluster = tables.cluster[c];
+        if (group.n_cluster > 1 && !any(touches(tables, o, transform(X_W[group.frame], cluster.bound), cluster.bound[3] + margin))) continue;
+        for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
+          hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + margin);
+        if (first_hit ? any(hit) : all(hit)) return hit;
+      }
     }
   }
   for (int p = 0; p < tables.n_pair; ++p) {
@@ -168,9 +186,14 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
     for (int k = ga.first; k < ga.first + ga.count; ++k) {
       const float ra = tables.sphere[4 * k + 3] + margin, rb = ra + gb.bound[3];
       if (!any(squared_distance(sa[k], placed.bound[b]) < rb * rb)) continue;
-      for (int m = gb.first; m < gb.first + gb.count; ++m) {
-        const float r = ra + tables.sphere[4 * m + 3];
-        hit |= squared_distance(sa[k], sb[m]) < r * r;
+      for (int c = gb.first_cluster; c < gb.first_cluster + gb.n_cluster; ++c) {
+        const Cluster& cluster = tables.cluster[c];
+        const float rc = ra + cluster.bound[3];
+        if (gb.n_cluster > 1 && !any(squared_distance(sa[k], transform(X_W[gb.frame], cluster.bound)) < rc * rc)) continue;
+        for (int m = cluster.first; m < cluster.first + cluster.count; ++m) {
+          const float r = ra + tables.sphere[4 * m + 3];
+          hit |= squared_distance(sa[k], sb[m]) < r * r;
+        }
       }
     }
     if (first_hit ? any(hit) : all(hit)) return hit;
@@ -203,8 +226,13 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
       if (!any(near_bound(o, placed.bound[g], relu(best.distance + group.bound[3])))) continue;
       if (!any(signed_distance(tables, o, placed.bound[g]) - group.bound[3] < best.distance)) continue;
       const Vec<F>* sphere = placed.spheres(g);
-      for (int k = group.first; k < group.first + group.count; ++k)
-        best.update(signed_distance(tables, o, sphere[k]) - tables.sphere[4 * k + 3], k, j);
+      for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
+        const Cluster& cluster = tables.cluster[c];
+        const Vec<F> centre = transform(X_W[group.frame], cluster.bound);
+        if (group.n_cluster > 1 && !any(signed_distance(tables, o, centre) - cluster.bound[3] < best.distance)) continue;
+        for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
+          best.update(signed_distance(tables, o, sphere[k]) - tables.sphere[4 * k + 3], k, j);
+      }
     }
   }
   for (int p = 0; p < tables.n_pair; ++p) {

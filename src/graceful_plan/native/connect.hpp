@@ -19,14 +19,23 @@ class Connect {
     reset(std::numeric_limits<double>::infinity());
   }
 
-  // Forget the trees and look for paths that cost less than `bound`.
-  void reset(double bound) {
-    bound_ = bound;
+  // Forget the trees and look for paths that cost less than `bound`, none of whose edges has a mean impact above
+  // `impact_limit` or what the start and goal themselves have: a path through the valleys.
+  void reset(double bound, double impact_limit = std::numeric_limits<double>::infinity()) {
+    bound_ = bound, impact_limit_ = impact_limit;
     a_ = Tree(space_.dim), b_ = Tree(space_.dim);
     a_.add(start_.data(), -1, 0);
     for (const Point& goal : goals_) b_.add(goal.data(), -1, 0);
     from_start_ = true;
     tried_direct_ = false;
+    if (std::isinf(impact_limit)) return;
+    space_.impacts(start_.data(), 1, &unavoidable_[0]);
+    unavoidable_[1] = 0;
+    for (const Point& goal : goals_) {
+      double impact;
+      space_.impacts(goal.data(), 1, &impact);
+      unavoidable_[1] = std::max(unavoidable_[1], impact);
+    }
   }
 
   // One iteration; true when a path was found, which is then in path().
@@ -35,7 +44,7 @@ class Connect {
       tried_direct_ = true;
       return connect_directly();
     }
-    if (a_.size() + b_.size() > settings_.max_nodes) reset(bound_);
+    if (a_.size() + b_.size() > settings_.max_nodes) reset(bound_, impact_limit_);
     tried_direct_ = true;
     Tree &grown = from_start_ ? a_ : b_, &other = from_start_ ? b_ : a_;
     from_start_ = !from_start_;
@@ -107,6 +116,12 @@ class Connect {
   bool edge_free(const Tree& tree, const double* from, const double* to) {
     return &tree == &a_ ? space_.edge_free(from, to) : space_.edge_free(to, from);
   }
+  bool is_mild(const Tree& tree, const double* from, const double* to) {
+    if (std::isinf(impact_limit_)) return true;
+    const bool forward = &tree == &a_;
+    const double impact = forward ? space_.impact(from, to) : space_.impact(to, from);
+    return impact <= std::max(impact_limit_, unavoidable_[forward ? 0 : 1]) * space_.distance(from, to);
+  }
   double edge_cost(const Tree& tree, const double* from, const double* to) {
     if (std::isinf(bound_)) return space_.distance(from, to);
     return &tree == &a_ ? space_.cost(from, to) : space_.cost(to, from);
@@ -122,14 +137,14 @@ class Connect {
       for (int j = 0; j < space_.dim; ++j) to[size_t(j)] = from[size_t(j)] + (target[j] - from[size_t(j)]) * settings_.range / d;
     const double cost = tree.cost[size_t(near)] + edge_cost(tree, from.data(), to.data());
     if (cost + lower_bound(tree, to.data()) >= bound_) return -1;
-    if (!edge_free(tree, from.data(), to.data())) return -1;
+    if (!edge_free(tree, from.data(), to.data()) || !is_mild(tree, from.data(), to.data())) return -1;
     return tree.add(to.data(), near, cost);
   }
 
   bool join(const Tree& grown, int added, const Tree& other, int from, const Point& reached) {
     const Point there(other.node(from), other.node(from) + space_.dim);
     const double cost = grown.cost[size_t(added)] + other.cost[size_t(from)] + edge_cost(other, there.data(), reached.data());
-    if (cost >= bound_ || !edge_free(other, there.data(), reached.data())) return false;
+    if (cost >= bound_ || !edge_free(other, there.data(), reached.data()) || !is_mild(other, there.data(), reached.data())) return false;
     const bool grown_is_a = &grown == &a_;
     path_.clear();
     for (int i = grown_is_a ? added : from; i >= 0; i = a_.parent[size_t(i)]) path_.emplace_back(a_.node(i), a_.node(i) + space_.dim);
@@ -138,7 +153,7 @@ class Connect {
     path_.erase(std::unique(path_.begin(), path_.end()), path_.end());
     for (size_t k = 0; k + 1 < path_.size(); ++k)
       if (!space_.edge_certain(path_[k].data(), path_[k + 1].data())) {
-        reset(bound_);  // these trees hold an edge that grazes something between two checks
+        reset(bound_, impact_limit_);  // these trees hold an edge that grazes something between two checks
         tried_direct_ = true;
         return false;
       }
@@ -151,7 +166,8 @@ class Connect {
   ConnectSettings settings_;
   Random random_;
   Tree a_, b_;
-  double bound_;
+  double bound_, impact_limit_;
+  double unavoidable_[2] = {0, 0};
   bool from_start_, tried_direct_;
   std::vector<Point> path_;
 };

@@ -21,6 +21,11 @@ struct Space {
   // The same at a finer step, for edges that become part of a path; asked after edge_free.
   virtual bool edge_certain(const double* a, const double* b) = 0;
   virtual double impact(const double* a, const double* b) = 0;  // S of an edge
+  virtual void impacts(const double* points, int n, double* out) = 0;  // I of configurations, row by row
+  // Leave of a displacement what does not move the tool; false if the space knows no tool.
+  virtual bool keep_tool(const double*, double*) { return false; }
+  // The smallest displacement that moves the tool by so much, to first order; false if the space knows no tool.
+  virtual bool move_tool(const double*, const double*, double*) { return false; }
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
   // Whether motion() is the length, so that distances bound the cost from below.
   virtual bool motion_is_length() const { return true; }

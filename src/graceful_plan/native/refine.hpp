@@ -25,6 +25,7 @@ class Refiner {
     const double u = random_.uniform();
     if (path_.q.size() == 2 || u < 0.12) return shortcut();
     if (u < 0.20) return partial_shortcut();
+    if (u < 0.32) return posture_shortcut();
     if (u < 0.60) return adapt(0, perturb(0));
     if (u < 0.90) return adapt(1, perturb(1 + random_.below(int(path_.q.size()) / 2)));
     return straighten();
@@ -131,15 +132,31 @@ class Refiner {
     return replace(i, j, points);
   }
 
-  // Move a vertex, or a window of vertices by a smooth bump, in a random direction within the limits.
+  // Straighten a stretch in joint space as far as the tool can stay where it is: a redundant arm wanders otherwise, and no
+  // shortcut mends that where the tool's own detour is what keeps the impact low.
+  bool posture_shortcut() {
+    const int n = int(path_.q.size());
+    int i = random_.below(n), j = random_.below(n);
+    if (i > j) std::swap(i, j);
+    if (j - i < 2) return false;
+    const double fraction = random_.uniform();
+    std::vector<Point> points(path_.q.begin() + i + 1, path_.q.begin() + j);
+    for (int k = i + 1; k < j; ++k) {
+      Point& q = points[size_t(k - i - 1)];
+      Point step = between(path_.q[size_t(i)], path_.q[size_t(j)], double(k - i) / (j - i));
+      for (size_t d = 0; d < q.size(); ++d) step[d] = fraction * (step[d] - q[d]);
+      if (!space_.keep_tool(q.data(), step.data())) return false;
+      for (size_t d = 0; d < q.size(); ++d) q[d] = std::clamp(q[d] + step[d], space_.lower[d], space_.upper[d]);
+    }
+    return replace(i, j, points);
+  }
+
+  // Move a vertex, or a window of vertices by a smooth bump, within the limits. Of several random displacements the one
+  // is tried at which the vertex looks cheapest: its impact costs a fraction of that of two edges.
   bool perturb(int reach) {
     const int n = int(path_.q.size()), centre = 1 + random_.below(n - 2);
     const int first = std::max(0, centre - reach - 1), last = std::min(n - 1, centre + reach + 1);
-    const bool one_joint = random_.uniform() < 0.5;
-    const int joint = random_.below(space_.dim);
-    Point direction(size_t(space_.dim), 0.0);
-    for (int j = 0; j < space_.dim; ++j)
-      if (!one_joint || j == joint) direction[size_t(j)] = random_.normal() * sigma_[reach > 0] * (one_joint ? 1.0 : 1.0 / std::sqrt(double(space_.dim)));
+    const Point direction = displacement(path_.q[size_t(first)], path_.q[size_t(centre)], path_.q[size_t(last)], sigma_[reach > 0]);
     std::vector<Point> points(path_.q.begin() + first + 1, path_.q.begin() + last);
     for (int k = first + 1; k < last; ++k) {
       const double s = double(k - centre) / (reach + 1), bump = (1 - s * s) * (1 - s * s);
@@ -149,6 +166,45 @@ class Refiner {
       }
     }
     return replace(first, last, points);
+  }
+
+  // Where the vertex ends when the tool moves a little in a random direction; a joint moves its tool by some 0.4 m/rad.
+  bool tool_displacement(const Point& vertex, double sigma, double* q) {
+    const double step[3] = {random_.normal() * sigma * 0.4, random_.normal() * sigma * 0.4, random_.normal() * sigma * 0.4};
+    if (!space_.move_tool(vertex.data(), step, q)) return false;
+    for (size_t j = 0; j < vertex.size(); ++j) q[j] = std::clamp(vertex[j] + q[j], space_.lower[j], space_.upper[j]);
+    return true;
+  }
+
+  Point displacement(const Point& before, const Point& vertex, const Point& after, double sigma) {
+    constexpr int kTried = 8;
+    const size_t dim = size_t(space_.dim);
+    const int tried = space_.w > 0 && random_.uniform() < 0.7 ? kTried : 1;
+    std::vector<double> moved(size_t(tried) * dim);
+    for (int k = 0; k < tried; ++k) {
+      double* q = moved.data() + size_t(k) * dim;
+      if (k % 3 == 2 && tool_displacement(vertex, sigma, q)) continue;
+      const bool one_joint = random_.uniform() < 0.5;
+      const size_t joint = size_t(random_.below(space_.dim));
+      for (size_t j = 0; j < dim; ++j) {
+        const double scale = one_joint ? double(j == joint) : 1.0 / std::sqrt(double(dim));
+        const double value = vertex[j] + random_.normal() * sigma * scale;
+        q[j] = std::clamp(value, space_.lower[j], space_.upper[j]);
+      }
+    }
+    int best = 0;
+    if (tried > 1) {
+      double impact[kTried], least = std::numeric_limits<double>::infinity();
+      space_.impacts(moved.data(), tried, impact);
+      for (int k = 0; k < tried; ++k) {
+        const double* q = moved.data() + size_t(k) * dim;
+        const double guess = (space_.distance(before.data(), q) + space_.distance(q, after.data())) * (1 + space_.w * impact[k]);
+        if (guess < least) least = guess, best = k;
+      }
+    }
+    Point out(dim);
+    for (size_t j = 0; j < dim; ++j) out[j] = moved[size_t(best) * dim + j] - vertex[j];
+    return out;
   }
 
   // Pull a vertex towards the chord of its neighbours.

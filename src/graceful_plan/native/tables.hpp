@@ -20,9 +20,14 @@ struct Link {
   double R[9], p[3];  // X_PL; for the base X_WB
 };
 
-// The spheres of one link, behind one bounding sphere.
+// The spheres of one link, behind one bounding sphere, and behind that in clusters with bounding spheres of their own.
 struct Group {
-  int32_t link, frame, first, count;
+  int32_t link, frame, first, count, first_cluster, n_cluster;
+  float bound[4];
+};
+
+struct Cluster {
+  int32_t first, count;
   float bound[4];
 };
 
@@ -56,6 +61,7 @@ struct Tables {
   int32_t n_joint, n_link, n_group, n_obstacle, n_pair, n_part, n_target, n_component, n_entity;
   const Link* link;
   const Group* group;
+  const Cluster* cluster;
   const float* sphere;  // x y z r, in the frame of the group's link
   const Obstacle* obstacle;
   const Triangle* triangle;

@@ -37,7 +37,7 @@ class Anytime(Planner):
     Args:
         range: Longest edge of the trees, as a fraction of the diagonal of the limits.
         spacing: Distance between vertices of a refined path, as a fraction of the diagonal of the limits.
-        pool: How many challengers are refined besides the incumbent.
+        challengers: How many paths enter a contest.
         max_nodes: Trees are dropped and grown anew when they hold more nodes.
     """
 
@@ -46,13 +46,13 @@ class Anytime(Planner):
 
     range: float = 0.08
     spacing: float = 0.018
-    pool: int = 4
+    challengers: int = 8
     max_nodes: int = 10_000
 
     def __post_init__(self) -> None:
         fraction("range", self.range)
         fraction("spacing", self.spacing)
-        count("pool", self.pool)
+        count("challengers", self.challengers)
         count("max_nodes", self.max_nodes, 10)
 
     def solve(
@@ -71,7 +71,7 @@ class Anytime(Planner):
             self.range * diagonal,
             self.max_nodes,
             self.spacing * diagonal,
-            self.pool,
+            self.challengers,
             seed_from(rng),
         )
         while not budget.exhausted and not core.optimal:

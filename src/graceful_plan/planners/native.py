@@ -37,6 +37,7 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
     return _native.CallbackSpace(
         edges_free=problem.edges_free,
         edge_costs=lambda q0, q1: np.ascontiguousarray(objective.edges(q0, q1), dtype=np.float64),
+        state_costs=lambda q: np.ascontiguousarray(objective.states(q), dtype=np.float64),
         lower=lower,
         upper=upper,
         w=objective.w,
