@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+
+from graceful_plan.array_types import Float, Int
 
 Array = np.ndarray
 

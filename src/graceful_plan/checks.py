@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Float
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.impact import ImpactCost

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
 from graceful_plan import sphere_cover
+from graceful_plan.array_types import Float, Int
 from graceful_plan.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.kernels import Kernels

@@ -10,8 +10,8 @@ from collections.abc import Collection, Iterable
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Int
 
+from graceful_plan.array_types import Bool, Int
 from graceful_plan.elements import AllowedContact, Notes
 from graceful_plan.model_parts import colliding_geoms, find, names, rigid_group, subtree
 

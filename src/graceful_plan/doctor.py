@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from importlib import metadata
 
 import numpy as np
-from jaxtyping import Float
 
 import graceful_plan as gp
+from graceful_plan.array_types import Float
 from graceful_plan.compile import compile_scene
 from graceful_plan.exact import Judge
 from graceful_plan.kernels import Kernels, instruction_sets

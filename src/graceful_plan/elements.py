@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.severity import SeverityTable
 

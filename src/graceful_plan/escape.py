@@ -8,8 +8,8 @@ geometry.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.exact import first_collision
 from graceful_plan.kernels import Kernels
 from graceful_plan.path import Path

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
 
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.model_parts import geom_label
 from graceful_plan.motion_samples import motion_samples
 from graceful_plan.path import Path

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.exact import Judge, state_contacts
 from graceful_plan.exceptions import ShapeError, UnknownNameError
 from graceful_plan.ik import solve_ik

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.placement import Placement

@@ -7,10 +7,10 @@ float32 lanes and impact in float64 lanes. Kernels hold no state and release the
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from graceful_plan import _native
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
@@ -19,8 +19,8 @@ Array = np.ndarray
 
 CHECK_STEP = 1.0 / 32.0
 """Largest joint-space distance between checked configurations of an edge [rad]."""
-FINE_STEP = 1.0 / 512.0
-"""The same for edges that become part of a path [rad]: no point of an arm moves more than some 3 mm in between."""
+FINE_STEP = 1.0 / 256.0
+"""The same for edges that become part of a path [rad]: no point of an arm moves more than some 5 mm in between."""
 COST_STEP = 0.015
 """Largest joint-space distance between samples of the impact along an edge [rad]."""
 

@@ -9,8 +9,8 @@ from collections.abc import Collection, Iterable, Mapping
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
 
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.elements import Limits, Notes
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 

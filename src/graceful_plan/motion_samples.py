@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.model_parts import subtree
 from graceful_plan.path import Path
 from graceful_plan.placement import Placement

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Float
 from graceful_plan.exceptions import NonFiniteError, ShapeError
 
 Array = np.ndarray

@@ -6,8 +6,8 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.compile import CompiledScene, compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective
@@ -29,7 +29,7 @@ Array = np.ndarray
 
 DEFAULT_TIME_LIMIT = 1.0
 """Seconds that a call may take when neither a time limit nor a number of iterations is given."""
-_CAUTION = ((0.001, CHECK_STEP), (0.004, FINE_STEP), (0.01, FINE_STEP))
+_CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
 _RESERVE = 0.12
 """Seconds kept for timing and verification, at most a third of the time limit."""

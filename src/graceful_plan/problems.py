@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path, finite_array
 from graceful_plan.planners.planner import Problem

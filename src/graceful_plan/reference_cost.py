@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.path import Path
 from graceful_plan.placement import Placement
 from graceful_plan.result import CostBreakdown

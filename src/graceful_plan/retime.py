@@ -7,8 +7,8 @@ where sampling let it exceed a limit by a little, slowed down evenly until it do
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.blend import CurveGrid, Piece, rounded, sampled
 from graceful_plan.elements import Limits
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError

@@ -9,9 +9,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Float
 from graceful_plan.elements import (
     BODY_CLASSES,
     CARRIED_CLASSES,

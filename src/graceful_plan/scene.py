@@ -14,10 +14,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from graceful_plan import roles, screening
+from graceful_plan.array_types import Float, Int
 from graceful_plan.contacts import allowed_pairs, declared_contacts, geoms_named, tested_pairs, without
 from graceful_plan.elements import (
     AllowedContact,

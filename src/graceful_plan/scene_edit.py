@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.roles import rigid_pose

@@ -6,8 +6,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
+from graceful_plan.array_types import Float, Int
 from graceful_plan.exact import Judge, Touch
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.motion_samples import MotionSamples

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
+
+from graceful_plan.array_types import Float
 
 Array = np.ndarray
 

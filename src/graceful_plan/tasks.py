@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
+from graceful_plan.array_types import Float, Int
 from graceful_plan.elements import Limits, Notes, Task, TaskNote
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 

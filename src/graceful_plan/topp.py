@@ -22,9 +22,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Float
 from graceful_plan.blend import CurveGrid
 from graceful_plan.exceptions import RetimingError
 

@@ -12,9 +12,9 @@ from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Float
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError
 from graceful_plan.path import Path, finite_array
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from graceful_plan.array_types import Float
 from graceful_plan.exact import Judge
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.motion_samples import MotionSamples, motion_samples

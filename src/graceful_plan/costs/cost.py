@@ -11,8 +11,8 @@ from abc import ABC, abstractmethod
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.compile import CompiledScene, compile_scene
 from graceful_plan.exceptions import CostError, ShapeError
 from graceful_plan.scene import Scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.exceptions import SettingError, ShapeError
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import Cost, StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from math import lgamma, log, pi
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.planners.planner import BoundObjective, Problem, edge_totals
 from graceful_plan.planners.questions import checked_costs
 

@@ -14,11 +14,11 @@ from math import dist
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from graceful_plan.array_types import Float
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
 from graceful_plan.planners.planner import Budget

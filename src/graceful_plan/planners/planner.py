@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.path import Path
 
 Array = np.ndarray

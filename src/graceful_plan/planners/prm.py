@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Int
 
+from graceful_plan.array_types import Int
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import CostError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, edge_totals

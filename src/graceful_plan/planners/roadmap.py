@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from graceful_plan.array_types import Float, Int
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler
 from graceful_plan.planners.questions import Interrupted, Questions, out_of_time

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from graceful_plan.array_types import Float, Int
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.questions import Interrupted, Questions

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+
+from graceful_plan.array_types import Float
 
 Array = np.ndarray
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Cost, StateBatch, checked_state
 from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.scene import Scene

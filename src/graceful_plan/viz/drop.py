@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.arrays import RobotArrays, WorldArrays
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.impact import ImpactCost

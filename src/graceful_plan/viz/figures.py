@@ -7,8 +7,8 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import Objective
 from graceful_plan.path import Path

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.path import Path
 from graceful_plan.scene import Scene
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, UInt8
 
+from graceful_plan.array_types import Float, UInt8
 from graceful_plan.path import Path
 from graceful_plan.scene import Scene
 from graceful_plan.viz.footprints import object_positions

@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions.interaction import InteractionModel
 

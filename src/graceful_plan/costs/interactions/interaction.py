@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from jaxtyping import Float
 
+from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
 
 Array = np.ndarray
