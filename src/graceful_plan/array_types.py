@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING or "jaxtyping" in sys.modules:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, Int, UInt8
 else:
 
     class Float:
@@ -21,6 +21,6 @@ else:
         def __class_getitem__(cls, item: Any) -> type[np.ndarray]:
             return np.ndarray
 
-    Bool = Int = Float
+    Bool = Int = UInt8 = Float
 
-__all__ = ["Bool", "Float", "Int"]
+__all__ = ["Bool", "Float", "Int", "UInt8"]
