@@ -31,9 +31,7 @@ def main(planner: str = "anytime", time_limit: float = 1.0) -> dict[str, gp.Plan
     away = gp.Objective(impact=Nearness(tuple(laptop)), w=5.0)
     results = {}
     for name, objective in {"shortest": away.with_weight(0.0), "away": away}.items():
-        result = gp.plan(
-            task.start, task.goal, task.scene, objective=objective, planner=planner, time_limit=time_limit
-        )
+        result = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=planner, time_limit=time_limit)
         print(f"{name}: {result.status.name}, motion {result.cost.motion:.2f}, nearness {result.cost.impact:.2f}")
         results[name] = result
     return results

@@ -104,3 +104,26 @@ def test_a_scene_without_anything_around_compiles():
     result = gp.plan([-0.5], [0.5], scene, time_limit=0.5)
     assert result.status is gp.PlanStatus.SOLVED
     assert result.cost.motion == pytest.approx(1.0)
+
+
+def test_fingers_that_never_move_apart_do_not_block_everything():
+    text = """<mujoco><compiler angle="radian" autolimits="true"/>
+    <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
+    <worldbody><body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <body name="r/b" pos="0.021 0 0"><geom type="box" size="0.02 0.02 0.02"/></body>
+      <body name="r/c" pos="-0.021 0 0"><geom type="box" size="0.02 0.02 0.02"/></body><site name="t"/></body>
+    </worldbody></mujoco>"""
+    result = gp.plan([-0.5], [0.5], gp.Scene.from_mjcf(text, robot="r/", tool="t"), time_limit=0.5)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+
+
+def test_a_robot_too_large_for_the_kernels_is_refused_by_name():
+    text = """<mujoco><compiler angle="radian" autolimits="true"/>
+    <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
+    <worldbody><geom name="wall" type="box" size="0.1 0.1 0.1" pos="9 0 0"/>
+      <body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/>
+        <geom name="door" type="box" size="1 0.02 1"/><site name="t"/></body>
+    </worldbody></mujoco>"""
+    with pytest.raises(UnsupportedError, match=r"spheres, the kernels hold .*'door'"):
+        compile_scene(gp.Scene.from_mjcf(text, robot="r/", tool="t"))

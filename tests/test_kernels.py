@@ -289,3 +289,23 @@ def test_misuse_names_the_culprit(table):
         kernels.edges_free(np.zeros(7), np.ones(7), step=0.0)
     with pytest.raises(SettingError, match="isa"):
         Kernels(kernels.robot, kernels.world, kernels.hazards, isa="avx1024")
+
+
+def test_numbers_that_single_precision_cannot_hold_are_refused(table):
+    kernels = compile_scene(table).kernels
+    with pytest.raises(SettingError, match="q = "):
+        kernels.clearance(np.full(7, 1e39))
+    for margin in (np.nan, np.inf):
+        with pytest.raises(SettingError, match="margin"):
+            kernels.free(np.zeros(7), margin=margin)
+    with pytest.raises(SettingError, match="step"):
+        kernels.edges_free(np.zeros(7), np.ones(7), step=1e-12)
+
+
+def test_a_body_without_area_from_above_is_not_hit_from_above():
+    """An upright pane is a plane whose box has no area in xy: 0 / 0 once."""
+    task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
+    thin = task.scene.add_box("pane", [0.2, 1e-13, 0.1], [0.0, -0.35, 0.3], entity="glass")
+    index = list(thin.entities).index("pane")
+    probability = gp.interaction_probability(thin, _random(thin, 500, seed=13))[:, :, index]
+    assert np.all(probability == 0.0)

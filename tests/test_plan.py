@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.arguments import checked_objective, checked_planner, checked_seed, checked_time_limit
 from graceful_plan.exact import Judge, first_collision
 from graceful_plan.exceptions import NonFiniteError, PlanningFailed, SettingError, ShapeError, UnknownNameError
 from graceful_plan.reference_cost import reference_cost
@@ -76,7 +77,9 @@ def test_iterations_of_different_seeds_differ(task):
 
 def test_settings_objects_and_weights_of_objectives(task):
     objective = gp.Objective(w=0.0)
-    a = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=gp.Anytime(challengers=2), time_limit=0.3)
+    a = gp.plan(
+        task.start, task.goal, task.scene, objective=objective, planner=gp.Anytime(challengers=2), time_limit=0.3
+    )
     assert a.cost.w == 0.0
     b = gp.plan(task.start, task.goal, task.scene, 2.0, objective=objective, time_limit=0.3)
     assert b.cost.w == 2.0
@@ -262,3 +265,68 @@ def test_without_an_object_there_is_no_impact():
     body = gp.Objective(impact=gp.ImpactCost(components=("body",)))
     with_body = gp.plan("ready", "lift", scene, objective=body, time_limit=0.3)
     assert with_body.cost.impact > 0.0
+
+
+# --- what went wrong once ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("end", [0.05, 1.5])
+def test_a_planner_that_ends_elsewhere_is_not_believed(task, end):
+    class Liar(gp.Planner):
+        name = "liar"
+        anytime = False
+
+        def solve(self, problem, objective, budget, rng):
+            budget.spend()
+            yield gp.Path(np.stack([problem.start, problem.start + end * (problem.goals[0] - problem.start)]))
+
+    result = _quick(task, planner=Liar(), w=0.0)
+    assert result.status is not gp.PlanStatus.SOLVED and result.trajectory is None
+
+
+def test_a_stopped_search_is_not_taken_up_again(task):
+    searches = []
+
+    class Once(gp.Planner):
+        name = "once"
+        anytime = True
+
+        def solve(self, problem, objective, budget, rng):
+            searches.append(problem.margin)
+            yield from gp.Anytime().solve(problem, objective, budget, rng)
+
+    _quick(task, planner=Once(), callback=lambda point: True)
+    assert len(searches) == 1
+
+
+@pytest.mark.parametrize("iterations", [10.5, True, "9", -1])
+def test_iterations_that_would_never_end_are_refused(iterations):
+    with pytest.raises(SettingError, match="iterations"):
+        checked_time_limit(None, iterations, 1.0)
+
+
+@pytest.mark.parametrize("time_limit", ["1", float("nan"), -1.0, True])
+def test_time_limits_that_puzzle_are_refused(time_limit):
+    with pytest.raises(SettingError, match="time_limit"):
+        checked_time_limit(time_limit, None, 1.0)
+
+
+def test_other_arguments_that_puzzle_are_refused():
+    for w in ("1", 1e300, float("inf")):
+        with pytest.raises(SettingError, match="w = "):
+            checked_objective(None, w)
+    for seed in (-1, "a", 1.5):
+        with pytest.raises(SettingError, match="seed"):
+            checked_seed(seed)
+    with pytest.raises(SettingError, match="objective"):
+        checked_objective(gp.JointLength(), None)
+    with pytest.raises(SettingError, match=r"an instance: RRTStar\(\)"):
+        checked_planner(gp.RRTStar)
+
+
+def test_a_planner_class_and_steps_of_zero_are_refused():
+    for settings in ({"range": 0.0}, {"spacing": 0.0}, {"range": float("nan")}):
+        with pytest.raises(SettingError, match=next(iter(settings))):
+            gp.Anytime(**settings)
+    with pytest.raises(SettingError, match="range"):
+        gp.RRTConnect(range=0.0)

@@ -23,7 +23,7 @@ LAYERS = (
     {"kernels", "compile"},
     {"costs", "checks"},
     {"planners"},
-    {"plan", "search", "finish", "escape", "problems", "testing"},
+    {"plan", "search", "finish", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},
     {"cli", "demo", "doctor", "viz"},
 )

@@ -106,7 +106,7 @@ def free_edges(kernels: Kernels, q: Array, count: int, rng: np.random.Generator)
 
 def configurations_checked(length: Array, lanes: int) -> int:
     """Count the configurations that the kernel looks at on free edges: whole blocks of lanes."""
-    return int(((length / (CHECK_STEP * lanes)).astype(int) + 1).sum()) * lanes
+    return int((((length / CHECK_STEP + 1.0) / lanes).astype(int) + 1).sum()) * lanes
 
 
 def _position(rng: np.random.Generator) -> Array:

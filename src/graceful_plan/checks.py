@@ -10,6 +10,7 @@ from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interactions import InteractionModel
+from graceful_plan.exceptions import ShapeError
 from graceful_plan.path import finite_array
 from graceful_plan.scene import Scene
 
@@ -47,7 +48,10 @@ def interaction_probability(
     nq = len(scene.joints)
     positions = finite_array("q", q, last=nq)
     velocities = np.zeros_like(positions) if qd is None else finite_array("qd", qd, last=nq)
-    positions, velocities = np.broadcast_arrays(positions, velocities)
+    try:
+        positions, velocities = np.broadcast_arrays(positions, velocities)
+    except ValueError:
+        raise ShapeError("qd", velocities.shape, f"to broadcast with q {positions.shape}") from None
     flat = velocities.reshape(-1, nq)
     speed = np.linalg.norm(flat, axis=1)
     direction = flat / np.where(speed > 0.0, speed, 1.0)[:, None]

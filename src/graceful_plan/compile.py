@@ -17,7 +17,7 @@ from graceful_plan import sphere_cover
 from graceful_plan.array_types import Float, Int
 from graceful_plan.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.exceptions import UnsupportedError
-from graceful_plan.kernels import Kernels
+from graceful_plan.kernels import CAPACITY, Kernels
 from graceful_plan.scene import Scene
 
 Array = np.ndarray
@@ -32,6 +32,9 @@ _KIND = {
     _GEOM.mjGEOM_BOX: "box",
     _GEOM.mjGEOM_MESH: "mesh",
 }
+BASE_PROTRUSION = 0.03
+"""How far spheres may stick out of large geoms of the base [m]; they only keep the arm off its own foot."""
+_MANY = 200
 PLANE_EXTENT = 50.0
 """Half side of the box that stands for an infinite plane in Algorithm 1 [m]."""
 
@@ -64,11 +67,29 @@ def _compile(scene: Scene) -> CompiledScene:
     data = _reference_data(scene)
     frames = _frames(scene, data)
     groups = _groups(scene, frames)
-    robot, link_of_geom = _robot_arrays(scene, data, frames, groups)
+    robot = _robot_arrays(scene, data, frames, groups)
     world = _world_arrays(scene, data, groups)
     hazards = _hazard_arrays(scene, data, frames)
-    del link_of_geom
+    _check_capacity(scene.model, groups, robot, hazards)
     return CompiledScene(robot=robot, world=world, hazards=hazards, kernels=Kernels(robot, world, hazards))
+
+
+def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: HazardArrays) -> None:
+    counts = {
+        "joints": len(robot.lower),
+        "links": len(robot.parent),
+        "spheres": len(robot.sphere),
+        "parts": len(hazards.part_link),
+        "entities": hazards.severity.shape[1],
+    }
+    for what, count in counts.items():
+        if count <= CAPACITY[what]:
+            continue
+        hint = ""
+        if what == "spheres":
+            largest = max((geom for group in groups for geom in group.geoms), key=lambda g: float(model.geom_rbound[g]))
+            hint = f"; the largest geom that moves is {_geom_name(model, largest)!r}: carry or model something smaller"
+        raise UnsupportedError(f"the scene has {count} {what}, the kernels hold {CAPACITY[what]}{hint}")
 
 
 # --- kinematics -----------------------------------------------------------------------------------------------------
@@ -161,9 +182,7 @@ def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
     ]
 
 
-def _robot_arrays(
-    scene: Scene, data: mujoco.MjData, frames: _Frames, groups: list[_Group]
-) -> tuple[RobotArrays, dict[int, int]]:
+def _robot_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames, groups: list[_Group]) -> RobotArrays:
     n_frame = len(frames.parent)
     parent, joint, slide, X_PL = list(frames.parent), [-1, *range(n_frame - 1)], [0] * n_frame, []
     for frame, p in enumerate(frames.parent):
@@ -175,7 +194,6 @@ def _robot_arrays(
         X = np.linalg.inv(frames.X_W[p]) @ frames.X_W[frame]
         X_PL.append(X @ _joint_motion(-frames.reference[frame - 1], bool(slide[frame])))
     spheres, links, bound = [], [], {}
-    link_of_geom: dict[int, int] = {}
     protrusion = 0.0
     for group in groups:
         link = len(parent)
@@ -183,12 +201,13 @@ def _robot_arrays(
         joint.append(-1)
         slide.append(0)
         X_PL.append(np.eye(4))
-        centres, radii, sticks_out = _cover_group(scene.model, data, frames.X_W[group.frame], group.geoms)
+        centres, radii, sticks_out = _cover_group(
+            scene.model, data, frames.X_W[group.frame], group.geoms, base=group.frame == 0
+        )
         protrusion = max(protrusion, sticks_out)
         spheres.append(np.column_stack([centres, radii]))
         links += [link] * len(radii)
         bound[link] = sphere_cover.enclosing_sphere(centres, radii)
-        link_of_geom |= dict.fromkeys(group.geoms, link)
     tool = data.site(scene.tool)
     tool_frame = frames.of_body[scene.model.site_bodyid[scene.model.site(scene.tool).id]]
     arrays = RobotArrays(
@@ -206,7 +225,7 @@ def _robot_arrays(
         self_pair=_self_pairs(groups, n_frame),
         protrusion=protrusion,
     )
-    return arrays, link_of_geom
+    return arrays
 
 
 def _joint_motion(amount: float, slide: bool) -> Float[Array, "4 4"]:
@@ -223,24 +242,30 @@ def _self_pairs(groups: list[_Group], n_frame: int) -> Int[Array, "pair 2"]:
         (n_frame + a, n_frame + b)
         for a in range(len(groups))
         for b in range(a + 1, len(groups))
-        if groups[a].partners & set(groups[b].geoms)
+        if groups[a].frame != groups[b].frame and groups[a].partners & set(groups[b].geoms)
     ]
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
 def _cover_group(
-    model: mujoco.MjModel, data: mujoco.MjData, X_WL: Float[Array, "4 4"], geoms: tuple[int, ...]
+    model: mujoco.MjModel, data: mujoco.MjData, X_WL: Float[Array, "4 4"], geoms: tuple[int, ...], base: bool
 ) -> tuple[Float[Array, "sphere 3"], Float[Array, " sphere"], float]:
     centres, radii, sticks_out = [], [], 0.0
     for geom in geoms:
         c, r = _cover_geom(model, geom)
+        if base and len(r) > _MANY:
+            c, r = _cover_geom(model, geom, BASE_PROTRUSION)
         X_LG = np.linalg.inv(X_WL) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
         centres.append(c @ X_LG[:3, :3].T + X_LG[:3, 3])
         radii.append(r)
-        sticks_out = max(
-            sticks_out, 0.0 if model.geom_type[geom] == _GEOM.mjGEOM_SPHERE else sphere_cover.MAX_PROTRUSION
+        sticks_out = (
+            sticks_out
+            if base
+            else max(sticks_out, 0.0 if model.geom_type[geom] == _GEOM.mjGEOM_SPHERE else sphere_cover.MAX_PROTRUSION)
         )
     all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
+    if len(all_radii) > CAPACITY["spheres"]:  # will be refused; no need to compare them all
+        return all_centres, all_radii, sticks_out
     keep = _not_inside_others(all_centres, all_radii)
     return all_centres[keep], all_radii[keep], sticks_out
 
@@ -253,22 +278,24 @@ def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " 
     return ~np.any(contains & ~twins & ~np.eye(len(radii), dtype=bool), axis=1)
 
 
-def _cover_geom(model: mujoco.MjModel, geom: int) -> sphere_cover.Cover:
+def _cover_geom(
+    model: mujoco.MjModel, geom: int, protrusion: float = sphere_cover.MAX_PROTRUSION
+) -> sphere_cover.Cover:
     size = (float(model.geom_size[geom, 0]), float(model.geom_size[geom, 1]), float(model.geom_size[geom, 2]))
     kind = _KIND.get(_GEOM(int(model.geom_type[geom])))
     if kind == "sphere":
         return sphere_cover.sphere_cover(size[0])
     if kind == "capsule":
-        return sphere_cover.capsule_cover(size[0], size[1])
+        return sphere_cover.capsule_cover(size[0], size[1], protrusion)
     if kind == "box":
-        return sphere_cover.box_cover(size)
+        return sphere_cover.box_cover(size, protrusion)
     if kind == "cylinder":
-        return sphere_cover.cylinder_cover(size[0], size[1])
+        return sphere_cover.cylinder_cover(size[0], size[1], protrusion)
     if kind == "ellipsoid":
-        return sphere_cover.ellipsoid_cover(size)
+        return sphere_cover.ellipsoid_cover(size, protrusion)
     if kind == "mesh":
         triangles = _hull_triangles(model, int(model.geom_dataid[geom]))
-        return sphere_cover.hull_cover(np.unique(triangles.reshape(-1, 3), axis=0), _planes(triangles))
+        return sphere_cover.hull_cover(np.unique(triangles.reshape(-1, 3), axis=0), _planes(triangles), protrusion)
     raise UnsupportedError(
         f"geom {_geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
         "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes"
@@ -319,7 +346,9 @@ def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> Wo
             raise UnsupportedError(f"geom {_geom_name(model, geom)!r} is a {_GEOM(int(model.geom_type[geom])).name}; "
                                    f"supported: {', '.join(OBSTACLE_TYPES)}")  # fmt: skip
         kind.append(OBSTACLE_TYPES.index(name))
-        ignores.append(sum(1 << (n_frame + k) for k, group in enumerate(groups) if geom not in group.partners))
+        ignores.append(
+            sum(1 << (n_frame + k) for k, group in enumerate(groups[: 62 - n_frame]) if geom not in group.partners)
+        )
         if name == "mesh":
             local = _hull_triangles(model, int(model.geom_dataid[geom]))
             triangles.append(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])

@@ -19,6 +19,8 @@ Array = np.ndarray
 
 TARGET_CLEARANCE = 0.002
 """Clearance at which the planner takes over [m]."""
+_LEAST = 1e-5
+"""Clearance with which a planner can start where no way out is found [m]."""
 _MAX_STEP = 0.05
 """Of one gradient step [rad]."""
 _MAX_LENGTH = 1.0
@@ -40,7 +42,8 @@ def way_out(
     Returns:
         The path, a single configuration if `q` has clearance; None if no way out was found.
     """
-    if kernels.clearance(q) > 0.0:
+    tight = float(kernels.clearance(q))
+    if tight >= TARGET_CLEARANCE:
         return Path(q[None])
     for attempt in range(attempts):
         nudge = rng.normal(size=len(q)) * 0.01 * attempt
@@ -50,7 +53,7 @@ def way_out(
         path = Path(np.stack([q, end]))
         if path.length < _MAX_LENGTH and first_collision(path, scene) is None:
             return path
-    return None
+    return Path(q[None]) if tight > _LEAST else None
 
 
 def _ascend(q: Float[Array, " nq"], kernels: Kernels, iterations: int = 80) -> Float[Array, " nq"] | None:

@@ -54,12 +54,13 @@ def finish(
     verdict, problem, trajectory = Verdict(), "", None
     for deviation in DEVIATIONS:
         try:
-            trajectory = retime(path, scene.limits, scene.joints, deviation=deviation, speed=speed)
+            timed = retime(path, scene.limits, scene.joints, deviation=deviation, speed=speed)
         except RetimingError as error:
             problem = str(error)
             continue
-        if in_the_clear and deviation > 0.0 and not _keeps_clear(trajectory, objective):
+        if in_the_clear and deviation > 0.0 and not _keeps_clear(timed, objective):
             continue
+        trajectory = timed
         if objective.objective.exposure == "time":
             cost = objective.breakdown(trajectory)
         verdict = _judge(trajectory, path, scene, objective, cost, goal)

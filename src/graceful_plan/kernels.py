@@ -21,6 +21,12 @@ CHECK_STEP = 1.0 / 32.0
 """Largest joint-space distance between checked configurations of an edge [rad]."""
 FINE_STEP = 1.0 / 256.0
 """The same for edges that become part of a path [rad]: no point of an arm moves more than some 5 mm in between."""
+CAPACITY: dict[str, int] = dict(_native.capacity())
+"""How many joints, links, spheres, parts and entities the kernels hold."""
+MAX_SAMPLES = 1_000_000
+"""Configurations that one edge may be cut into."""
+MAX_POSITION = 1000.0
+"""Largest joint position that kernels take [rad or m]; single precision says little beyond."""
 COST_STEP = 0.015
 """Largest joint-space distance between samples of the impact along an edge [rad]."""
 
@@ -99,6 +105,7 @@ class Kernels:
     def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:
         """Tell which configurations keep at least `margin` [m] of clearance; never optimistic."""
         flat, batch = self._rows("q", q)
+        _check_margin(margin)
         return self.core.free_states(flat, margin).reshape(batch)
 
     def edges_free(
@@ -106,6 +113,7 @@ class Kernels:
     ) -> Bool[Array, "*batch"]:
         """Tell which straight edges are free at configurations at most `step` [rad] apart, ends included."""
         first, second, batch = self._edges(q0, q1, step)
+        _check_margin(margin)
         return self.core.free_edges(first, second, step, margin).reshape(batch)
 
     def clearance(self, q: ArrayLike) -> Float[Array, "*batch"]:
@@ -142,18 +150,32 @@ class Kernels:
     def _severity(self, severity: Array) -> Array:
         if np.shape(severity) != self.hazards.severity.shape:
             raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
-        return _reals(severity)
+        return _reals(finite_array("severity", severity))
 
     def _rows(self, name: str, q: ArrayLike) -> tuple[Float[Array, "n nq"], tuple[int, ...]]:
-        array = finite_array(name, q, last=self.nq)
+        array = self._positions(name, q)
         return _reals(array.reshape(-1, self.nq)), array.shape[:-1]
 
     def _edges(self, q0: ArrayLike, q1: ArrayLike, step: float) -> tuple[Array, Array, tuple[int, ...]]:
         if not step > 0.0:
             raise SettingError("step", step, "a positive length [rad]")
-        first, second = finite_array("q0", q0, last=self.nq), finite_array("q1", q1, last=self.nq)
+        first, second = self._positions("q0", q0), self._positions("q1", q1)
         try:
             first, second = np.broadcast_arrays(first, second)
         except ValueError:
             raise ShapeError("q1", second.shape, f"to broadcast with q0 {first.shape}") from None
+        longest = float(np.max(np.linalg.norm(second - first, axis=-1), initial=0.0))
+        if longest > step * MAX_SAMPLES:
+            raise SettingError("step", step, f"at least {longest / MAX_SAMPLES:.3g} for an edge of {longest:.3g} rad")
         return _reals(first.reshape(-1, self.nq)), _reals(second.reshape(-1, self.nq)), first.shape[:-1]
+
+    def _positions(self, name: str, q: ArrayLike) -> Float[Array, "..."]:
+        array = finite_array(name, q, last=self.nq)
+        if array.size and np.abs(array).max() > MAX_POSITION:
+            raise SettingError(name, float(np.abs(array).max()), f"positions of at most {MAX_POSITION:g} rad or m")
+        return array
+
+
+def _check_margin(margin: float) -> None:
+    if not np.isfinite(margin):
+        raise SettingError("margin", margin, "a finite distance [m]")

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.array_types import Float
-from graceful_plan.compile import CompiledScene, compile_scene
+from graceful_plan.arguments import checked_objective, checked_planner, checked_seed, checked_time_limit
+from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective
-from graceful_plan.escape import way_out
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.ends import Ends, ways_out
 from graceful_plan.finish import Finished, finish
 from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
 from graceful_plan.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.path import Path
-from graceful_plan.planners import PLANNERS, Planner
+from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.pose_goal import PoseGoal
@@ -27,8 +26,6 @@ from graceful_plan.search import Callback, Search, search
 
 Array = np.ndarray
 
-DEFAULT_TIME_LIMIT = 1.0
-"""Seconds that a call may take when neither a time limit nor a number of iterations is given."""
 _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
 _RESERVE = 0.12
@@ -71,17 +68,16 @@ def plan(
         GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
     """
     started = time.perf_counter()
-    solver = _planner(planner)
-    bound = _objective(objective, w).bind(scene)
-    limit = _time_limit(time_limit, iterations, speed)
+    solver, rng = checked_planner(planner), checked_seed(seed)
+    limit = checked_time_limit(time_limit, iterations, speed)
+    bound = checked_objective(objective, w).bind(scene)
     resolved_start = resolve_start(start, scene)
     if not len(resolved_start.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=resolved_start.detail)
     resolved_goal = resolve_goal(goal, scene, resolved_start.q[0], seed=seed)
     if not len(resolved_goal.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=resolved_goal.detail)
-    rng = np.random.default_rng(seed)
-    ends = _ways_out(resolved_start.q[0], resolved_goal.q, compile_scene(scene), scene, rng)
+    ends = ways_out(resolved_start.q[0], resolved_goal.q, compile_scene(scene), scene, rng)
     if isinstance(ends, PlanResult):
         return ends
     try:
@@ -96,38 +92,8 @@ def plan(
     return replace(result, detail="; ".join(notes), goal_index=index, stats=stats)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Ends:
-    """Start and goals with clearance, and the ways from the real start and to the real goals."""
-
-    compiled: CompiledScene
-    departure: Path
-    arrivals: tuple[Path, ...]
-    goal_index: tuple[int, ...]
-
-
-def _ways_out(
-    start: Float[Array, " nq"],
-    goals: Float[Array, "goal nq"],
-    compiled: CompiledScene,
-    scene: Scene,
-    rng: np.random.Generator,
-) -> _Ends | PlanResult:
-    departure = way_out(start, compiled.kernels, scene, rng)
-    if departure is None:
-        detail = "start: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
-        return PlanResult(status=PlanStatus.INVALID_START, detail=detail)
-    ways = [(k, way_out(goal, compiled.kernels, scene, rng)) for k, goal in enumerate(goals)]
-    arrivals = [(k, way.reversed()) for k, way in ways if way is not None]
-    if not arrivals:
-        detail = "goal: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
-        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=detail)
-    index, paths = zip(*arrivals, strict=True)
-    return _Ends(compiled=compiled, departure=departure, arrivals=paths, goal_index=index)
-
-
 def _search_and_finish(
-    ends: _Ends,
+    ends: Ends,
     planner: Planner,
     objective: SceneObjective,
     budget: Budget,
@@ -139,44 +105,27 @@ def _search_and_finish(
     """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
     budget.time_limit -= min(_RESERVE, budget.time_limit / 3.0)
     pose = goal if isinstance(goal, PoseGoal) else None
-    found, refused, stats = Search(), None, {}
+    refused: Finished | None = None
+    stats: dict[str, float] = {}
     for margin, check_step in _CAUTION:
         problem = SceneProblem(
             kernels=ends.compiled.kernels,
             start=ends.departure.q[-1],
             goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
-            margin=min(margin, _clearance_of_ends(ends)),
+            margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
         found = search(planner, problem, objective, budget, rng, callback)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        if found.path is not None:
-            path, index = _with_ends(found.path, ends)
-            done = finish(path, objective.scene, objective, pose, speed, _in_the_clear(ends, index))
+        for path in reversed(found.paths):
+            whole, index = ends.joined(path)
+            done = finish(whole, objective.scene, objective, pose, speed, ends.in_the_clear(index))
             if done.verdict.passed:
-                return _solved(path, done, found, ends.goal_index[index], stats)
-            refused = done
-        if budget.exhausted or (found.path is None and not found.refused):
+                return _solved(whole, done, found, ends.goal_index[index], stats)
+            refused = refused or done
+        if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
     return _failed(found, refused, budget, stats)
-
-
-def _in_the_clear(ends: _Ends, index: int) -> bool:
-    """Whether the whole path keeps clear of everything by the fast checker's account: there are no ways out in it."""
-    return len(ends.departure) == 1 and len(ends.arrivals[index]) == 1
-
-
-def _clearance_of_ends(ends: _Ends) -> float:
-    """Half the clearance at the ends: a margin that leaves them free."""
-    configurations = np.stack([ends.departure.q[-1], *(arrival.q[0] for arrival in ends.arrivals)])
-    return 0.5 * max(0.0, float(ends.compiled.kernels.clearance(configurations).min()))
-
-
-def _with_ends(path: Path, ends: _Ends) -> tuple[Path, int]:
-    reached = [float(np.linalg.norm(arrival.q[0] - path.q[-1])) for arrival in ends.arrivals]
-    index = int(np.argmin(reached))
-    q = np.concatenate([ends.departure.q[:-1], path.q, ends.arrivals[index].q[1:]])
-    return Path(q).without_duplicates(), index
 
 
 def _solved(path: Path, done: Finished, found: Search, index: int, stats: dict[str, float]) -> PlanResult:
@@ -197,36 +146,8 @@ def _failed(found: Search, refused: Finished | None, budget: Budget, stats: dict
         status = PlanStatus.TIMEOUT if budget.exhausted else PlanStatus.INFEASIBLE
         return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", stats=stats)
     trace = tuple(found.trace)
-    if refused.trajectory is None:
+    if not refused.verdict.checks:
         return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=refused.problem, trace=trace, stats=stats)
     objections = "; ".join(f"{name}: {refused.verdict.checks[name].detail}" for name in refused.verdict.failures)
-    detail = f"the judge refused every path found; the last for {objections}"
+    detail = f"the judge refused every path found; the best for {objections}"
     return PlanResult(status=PlanStatus.TIMEOUT, detail=detail, verdict=refused.verdict, trace=trace, stats=stats)
-
-
-def _planner(planner: str | Planner) -> Planner:
-    if isinstance(planner, Planner):
-        return planner
-    if not isinstance(planner, str):
-        raise SettingError("planner", planner, "a name or a Planner")
-    if planner not in PLANNERS:
-        raise UnknownNameError("planner", planner, PLANNERS)
-    return PLANNERS[planner]()
-
-
-def _objective(objective: Objective | None, w: float | None) -> Objective:
-    if objective is None:
-        return Objective(w=1.0 if w is None else w)
-    return objective if w is None else objective.with_weight(w)
-
-
-def _time_limit(time_limit: float | None, iterations: int | None, speed: float) -> float:
-    if iterations is not None and (isinstance(iterations, bool) or iterations < 0):
-        raise SettingError("iterations", iterations, "a whole number, at least 0")
-    if time_limit is not None and not time_limit >= 0.0:
-        raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
-    if not 0.0 < speed <= 1.0:
-        raise SettingError("speed", speed, "a fraction in (0, 1]")
-    if time_limit is None:
-        return DEFAULT_TIME_LIMIT if iterations is None else np.inf
-    return float(time_limit)

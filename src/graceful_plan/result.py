@@ -23,7 +23,7 @@ class PlanStatus(Enum):
     INVALID_START = "The start is in collision or outside of the limits; move the robot or fix the scene."
     INVALID_GOAL = "No goal is reachable, free and inside the limits; choose another goal or a looser tolerance."
     TIMEOUT = "The budget ended before a verified trajectory was found; raise the time limit or the iterations."
-    INFEASIBLE = "The planner proved or gave up that there is a path; remove obstacles or choose another goal."
+    INFEASIBLE = "The planner gave up, or there is no path; remove obstacles, choose another goal or another planner."
     NONFINITE = "The cost returned a NaN or an infinity; check it with graceful_plan.testing.check_cost."
     RETIMING_FAILED = "A path was found but could not be timed within the limits; relax them or lower the speed."
 

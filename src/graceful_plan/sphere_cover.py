@@ -169,21 +169,15 @@ def _joined(covers: list[tuple[Array, Array]]) -> Cover:
     return np.concatenate([c for c, _ in covers]), np.concatenate([r for _, r in covers])
 
 
-def convex_cover(
-    points: Float[Array, "n 3"],
-    planes: Float[Array, "face 4"],
-    protrusion: float = MAX_PROTRUSION,
-    pitch: float = 0.004,
-) -> Cover:
-    """Cover a convex body greedily.
+def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrusion: float, pitch: float) -> Cover:
+    """Cover a body by balls around some of its points.
 
     Args:
         points: Samples of the body, every point of it within `pitch` of one.
-        planes: Outward unit normals n and offsets d of its faces, n . x <= d inside.
-        protrusion: How far spheres may stick out [m].
+        depth: How far inside each of them is, at least [m].
+        protrusion: How far balls may stick out [m].
         pitch: Density of `points` [m].
     """
-    depth = np.min(planes[:, 3] - points @ planes[:, :3].T, axis=1)
     radii = np.maximum(depth, 0.0) + protrusion
     reach = radii - pitch  # a ball covers for certain what is within its radius less the gaps between samples
     left = np.argsort(depth, kind="stable")  # the surface first, corners before all
@@ -222,26 +216,45 @@ def samples_of_convex(
 def hull_cover(
     vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION
 ) -> Cover:
-    """Cover the convex hull of some vertices."""
-    # Points are dense enough that the slack of half a lattice diagonal costs few spheres, and few enough to be quick.
-    volume = float(np.prod(np.ptp(vertices, axis=0)))
-    pitch = min(max(0.0025, (volume / 12000.0) ** (1.0 / 3.0)), 0.0045)
-    spacing = pitch * np.sqrt(3.0) / 2.0
-    return convex_cover(samples_of_convex(vertices, planes, pitch), planes, protrusion, spacing)
+    """Cover the convex hull of some vertices; `planes` are outward normals n and offsets d, n . x <= d inside."""
+    pitch = _pitch(np.ptp(vertices, axis=0))
+    points = samples_of_convex(vertices, planes, pitch)
+    depth = np.min(planes[:, 3] - points @ planes[:, :3].T, axis=1)
+    return greedy_cover(points, depth, protrusion, pitch * np.sqrt(3.0) / 2.0)
+
+
+def _pitch(extent: Float[Array, " 3"]) -> float:
+    """Lattice constant: dense enough that its slack costs few spheres, and some ten thousand points [m]."""
+    return min(max(0.0025, float(np.prod(extent) / 12000.0) ** (1.0 / 3.0)), 0.0045)
 
 
 @lru_cache(maxsize=64)
 def ellipsoid_cover(semi_axes: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) -> Cover:
-    """Cover an ellipsoid: greedily, by way of the polytope of tangent planes around it."""
-    n = 162
-    k = np.arange(n) + 0.5
+    """Cover an ellipsoid."""
+    axes = np.asarray(semi_axes)
+    pitch = _pitch(2.0 * axes)
+    steps = [np.arange(-a, a + pitch, pitch) for a in axes]
+    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    n = int(4.0 * np.pi * np.sort(axes)[1:].prod() / (0.5 * pitch) ** 2) + 100
+    k = np.arange(n) + 0.5  # a Fibonacci lattice on the unit sphere, stretched
     polar, azimuth = np.arccos(1 - 2 * k / n), np.pi * (1 + 5**0.5) * k
     unit = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
-    normal = unit / np.asarray(semi_axes)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    surface = unit * np.asarray(semi_axes)
-    planes = np.column_stack([normal, np.sum(normal * surface, axis=1)])
-    return hull_cover(surface * 1.0, planes, protrusion)
+    level = np.linalg.norm(grid / axes, axis=1)
+    points = np.concatenate([grid[level < 1.0], unit * axes])
+    return greedy_cover(points, _ellipsoid_depth(points, axes), protrusion, pitch * np.sqrt(3.0) / 2.0)
+
+
+def _ellipsoid_depth(points: Float[Array, "n 3"], axes: Float[Array, " 3"]) -> Float[Array, " n"]:
+    """Distance of points inside of an ellipsoid to its surface, by bisection of the secular equation (Eberly 2013)."""
+    y = np.abs(points) + 1e-9  # off the symmetry planes, where the nearest point is not unique
+    shortest = int(np.argmin(axes))
+    low, high = axes[shortest] * y[:, shortest] - axes[shortest] ** 2, np.zeros(len(y))
+    for _ in range(60):
+        t = 0.5 * (low + high)
+        outside = np.sum((axes * y / (t[:, None] + axes**2)) ** 2, axis=1) > 1.0
+        low, high = np.where(outside, t, low), np.where(outside, high, t)
+    nearest = axes**2 * y / (high[:, None] + axes**2)
+    return np.linalg.norm(nearest - y, axis=1)
 
 
 def enclosing_sphere(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Float[Array, " 4"]:

@@ -10,7 +10,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.interactions import MODELS, BoxOverlap, InteractionModel
 from graceful_plan.elements import COMPONENTS
-from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene import Scene
 
 Array = np.ndarray
@@ -35,6 +35,10 @@ class ImpactCost(Cost):
     def __post_init__(self) -> None:
         if isinstance(self.model, str) and self.model not in MODELS:
             raise UnknownNameError("interaction model", self.model, MODELS)
+        if not isinstance(self.model, str | InteractionModel):
+            raise SettingError("model", self.model, "an InteractionModel or the word for one")
+        if isinstance(self.components, str):
+            raise SettingError("components", self.components, f"several names: ({self.components!r},)")
         for name in self.components:
             if name not in COMPONENTS:
                 raise UnknownNameError("component", name, COMPONENTS)
@@ -58,4 +62,4 @@ class ImpactCost(Cost):
 
     def on_kernel(self) -> bool:
         """Whether the native kernel computes the same."""
-        return isinstance(self.interaction, BoxOverlap)
+        return type(self) is ImpactCost and type(self.interaction) is BoxOverlap  # a subclass may compute otherwise

@@ -24,6 +24,8 @@ class JointLength(Cost):
     weights: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        if self.weights is not None:
+            object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
         if self.weights is not None and not all(np.isfinite(w) and w > 0 for w in self.weights):
             raise SettingError("weights", self.weights, "positive numbers, one per joint")
 

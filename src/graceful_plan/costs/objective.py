@@ -17,7 +17,7 @@ from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import Cost, StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.kernels import COST_STEP
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown
@@ -25,6 +25,10 @@ from graceful_plan.scene import Scene
 from graceful_plan.trajectory import Trajectory
 
 Array = np.ndarray
+
+
+MAX_WEIGHT = 1e9
+"""Greatest safety weight; beyond, the motion drowns in the rounding of the impact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +49,8 @@ class Objective:
     exposure: str = "length"
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.w) and self.w >= 0.0):
-            raise SettingError("w", self.w, "a finite number, at least 0")
+        if not 0.0 <= self.w <= MAX_WEIGHT:
+            raise SettingError("w", self.w, f"a number from 0 to {MAX_WEIGHT:g}")
         if self.exposure not in ("length", "time", "waypoints"):
             raise SettingError("exposure", self.exposure, "'length', 'time' or 'waypoints'")
         for name, cost in (("motion", self.motion), ("impact", self.impact)):
@@ -108,6 +112,8 @@ class SceneObjective:
     def breakdown(self, path: Path | Trajectory) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from."""
         points = path.path if isinstance(path, Trajectory) else path
+        if points.q.shape[1] != len(self.scene.joints):
+            raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
         if isinstance(path, Trajectory) and self.objective.exposure == "time":
             batch, weight = _timed_batch(self.scene, path)
             motion = self.edges(points.q[:-1], points.q[1:])[:, 0].sum()
@@ -123,7 +129,7 @@ class SceneObjective:
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
         impact = self.objective.impact
-        if not isinstance(impact, ImpactCost):
+        if type(impact) is not ImpactCost:  # also a subclass, whose state() may be its own
             total = float(weight @ checked_state(impact, batch))
             return CostBreakdown(motion=motion, impact=total, w=self.w)
         exposure = np.tensordot(weight, impact.interaction.probability(batch), axes=1)

@@ -445,6 +445,7 @@ class CallbackSpace final : public Space {
   bool edge_free(const double* a, const double* b) override {
     nb::gil_scoped_acquire gil;
     auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(edges_free_(rows(a), rows(b)));
+    require(free.size() == 1, "one answer per edge");
     return free.data()[0];
   }
   bool edge_certain(const double*, const double*) override { return true; }
@@ -468,6 +469,7 @@ class CallbackSpace final : public Space {
   std::pair<double, double> costs(const double* a, const double* b) {
     nb::gil_scoped_acquire gil;
     auto cost = nb::cast<nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>>(edge_costs_(rows(a), rows(b)));
+    require(cost.size() == 2, "V and S per edge");
     return {cost.data()[0], cost.data()[1]};
   }
   nb::object edges_free_, edge_costs_, state_costs_;
@@ -515,7 +517,6 @@ class AnytimePlanner {
     return nb::make_tuple(improved, slice.used());
   }
   Out<double> path() const { return as_array(anytime_.best().q, space_.dim); }
-  double total() const { return anytime_.best().total; }
   bool optimal() const { return anytime_.optimal(); }
 
  private:
@@ -533,6 +534,12 @@ NB_MODULE(_native, m) {
     std::vector<std::string> names;
     for (const Isa& isa : available()) names.emplace_back(isa.name);
     return names;
+  });
+  m.def("capacity", [] {
+    nb::dict limits;
+    limits["joints"] = kMaxJoints, limits["links"] = kMaxLinks, limits["spheres"] = kMaxSpheres;
+    limits["parts"] = kMaxParts, limits["entities"] = kMaxEntities;
+    return limits;
   });
   nb::class_<Core>(m, "Core")
       .def(nb::init<Integers, Integers, Integers, Reals, int, Integers, Reals, Reals, Integers, Integers, Reals, Reals, Reals,
@@ -568,6 +575,5 @@ NB_MODULE(_native, m) {
            "max_nodes"_a, "spacing"_a, "challengers"_a, "seed"_a, nb::keep_alive<1, 2>())
       .def("run", &AnytimePlanner::run, "iterations"_a, "seconds"_a)
       .def_prop_ro("path", &AnytimePlanner::path, nb::rv_policy::move)
-      .def_prop_ro("total", &AnytimePlanner::total)
       .def_prop_ro("optimal", &AnytimePlanner::optimal);
 }

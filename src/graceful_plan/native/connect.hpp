@@ -60,7 +60,7 @@ class Connect {
     while (from >= 0) {
       const double d = space_.distance(other.node(from), reached.data());
       if (d <= settings_.range) return join(grown, added, other, from, reached);
-      from = extend(other, from, reached.data());
+      from = a_.size() + b_.size() > settings_.max_nodes ? -1 : extend(other, from, reached.data());
     }
     return false;
   }

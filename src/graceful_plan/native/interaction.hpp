@@ -2,6 +2,8 @@
 
 using D = Lanes<double>;
 
+constexpr double kLeastArea = 1e-12;  // of a body seen from above [m2]; what is thinner cannot be hit from above
+
 // Where boxes are over all lanes: the rectangle that they stay in and how high the highest bottom is. Most targets are out
 // of that, which a few scalar comparisons tell.
 struct Range {
@@ -101,7 +103,7 @@ static inline bool interactions(const Tables& tables, const Hazard& hazard, cons
   }
   if (!near) return false;
   const D area = minimum(boxes.area[component], D{} + entity.area);
-  P = minimum(overlap / area, D{} + 1.0);
+  P = area > kLeastArea ? minimum(overlap / area, D{} + 1.0) : D{};
   return true;
 }
 

@@ -53,7 +53,7 @@ static bool edge_is_free(const Tables& tables, const double* q0, const double* q
   F qs[kMaxJoints], lane;
   Frame<F> X_W[kMaxLinks];
   for (int i = 0; i < W; ++i) lane[i] = float(i);
-  const int n_block = int(distance(tables, q0, q1) / (step * W)) + 1;
+  const int n_block = int((distance(tables, q0, q1) / step + 1.0) / W) + 1;
   const float spacing = 1.f / float(W * n_block - 1);
   for (int b = 0; b < n_block; ++b) {
     interpolate<float>(tables, q0, q1, (lane * float(n_block) + float(b)) * spacing, qs);

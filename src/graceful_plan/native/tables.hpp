@@ -7,7 +7,7 @@ namespace gp {
 
 constexpr int kMaxLinks = 48;
 constexpr int kMaxJoints = 32;
-constexpr int kMaxSpheres = 1024;
+constexpr int kMaxSpheres = 2048;
 constexpr int kMaxParts = 128;
 constexpr int kMaxComponents = 3;
 constexpr int kMaxEntities = 512;

@@ -24,7 +24,7 @@ from graceful_plan import _native
 from graceful_plan.path import Path
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.settings import count, fraction
+from graceful_plan.planners.settings import count, positive_fraction
 from graceful_plan.planners.trivial import start_is_goal
 
 
@@ -50,8 +50,8 @@ class Anytime(Planner):
     max_nodes: int = 10_000
 
     def __post_init__(self) -> None:
-        fraction("range", self.range)
-        fraction("spacing", self.spacing)
+        positive_fraction("range", self.range)
+        positive_fraction("spacing", self.spacing)
         count("challengers", self.challengers)
         count("max_nodes", self.max_nodes, 10)
 

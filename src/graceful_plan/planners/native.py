@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from graceful_plan import _native
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.exceptions import ShapeError
 from graceful_plan.kernels import COST_STEP, FINE_STEP
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
+from graceful_plan.planners.questions import checked_costs
 from graceful_plan.planners.scene_problem import SceneProblem
+
+Array = np.ndarray
 
 SLICE_SECONDS = 0.004
 """How long the core works between two looks at the budget [s]."""
@@ -35,14 +40,25 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
             margin=problem.margin,
         )
     return _native.CallbackSpace(
-        edges_free=problem.edges_free,
-        edge_costs=lambda q0, q1: np.ascontiguousarray(objective.edges(q0, q1), dtype=np.float64),
-        state_costs=lambda q: np.ascontiguousarray(objective.states(q), dtype=np.float64),
+        edges_free=lambda q0, q1: _answer(problem, "edges_free", problem.edges_free(q0, q1), (len(q0),), np.bool_),
+        edge_costs=lambda q0, q1: _costs(objective, "edges", objective.edges(q0, q1), (len(q0), 2)),
+        state_costs=lambda q: _costs(objective, "states", objective.states(q), (len(q),)),
         lower=lower,
         upper=upper,
         w=objective.w,
         motion_is_length=scene_objective is not None and scene_objective.motion_is_length,
     )
+
+
+def _answer(asked: object, method: str, value: ArrayLike, shape: tuple[int, ...], dtype: type) -> Array:
+    array = np.ascontiguousarray(value, dtype=dtype)
+    if array.shape != shape:
+        raise ShapeError(f"{type(asked).__name__}.{method}", array.shape, str(shape))
+    return array
+
+
+def _costs(objective: BoundObjective, method: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    return checked_costs(objective, method, _answer(objective, method, value, shape, np.float64))
 
 
 def run_slice(run: Callable[[int, float], tuple[bool, int]], budget: Budget) -> bool:

@@ -17,7 +17,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.questions import Questions
-from graceful_plan.planners.settings import count, fraction
+from graceful_plan.planners.settings import count, positive_fraction
 from graceful_plan.planners.shortcut import Shortcut
 from graceful_plan.planners.trivial import start_is_goal
 
@@ -43,7 +43,7 @@ class RRTConnect(Planner):
     shortcut: Shortcut | None = Shortcut()
 
     def __post_init__(self) -> None:
-        fraction("range", self.range)
+        positive_fraction("range", self.range)
         count("max_nodes", self.max_nodes, 10)
 
     def solve(

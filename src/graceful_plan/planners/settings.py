@@ -27,6 +27,16 @@ def fraction(name: str, value: float) -> None:
         raise SettingError(name, value, "a number in [0, 1]")
 
 
+def positive_fraction(name: str, value: float) -> None:
+    """Refuse numbers outside of (0, 1].
+
+    Raises:
+        SettingError: With the name of the setting.
+    """
+    if not 0.0 < value <= 1.0:
+        raise SettingError(name, value, "a number in (0, 1]")
+
+
 def count(name: str, value: int, least: int = 1) -> None:
     """Refuse anything but an integer of at least `least`.
 

@@ -1,0 +1,63 @@
+"""Early checks of what users hand to `plan`."""
+
+from __future__ import annotations
+
+import numbers
+
+import numpy as np
+
+from graceful_plan.costs.objective import Objective
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.planners import PLANNERS, Planner
+
+DEFAULT_TIME_LIMIT = 1.0
+"""Seconds that a call may take when neither a time limit nor a number of iterations is given."""
+
+
+def checked_planner(planner: object) -> Planner:
+    """Return a planner, looked up by its name if need be."""
+    if isinstance(planner, Planner):
+        return planner
+    if isinstance(planner, type) and issubclass(planner, Planner):
+        raise SettingError("planner", planner.__name__, f"an instance: {planner.__name__}()")
+    if not isinstance(planner, str):
+        raise SettingError("planner", planner, "a name or a Planner")
+    if planner not in PLANNERS:
+        raise UnknownNameError("planner", planner, PLANNERS)
+    return PLANNERS[planner]()
+
+
+def checked_objective(objective: object, w: object) -> Objective:
+    """Return the objective to minimise, with the weight that was asked for."""
+    if w is not None and not _is_real(w):
+        raise SettingError("w", w, "a finite number, at least 0")
+    if objective is None:
+        return Objective(w=1.0 if w is None else float(w))  # type: ignore[arg-type]
+    if not isinstance(objective, Objective):
+        raise SettingError("objective", objective, "an Objective, such as Objective(motion=..., impact=...)")
+    return objective if w is None else objective.with_weight(float(w))  # type: ignore[arg-type]
+
+
+def checked_seed(seed: object) -> np.random.Generator:
+    """Return the source of all random numbers."""
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or int(seed) < 0:
+        raise SettingError("seed", seed, "a whole number, at least 0")
+    return np.random.default_rng(int(seed))
+
+
+def checked_time_limit(time_limit: object, iterations: object, speed: object) -> float:
+    """Return how many seconds the call may take; infinite if iterations alone limit it."""
+    whole = isinstance(iterations, numbers.Integral) and not isinstance(iterations, bool)
+    if iterations is not None and not (whole and int(iterations) >= 0):  # type: ignore[call-overload]
+        raise SettingError("iterations", iterations, "a whole number, at least 0")
+    if time_limit is not None and not (_is_real(time_limit) and time_limit >= 0.0):  # type: ignore[operator]
+        raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
+    if not (_is_real(speed) and 0.0 < speed <= 1.0):  # type: ignore[operator]
+        raise SettingError("speed", speed, "a fraction in (0, 1]")
+    if time_limit is None:
+        return DEFAULT_TIME_LIMIT if iterations is None else np.inf
+    return float(time_limit)  # type: ignore[arg-type]
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
