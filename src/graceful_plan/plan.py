@@ -105,7 +105,7 @@ def _search_and_finish(
     """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
     budget.time_limit -= min(_RESERVE, budget.time_limit / 3.0)
     pose = goal if isinstance(goal, PoseGoal) else None
-    refused: Finished | None = None
+    found, refused = Search(), None
     stats: dict[str, float] = {}
     for margin, check_step in _CAUTION:
         problem = SceneProblem(
