@@ -8,7 +8,8 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interactions import BoxOverlap, InteractionModel
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
-from graceful_plan.elements import AllowedContact, Dry, Limits, Liquid, Task
+from graceful_plan.dynamics import RobotDynamics
+from graceful_plan.elements import AllowedContact, Dry, EntityNote, Limits, Liquid, Task
 from graceful_plan.exceptions import (
     CostError,
     GracefulPlanError,
@@ -60,6 +61,7 @@ __all__ = [
     "CostBreakdown",
     "CostError",
     "Dry",
+    "EntityNote",
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",
@@ -80,6 +82,7 @@ __all__ = [
     "RRTConnect",
     "RRTStar",
     "RobotArrays",
+    "RobotDynamics",
     "Scene",
     "SceneError",
     "SettingError",
