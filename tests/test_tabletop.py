@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import graceful_plan as gp
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
@@ -155,3 +156,12 @@ def test_names_of_scenes() -> None:
     assert set(_NAMES) <= set(scenes())
     with pytest.raises(UnknownNameError, match=r"unknown scene 'table'; valid: .*tabletop, tabletop_l1"):
         load_scene("table")
+
+
+@pytest.mark.parametrize(("number", "total"), [(1, 3.78), (2, 5.74), (3, 3.95), (4, 1.27)])
+def test_algorithm_1_gives_what_was_recomputed_for_the_published_trajectories(number: int, total: float) -> None:
+    """The carried box, hard boxes, without the table, over the published four samples: lift, via twice, goal."""
+    scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene.with_severity({"table": 0.0})
+    stops = [scene.keyframes[name] for name in ("lift", f"t{number}_via", f"t{number}_via", f"t{number}_goal")]
+    impact = gp.evaluate(np.stack(stops), scene, gp.Objective(exposure="waypoints")).impact
+    assert impact == pytest.approx(total, abs=0.02)
