@@ -13,7 +13,6 @@ class Refiner {
       : space_(space), path_(std::move(path)), spacing_(spacing), sigma_{spacing, spacing}, random_(seed) {}
 
   const Polyline& path() const { return path_; }
-  int64_t moves() const { return moves_; }
   // Size of the vertex moves relative to the spacing: small means settled.
   double settled() const { return std::max(sigma_[0], sigma_[1]) / spacing_; }
 
