@@ -62,15 +62,14 @@ class Anytime(Planner):
         if start_is_goal(problem):
             yield Path(problem.start[None])
             return
-        diagonal = float(np.linalg.norm(np.asarray(problem.upper) - np.asarray(problem.lower)))
         space = native_space(problem, objective)
         core = _native.Anytime(
             space,
             problem.start,
             problem.goals,
-            self.range * diagonal,
+            self.range * problem.extent,
             self.max_nodes,
-            self.spacing * diagonal,
+            self.spacing * problem.extent,
             self.challengers,
             seed_from(rng),
         )

@@ -29,6 +29,11 @@ class Problem(ABC):
     lower: Float[Array, " nq"]
     upper: Float[Array, " nq"]
 
+    @property
+    def extent(self) -> float:
+        """Length of the diagonal of the limits [rad]."""
+        return float(np.linalg.norm(self.upper - self.lower))
+
     @abstractmethod
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which configurations are free of collision. Limits are the planner's business."""

@@ -55,7 +55,7 @@ class RRTConnect(Planner):
             return
         space = native_space(problem, objective)
         core = _native.Connect(
-            space, problem.start, problem.goals, self.range * _diagonal(problem), self.max_nodes, seed_from(rng)
+            space, problem.start, problem.goals, self.range * problem.extent, self.max_nodes, seed_from(rng)
         )
         solved = False
         while not solved and not budget.exhausted:
@@ -66,7 +66,3 @@ class RRTConnect(Planner):
         yield path
         if self.shortcut is not None:
             yield from self.shortcut.improve(path, Questions(problem, objective, budget), budget, rng)
-
-
-def _diagonal(problem: Problem) -> float:
-    return float(np.linalg.norm(np.asarray(problem.upper) - np.asarray(problem.lower)))

@@ -145,4 +145,4 @@ def estimate_cost_range(questions: Questions, rng: np.random.Generator) -> float
 
 def default_range(problem: Problem) -> float:
     """Longest step of cost-guided trees: 3.5 % of the extent of the space [rad] (OMPL's default)."""
-    return 0.035 * float(np.linalg.norm(problem.upper - problem.lower))
+    return 0.035 * problem.extent
