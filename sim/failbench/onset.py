@@ -1,0 +1,57 @@
+"""When a fault begins: at a fixed time, at a fraction of the trajectory, or anywhere in a stretch of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from graceful_plan import SettingError
+
+
+@dataclass(frozen=True)
+class AtTime:
+    """A fixed time after the start of the trajectory [s]; beyond its end, the end."""
+
+    time: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.time) and self.time >= 0.0):
+            raise SettingError("time", self.time, "a finite time >= 0 s")
+
+    def onset(self, u: float, duration: float) -> float:
+        """Return the onset [s] on a trajectory that takes `duration` [s]; `u` in [0, 1) is not needed."""
+        return min(self.time, duration)
+
+
+@dataclass(frozen=True)
+class AtFraction:
+    """A fixed fraction of the trajectory's duration, in [0, 1]."""
+
+    fraction: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.fraction <= 1.0:
+            raise SettingError("fraction", self.fraction, "0 <= fraction <= 1")
+
+    def onset(self, u: float, duration: float) -> float:
+        """Return the onset [s] on a trajectory that takes `duration` [s]; `u` in [0, 1) is not needed."""
+        return self.fraction * duration
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Anywhere between two fractions of the trajectory's duration, all times alike."""
+
+    first: float = 0.0
+    last: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.first <= self.last <= 1.0:
+            raise SettingError("first, last", (self.first, self.last), "0 <= first <= last <= 1")
+
+    def onset(self, u: float, duration: float) -> float:
+        """Return the onset [s] on a trajectory that takes `duration` [s], for the quantile `u` in [0, 1]."""
+        return (self.first + u * (self.last - self.first)) * duration
+
+
+Onset = AtTime | AtFraction | Uniform

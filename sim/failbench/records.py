@@ -1,0 +1,89 @@
+"""What goes into a rollout and what comes out of it: small frozen records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from failbench.faults.fault import Fault
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One rollout to be done: a fault at a moment of a trajectory.
+
+    Args:
+        fault: What breaks.
+        onset: When, on the trajectory's clock [s].
+        seed: Of everything random in the rollout.
+        weight: Density of the onset that is asked about over the density that it was drawn from.
+    """
+
+    fault: Fault
+    onset: float
+    seed: int
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactEvent:
+    """Everything that one thing did to one entity by touching it during a rollout.
+
+    Args:
+        striker: The component that touched it ("body", "carried", "contents"), or the entity that was knocked onto it.
+        entity: What was touched.
+        time: First touch, after the onset [s].
+        position: Where, in W [m].
+        peak_force: Greatest normal force [N]. Depends on the softness of MuJoCo's contacts.
+        impulse: Time integral of the contact force's magnitude [N s].
+        speed: Relative speed of the two at the first touch, along the normal [m/s], >= 0.
+        energy: Kinetic energy of the striker relative to the entity at the first touch [J]: half the effective mass at the point of touch times
+            `speed` squared.
+        secondary: Whether the striker is another entity.
+    """
+
+    striker: str
+    entity: str
+    time: float
+    position: tuple[float, float, float]
+    peak_force: float
+    impulse: float
+    speed: float
+    energy: float
+    secondary: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rollout:
+    """What one failure did.
+
+    Args:
+        job: What was asked.
+        onset: When the fault began, on the trajectory's clock [s]: the job's, rounded to the nearest checkpoint.
+        status: "completed", or "diverged" if the simulation blew up.
+        events: Contacts that the healthy run does not have, in the order of their first touch.
+        fell: Movable entities that ended more than 5 cm lower than they began.
+        tipped: Movable entities that ended more than 30 degrees off their initial axis.
+        left_support: Movable entities that ended without touching what they stood on.
+        spilled: Lost fraction of the contents, in [0, 1]; 0 if there are none.
+        dropped: Whether the carried object left the gripper.
+        poses: Final pose of every movable entity and of the carried object, wxyz_xyz in W.
+        state: If it diverged: MuJoCo's integration state at the last checkpoint before, for replay. Else None.
+    """
+
+    job: Job
+    onset: float
+    status: str = "completed"
+    events: tuple[ContactEvent, ...] = ()
+    fell: tuple[str, ...] = ()
+    tipped: tuple[str, ...] = ()
+    left_support: tuple[str, ...] = ()
+    spilled: float = 0.0
+    dropped: bool = False
+    poses: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+    state: Array | None = None

@@ -1,0 +1,83 @@
+"""The parts of a robot that can break, by their place in MuJoCo's arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan import UnknownNameError
+
+Array = np.ndarray
+
+GROUPS = ("any", "all", "gripper", "robot")
+"""What can stand for parts of the robot besides the names of its joints."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Robot:
+    """Ids of the joints and actuators of the arm and the gripper.
+
+    | field             | meaning                                                                                | shape |
+    |-------------------|----------------------------------------------------------------------------------------|-------|
+    | joints            | names of the planned joints, from the base to the tool                                 | nq    |
+    | joint_ids         | their ids                                                                              | nq    |
+    | qpos              | their addresses in qpos                                                                | nq    |
+    | dofs              | their addresses in qvel                                                                | nq    |
+    | actuators         | the actuator that drives each                                                          | nq    |
+    | locks             | for each an equality constraint, inactive, that holds it where it is told to           | nq    |
+    | kp                | stiffness of each joint's servo [N m/rad]                                              | nq    |
+    | kd                | damping of each joint's servo [N m s/rad]                                              | nq    |
+    | gripper_joints    | ids of the fingers' joints                                                             |       |
+    | gripper_dofs      | their addresses in qvel                                                                |       |
+    | gripper_actuators | ids of the gripper's actuators                                                         |       |
+    | grip_open         | command of each gripper actuator that opens the gripper                                |       |
+    | grip_closed       | the one that closes it                                                                 |       |
+    | pads              | ids of the geoms of the gripper that may touch the carried object                      |       |
+    | weld              | the equality constraint that holds the carried object; -1 if the fingers do            |       |
+    """
+
+    joints: tuple[str, ...]
+    joint_ids: Array
+    qpos: Array
+    dofs: Array
+    actuators: Array
+    locks: Array
+    kp: Array
+    kd: Array
+    gripper_joints: Array
+    gripper_dofs: Array
+    gripper_actuators: Array
+    grip_open: Array
+    grip_closed: Array
+    pads: Array
+    weld: int
+
+    def struck(self, targets: Sequence[str], rng: np.random.Generator) -> tuple[Array, bool]:
+        """Return which joints (indices into `joints`) and whether the gripper are meant by `targets`.
+
+        Args:
+            targets: Names of joints, or "any" (one drawn from `rng`), "all", "gripper", "robot".
+            rng: Where the draw comes from.
+
+        Raises:
+            UnknownNameError: If a target is neither a joint nor such a word.
+        """
+        self.check_targets(targets)
+        drawn = int(rng.integers(len(self.joints)))  # always, so that what follows does not depend on the targets
+        chosen: set[int] = set()
+        for target in targets:
+            if target in ("all", "robot"):
+                chosen |= set(range(len(self.joints)))
+            elif target == "any":
+                chosen.add(drawn)
+            elif target != "gripper":
+                chosen.add(self.joints.index(target))
+        return np.array(sorted(chosen), dtype=int), any(t in ("gripper", "robot") for t in targets)
+
+    def check_targets(self, targets: Sequence[str]) -> None:
+        """Raise UnknownNameError if a target is neither a joint nor one of "any", "all", "gripper", "robot"."""
+        for target in targets:
+            if target not in self.joints and target not in GROUPS:
+                raise UnknownNameError("target", target, {*self.joints, *GROUPS})
