@@ -42,8 +42,8 @@ class ContactEvent:
         peak_force: Greatest normal force [N]. Depends on the softness of MuJoCo's contacts.
         impulse: Time integral of the contact force's magnitude [N s].
         speed: Relative speed of the two at the first touch, along the normal [m/s], >= 0.
-        energy: Kinetic energy of the striker relative to the entity at the first touch [J]: half the effective mass at the point of touch times
-            `speed` squared.
+        energy: Kinetic energy of the striker at the first touch [J]: half its effective mass at the point of touch,
+            along the normal, times `speed` squared.
         secondary: Whether the striker is another entity.
     """
 

@@ -74,9 +74,9 @@ class Fault(ABC):
     def apply(self, plant: Plant, level: float) -> None:
         """Break the robot.
 
-        Called at the onset, along the ramp, and every `PERIOD` while the fault lasts. Before each call the model's fields
-        and the commands to come are as in a healthy robot again, so effects never add up by being repeated. All that is
-        random comes from `plant.rng`; what has to be remembered from call to call goes into `plant.memory`.
+        Called at the onset, along the ramp, and every `PERIOD` while the fault lasts. Before each call the model's
+        fields and the commands to come are as in a healthy robot again, so effects never add up by being repeated. All
+        that is random comes from `plant.rng`; what has to be remembered from call to call goes into `plant.memory`.
 
         Args:
             plant: The one simulated robot that breaks.
