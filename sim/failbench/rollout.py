@@ -1,0 +1,119 @@
+"""Many failures of one execution at once, natively.
+
+All rollouts of a batch begin at their own onsets and are stepped together, so that faults that act again and again do so
+in the same steps. What comes out does not depend on the batch: each simulation is on its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from mujoco.batch import Batch
+
+from failbench.execution import CHECKPOINT, Execution, put
+from failbench.injection import CTRL, Injection
+from failbench.recorder import Recorder
+from failbench.records import Job, Rollout
+from graceful_plan import SettingError
+
+Array = np.ndarray
+
+_SEGMENT = 50
+"""Steps simulated natively in one go, at most; bounds the memory for what is recorded."""
+
+
+_COUNT = 1
+"""Column of a simulation's warnings that says how often each was raised."""
+
+
+def run(
+    execution: Execution, jobs: Sequence[Job], *, horizon: float = 1.0, threads: int = 1, batch: int = 32
+) -> list[Rollout]:
+    """Let a robot fail once for each job.
+
+    Args:
+        execution: The healthy run.
+        jobs: What fails, and when.
+        horizon: How long is simulated after the onset [s].
+        threads: Threads of the simulation.
+        batch: How many simulations are in memory at once. The result does not depend on it, nor on `threads`.
+
+    Returns:
+        A rollout for each job, in the order of the jobs.
+
+    Raises:
+        UnknownNameError: If a fault strikes a joint that the robot does not have.
+        SettingError: If the horizon is shorter than a time step.
+    """
+    steps = round(horizon / execution.dt)
+    if steps < 1:
+        raise SettingError("horizon", horizon, f"at least the time step of {execution.dt:g} s")
+    for job in jobs:
+        execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS)
+    if not jobs:
+        return []
+    # Faults of a kind act in the same steps, so they are kept together.
+    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.PERIOD is not None, jobs[i].fault.NAME, i))
+    size = min(batch, len(jobs))
+    simulations = Batch(execution.world.model, size, nthread=threads, persistent=True)
+    names = sorted({name for job in jobs for name in job.fault.FIELDS})
+    fields = {name: simulations.expand(name) for name in names}
+    rollouts: dict[int, Rollout] = {}
+    for first in range(0, len(jobs), size):
+        group = order[first : first + size]
+        rollouts |= zip(group, _run_group(execution, simulations, fields, [jobs[i] for i in group], steps), strict=True)
+    return [rollouts[i] for i in range(len(jobs))]
+
+
+def _run_group(
+    execution: Execution, simulations: Batch, fields: Mapping[str, Array], jobs: Sequence[Job], steps: int
+) -> list[Rollout]:
+    model = execution.world.model
+    sims = np.arange(len(jobs))
+    for name, values in fields.items():
+        values[:] = getattr(model, name)
+    checkpoints = [execution.checkpoint(job.onset) for job in jobs]
+    put(simulations, sims, execution.states[checkpoints])
+    qpos, qvel, active = (simulations.bind(name) for name in ("qpos", "qvel", "eq_active"))
+    recorder = Recorder(execution.world, execution.baseline, qpos[sims].copy(), qvel[sims].copy())
+    injections = [
+        Injection(
+            execution,
+            job,
+            steps,
+            fields={name: values[i] for name, values in fields.items()},
+            qpos=qpos[i],
+            qvel=qvel[i],
+            eq_active=active[i],
+        )
+        for i, job in enumerate(jobs)
+    ]
+    diverged = _simulate(simulations, sims, injections, recorder, steps)
+    return [
+        Rollout(
+            job=job,
+            onset=checkpoint * CHECKPOINT * execution.dt,
+            status="diverged" if diverged[i] else "completed",
+            state=execution.states[checkpoint].copy() if diverged[i] else None,
+            **recorder.finish(i),
+        )
+        for i, (job, checkpoint) in enumerate(zip(jobs, checkpoints, strict=True))
+    ]
+
+
+def _simulate(
+    simulations: Batch, sims: Array, injections: Sequence[Injection], recorder: Recorder, steps: int
+) -> Array:
+    """Step all simulations to the end; return which of them blew up."""
+    step = 0
+    while step < steps:
+        for injection in injections:
+            if injection.next == step:
+                injection.act()
+        until = min(steps, step + _SEGMENT, *(injection.next for injection in injections))
+        commands = np.stack([injection.plant.command[step:until] for injection in injections])
+        out = simulations.rollout(until - step, commands, CTRL, record=("sensordata", "qpos", "qvel"), ids=sims)
+        recorder.observe(out["sensordata"], out["qpos"], out["qvel"])
+        step = until
+    return simulations.warning[sims, :, _COUNT].any(axis=1)
