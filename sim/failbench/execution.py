@@ -138,7 +138,7 @@ def put(batch: Batch, sims: Array, states: Float[Array, "sim state"]) -> None:
 
 
 def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
-    """Return what the healthy controller sends: the torques that the motion needs, as offsets of the servos' targets."""
+    """Return what the healthy controller sends: positions, plus needed torques as offsets of the servos' targets."""
     robot, model, scene = world.robot, world.model, world.scene
     dynamics = RobotDynamics(scene)
     times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep

@@ -19,23 +19,23 @@ GROUPS = ("any", "all", "gripper", "robot")
 class Robot:
     """Ids of the joints and actuators of the arm and the gripper.
 
-    | field             | meaning                                                                               | shape |
-    |-------------------|---------------------------------------------------------------------------------------|-------|
-    | joints            | names of the planned joints, from the base to the tool                                | nq    |
-    | joint_ids         | their ids                                                                             | nq    |
-    | qpos              | their addresses in qpos                                                               | nq    |
-    | dofs              | their addresses in qvel                                                               | nq    |
-    | actuators         | the actuator that drives each                                                         | nq    |
-    | locks             | for each an equality constraint, inactive, that holds it where it is told to          | nq    |
-    | kp                | stiffness of each joint's servo [N m/rad]                                             | nq    |
-    | kd                | damping of each joint's servo [N m s/rad]                                             | nq    |
-    | gripper_joints    | ids of the fingers' joints                                                            |       |
-    | gripper_dofs      | their addresses in qvel                                                               |       |
-    | gripper_actuators | ids of the gripper's actuators                                                        |       |
-    | grip_open         | command of each gripper actuator that opens the gripper                               |       |
-    | grip_closed       | the one that it gets while the robot is healthy: closed if the fingers hold something |       |
-    | pads              | ids of the geoms of the fingers                                                       |       |
-    | weld              | the equality constraint that holds the carried object; -1 if the fingers do           |       |
+    | field             | meaning                                                                      | shape |
+    |-------------------|------------------------------------------------------------------------------|-------|
+    | joints            | names of the planned joints, from the base to the tool                       | nq    |
+    | joint_ids         | their ids                                                                    | nq    |
+    | qpos              | their addresses in qpos                                                      | nq    |
+    | dofs              | their addresses in qvel                                                      | nq    |
+    | actuators         | the actuator that drives each                                                | nq    |
+    | locks             | for each an equality constraint, inactive, that holds it where it is told to | nq    |
+    | kp                | stiffness of each joint's servo [N m/rad]                                    | nq    |
+    | kd                | damping of each joint's servo [N m s/rad]                                    | nq    |
+    | gripper_joints    | ids of the fingers' joints                                                   |       |
+    | gripper_dofs      | their addresses in qvel                                                      |       |
+    | gripper_actuators | ids of the gripper's actuators                                               |       |
+    | grip_open         | command of each gripper actuator that opens the gripper                      |       |
+    | grip_closed       | the one of a healthy robot: closed if the fingers hold something             |       |
+    | pads              | ids of the geoms of the fingers                                              |       |
+    | weld              | the equality constraint that holds the carried object; -1 if the fingers do  |       |
     """
 
     joints: tuple[str, ...]

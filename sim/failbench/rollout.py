@@ -1,7 +1,7 @@
 """Many failures of one execution at once, natively.
 
-All rollouts of a batch begin at their own onsets and are stepped together, so that faults that act again and again do so
-in the same steps. What comes out does not depend on the batch: each simulation is on its own.
+All rollouts of a batch begin at their own onsets and are stepped together, so that faults that act again and again do
+so in the same steps. What comes out does not depend on the batch: each simulation is on its own.
 """
 
 from __future__ import annotations
