@@ -1,0 +1,201 @@
+"""Means and probabilities with intervals, for observations that are mostly zero and sometimes very large.
+
+A hundred rollouts that hit nothing do not show that nothing can be hit. So no interval here has width zero: that of a
+probability is Wilson's, and that of any other mean is a t interval of the observations together with one imaginary one
+at the end of their range, which bounds it as the rule of three would. Measured coverage of the t interval alone, at
+95 % nominal, falls to 60 % where few rollouts hit anything; the bootstrap shares that fault, since it never draws what
+was not seen. Onsets are stratified, which these intervals ignore: the truth is rather nearer than they say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan import NonFiniteError, SettingError, ShapeError
+from graceful_plan.array_types import Float, Int
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean with its interval.
+
+    Args:
+        mean: The mean; NaN if nothing was observed.
+        low: Lower end of the interval.
+        high: Upper end.
+        n: Number of observations.
+    """
+
+    mean: float
+    low: float
+    high: float
+    n: int
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3g} [{self.low:.3g}, {self.high:.3g}]"
+
+
+def wilson(hits: int, n: int, confidence: float = 0.95) -> Estimate:
+    """Estimate a probability from `hits` out of `n` alike and independent trials, with Wilson's interval.
+
+    References:
+        [Wilson1927] Probable inference, the law of succession, and statistical inference.
+    """
+    check_confidence(confidence)
+    if not 0 <= hits <= n:
+        raise SettingError("hits", hits, f"between 0 and n = {n}")
+    if n == 0:
+        return Estimate(math.nan, 0.0, 1.0, 0)
+    z = NormalDist().inv_cdf(0.5 + 0.5 * confidence)
+    p = hits / n
+    centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    # At the ends of the range the formula is exact but for rounding.
+    low, high = 0.0 if hits == 0 else centre - half, 1.0 if hits == n else centre + half
+    return Estimate(p, low, high, n)
+
+
+def estimate_mean(
+    values: ArrayLike, bounds: tuple[float, float], *, weights: ArrayLike | None = None, confidence: float = 0.95
+) -> Estimate:
+    """Estimate the mean of observations, weighted or not, with a guarded t interval.
+
+    The lower end is that of the observations and one more at the lower bound, the upper end that of the observations
+    and one more at the upper bound. Of weighted observations, the mean is sum(w y) / sum(w), and the interval that of
+    its linearisation; the imaginary one has the greatest weight.
+
+    Args:
+        values: Observations.
+        bounds: The least and the greatest value that an observation may be expected to have.
+        weights: Importance weights, >= 0; all alike if None.
+        confidence: Probability that the interval covers the truth.
+
+    Returns:
+        The estimate; of no observations, NaN between the bounds.
+    """
+    check_confidence(confidence)
+    y = _finite("values", values)
+    w = np.ones(len(y)) if weights is None else _finite("weights", weights)
+    if len(w) != len(y):
+        raise ShapeError("weights", w.shape, f"({len(y)},), a weight for each value")
+    if (w < 0.0).any():
+        raise SettingError("weights", float(w.min()), "weights >= 0")
+    if not bounds[0] <= bounds[1]:
+        raise SettingError("bounds", bounds, "the lower one first")
+    if w.sum() == 0.0:
+        return Estimate(math.nan, *bounds, n=len(y))
+    mean = float(np.average(y, weights=w))
+    spread = w * (y - mean) / w.mean()
+    imaginary = [w.max() * (bound - mean) / w.mean() for bound in (min(bounds[0], y.min()), max(bounds[1], y.max()))]
+    low = mean + _t_limit(np.append(spread, imaginary[0]), confidence, -1.0)
+    high = mean + _t_limit(np.append(spread, imaginary[1]), confidence, 1.0)
+    return Estimate(mean, max(low, min(bounds[0], mean)), min(high, max(bounds[1], mean)), len(y))
+
+
+def estimate_probability(hits: ArrayLike, *, weights: ArrayLike | None = None, confidence: float = 0.95) -> Estimate:
+    """Estimate a probability from whether each trial was a hit: `wilson`, or `estimate_mean` if weights differ."""
+    y = _finite("hits", hits)
+    if weights is None or np.ptp(np.asarray(weights, dtype=float)) == 0.0:
+        return wilson(int(np.count_nonzero(y)), len(y), confidence)
+    return estimate_mean(y, (0.0, 1.0), weights=weights, confidence=confidence)
+
+
+def estimate_difference(
+    first: ArrayLike,
+    second: ArrayLike,
+    bounds: tuple[float, float],
+    *,
+    weights: ArrayLike | None = None,
+    confidence: float = 0.95,
+) -> Estimate:
+    """Estimate the mean of first - second from pairs that share their random numbers.
+
+    Args:
+        first: Observations.
+        second: Observations under the same random numbers, pair by pair.
+        bounds: Of an observation, as for `estimate_mean`.
+        weights: Of the pairs.
+        confidence: Probability that the interval covers the truth.
+    """
+    a, b = _finite("first", first), _finite("second", second)
+    if a.shape != b.shape:
+        raise ShapeError("second", b.shape, f"{a.shape}: pairs")
+    widest = bounds[1] - bounds[0]
+    return estimate_mean(a - b, (-widest, widest), weights=weights, confidence=confidence)
+
+
+def effective_sample_size(weights: ArrayLike) -> float:
+    """Return how many observations of equal weight tell as much: (sum w)^2 / sum w^2."""
+    w = _finite("weights", weights)
+    squares = float(w @ w)
+    return float(w.sum()) ** 2 / squares if squares else 0.0
+
+
+def cluster_bootstrap(
+    values: ArrayLike,
+    clusters: ArrayLike,
+    statistic: Callable[[Float[Array, "n ..."]], float] = np.mean,  # type: ignore[assignment]
+    *,
+    resamples: int = 1000,
+    seed: int = 0,
+    confidence: float = 0.95,
+) -> Estimate:
+    """Estimate any statistic of observations that come in clusters, such as trajectories of a few scenes.
+
+    Whole clusters are drawn with replacement, and the interval is that between percentiles of the statistic. It needs
+    ten clusters or more to mean much, and it cannot see what no cluster shows.
+
+    Args:
+        values: Observations along the first axis.
+        clusters: Which cluster each belongs to.
+        statistic: Of the observations; higher axes are its business.
+        resamples: How often to draw.
+        seed: Of the draws.
+        confidence: Probability that the interval covers the truth.
+    """
+    check_confidence(confidence)
+    y, labels = np.asarray(values, dtype=float), np.asarray(clusters)
+    if labels.shape != y.shape[:1] or not len(y):
+        raise ShapeError("clusters", labels.shape, f"({len(y)},), a cluster for each of at least one value")
+    names, members = np.unique(labels, return_inverse=True)
+    parts: list[Int[Array, " n"]] = [np.flatnonzero(members == i) for i in range(len(names))]
+    rng = np.random.default_rng(seed)
+    drawn = [
+        float(statistic(y[np.concatenate([parts[i] for i in rng.integers(len(parts), size=len(parts))])]))
+        for _ in range(resamples)
+    ]
+    low, high = np.quantile(drawn, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    return Estimate(float(statistic(y)), float(low), float(high), len(parts))
+
+
+def check_confidence(confidence: float) -> None:
+    """Raise SettingError unless this is a level of confidence."""
+    if not 0.0 < confidence < 1.0:
+        raise SettingError("confidence", confidence, "0 < confidence < 1")
+
+
+def _t_limit(values: Float[Array, " n"], confidence: float, side: float) -> float:
+    """Return the lower (-1) or upper (1) end of the t interval of a mean."""
+    from scipy.special import stdtrit
+
+    n = len(values)
+    t = float(stdtrit(n - 1, 0.5 + 0.5 * confidence))
+    return float(values.mean() + side * t * values.std(ddof=1) / math.sqrt(n))
+
+
+def _finite(name: str, values: ArrayLike) -> Float[Array, " n"]:
+    array = np.asarray(values, dtype=float)
+    if array.ndim != 1:
+        raise ShapeError(name, array.shape, "(n,)")
+    wrong = np.flatnonzero(~np.isfinite(array))
+    if len(wrong):
+        raise NonFiniteError(name, (int(wrong[0]),))
+    return array
