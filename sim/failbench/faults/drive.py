@@ -1,0 +1,64 @@
+"""What faults do to the drives that they strike: scale what they give, and ask whether the gripper still holds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from failbench.plant import Plant
+
+Array = np.ndarray
+
+DRIVE = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
+"""Model fields that `scale_torque` needs."""
+GRIP = ("eq_obj2id", "body_mass", "geom_friction")
+"""Model fields that `cut_overloaded_weld` needs besides."""
+
+_GRAVITY = 9.81
+
+
+def actuators(plant: Plant) -> Array:
+    """Return the ids of the actuators that the fault strikes."""
+    robot = plant.robot
+    return np.concatenate(
+        [robot.actuators[plant.joints], robot.gripper_actuators[: len(robot.gripper_actuators) * plant.gripper]]
+    )
+
+
+def torque_limits(plant: Plant) -> Array:
+    """Return the torque limits of the joints that the fault strikes [N m or N]. Needs "actuator_forcerange"."""
+    return plant["actuator_forcerange"][plant.robot.actuators[plant.joints], 1]
+
+
+def scale_response(plant: Plant, share: float) -> None:
+    """Let the struck drives answer to commands, errors and speeds with a share of what they should.
+
+    Needs "actuator_gainprm" and "actuator_biasprm".
+    """
+    struck = actuators(plant)
+    plant["actuator_gainprm"][struck] *= share
+    plant["actuator_biasprm"][struck] *= share
+
+
+def scale_torque(plant: Plant, share: float) -> None:
+    """Let the struck drives give a share of their torque: of what is asked for, and of the most they can give.
+
+    Needs the fields `DRIVE`.
+    """
+    scale_response(plant, share)
+    plant["actuator_forcerange"][actuators(plant)] *= share
+
+
+def cut_overloaded_weld(plant: Plant) -> None:
+    """Cut the weld that stands for the grasp if fingers would not hold the object's weight any more.
+
+    Fingers hold it as long as the friction coefficient times the sum of their normal forces carries its weight. Needs
+    the fields `GRIP` and "actuator_forcerange".
+    """
+    robot = plant.robot
+    if robot.weld < 0 or not plant.gripper:
+        return
+    carried = plant["eq_obj2id"][robot.weld]
+    friction = plant["geom_friction"][robot.pads, 0].max(initial=0.0)
+    grip = plant["actuator_forcerange"][robot.gripper_actuators, 1].sum()
+    if friction * grip < plant["body_mass"][carried] * _GRAVITY:
+        plant.cut_weld()
