@@ -6,8 +6,10 @@ so in the same steps. What comes out does not depend on the batch: each simulati
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
@@ -60,9 +62,11 @@ def run(
     names = sorted({name for job in jobs for name in job.fault.FIELDS})
     fields = {name: simulations.expand(name) for name in names}
     rollouts: dict[int, Rollout] = {}
-    for first in range(0, len(jobs), size):
-        group = order[first : first + size]
-        rollouts |= zip(group, _run_group(execution, simulations, fields, [jobs[i] for i in group], steps), strict=True)
+    with _warnings_counted_only():
+        for first in range(0, len(jobs), size):
+            group = order[first : first + size]
+            done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
+            rollouts |= zip(group, done, strict=True)
     return [rollouts[i] for i in range(len(jobs))]
 
 
@@ -117,3 +121,14 @@ def _simulate(
         recorder.observe(out["sensordata"], out["qpos"], out["qvel"])
         step = until
     return simulations.warning[sims, :, _COUNT].any(axis=1)
+
+
+@contextmanager
+def _warnings_counted_only() -> Generator[None, None, None]:
+    """Keep MuJoCo from writing its log into the working directory: each simulation's warnings are read from it."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
