@@ -127,7 +127,7 @@ def execute(
         command=command,
         baseline=frozenset(pair for pair, touches in zip(world.pairs, touched, strict=True) if touches),
         tracking_error=error.max(axis=0),
-        slip=float(slip.max(initial=0.0)),
+        slip=float(slip.max()),
     )
 
 
@@ -195,7 +195,7 @@ def _slip(
 ) -> Float[Array, " step"]:
     """Return how far the carried object is, in the tool's frame, from where it was."""
     if world.carried_body < 0:
-        return np.zeros(0)
+        return np.zeros(len(xpos))
     from scipy.spatial.transform import Rotation
 
     tool = int(world.model.site(world.scene.tool).bodyid[0])
