@@ -84,14 +84,15 @@ class Plant:
     def misread(self, joints: Array, error: Array) -> None:
         """Let position sensors read wrong by `error` from the next step on.
 
-        A servo computes kp (command - reading) - kd speed, so an error of the reading acts like the opposite error of
-        the command.
+        A servo computes gain command - kp reading - kd speed, so an error of the reading acts like an opposite error of
+        the command, times kp / gain.
 
         Args:
             joints: Indices of planned joints.
             error: Reading minus truth [rad or m], for each step to come and each of these joints.
         """
-        self.ahead[:, self.robot.actuators[joints]] -= error
+        robot = self.robot
+        self.ahead[:, robot.actuators[joints]] -= error * (robot.kp[joints] / robot.gain[joints])
 
     def lock(self, joint: int, position: float) -> None:
         """Hold a planned joint at a position with a constraint that is as stiff as the time step allows.

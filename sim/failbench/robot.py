@@ -46,6 +46,7 @@ class Robot:
     locks: Array
     kp: Array
     kd: Array
+    gain: Array
     gripper_joints: Array
     gripper_dofs: Array
     gripper_actuators: Array

@@ -270,6 +270,7 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
         locks=np.array([int(model.equality(f"failbench/lock/{name}").id) for name in scene.joints]),
         kp=kp,
         kd=kd,
+        gain=model.actuator_gainprm[actuators, 0].copy(),
         gripper_joints=gripper.joints,
         gripper_dofs=model.jnt_dofadr[gripper.joints].astype(int),
         gripper_actuators=gripper.actuators,

@@ -51,7 +51,7 @@ class LimitedRange(Fault):
     NAME: ClassVar[str] = "limited_range"
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "motion that is left in each direction [rad or m]"
-    AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.3, "moderate": 0.15, "severe": 0.05, "critical": 0.01}
+    AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.2, "moderate": 0.1, "severe": 0.05, "critical": 0.01}
     FIELDS: ClassVar[tuple[str, ...]] = ("jnt_range", "jnt_limited", "jnt_solref")
 
     def apply(self, plant: Plant, level: float) -> None:
