@@ -13,11 +13,14 @@ from pathlib import Path
 
 import pytest
 
+from failbench import execution, plant, robot, world
 from graceful_plan import arrays, elements
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = ROOT / "src" / "graceful_plan"
 FILES = sorted(LIBRARY.rglob("*.py"))
+HARNESS = ROOT / "sim" / "failbench"
+HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
@@ -29,7 +32,7 @@ LAYERS = (
 )
 """From the bottom up; a module that is named nowhere lies below all of them, with the scene and the tables."""
 
-HEAVY = ("scipy", "toppra", "ompl", "mink", "casadi", "fcl", "matplotlib", "qpsolvers")
+HEAVY = ("scipy", "toppra", "ompl", "mink", "casadi", "fcl", "matplotlib", "qpsolvers", "pyarrow", "ray", "PIL")
 
 
 def layer(module: str) -> int:
@@ -97,21 +100,28 @@ def test_library_never_imports_what_is_built_on_it():
     assert not roots & {"failbench", "benchmarks", "tests", "examples"}
 
 
-def test_only_the_command_line_prints():
+def test_the_harness_uses_what_is_public_and_nothing_above_it():
+    names = {name for file in HARNESS_FILES for name in imports(ast.parse(file.read_text()))}
+    assert not {name for name in names if name.startswith("graceful_plan") and "._" in name}
+    assert not {name.split(".")[0] for name in names} & {"benchmarks", "tests", "examples"}
+
+
+def test_only_the_command_lines_print():
     printing = {
         file.name
-        for file in FILES
+        for file in FILES + HARNESS_FILES
         for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
     }
     assert printing == {"cli.py"}
 
 
-def test_import_is_light_and_has_no_effects():
+@pytest.mark.parametrize("package", ["graceful_plan", "failbench"])
+def test_import_is_light_and_has_no_effects(package):
     code = f"""
 import os, sys, threading
 before = dict(os.environ)
-import graceful_plan
+import {package}
 assert dict(os.environ) == before, "environment changed"
 assert threading.active_count() == 1, "threads started"
 print(*[name for name in {HEAVY} if name in sys.modules])
@@ -121,8 +131,9 @@ print(*[name for name in {HEAVY} if name in sys.modules])
 
 
 def field_tables() -> list[type]:
-    classes = [cls for module in (arrays, elements) for _, cls in inspect.getmembers(module, dataclasses.is_dataclass)]
-    return [cls for cls in classes if "| field" in (cls.__doc__ or "")]
+    modules = (arrays, elements, robot, plant, world, execution)
+    classes = [cls for module in modules for _, cls in inspect.getmembers(module, dataclasses.is_dataclass)]
+    return list(dict.fromkeys(cls for cls in classes if "| field" in (cls.__doc__ or "")))
 
 
 def test_every_table_of_arrays_is_found():

@@ -24,9 +24,7 @@ class Plant:
     | joints      | indices of the joints that the fault strikes                                             |
     | gripper     | whether it strikes the gripper                                                           |
     | dt          | time step [s]                                                                            |
-    | step        | steps since the onset                                                                    |
     | rng         | the only source of randomness                                                            |
-    | memory      | whatever the fault wants to remember                                                     |
     | qpos        | positions of everything, now                                                             |
     | qvel        | velocities of everything, now                                                            |
     | eq_active   | which equality constraints hold                                                          |
@@ -34,6 +32,8 @@ class Plant:
     | healthy     | the same as a healthy robot gets them; read only                                         |
     | past        | commands before the onset, the latest last; read only                                    |
     | fields      | fields of this simulation's model that may be written                                    |
+    | step        | steps since the onset                                                                    |
+    | memory      | whatever the fault wants to remember                                                     |
     """
 
     robot: Robot
