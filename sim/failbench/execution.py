@@ -153,9 +153,8 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
             for a, b, c in zip(q, qd, qdd, strict=True)
         ]
     )
-    gain = model.actuator_gainprm[robot.actuators, 0]
     command = np.zeros((steps + 1, model.nu))
-    command[:, robot.actuators] = (robot.kp * q + robot.kd * qd + torque) / gain
+    command[:, robot.actuators] = (robot.kp * q + robot.kd * qd + torque) / robot.gain
     command[:, robot.gripper_actuators] = robot.grip_closed
     return command
 
@@ -167,9 +166,9 @@ def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actua
     data.qpos[:] = scene.data_at(trajectory.q[0]).qpos
     hold = command.copy()
     robot = world.robot
-    gain = model.actuator_gainprm[robot.actuators, 0]
     still = np.zeros(len(robot.joints))
-    hold[robot.actuators] = (robot.kp * trajectory.q[0] + RobotDynamics(scene)(trajectory.q[0], still, still)) / gain
+    weight = RobotDynamics(scene)(trajectory.q[0], still, still)
+    hold[robot.actuators] = (robot.kp * trajectory.q[0] + weight) / robot.gain
     steps = round(_SETTLE / model.opt.timestep)
     for step in range(steps):
         if world.hold >= 0 and robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:

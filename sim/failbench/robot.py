@@ -29,6 +29,7 @@ class Robot:
     | locks             | for each an equality constraint, inactive, that holds it where it is told to | nq    |
     | kp                | stiffness of each joint's servo [N m/rad]                                    | nq    |
     | kd                | damping of each joint's servo [N m s/rad]                                    | nq    |
+    | gain              | torque of each joint's actuator per unit of its command [N m]                | nq    |
     | gripper_joints    | ids of the fingers' joints                                                   |       |
     | gripper_dofs      | their addresses in qvel                                                      |       |
     | gripper_actuators | ids of the gripper's actuators                                               |       |
