@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from types import MappingProxyType
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from failbench.closeup import Closeup
@@ -24,74 +24,78 @@ DROPPED = 0.03
 """A carried object that is farther from where it was in the tool frame [m] and free of the fingers is dropped."""
 
 
-def aftermath(
-    world: World, closeup: Closeup, qpos: tuple[Float[Array, " qpos"], Float[Array, " qpos"]]
-) -> dict[str, Any]:
-    """Compare the positions at the end with those at the onset.
+class Aftermath:
+    """Compares the end of a simulation with its beginning.
 
-    Returns:
-        The fields fell, tipped, left_support, dropped and poses of a Rollout.
+    Args:
+        world: Where.
+        closeup: What to look with.
     """
-    before, after = ({name: _pose(world, q, body) for name, body in world.movable.items()} for q in qpos)
-    sunk = {name: before[name][6] - after[name][6] for name in before}
-    tilt = {name: _tilt(before[name], after[name]) for name in before}
-    moved = [
-        name for name in before if np.linalg.norm(after[name][4:] - before[name][4:]) > MOVED or tilt[name] > MOVED
-    ]
-    poses = after if world.carried_body < 0 else after | {"carried": _pose(world, qpos[1], world.carried_body)}
-    return {
-        "fell": tuple(name for name in before if sunk[name] > FALLEN),
-        "tipped": tuple(name for name in before if tilt[name] > TIPPED),
-        "left_support": _left_support(world, closeup, qpos, moved),
-        "dropped": world.carried_body >= 0 and _dropped(world, closeup, qpos),
-        "poses": MappingProxyType(poses),
-    }
+
+    def __init__(self, world: World, closeup: Closeup) -> None:
+        self._world = world
+        self._closeup = closeup
+        self._names = list(world.movable)
+        free = [*world.movable.values(), *([world.carried_body] if world.carried_body >= 0 else [])]
+        adr = world.model.jnt_qposadr[world.model.body_jntadr[free]].astype(int)
+        self._poses = adr[:, None] + np.array([3, 4, 5, 6, 0, 1, 2])
+        self._strikers = {body for bodies in world.striker_bodies.values() for body in bodies}
+        self._pads = {int(world.model.geom_bodyid[g]) for g in world.robot.pads}
+        self._tool = int(world.model.site(world.scene.tool).id)
+
+    def fields(self, before: Float[Array, " qpos"], after: Float[Array, " qpos"]) -> dict[str, Any]:
+        """Return the fields fell, tipped, left_support, dropped and poses of a Rollout."""
+        was, became = before[self._poses], after[self._poses]
+        n = len(self._names)
+        shift = became[:n, 4:] - was[:n, 4:]
+        tilt = _tilt(was[:n], became[:n])
+        moved = np.flatnonzero((np.abs(shift) > MOVED).any(axis=1) | (tilt > MOVED))
+        (stood, place), (stands, end) = self._look(before), self._look(after)
+        left = [self._names[i] for i in moved if self._lost(self._names[i], stood, stands)]
+        out_of_place = place is not None and end is not None and bool(np.linalg.norm(end - place) > DROPPED)
+        carried = self._world.striker_bodies.get("carried", ())
+        poses = dict(zip([*self._names, "carried"], became, strict=False))
+        return {
+            "fell": tuple(self._names[i] for i in np.flatnonzero(shift[:, 2] < -FALLEN)),
+            "tipped": tuple(self._names[i] for i in np.flatnonzero(tilt > TIPPED)),
+            "left_support": tuple(left),
+            "dropped": out_of_place and not _neighbours(stands, carried) & self._pads,
+            "poses": MappingProxyType(poses),
+        }
+
+    def _look(self, qpos: Float[Array, " qpos"]) -> tuple[dict[int, set[int]], Float[Array, " xyz"] | None]:
+        """Return which bodies touch each body, and where the carried object is in the tool frame."""
+        self._closeup.place(qpos)
+        touching: dict[int, set[int]] = {}
+        for a, b in self._closeup.bodies().tolist():
+            touching.setdefault(a, set()).add(b)
+            touching.setdefault(b, set()).add(a)
+        if self._world.carried_body < 0:
+            return touching, None
+        data = self._closeup.data
+        R_WT, p_WT = data.site_xmat[self._tool].reshape(3, 3), data.site_xpos[self._tool]
+        return touching, R_WT.T @ (data.xpos[self._world.carried_body] - p_WT)
+
+    def _lost(self, name: str, stood: dict[int, set[int]], stands: dict[int, set[int]]) -> bool:
+        """Return whether an entity touches nothing any more of what it touched, the robot aside."""
+        own = self._world.entity_bodies[name]
+        support = _neighbours(stood, own) - self._strikers
+        return bool(support) and not support & _neighbours(stands, own)
 
 
-def _pose(world: World, qpos: Float[Array, " qpos"], body: int) -> Float[Array, " 7"]:
-    """Return the pose of a free body, wxyz_xyz in W."""
-    adr = int(world.model.jnt_qposadr[world.model.body_jntadr[body]])
-    return np.concatenate([qpos[adr + 3 : adr + 7], qpos[adr : adr + 3]])
+def _neighbours(touching: dict[int, set[int]], bodies: Iterable[int]) -> set[int]:
+    own = set(bodies)
+    return set[int]().union(*(touching.get(body, ()) for body in own)) - own
 
 
-def _tilt(before: Float[Array, " 7"], after: Float[Array, " 7"]) -> float:
+def _tilt(before: Float[Array, "body 7"], after: Float[Array, "body 7"]) -> Float[Array, " body"]:
     """Return the angle [rad] between the vertical and the direction in the body that was vertical before."""
-    up = np.array([0.0, 0.0, 1.0])
-    inverse = np.zeros(4)
-    mujoco.mju_negQuat(inverse, before[:4])
-    mujoco.mju_rotVecQuat(up, up.copy(), inverse)
-    mujoco.mju_rotVecQuat(up, up.copy(), after[:4])
-    return float(np.arctan2(np.hypot(up[0], up[1]), up[2]))
+    a, b = (_up(pose[:, :4]) for pose in (before, after))
+    # Exact near 0, where the arc cosine is not.
+    return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
 
 
-def _left_support(world: World, closeup: Closeup, qpos: tuple[Array, Array], moved: list[str]) -> tuple[str, ...]:
-    """Return which of the entities that moved touch nothing any more of what they touched, the robot aside."""
-    if not moved:
-        return ()
-    still = np.zeros(world.model.nv)
-    touching: list[set[tuple[int, int]]] = []
-    for q in qpos:
-        closeup.place(q, still)
-        touching.append(closeup.bodies_touching())
-    strikers = {body for bodies in world.striker_bodies.values() for body in bodies}
-    left = []
-    for name in moved:
-        own = set(world.entity_bodies[name])
-        stood, stands = ({b for a, b in pairs if a in own} - own - strikers for pairs in touching)
-        if stood and not stood & stands:
-            left.append(name)
-    return tuple(left)
-
-
-def _dropped(world: World, closeup: Closeup, qpos: tuple[Array, Array]) -> bool:
-    places = []
-    still = np.zeros(world.model.nv)
-    for q in qpos:
-        closeup.place(q, still)
-        site = closeup.data.site(world.scene.tool)
-        places.append(site.xmat.reshape(3, 3).T @ (closeup.data.xpos[world.carried_body] - site.xpos))
-    if np.linalg.norm(places[1] - places[0]) <= DROPPED:
-        return False
-    pads = {int(world.model.geom_bodyid[g]) for g in world.robot.pads}
-    carried = set(world.striker_bodies["carried"])
-    return not any(a in carried and b in pads for a, b in closeup.bodies_touching())
+def _up(quat: Float[Array, "body wxyz"]) -> Float[Array, "body xyz"]:
+    """Return the vertical in the bodies' own frames."""
+    w, x, y, z = quat.T
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)

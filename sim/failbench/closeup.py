@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from failbench.world import World
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Float, Int
 
 Array = np.ndarray
 
@@ -22,17 +22,19 @@ class Touch(NamedTuple):
 
     position: Float[Array, " xyz"]
     """Middle of their contacts, in W [m]."""
-    normal: Float[Array, " xyz"]
-    """Mean direction from the striker to what it strikes."""
     speed: float
-    """How fast they approach along the normal [m/s], >= 0."""
-    mass: float
-    """Effective mass of the striker at the position along the normal [kg]."""
+    """How fast they approach along the mean normal [m/s], >= 0."""
+    energy: float
+    """Kinetic energy of the striker along that normal [J]: half its effective mass at the position times speed^2."""
 
-    @property
-    def energy(self) -> float:
-        """Kinetic energy of the striker along the normal [J]."""
-        return 0.5 * self.mass * self.speed**2
+
+class _Contacts(NamedTuple):
+    """The contacts between a body of the striker and one of what it strikes."""
+
+    striker: int
+    struck: int
+    position: Float[Array, " xyz"]
+    normal: Float[Array, " xyz"]
 
 
 class Closeup:
@@ -48,61 +50,67 @@ class Closeup:
         self.data = mujoco.MjData(self.model)
         self.entities = tuple(world.scene.entities)
         self.owner = _owners(world)
+        self._body = self.model.geom_bodyid.copy()
+        self._jacobians = np.zeros((2, 3, self.model.nv))
 
-    def place(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> None:
-        """Set the state and find all contacts."""
-        self.data.qpos[:], self.data.qvel[:] = qpos, qvel
+    def place(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"] | None = None) -> None:
+        """Set the state, at rest if no velocities are given, and find all contacts."""
+        self.data.qpos = qpos
+        self.data.qvel = 0.0 if qvel is None else qvel
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
 
-    def touching(self) -> set[tuple[int, int]]:
-        """Return the owners of what touches, each pair once with the lower number first."""
-        owners = np.sort(self.owner[self._geoms()], axis=1)
-        return {(int(a), int(b)) for a, b in owners if a != b}
+    def owners(self) -> Int[Array, "contact 2"]:
+        """Return the owners of the geoms of each contact."""
+        return self.owner[self.data.contact.geom]
 
-    def bodies_touching(self) -> set[tuple[int, int]]:
-        """Return the bodies of all contacts, each pair in both orders."""
-        bodies = self.model.geom_bodyid[self._geoms()]
-        return {(int(a), int(b)) for a, b in bodies} | {(int(b), int(a)) for a, b in bodies}
+    def bodies(self) -> Int[Array, "contact 2"]:
+        """Return the bodies of the geoms of each contact."""
+        return self._body[self.data.contact.geom]
+
+    def normal(self, striker: int, struck: int) -> Float[Array, " xyz"] | None:
+        """Return the mean direction of the contacts from one owner to another; None if they do not touch."""
+        contacts = self._between(striker, struck)
+        return None if contacts is None else contacts.normal
 
     def touch(self, striker: int, struck: int) -> Touch | None:
-        """Return how one owner touches another; None if it does not.
-
-        Where several pairs of bodies touch, the deepest contact says which pair is meant.
-        """
-        geoms = self._geoms()
-        owners = self.owner[geoms]
-        ahead = (owners == (striker, struck)).all(axis=1)
-        found = np.flatnonzero(ahead | (owners == (struck, striker)).all(axis=1))
-        if not len(found):
+        """Return how one owner strikes another; None if they do not touch."""
+        contacts = self._between(striker, struck)
+        if contacts is None:
             return None
-        contact = self.data.contact
-        bodies = np.where(ahead[:, None], self.model.geom_bodyid[geoms], self.model.geom_bodyid[geoms[:, ::-1]])
-        pair = bodies[found[np.argmin(contact.dist[found])]]
-        found = found[(bodies[found] == pair).all(axis=1)]
-        normal = np.where(ahead[found, None], 1.0, -1.0) * contact.frame[found, :3]
-        mean = normal.mean(axis=0)
-        length = float(np.linalg.norm(mean))
-        normal = mean / length if length > 1e-6 else normal[0]
-        return self._touch(contact.pos[found].mean(axis=0), normal, int(pair[0]), int(pair[1]))
-
-    def _geoms(self) -> Int[Array, "contact 2"]:
-        return self.data.contact.geom
-
-    def _touch(self, position: Float[Array, " xyz"], normal: Float[Array, " xyz"], striker: int, struck: int) -> Touch:
         model, data = self.model, self.data
         mujoco.mj_comPos(model, data)
-        jac, other = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jac, None, position, striker)
-        mujoco.mj_jac(model, data, other, None, position, struck)
-        speed = float(normal @ (jac - other) @ data.qvel)
-        along = (normal @ jac)[None]
         mujoco.mj_makeM(model, data)
         mujoco.mj_factorM(model, data)
-        response = np.zeros_like(along)
-        mujoco.mj_solveM(model, data, response, along)
-        inverse_mass = float(along[0] @ response[0])
-        return Touch(position, normal, max(speed, 0.0), 1.0 / inverse_mass if inverse_mass > 0.0 else 0.0)
+        own, other = self._jacobians
+        mujoco.mj_jac(model, data, own, None, contacts.position, contacts.striker)
+        mujoco.mj_jac(model, data, other, None, contacts.position, contacts.struck)
+        speed = max(0.0, float(contacts.normal @ ((own - other) @ data.qvel)))
+        along = contacts.normal @ own
+        response = np.zeros((1, model.nv))
+        mujoco.mj_solveM(model, data, response, along[None])
+        inverse_mass = float(along @ response[0])
+        return Touch(contacts.position, speed, 0.5 * speed**2 / inverse_mass if inverse_mass > 0.0 else 0.0)
+
+    def _between(self, striker: int, struck: int) -> _Contacts | None:
+        """Find the contacts of two owners; of several pairs of bodies, those of the pair that overlaps most."""
+        found: list[tuple[int, int, int, float]] = []
+        for i, (a, b) in enumerate(self.owners().tolist()):
+            if (a, b) == (striker, struck):
+                found.append((i, 0, 1, 1.0))
+            elif (b, a) == (striker, struck):
+                found.append((i, 1, 0, -1.0))
+        if not found:
+            return None
+        contact, bodies = self.data.contact, self.bodies().tolist()
+        deepest = min(found, key=lambda f: contact.dist[f[0]])
+        pair = bodies[deepest[0]][deepest[1]], bodies[deepest[0]][deepest[2]]
+        same = [f for f in found if (bodies[f[0]][f[1]], bodies[f[0]][f[2]]) == pair]
+        mean = np.add.reduce([sign * contact.frame[i, :3] for i, _, _, sign in same])
+        length = float(np.sqrt(mean @ mean))
+        normal = mean / length if length > 1e-6 else deepest[3] * contact.frame[deepest[0], :3]
+        position = np.add.reduce([contact.pos[i] for i, *_ in same]) / len(same)
+        return _Contacts(*pair, position, normal)
 
 
 def _owners(world: World) -> Int[Array, " geom"]:
@@ -113,10 +121,3 @@ def _owners(world: World) -> Int[Array, " geom"]:
         if name in world.scene.components:
             owner[list(world.scene.components[name].geoms)] = number
     return owner
-
-
-def bodies_of(world: World, name: str) -> Bool[Array, " body"]:
-    """Return which bodies are those of a component."""
-    mask = np.zeros(world.model.nbody, dtype=bool)
-    mask[list(world.striker_bodies.get(name, ()))] = True
-    return mask

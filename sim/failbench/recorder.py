@@ -11,27 +11,37 @@ from typing import Any
 
 import numpy as np
 
-from failbench.aftermath import aftermath
+from failbench.aftermath import Aftermath
 from failbench.closeup import CARRIED, ROBOT, Closeup
 from failbench.records import ContactEvent
-from failbench.world import World
-from graceful_plan.array_types import Float
+from failbench.secondary import Secondary
+from failbench.world import SENSOR_SIZE, World
+from graceful_plan.array_types import Float, Int
 
 Array = np.ndarray
 
+BLOCK = 50
+"""Steps that are worked on at once. Blocks begin at the onset whatever the segments are, so these change nothing."""
+
 _OWNER = {"body": ROBOT, "carried": CARRIED}
+_State = tuple[Array, Array]
+"""Positions and velocities."""
 
 
 @dataclass(eq=False)
 class _Hit:
-    """What one simulation's component has done to one entity so far. States are pairs of qpos and qvel."""
+    """What one simulation's component has done to one entity so far."""
 
     step: int
     position: Array
-    first: tuple[Array, Array]
+    first: _State
+    """The state at the first touch."""
     peak: float = 0.0
-    peak_state: tuple[Array, Array] = field(default_factory=lambda: (np.zeros(0), np.zeros(0)))
-    peak_force: Array = field(default_factory=lambda: np.zeros(3))
+    """The greatest force so far [N]."""
+    force: Array = field(default_factory=lambda: np.zeros(3))
+    """That force in W."""
+    strongest: _State = field(default_factory=lambda: (np.zeros(0), np.zeros(0)))
+    """The state then."""
     impulse: float = 0.0
 
 
@@ -52,15 +62,21 @@ class Recorder:
         qpos: Float[Array, "sim qpos"],
         qvel: Float[Array, "sim qvel"],
     ) -> None:
-        self.world = world
-        self.closeup = Closeup(world)
-        self.onset = qpos.copy(), qvel.copy()
-        self.last = self.onset
-        self.steps = 0
+        self._world = world
+        self._dt = float(world.model.opt.timestep)
+        self._closeup = Closeup(world)
+        self._onset = self._last = (qpos.copy(), qvel.copy())
+        self._done = 0
+        self._block = [np.zeros((len(qpos), BLOCK, n)) for n in (world.model.nsensordata, qpos.shape[1], qvel.shape[1])]
+        self._filled = 0
         counted = [i for i, pair in enumerate(world.pairs) if pair not in baseline]
         self._pairs = [world.pairs[i] for i in counted]
         self._adr = world.sensor_adr[counted]
-        self._hits: dict[tuple[int, tuple[str, str]], _Hit] = {}
+        unique = list(dict.fromkeys(self._pairs))
+        self._pair = np.array([unique.index(pair) for pair in self._pairs], dtype=int)
+        self._hits: list[dict[tuple[str, str], _Hit]] = [{} for _ in qpos]
+        self._aftermath = Aftermath(world, self._closeup)
+        self._secondary = Secondary(world, self._closeup, self._onset)
 
     def observe(
         self,
@@ -68,77 +84,107 @@ class Recorder:
         qpos: Float[Array, "sim step qpos"],
         qvel: Float[Array, "sim step qvel"],
     ) -> None:
-        """Take in the next segment.
+        """Take in the next segment; nothing of it is kept.
 
         Args:
             sensordata: Recorded along each step, so it belongs to the state before the step.
             qpos: Positions after each step.
             qvel: Velocities after each step.
         """
-        if qpos.shape[1] == 0:
-            return
-        touched = (sensordata[:, :, self._adr] > 0.0).any(axis=1)
-        sensors: dict[tuple[int, tuple[str, str]], list[int]] = {}
-        for sim, i in np.argwhere(touched):
-            sensors.setdefault((int(sim), self._pairs[i]), []).append(int(self._adr[i]))
-        for key, adr in sensors.items():
-            self._record(key, sensordata[key[0]], adr, qpos, qvel)
-        self.steps += qpos.shape[1]
-        self.last = qpos[:, -1].copy(), qvel[:, -1].copy()
-
-    def _record(
-        self,
-        key: tuple[int, tuple[str, str]],
-        sensordata: Float[Array, "step sensordata"],
-        adr: list[int],
-        qpos: Float[Array, "sim step qpos"],
-        qvel: Float[Array, "sim step qvel"],
-    ) -> None:
-        """Add what the sensors of one component and entity felt during the segment."""
-        found = sensordata[:, adr] > 0.0
-        steps = np.flatnonzero(found.any(axis=1))
-        force = np.add.reduce([sensordata[steps, a + 1 : a + 4] for a in adr])
-        size = np.sqrt(force[:, 0] ** 2 + force[:, 1] ** 2 + force[:, 2] ** 2)
-
-        def before(step: int) -> tuple[Array, Array]:
-            if step == 0:
-                return self.last[0][key[0]], self.last[1][key[0]]
-            return qpos[key[0], step - 1].copy(), qvel[key[0], step - 1].copy()
-
-        if key not in self._hits:
-            a = adr[int(np.argmax(found[steps[0]]))]
-            first = int(steps[0])
-            self._hits[key] = _Hit(self.steps + first, sensordata[first, a + 4 : a + 7].copy(), before(first))
-        hit = self._hits[key]
-        # One after the other, so that rounding does not depend on where segments end.
-        hit.impulse = float(np.add.accumulate(np.append(hit.impulse, size * self.world.model.opt.timestep))[-1])
-        strongest = int(np.argmax(size))
-        if size[strongest] > hit.peak:
-            hit.peak, hit.peak_force = float(size[strongest]), force[strongest].copy()
-            hit.peak_state = before(int(steps[strongest]))
+        steps, taken = qpos.shape[1], 0
+        while taken < steps:
+            count = min(BLOCK - self._filled, steps - taken)
+            part = slice(taken, taken + count)
+            if count == BLOCK:
+                self._work(sensordata[:, part], qpos[:, part], qvel[:, part])
+            else:
+                for kept, given in zip(self._block, (sensordata, qpos, qvel), strict=True):
+                    kept[:, self._filled : self._filled + count] = given[:, part]
+                self._filled += count
+                if self._filled == BLOCK:
+                    self._flush()
+            taken += count
 
     def finish(self, sim: int) -> dict[str, Any]:
         """Return what became of one simulation: the fields of a Rollout that are consequences."""
-        hits = [(pair, hit) for (s, pair), hit in self._hits.items() if s == sim]
-        events = [self._event(pair, hit) for pair, hit in hits]
-        fields = aftermath(self.world, self.closeup, (self.onset[0][sim], self.last[0][sim]))
-        return fields | {"events": tuple(sorted(events, key=lambda e: e.time))}
+        self._flush()
+        events = [self._event(pair, hit) for pair, hit in self._hits[sim].items()]
+        events += self._secondary.events(sim)
+        fields = self._aftermath.fields(self._onset[0][sim], self._last[0][sim])
+        return fields | {"events": tuple(sorted(events, key=lambda e: (e.time, e.entity, e.striker)))}
+
+    def _flush(self) -> None:
+        if self._filled:
+            part, self._filled = self._filled, 0
+            self._work(*(kept[:, :part] for kept in self._block))
+
+    def _work(
+        self,
+        sensordata: Float[Array, "sim step sensordata"],
+        qpos: Float[Array, "sim step qpos"],
+        qvel: Float[Array, "sim step qvel"],
+    ) -> None:
+        """Take in one block."""
+        touched = (sensordata[:, :, self._adr] > 0.0).any(axis=1)
+        sims, sensors = np.nonzero(touched)
+        if len(sims):
+            self._touches(sims, sensors, sensordata, qpos, qvel)
+        self._secondary.observe(self._done, qpos, qvel)
+        self._done += qpos.shape[1]
+        self._last = qpos[:, -1].copy(), qvel[:, -1].copy()
+
+    def _touches(
+        self,
+        sims: Int[Array, " touch"],
+        sensors: Int[Array, " touch"],
+        sensordata: Float[Array, "sim step sensordata"],
+        qpos: Float[Array, "sim step qpos"],
+        qvel: Float[Array, "sim step qvel"],
+    ) -> None:
+        """Add what sensors felt during the block; those between one component and one entity act as one."""
+        columns = self._adr[sensors][:, None, None] + np.arange(SENSOR_SIZE)
+        felt = sensordata[sims[:, None, None], np.arange(qpos.shape[1])[:, None], columns]
+        starts = np.flatnonzero(np.diff(sims, prepend=-1) | np.diff(self._pair[sensors], prepend=-1))
+        force = np.add.reduceat(felt[..., 1:4], starts)
+        size = np.sqrt(np.einsum("tsx,tsx->ts", force, force))
+        found = np.add.reduceat(felt[..., 0], starts) > 0.0
+        rows = zip(
+            starts.tolist(),
+            found.argmax(axis=1).tolist(),
+            size.argmax(axis=1).tolist(),
+            (size.sum(axis=1) * self._dt).tolist(),
+            strict=True,
+        )
+        for row, (i, first, peak, impulse) in enumerate(rows):
+            sim, pair = int(sims[i]), self._pairs[sensors[i]]
+
+            def before(step: int, sim: int = sim) -> _State:
+                if step == 0:
+                    return self._last[0][sim], self._last[1][sim]
+                return qpos[sim, step - 1].copy(), qvel[sim, step - 1].copy()
+
+            hit = self._hits[sim].get(pair)
+            if hit is None:
+                hit = self._hits[sim][pair] = _Hit(self._done + first, felt[i, first, 4:].copy(), before(first))
+            hit.impulse += impulse
+            if size[row, peak] > hit.peak:
+                hit.peak, hit.force, hit.strongest = float(size[row, peak]), force[row, peak].copy(), before(peak)
 
     def _event(self, pair: tuple[str, str], hit: _Hit) -> ContactEvent:
-        striker, entity = _OWNER[pair[0]], self.closeup.entities.index(pair[1])
-        self.closeup.place(*hit.first)
-        touch = self.closeup.touch(striker, entity)
-        position = hit.position if touch is None else touch.position
+        striker, entity = _OWNER[pair[0]], self._closeup.entities.index(pair[1])
+        self._closeup.place(*hit.first)
+        touch = self._closeup.touch(striker, entity)
         peak = hit.peak
         if peak > 0.0:
-            self.closeup.place(*hit.peak_state)
-            at_peak = self.closeup.touch(striker, entity)
-            peak = peak if at_peak is None else abs(float(hit.peak_force @ at_peak.normal))
+            self._closeup.place(*hit.strongest)
+            normal = self._closeup.normal(striker, entity)
+            peak = peak if normal is None else abs(float(hit.force @ normal))
+        x, y, z = hit.position if touch is None else touch.position
         return ContactEvent(
             striker=pair[0],
             entity=pair[1],
-            time=hit.step * self.world.model.opt.timestep,
-            position=(float(position[0]), float(position[1]), float(position[2])),
+            time=hit.step * self._dt,
+            position=(float(x), float(y), float(z)),
             peak_force=peak,
             impulse=hit.impulse,
             speed=0.0 if touch is None else touch.speed,
