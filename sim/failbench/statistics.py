@@ -103,7 +103,7 @@ def estimate_mean(
 def estimate_probability(hits: ArrayLike, *, weights: ArrayLike | None = None, confidence: float = 0.95) -> Estimate:
     """Estimate a probability from whether each trial was a hit: `wilson`, or `estimate_mean` if weights differ."""
     y = _finite("hits", hits)
-    if weights is None or np.ptp(np.asarray(weights, dtype=float)) == 0.0:
+    if weights is None or len(np.unique(np.asarray(weights))) <= 1:
         return wilson(int(np.count_nonzero(y)), len(y), confidence)
     return estimate_mean(y, (0.0, 1.0), weights=weights, confidence=confidence)
 

@@ -194,8 +194,8 @@ def test_cluster_bootstrap_takes_any_statistic() -> None:
 def test_misuse_is_refused() -> None:
     with pytest.raises(SettingError, match="hits = 3, expected between 0 and n = 2"):
         wilson(3, 2)
-    with pytest.raises(SettingError, match=r"confidence = 95, expected 0 < confidence < 1"):
-        estimate_mean([1.0], (0.0, 1.0), confidence=95)
+    with pytest.raises(SettingError, match=r"confidence = 95.0, expected 0 < confidence < 1"):
+        estimate_mean([1.0], (0.0, 1.0), confidence=95.0)
     with pytest.raises(SettingError, match=r"weights = -1\.0, expected weights >= 0"):
         estimate_mean([1.0, 2.0], (0.0, 2.0), weights=[1.0, -1.0])
     with pytest.raises(ShapeError, match=r"weights has shape \(1,\)"):

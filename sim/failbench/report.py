@@ -1,0 +1,135 @@
+"""What a validation says: records, a table to read, a JSON document."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from failbench.records import Job
+from failbench.statistics import Estimate
+from graceful_plan import documents
+from graceful_plan.array_types import Float
+
+Array = np.ndarray
+
+_SCHEMA = {"schema": "failbench.validation", "version": 1}
+
+
+@dataclass(frozen=True, kw_only=True)
+class EntityReport:
+    """What failures do to one entity.
+
+    Args:
+        probability: Probability that a failure makes the robot, the carried object or its contents touch it.
+        impact: Its share of the observed impact.
+        predicted: Its share of the predicted impact.
+    """
+
+    probability: Estimate
+    impact: Estimate
+    predicted: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ValidationReport:
+    """Observed impact of failures along a motion beside the predicted. Made by `validate`.
+
+    Impacts are severities per failure. Diverged rollouts are in no estimate; they are counted.
+
+    | field       | meaning                                                                                         |
+    |-------------|-------------------------------------------------------------------------------------------------|
+    | scene       | name of the scene                                                                               |
+    | observed    | sum of the severities of what is touched, each entity once                                      |
+    | energy      | the same, each severity times the probability that the energy of the touch does damage          |
+    | secondary   | the same as `observed` for entities that other entities are knocked onto                        |
+    | predicted   | mean of the planner's sum of P S over the times of the failures                                 |
+    | by_fault    | observed impact of each fault, by "NAME/DEGREE"                                                 |
+    | by_entity   | share of each entity                                                                            |
+    | dropped     | fraction of the rollouts in which the carried object left the gripper                           |
+    | spilled     | lost fraction of the contents                                                                   |
+    | diverged    | rollouts whose simulation blew up                                                               |
+    | n           | rollouts, with the diverged ones                                                                |
+    | effective_n | rollouts of equal weight that would tell as much; n without importance sampling                 |
+    | seed        | of everything random                                                                            |
+    | horizon     | how long was simulated after each onset [s]                                                     |
+    | confidence  | of the intervals                                                                                |
+    | greatest    | severity of the worst single touch that is possible; guards the intervals                       |
+    | versions    | of what computed this                                                                           |
+    | jobs        | the failures                                                                                    |
+    | impacts     | observed impact of each; NaN if it diverged                                                     |
+    """
+
+    scene: str
+    observed: Estimate
+    energy: Estimate
+    secondary: Estimate
+    predicted: float
+    by_fault: Mapping[str, Estimate]
+    by_entity: Mapping[str, EntityReport]
+    dropped: Estimate
+    spilled: Estimate
+    diverged: int
+    n: int
+    effective_n: float
+    seed: int
+    horizon: float
+    confidence: float
+    greatest: float
+    versions: Mapping[str, str]
+    jobs: tuple[Job, ...]
+    impacts: Float[Array, " n"]
+
+    @property
+    def predicted_by_entity(self) -> dict[str, float]:
+        """Share of each entity in the predicted impact."""
+        return {name: entity.predicted for name, entity in self.by_entity.items()}
+
+    def __str__(self) -> str:
+        share = f"{100.0 * self.confidence:g} %"
+        head = f"{self.scene}: {self.n} failures, {self.horizon:g} s after each, seed {self.seed}"
+        head += f"; {self.diverged} diverged and are left out" if self.diverged else ""
+        rows = [
+            ["observed impact", *_cells(self.observed)],
+            ["predicted impact", self.predicted, ""],
+            ["  weighed by energy", *_cells(self.energy)],
+            ["  secondary", *_cells(self.secondary)],
+            ["dropped", *_cells(self.dropped)],
+            ["spilled", *_cells(self.spilled)],
+            *([f"  {name}", *_cells(estimate)] for name, estimate in self.by_fault.items()),
+        ]
+        touched = [item for item in self.by_entity.items() if item[1].probability.mean > 0.0 or item[1].predicted]
+        worst = sorted(touched, key=lambda item: -max(item[1].impact.mean, item[1].predicted))
+        entities = [[name, *_cells(e.probability), *_cells(e.impact), e.predicted] for name, e in worst]
+        tables = [documents.table(["per failure", "mean", share], rows)]
+        if entities:
+            columns = ["entity", "touched", share, "impact", share, "predicted"]
+            tables.append(documents.table(columns, entities))
+        return "\n\n".join([head, *tables])
+
+    def to_document(self) -> dict[str, Any]:
+        """Return everything but the single failures as a document of plain values."""
+        names = "scene predicted diverged n effective_n seed horizon confidence greatest".split()
+        estimates = ("observed", "energy", "secondary", "dropped", "spilled")
+        return {
+            **_SCHEMA,
+            **{name: getattr(self, name) for name in names},
+            **{name: asdict(getattr(self, name)) for name in estimates},
+            "by_fault": {name: asdict(estimate) for name, estimate in self.by_fault.items()},
+            "by_entity": {name: asdict(entity) for name, entity in self.by_entity.items()},
+            "versions": dict(self.versions),
+        }
+
+    def to_json(self, file: str | FilePath | None = None) -> str:
+        """Return the document as JSON text, NaN as null; write it to `file` if one is given."""
+        text = documents.to_json(self.to_document()) + "\n"
+        if file is not None:
+            FilePath(file).write_text(text, encoding="utf-8")
+        return text
+
+
+def _cells(estimate: Estimate) -> tuple[float, str]:
+    return estimate.mean, f"[{estimate.low:.3g}, {estimate.high:.3g}]"
