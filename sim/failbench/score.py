@@ -43,7 +43,7 @@ class Fragility:
         """Return the probability of damage by a touch with some kinetic energy [J]; 0 without any."""
         if energy <= 0.0:
             return 0.0
-        return 0.5 * math.erfc(-math.log(energy / self.median) / (self.spread * math.sqrt(2.0)))
+        return 0.5 * math.erfc((math.log(self.median) - math.log(energy)) / (self.spread * math.sqrt(2.0)))
 
 
 @dataclass(frozen=True)
