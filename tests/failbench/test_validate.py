@@ -1,0 +1,291 @@
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+import re
+import sys
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from failbench import AtFraction, ContactEvent, Fault, Job, Rollout, Uniform
+from failbench.faults import GripperFailure, Noise, PowerLoss
+from failbench.report import ValidationReport
+from failbench.scenarios import scenarios
+from failbench.validate import chosen_faults, compare, predicted_impact, validate
+from graceful_plan import ImpactCost, Objective, PlanningFailed, PlanResult, PlanStatus, SettingError, UnknownNameError
+
+_EXACT = 1e-9
+"""Sums agree but for rounding."""
+
+
+@cache
+def scene() -> gp.Scene:
+    return gp.load_scene("tabletop").tasks["green_to_blue"].scene
+
+
+@cache
+def motion(w: float = 0.0) -> gp.Trajectory:
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    return gp.plan(task.start, task.goal, scene(), w=w, iterations=20, speed=0.5).unwrap()
+
+
+@cache
+def report(w: float = 0.0, importance: bool = False) -> ValidationReport:
+    return validate(motion(w), scene(), "drop/*/severe", n=30, horizon=0.5, threads=2, importance=importance)
+
+
+# --- with simulation -------------------------------------------------------------------------------------------------
+
+
+def test_shares_add_up() -> None:
+    found = report()
+    assert (found.n, found.effective_n, found.diverged) == (30, 30.0, 0)
+    assert sum(entity.impact.mean for entity in found.by_entity.values()) == pytest.approx(found.observed.mean)
+    assert sum(found.predicted_by_entity.values()) == pytest.approx(found.predicted)
+    assert list(found.by_fault) == ["gripper_failure/severe", "weak_grip/severe", "stuck_gripper/severe"]
+    assert np.mean([e.mean for e in found.by_fault.values()]) == pytest.approx(found.observed.mean)
+    assert {e.n for e in found.by_fault.values()} == {10}
+    assert list(found.by_entity) == list(scene().entities)
+    assert found.dropped.mean > 0.9
+    assert found.observed.mean > 0.0
+    assert found.energy.mean <= found.observed.mean
+
+
+def test_the_same_seed_gives_the_same_report_on_any_number_of_threads() -> None:
+    again = validate(motion(), scene(), ["drop/*/severe"], n=30, horizon=0.5, threads=1)
+    assert again.to_json() == report().to_json()
+    assert np.array_equal(again.impacts, report().impacts)
+
+
+def test_configurations_are_timed_first() -> None:
+    q = motion().sample(0.5).q
+    found = validate(q, scene(), GripperFailure(), n=2, horizon=0.1)
+    assert found.n == 2
+
+
+def test_pairs_share_their_random_numbers() -> None:
+    first, second = report(0.0), report(2.0)
+    difference = compare(first, second)
+    assert difference.mean == pytest.approx(first.observed.mean - second.observed.mean)
+    assert difference == compare(motion(0.0), motion(2.0), scene(), "drop/*/severe", n=30, horizon=0.5)
+    back = compare(second, first)
+    assert (back.mean, back.low, back.high) == pytest.approx((-difference.mean, -difference.high, -difference.low))
+    assert compare(first, first).mean == 0.0
+
+
+def test_importance_sampling_estimates_the_same() -> None:
+    weighted, even = report(importance=True), report()
+    assert weighted.effective_n < even.effective_n
+    assert weighted.predicted == even.predicted
+    low, high = max(weighted.observed.low, even.observed.low), min(weighted.observed.high, even.observed.high)
+    assert low < high
+    with pytest.raises(SettingError, match="no importance sampling"):
+        compare(weighted, even)
+
+
+# --- prediction ------------------------------------------------------------------------------------------------------
+
+
+def test_the_prediction_is_the_planners_own_impact_per_second() -> None:
+    cost = gp.evaluate(motion(), scene(), Objective(exposure="time"))
+    per_second = cost.impact / motion().duration
+    found = report()
+    assert found.predicted == pytest.approx(per_second, rel=0.01)
+    for name, share in cost.impact_by_entity.items():
+        assert found.predicted_by_entity[name] == pytest.approx(share / motion().duration, abs=0.01 * per_second)
+
+
+def test_the_prediction_is_taken_where_failures_begin(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: ())
+    at = {
+        fraction: validate(motion(), scene(), GripperFailure(when=AtFraction(fraction)), n=1).predicted
+        for fraction in (0.2, 0.7)
+    }
+    for fraction, predicted in at.items():
+        q = motion().at(motion().t[0] + fraction * motion().duration).q
+        severity = ImpactCost().severity(scene())
+        exact = np.sum(gp.interaction_probability(scene(), q) * severity)
+        assert predicted == pytest.approx(exact, abs=_EXACT)
+    both = [GripperFailure(when=AtFraction(fraction)) for fraction in at]
+    assert validate(motion(), scene(), both, n=2).predicted == pytest.approx(np.mean(list(at.values())))
+
+
+def test_another_impact_cost_predicts_otherwise(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: ())
+    arm = ImpactCost(components=("body",))
+    times = np.linspace(0.0, motion().duration, 2001)
+    exact = predicted_impact(motion(), scene(), times, arm).sum(axis=1).mean()
+    found = validate(motion(), scene(), GripperFailure(), n=1, prediction=arm)
+    assert found.predicted == pytest.approx(exact, rel=0.01)
+
+
+# --- statistics, on rollouts that are made up ------------------------------------------------------------------------
+
+
+def event(entity: str, striker: str = "carried", secondary: bool = False) -> ContactEvent:
+    return ContactEvent(
+        striker=striker,
+        entity=entity,
+        time=0.1,
+        position=(0.0, 0.0, 0.0),
+        peak_force=1.0,
+        impulse=1.0,
+        speed=1.0,
+        energy=1e3,
+        secondary=secondary,
+    )
+
+
+@pytest.fixture
+def simulated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Return a function that replaces the simulation: what is touched is a function of the job."""
+
+    def replace(touched: Callable[[Job], tuple[ContactEvent, ...]], diverged: Callable[[Job], bool] | None = None):
+        def run(execution, jobs, **_):
+            return [
+                Rollout(
+                    job=job,
+                    onset=job.onset,
+                    events=touched(job),
+                    status="diverged" if diverged is not None and diverged(job) else "completed",
+                )
+                for job in jobs
+            ]
+
+        monkeypatch.setattr(sys.modules["failbench.validate"], "run", run)
+
+    return replace
+
+
+def early(job: Job) -> bool:
+    return job.onset < 0.25 * motion().duration
+
+
+def test_severities_are_counted_once_and_the_worst_of_them(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: (event("red1"), event("red1", "body"), event("table")) if early(job) else ())
+    found = validate(motion(), scene(), GripperFailure(), n=400)
+    assert found.observed.mean == pytest.approx(0.25 * 11.0)
+    assert found.by_entity["red1"].probability.mean == pytest.approx(0.25)
+    assert found.by_entity["red1"].impact.mean == pytest.approx(2.5)
+    assert found.by_entity["table"].impact.mean == pytest.approx(0.25)
+    assert found.by_entity["red2"].impact.mean == 0.0
+    assert 0.0 < found.by_entity["red2"].probability.high < 0.01
+    assert found.observed.low < 2.75 < found.observed.high
+
+
+def test_secondary_touches_are_kept_apart(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: (event("red1", "white1", secondary=True),))
+    found = validate(motion(), scene(), GripperFailure(), n=10)
+    assert found.observed.mean == 0.0
+    assert found.by_entity["red1"].probability.mean == 0.0
+    assert found.secondary.mean > 0.0
+
+
+def test_diverged_rollouts_are_counted_and_in_no_mean(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: (event("red1"),), diverged=early)
+    found = validate(motion(), scene(), GripperFailure(), n=40)
+    assert (found.n, found.diverged, found.observed.n) == (40, 10, 30)
+    assert found.observed.mean == 10.0
+    assert np.count_nonzero(np.isnan(found.impacts)) == 10
+    assert "10 diverged" in str(found)
+    assert json.loads(found.to_json())["diverged"] == 10
+    simulated(lambda job: (event("red2"),))
+    sound = validate(motion(), scene(), GripperFailure(), n=40)
+    assert compare(found, sound).n == 30
+
+
+def test_if_everything_diverges_nothing_is_known(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: (), diverged=lambda job: True)
+    found = validate(motion(), scene(), GripperFailure(), n=3)
+    assert np.isnan(found.observed.mean)
+    assert found.observed.high == found.greatest == 10.0
+    assert json.loads(found.to_json())["observed"] == {"mean": None, "low": 0.0, "high": 10.0, "n": 0}
+    assert "nan" in str(found)
+
+
+def test_importance_sampling_is_unbiased(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: (event("red1"),) if early(job) else ())
+    found = validate(motion(), scene(), GripperFailure(), n=4000, importance=True)
+    assert found.observed.mean == pytest.approx(2.5, abs=0.05)
+    assert found.by_entity["red1"].probability.mean == pytest.approx(0.25, abs=0.005)
+    assert found.by_fault["gripper_failure/severe"] == found.observed
+
+
+def test_progress_reaches_the_end(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: ())
+    seen: list[tuple[int, int]] = []
+    validate(motion(), scene(), GripperFailure(), n=300, progress=lambda done, n: seen.append((done, n)))
+    assert seen[-1] == (300, 300)
+    assert len(seen) > 1
+    assert seen == sorted(seen)
+
+
+# --- what fails ------------------------------------------------------------------------------------------------------
+
+
+def test_faults_are_chosen_by_pattern_or_given() -> None:
+    assert chosen_faults("drop/*") == tuple(dict.fromkeys(scenario.fault for scenario in scenarios("drop/*")))
+    assert len(chosen_faults(["drop/*", "end_effector/*", "*/noise/minor"])) == 13
+    own = Noise(degree="minor", when=Uniform(0.5, 1.0))
+    assert chosen_faults(own) == (own,)
+    assert chosen_faults([own, "tabletop/lift_to_goal/noise/minor"]) == (own, Noise(degree="minor"))
+
+
+def test_faults_of_one_kind_keep_their_own_names(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: ())
+    faults: list[Fault] = [PowerLoss(), PowerLoss(brake="none"), PowerLoss(brake="immediate")]
+    found = validate(motion(), scene(), faults, n=3)
+    assert list(found.by_fault) == ["power_loss/severe", "power_loss/severe (2)", "power_loss/severe (3)"]
+
+
+def test_misuse_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown scenarios 'drip/\*'; valid: .*drop/\*"):
+        validate(motion(), scene(), "drip/*")
+    with pytest.raises(SettingError, match="at least one pattern or fault"):
+        validate(motion(), scene(), [])
+    with pytest.raises(SettingError, match="n = 0, expected a whole number, at least 1"):
+        validate(motion(), scene(), n=0)
+    with pytest.raises(SettingError, match=r"confidence = 1\.0"):
+        validate(motion(), scene(), n=1, confidence=1.0)
+    with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
+        validate(motion(), scene(), Noise(targets=("elbow",)), n=1)
+    with pytest.raises(PlanningFailed, match="TIMEOUT"):
+        validate(PlanResult(status=PlanStatus.TIMEOUT), scene())
+    with pytest.raises(SettingError, match="scene = None, expected the scene of the motions"):
+        compare(motion(), motion())
+    other = dataclasses.replace(report(), jobs=report().jobs[:-1])
+    with pytest.raises(SettingError, match="the same faults, n, seed and horizon"):
+        compare(report(), other)
+
+
+# --- reading it ------------------------------------------------------------------------------------------------------
+
+
+def test_the_table_says_what_was_hit() -> None:
+    text = str(report())
+    assert "tabletop: 30 failures, 0.5 s after each, seed 0\n" in text
+    assert re.search(r"^observed impact +\S+ +\[\S+, \S+\]$", text, flags=re.MULTILINE)
+    assert re.search(r"^predicted impact +\d", text, flags=re.MULTILINE)
+    for name, entity in report().by_entity.items():
+        shown = re.search(rf"^{name} ", text, flags=re.MULTILINE) is not None
+        assert shown == bool(entity.probability.mean > 0.0 or entity.predicted > 0.0)
+
+
+def test_the_document_holds_everything(tmp_path) -> None:
+    text = report().to_json(tmp_path / "report.json")
+    assert (tmp_path / "report.json").read_text() == text
+    document = json.loads(text)
+    fields = {field.name for field in dataclasses.fields(ValidationReport)} - {"jobs", "impacts"}
+    assert document.keys() == fields | {"schema", "version"}
+    assert document["observed"] == dataclasses.asdict(report().observed)
+    assert document["by_entity"]["red1"]["predicted"] == report().by_entity["red1"].predicted
+
+
+def test_the_field_table_lists_the_fields() -> None:
+    rows = re.findall(r"^\s*\| (\w+) ", inspect.getdoc(ValidationReport) or "", flags=re.MULTILINE)
+    assert rows == ["field", *(field.name for field in dataclasses.fields(ValidationReport))]
