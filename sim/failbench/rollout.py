@@ -6,6 +6,7 @@ so in the same steps. What comes out does not depend on the batch: each simulati
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 
@@ -17,13 +18,11 @@ from failbench.execution import CHECKPOINT, Execution, put
 from failbench.injection import CTRL, Injection
 from failbench.recorder import Recorder
 from failbench.records import Job, Rollout
+from failbench.rest import PERIOD, let_sleep
+from failbench.world import World
 from graceful_plan import SettingError
 
 Array = np.ndarray
-
-_SEGMENT = 50
-"""Steps simulated natively in one go, at most; bounds the memory for what is recorded."""
-
 
 _COUNT = 1
 """Column of a simulation's warnings that says how often each was raised."""
@@ -59,7 +58,7 @@ def run(
     order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.PERIOD is not None, jobs[i].fault.NAME, i))
     size = min(batch, len(jobs))
     simulations = Batch(execution.world.model, size, nthread=threads, persistent=True)
-    names = sorted({name for job in jobs for name in job.fault.FIELDS})
+    names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
     fields = {name: simulations.expand(name) for name in names}
     rollouts: dict[int, Rollout] = {}
     with _warnings_counted_only():
@@ -93,7 +92,7 @@ def _run_group(
         )
         for i, job in enumerate(jobs)
     ]
-    diverged = _simulate(simulations, sims, injections, recorder, steps)
+    diverged = _simulate(execution.world, simulations, injections, recorder, fields["tree_sleep_policy"], steps)
     return [
         Rollout(
             job=job,
@@ -107,19 +106,32 @@ def _run_group(
 
 
 def _simulate(
-    simulations: Batch, sims: Array, injections: Sequence[Injection], recorder: Recorder, steps: int
+    world: World,
+    simulations: Batch,
+    injections: Sequence[Injection],
+    recorder: Recorder,
+    sleep_policy: Array,
+    steps: int,
 ) -> Array:
     """Step all simulations to the end; return which of them blew up."""
-    step = 0
+    model, count, step = world.model, len(injections), 0
+    sims, xpos = np.arange(count), simulations.bind("xpos")
+    sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
+    room = {name: np.empty(count * PERIOD * size) for name, size in sizes.items()}
     while step < steps:
         for injection in injections:
             if injection.next == step:
                 injection.act()
-        until = min(steps, step + _SEGMENT, *(injection.next for injection in injections))
+        until = min(steps, step + PERIOD - step % PERIOD, *(injection.next for injection in injections))
         commands = np.stack([injection.plant.command[step:until] for injection in injections])
-        out = simulations.rollout(until - step, commands, CTRL, record=("sensordata", "qpos", "qvel"), ids=sims)
+        # Memory that is used again: fresh pages cost more than what is written into them.
+        shapes = {name: (count, until - step, size) for name, size in sizes.items()}
+        out = {name: room[name][: math.prod(shape)].reshape(shape) for name, shape in shapes.items()}
+        simulations.rollout(until - step, commands, CTRL, record=tuple(sizes), ids=sims, out=out)
         recorder.observe(out["sensordata"], out["qpos"], out["qvel"])
         step = until
+        if step % PERIOD == 0:
+            let_sleep(world, xpos[:count], sleep_policy[:count])
     return simulations.warning[sims, :, _COUNT].any(axis=1)
 
 

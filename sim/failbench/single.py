@@ -10,6 +10,7 @@ import mujoco
 from failbench.execution import STATE, Execution
 from failbench.injection import Injection
 from failbench.records import Job
+from failbench.rest import PERIOD, let_sleep
 
 
 def steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
@@ -36,4 +37,6 @@ def steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Iterator[t
             injection.act()
         data.ctrl[:] = injection.plant.command[step]
         mujoco.mj_step(model, data)
+        if (step + 1) % PERIOD == 0:
+            let_sleep(execution.world, data.xpos[None], model.tree_sleep_policy[None])
         yield model, data
