@@ -94,17 +94,20 @@ class ValidationReport:
         head += f"; {self.diverged} diverged and are left out" if self.diverged else ""
         rows = [
             ["observed impact", *_cells(self.observed)],
-            ["predicted impact", self.predicted, ""],
-            ["  weighed by energy", *_cells(self.energy)],
+            ["  weighted by energy", *_cells(self.energy)],
             ["  secondary", *_cells(self.secondary)],
+            ["predicted impact", self.predicted, ""],
             ["dropped", *_cells(self.dropped)],
             ["spilled", *_cells(self.spilled)],
-            *([f"  {name}", *_cells(estimate)] for name, estimate in self.by_fault.items()),
         ]
+        faults = [[name, *_cells(estimate)] for name, estimate in self.by_fault.items()]
         touched = [item for item in self.by_entity.items() if item[1].probability.mean > 0.0 or item[1].predicted]
         worst = sorted(touched, key=lambda item: -max(item[1].impact.mean, item[1].predicted))
         entities = [[name, *_cells(e.probability), *_cells(e.impact), e.predicted] for name, e in worst]
-        tables = [documents.table(["per failure", "mean", share], rows)]
+        tables = [
+            documents.table(["per failure", "mean", share], rows),
+            documents.table(["fault", "observed impact", share], faults),
+        ]
         if entities:
             columns = ["entity", "touched", share, "impact", share, "predicted"]
             tables.append(documents.table(columns, entities))

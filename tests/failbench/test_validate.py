@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -276,7 +277,7 @@ def test_the_table_says_what_was_hit() -> None:
         assert shown == bool(entity.probability.mean > 0.0 or entity.predicted > 0.0)
 
 
-def test_the_document_holds_everything(tmp_path) -> None:
+def test_the_document_holds_everything(tmp_path: Path) -> None:
     text = report().to_json(tmp_path / "report.json")
     assert (tmp_path / "report.json").read_text() == text
     document = json.loads(text)
