@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from graceful_plan import GracefulPlanError
@@ -38,3 +39,41 @@ class WorkerError(GracefulPlanError, RuntimeError):
             f"workers: {problem}; a script that uses workers has to keep its own actions below "
             'if __name__ == "__main__":'
         )
+
+
+class NoPicture(GracefulPlanError, RuntimeError):
+    """A picture that cannot be made or shown on this machine.
+
+    Args:
+        problem: What is missing.
+        remedy: What to do about it.
+    """
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        self.problem, self.remedy = problem, remedy
+        super().__init__(f"{problem}; {remedy}")
+
+
+class SweepFailed(GracefulPlanError, RuntimeError):
+    """A sweep of which chunks failed. What is done is kept.
+
+    Args:
+        folder: The sweep's folder.
+        errors: What went wrong, a text for each chunk.
+        chunks: Number of all chunks.
+    """
+
+    def __init__(self, folder: Path, errors: Sequence[str], chunks: int) -> None:
+        self.folder, self.errors, self.chunks = folder, tuple(errors), chunks
+        super().__init__(
+            f"{folder}: {len(self.errors)} of {chunks} chunks failed and there is no dataset yet; the first: "
+            f"{self.errors[0]}; to try them again: failbench resume {folder}"
+        )
+
+
+class MissingExtra(GracefulPlanError, ImportError):
+    """A package that comes with an extra and is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        self.package, self.extra = package, extra
+        super().__init__(f"{package} is not installed; pip install 'graceful-plan[{extra}]'")

@@ -1,0 +1,66 @@
+"""Rollouts as rows of a dataset: plain JSON values. `tables.py` says what each column means."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from failbench.execution import Execution
+from failbench.faults import to_document
+from failbench.records import Rollout
+from failbench.score import energy_impact, observed_impact, secondary_impact
+
+
+def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
+    """Return the columns that describe a rollout."""
+    job, scene = rollout.job, execution.world.scene
+    return {
+        "fault": job.fault.NAME,
+        "category": job.fault.CATEGORY,
+        "degree": job.fault.degree,
+        "fault_settings": json.dumps(to_document(job.fault), sort_keys=True),
+        "onset": rollout.onset,
+        "duration": execution.duration,
+        "seed": job.seed,
+        "weight": job.weight,
+        "status": rollout.status,
+        "observed_impact": _number(observed_impact(rollout, scene)),
+        "energy_impact": _number(energy_impact(rollout, scene)),
+        "secondary_impact": _number(secondary_impact(rollout, scene)),
+        "contacts": len(rollout.events),
+        "dropped": bool(rollout.dropped),
+        "spilled": _number(rollout.spilled),
+        "fell": list(rollout.fell),
+        "tipped": list(rollout.tipped),
+        "left_support": list(rollout.left_support),
+        "poses": [
+            {"name": name, "wxyz_xyz": [_number(x) for x in pose]} for name, pose in sorted(rollout.poses.items())
+        ],
+        "state": None if rollout.state is None else [float(x) for x in rollout.state],
+    }
+
+
+def contact_rows(number: int, rollout: Rollout) -> list[dict[str, Any]]:
+    """Return a row for each contact event of the rollout of this number."""
+    return [
+        {
+            "rollout": number,
+            "striker": event.striker,
+            "entity": event.entity,
+            "secondary": bool(event.secondary),
+            "time": _number(event.time),
+            **{axis: _number(x) for axis, x in zip("xyz", event.position, strict=True)},
+            "peak_force": _number(event.peak_force),
+            "impulse": _number(event.impulse),
+            "speed": _number(event.speed),
+            "energy": _number(event.energy),
+        }
+        for event in rollout.events
+    ]
+
+
+def _number(value: Any) -> float | None:
+    """Return a finite number; a simulation that blew up may have others, which become null."""
+    number = float(value)
+    return number if math.isfinite(number) else None

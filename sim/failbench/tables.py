@@ -1,0 +1,89 @@
+"""The tables of a dataset: their columns, types, units and meaning."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION = 1
+"""Of the tables' layout; it grows when a column is added, removed or changes its meaning."""
+
+
+class Column(NamedTuple):
+    """A column of a table."""
+
+    name: str
+    type: str
+    """One of "int64", "double", "bool", "string", "list<string>", "list<double>" and "poses"."""
+    unit: str
+    meaning: str
+
+
+ROLLOUTS = (
+    Column("rollout", "int64", "", "number of the rollout in the sweep, from 0"),
+    Column("motion", "string", "", "name of the motion"),
+    Column("scene", "string", "", "bundled scene or scene file"),
+    Column("task", "string", "", "task whose object is carried; null if nothing is"),
+    Column("fault", "string", "", "what broke"),
+    Column("category", "string", "", "actuator, sensor, end_effector or power"),
+    Column("degree", "string", "", "minor, moderate, severe or critical"),
+    Column("fault_settings", "string", "", "all settings of the fault, as JSON"),
+    Column("onset", "double", "s", "when it broke, after the start of the motion"),
+    Column("duration", "double", "s", "duration of the healthy motion"),
+    Column("seed", "int64", "", "of everything random in the rollout"),
+    Column("weight", "double", "", "of the rollout in means: density of onsets asked about over density drawn from"),
+    Column("status", "string", "", "completed, or diverged if the simulation blew up"),
+    Column("observed_impact", "double", "", "sum of the severities of the entities that were touched"),
+    Column("energy_impact", "double", "", "the same, each times the probability of damage at the energy of the touch"),
+    Column("secondary_impact", "double", "", "sum of the severities of entities that only other entities touched"),
+    Column("contacts", "int64", "", "rows of this rollout in the table of contacts"),
+    Column("dropped", "bool", "", "whether the carried object left the gripper"),
+    Column("spilled", "double", "", "lost fraction of the contents, in [0, 1]"),
+    Column("fell", "list<string>", "", "entities that ended more than 5 cm lower than they began"),
+    Column("tipped", "list<string>", "", "entities that ended more than 30 degrees off their initial axis"),
+    Column("left_support", "list<string>", "", "entities that ended without touching what they stood on"),
+    Column("poses", "poses", "m", "final pose in the world of what can move: unit quaternion wxyz, then xyz"),
+    Column(
+        "state", "list<double>", "", "if it diverged: MuJoCo's integration state at the onset, for replay; else null"
+    ),
+)
+
+CONTACTS = (
+    Column("rollout", "int64", "", "number of the rollout"),
+    Column("striker", "string", "", "body, carried, contents, or the entity that was knocked onto the other"),
+    Column("entity", "string", "", "what was touched"),
+    Column("secondary", "bool", "", "whether the striker is an entity"),
+    Column("time", "double", "s", "first touch, after the onset"),
+    Column("x", "double", "m", "where, in the world"),
+    Column("y", "double", "m", "where, in the world"),
+    Column("z", "double", "m", "where, in the world"),
+    Column("peak_force", "double", "N", "greatest normal force; depends on the softness of MuJoCo's contacts"),
+    Column("impulse", "double", "N s", "integral of the contact force's magnitude over time"),
+    Column("speed", "double", "m/s", "relative speed along the normal at the first touch"),
+    Column("energy", "double", "J", "kinetic energy of the striker along the normal at the first touch"),
+)
+
+TABLES = {"rollouts": ROLLOUTS, "contacts": CONTACTS}
+
+
+def arrow_schema(table: str) -> pa.Schema:
+    """Return a table's Arrow schema, with unit and meaning of each column in its field's metadata."""
+    import pyarrow as pa
+
+    types = {
+        "int64": pa.int64(),
+        "double": pa.float64(),
+        "bool": pa.bool_(),
+        "string": pa.string(),
+        "list<string>": pa.list_(pa.string()),
+        "list<double>": pa.list_(pa.float64()),
+        "poses": pa.list_(pa.struct({"name": pa.string(), "wxyz_xyz": pa.list_(pa.float64())})),
+    }
+    return pa.schema(
+        [
+            pa.field(column.name, types[column.type], metadata={"unit": column.unit, "meaning": column.meaning})
+            for column in TABLES[table]
+        ]
+    )
