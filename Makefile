@@ -11,7 +11,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(wildcard
 
 unexport PYTHONPATH
 
-.PHONY: help demo picture test lint bench wheel lock clean
+.PHONY: help demo picture sheet test lint bench wheel lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -30,6 +30,10 @@ demo: $(VENV)/.package
 picture: $(VENV)/.package
 	$(BIN)/graceful-plan demo --iterations 5000
 	cp graceful_plan_demo/demo.png docs/images/demo.png
+
+# The failures in the README; needs OpenGL, off-screen.
+sheet: $(VENV)/.package
+	$(BIN)/python -m failbench.contact_sheet docs/images/faults.png
 
 test: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/python -m pytest -q $(ARGS)
