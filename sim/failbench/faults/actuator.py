@@ -12,6 +12,9 @@ from failbench.faults.drive import DRIVE, scale_response, scale_torque, torque_l
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
 
+_SEIZED = 100.0
+"""Inertia of a seized joint [kg m^2 or kg]: the lock alone would let it tremble when the other joints brake."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CompleteShutdown(Fault):
@@ -106,15 +109,17 @@ class StuckPosition(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "time from the first rubbing to the standstill [s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.4, "moderate": 0.2, "severe": 0.1, "critical": 0.0}
-    FIELDS: ClassVar[tuple[str, ...]] = ("eq_data", "dof_frictionloss", "actuator_forcerange")
+    FIELDS: ClassVar[tuple[str, ...]] = ("eq_data", "dof_frictionloss", "dof_armature", "actuator_forcerange")
     PERIOD: ClassVar[float | None] = 0.02
 
     def apply(self, plant: Plant, level: float) -> None:
         """Let the joint rub, then lock it where it is."""
+        dofs = plant.robot.dofs[plant.joints]
         seized = level * min(1.0, plant.time / self.amount) if self.amount else level
         if seized < 1.0:
-            plant["dof_frictionloss"][plant.robot.dofs[plant.joints]] += seized * torque_limits(plant)
+            plant["dof_frictionloss"][dofs] += seized * torque_limits(plant)
             return
+        plant["dof_armature"][dofs] += _SEIZED
         stuck_at = plant.memory.setdefault("position", plant.q[plant.joints])
         for joint, position in zip(plant.joints, stuck_at, strict=True):
             plant.lock(int(joint), float(position))
