@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 from failbench.chunks import Chunk, Outcome, Work, attempt
 from failbench.errors import WorkerError
@@ -22,6 +22,7 @@ _MAX_STILLBORN = 5
 """How many workers in a row may die before they can work, until it is clear that none ever will."""
 
 
+@runtime_checkable
 class Executor(Protocol):
     """Does chunks somewhere, in any order."""
 

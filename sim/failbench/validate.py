@@ -48,7 +48,7 @@ _CHUNK = 128
 def validate(
     motion: Motion,
     scene: Scene,
-    scenarios: Scenarios = "drop/*",
+    scenarios: Scenarios = "drop/*/severe",
     *,
     n: int = 400,
     horizon: float = 1.0,
@@ -108,7 +108,7 @@ def compare(
     first: Motion | ValidationReport,
     second: Motion | ValidationReport,
     scene: Scene | None = None,
-    scenarios: Scenarios = "drop/*",
+    scenarios: Scenarios = "drop/*/severe",
     *,
     n: int = 400,
     horizon: float = 1.0,
