@@ -15,6 +15,7 @@ from failbench.aftermath import Aftermath
 from failbench.closeup import CARRIED, ROBOT, Closeup
 from failbench.records import ContactEvent
 from failbench.secondary import Secondary
+from failbench.spill import Spill
 from failbench.world import SENSOR_SIZE, World
 from graceful_plan.array_types import Float, Int
 
@@ -53,6 +54,8 @@ class Recorder:
         baseline: Components and entities that touch in the healthy run; they do not count.
         qpos: Positions at the onset.
         qvel: Velocities at the onset.
+        kept: Volume that the healthy run leaves in the container, see `spill.kept_volume` [m^3]; by default what the
+            tilt at the onset leaves.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Recorder:
         baseline: frozenset[tuple[str, str]],
         qpos: Float[Array, "sim qpos"],
         qvel: Float[Array, "sim qvel"],
+        kept: float | None = None,
     ) -> None:
         self._world = world
         self._dt = float(world.model.opt.timestep)
@@ -77,6 +81,7 @@ class Recorder:
         self._hits: list[dict[tuple[str, str], _Hit]] = [{} for _ in qpos]
         self._aftermath = Aftermath(world, self._closeup)
         self._secondary = Secondary(world, self._closeup, self._onset)
+        self._spill = Spill(world, self._closeup, self._onset, kept)
 
     def observe(
         self,
@@ -109,9 +114,11 @@ class Recorder:
         """Return what became of one simulation: the fields of a Rollout that are consequences."""
         self._flush()
         events = [self._event(pair, hit) for pair, hit in self._hits[sim].items()]
-        events += self._secondary.events(sim)
+        spilled, reached = self._spill.finish(sim, self._last[0][sim])
+        events += self._secondary.events(sim) + reached
         fields = self._aftermath.fields(self._onset[0][sim], self._last[0][sim])
-        return fields | {"events": tuple(sorted(events, key=lambda e: (e.time, e.entity, e.striker)))}
+        events.sort(key=lambda event: (event.time, event.entity, event.striker))
+        return fields | {"events": tuple(events), "spilled": spilled}
 
     def _flush(self) -> None:
         if self._filled:
@@ -130,6 +137,7 @@ class Recorder:
         if len(sims):
             self._touches(sims, sensors, sensordata, qpos, qvel)
         self._secondary.observe(self._done, qpos, qvel)
+        self._spill.observe(qpos, qvel)
         self._done += qpos.shape[1]
         self._last = qpos[:, -1].copy(), qvel[:, -1].copy()
 
