@@ -58,3 +58,44 @@ class Stillborn:
 
     def __call__(self, chunk: Chunk) -> Rows:
         raise AssertionError
+
+
+def rollout_row(number: int) -> dict:
+    """A row with every column of the table of rollouts."""
+    return {
+        "rollout": number,
+        "motion": "tabletop/lift_to_goal",
+        "scene": "tabletop",
+        "task": "lift_to_goal" if number % 2 else None,
+        "fault": "gripper_failure",
+        "category": "end_effector",
+        "degree": "severe",
+        "fault_settings": '{"fault": "gripper_failure"}',
+        "onset": number / 7.0,
+        "duration": 3.0,
+        "seed": 2**53 - 1 - number,
+        "weight": 1.0,
+        "status": "diverged" if number == 3 else "completed",
+        "observed_impact": 0.1 * number,
+        "energy_impact": 0.01 * number,
+        "secondary_impact": None if number == 3 else 0.0,
+        "contacts": 1,
+        "dropped": True,
+        "spilled": 0.25,
+        "fell": ["vase", "cup"][: number % 3],
+        "tipped": [],
+        "left_support": ["vase"],
+        "poses": [{"name": "vase", "wxyz_xyz": [1.0, 0.0, 0.0, 0.0, 0.1 * number, 0.2, 0.3]}],
+        "state": [0.1, 0.2] if number == 3 else None,
+    }
+
+
+def contact_row(number: int) -> dict:
+    """A row with every column of the table of contacts."""
+    numbers = dict.fromkeys(("time", "x", "y", "z", "peak_force", "impulse", "speed", "energy"), 0.5 * number)
+    return {"rollout": number, "striker": "carried", "entity": "vase", "secondary": False, **numbers}
+
+
+def full_rows(first: int, last: int) -> Rows:
+    numbers = range(first, last)
+    return {"rollouts": [rollout_row(i) for i in numbers], "contacts": [contact_row(i) for i in numbers]}

@@ -1,0 +1,149 @@
+"""Kill a sweep's driver and workers at random moments, and compare what comes out with an undisturbed run.
+
+python benchmarks/kill_sweep.py [--kills 50] [--seed 0] [--workers 2] [--rollouts 96]
+
+Every kill is a SIGKILL, to the driver or to one of its workers; a killed driver is followed by another one, half of the
+time by `failbench resume`. When the sweep is complete, its dataset has to be the undisturbed one, byte by byte; then
+another sweep begins, until there were enough kills.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
+
+from benchmarks import machine  # noqa: E402 - after the path to it is known
+from failbench.dataset import read_dataset  # noqa: E402
+from failbench.faults import faults, to_document  # noqa: E402
+from failbench.work import Motion, PlanSettings, Sweep  # noqa: E402
+
+FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")
+"""One of each category."""
+
+
+def main() -> int:
+    """Run the command and return how many datasets were not as they should be."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--rollouts", type=int, default=96, help="of each of four faults")
+    args = parser.parse_args()
+    print(machine.describe())
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Trial(Path(folder), rollouts=args.rollouts, workers=args.workers, seed=args.seed)
+        trial.run(args.kills)
+    print(trial.report())
+    return trial.wrong
+
+
+class Trial:
+    """A sweep that is done once in peace, and then again and again under fire."""
+
+    def __init__(self, folder: Path, *, rollouts: int, workers: int, seed: int, horizon: float = 0.5) -> None:
+        self.folder, self.workers, self.random = folder, workers, random.Random(seed)
+        self.kills: Counter[str] = Counter()
+        self.sweeps = self.wrong = self.rows = 0
+        motion = Motion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
+        documents = tuple(to_document(faults()[name]()) for name in FAULTS)
+        sweep = Sweep(motions=(motion,), faults=documents, rollouts=rollouts, horizon=horizon)
+        self.total = rollouts * len(FAULTS)
+        self.file = folder / "sweep.json"
+        # Planned here, because planning is not what is tried.
+        self.file.write_text(json.dumps(sweep.planned().to_document()))
+        started = time.monotonic()
+        assert self._start("peace").wait() == 0
+        self.seconds = time.monotonic() - started
+        self.expected = _content(folder / "peace")
+
+    def run(self, kills: int) -> None:
+        """Kill that many processes, over as many sweeps as that takes."""
+        while self.kills.total() < kills:
+            self._sweep(kills)
+            self.sweeps += 1
+            rollouts = read_dataset(self.folder / "fire").rollouts["rollout"].to_pylist()
+            self.rows += len(rollouts)
+            if rollouts != list(range(self.total)) or _content(self.folder / "fire") != self.expected:
+                self.wrong += 1
+            shutil.rmtree(self.folder / "fire")
+
+    def report(self) -> str:
+        """Return the result as a table."""
+        return "\n".join(
+            [
+                "| kills of drivers | kills of workers | sweeps | rollouts | datasets unlike the undisturbed one |",
+                "|---:|---:|---:|---:|---:|",
+                f"| {self.kills['driver']} | {self.kills['worker']} | {self.sweeps} | {self.rows} | {self.wrong} |",
+            ]
+        )
+
+    def _sweep(self, kills: int) -> None:
+        """Do one sweep to its end, through kills."""
+        while True:
+            driver = self._start("fire")
+            while driver.poll() is None:
+                if self.kills.total() < kills:
+                    self._kill_someone(driver)
+                else:
+                    driver.wait()
+            if driver.returncode == 0:
+                return
+            assert driver.returncode == -signal.SIGKILL, f"the driver gave up: {driver.returncode}"
+
+    def _kill_someone(self, driver: subprocess.Popen[bytes]) -> None:
+        try:
+            driver.wait(self.random.uniform(0.0, 0.6 * self.seconds))
+            return
+        except subprocess.TimeoutExpired:
+            pass
+        workers = _workers(driver.pid)
+        who = self.random.choice(["driver", "worker"]) if workers else "driver"
+        try:
+            os.kill(self.random.choice(workers) if who == "worker" else driver.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            return
+        self.kills[who] += 1
+        if who == "driver":
+            driver.wait()
+
+    def _start(self, name: str) -> subprocess.Popen[bytes]:
+        begun = (self.folder / name / "journal.sqlite").exists() and self.random.random() < 0.5
+        what = ["resume", name] if begun else ["generate", name, "--sweep", str(self.file)]
+        command = [sys.executable, "-m", "failbench.cli", *what, "--workers", str(self.workers)]
+        return subprocess.Popen(command, cwd=self.folder, stdout=subprocess.DEVNULL)
+
+
+def _content(folder: Path) -> dict[str, bytes]:
+    files = (file for part in ("rollouts", "contacts") for file in (folder / part).iterdir())
+    return {str(file.relative_to(folder)): file.read_bytes() for file in [*files, folder / "manifest.json"]}
+
+
+def _workers(driver: int) -> list[int]:
+    """Return the processes that do chunks for a driver."""
+    found = []
+    for child in Path(f"/proc/{driver}/task/{driver}/children").read_text().split():
+        try:
+            command = Path(f"/proc/{child}/cmdline").read_bytes()
+        except OSError:
+            continue
+        if b"spawn_main" in command:
+            found.append(int(child))
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
