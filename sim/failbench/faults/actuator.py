@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.faults.drive import DRIVE, scale_response, scale_torque, torque_limits
+from failbench.faults.drive import DRIVE, FRICTION, add_friction, scale_response, scale_torque
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
 
@@ -109,17 +109,16 @@ class StuckPosition(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "time from the first rubbing to the standstill [s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.4, "moderate": 0.2, "severe": 0.1, "critical": 0.0}
-    FIELDS: ClassVar[tuple[str, ...]] = ("eq_data", "dof_frictionloss", "dof_armature", "actuator_forcerange")
+    FIELDS: ClassVar[tuple[str, ...]] = ("eq_data", "dof_armature", *FRICTION)
     PERIOD: ClassVar[float | None] = 0.02
 
     def apply(self, plant: Plant, level: float) -> None:
         """Let the joint rub, then lock it where it is."""
-        dofs = plant.robot.dofs[plant.joints]
         seized = level * min(1.0, plant.time / self.amount) if self.amount else level
         if seized < 1.0:
-            plant["dof_frictionloss"][dofs] += seized * torque_limits(plant)
+            add_friction(plant, seized)
             return
-        plant["dof_armature"][dofs] += _SEIZED
+        plant["dof_armature"][plant.robot.dofs[plant.joints]] += _SEIZED
         stuck_at = plant.memory.setdefault("position", plant.q[plant.joints])
         for joint, position in zip(plant.joints, stuck_at, strict=True):
             plant.lock(int(joint), float(position))
@@ -133,10 +132,9 @@ class IncreasedFriction(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "dry friction, as a share of the joint's greatest torque"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.1, "moderate": 0.3, "severe": 0.6, "critical": 0.9}
-    FIELDS: ClassVar[tuple[str, ...]] = ("dof_frictionloss", "dof_damping", "actuator_forcerange")
+    FIELDS: ClassVar[tuple[str, ...]] = ("dof_damping", *FRICTION)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Add friction."""
-        dofs, torque = plant.robot.dofs[plant.joints], level * self.amount * torque_limits(plant)
-        plant["dof_frictionloss"][dofs] += torque
-        plant["dof_damping"][dofs] += torque
+        torque = add_friction(plant, level * self.amount)
+        plant["dof_damping"][plant.robot.dofs[plant.joints]] += torque

@@ -1,4 +1,4 @@
-"""What faults do to the drives that they strike: scale what they give, and ask whether the gripper still holds."""
+"""What faults do to the drives that they strike: weaken them, let joints rub, see whether the gripper still holds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ DRIVE = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 GRIP = ("eq_obj2id", "body_mass", "geom_friction")
 """Model fields that `cut_overloaded_weld` needs besides."""
 
+FRICTION = ("dof_frictionloss", "dof_solref", "dof_solimp", "actuator_forcerange")
+"""Model fields that `add_friction` needs."""
+
 _GRAVITY = 9.81
+_STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Impedance of friction that lets a joint at rest creep as little as the solver allows."""
 
 
 def actuators(plant: Plant) -> Array:
@@ -24,9 +29,20 @@ def actuators(plant: Plant) -> Array:
     )
 
 
-def torque_limits(plant: Plant) -> Array:
-    """Return the torque limits of the joints that the fault strikes [N m or N]. Needs "actuator_forcerange"."""
-    return plant["actuator_forcerange"][plant.robot.actuators[plant.joints], 1]
+def add_friction(plant: Plant, share: float) -> Array:
+    """Let the struck joints rub, with dry friction of a share of the greatest torque of their motors.
+
+    Needs the fields `FRICTION`.
+
+    Returns:
+        The friction of each of them [N m or N].
+    """
+    dofs = plant.robot.dofs[plant.joints]
+    torque = share * plant["actuator_forcerange"][plant.robot.actuators[plant.joints], 1]
+    plant["dof_frictionloss"][dofs] += torque
+    plant["dof_solref"][dofs] = [2.0 * plant.dt, 1.0]
+    plant["dof_solimp"][dofs] = _STIFF
+    return torque
 
 
 def scale_response(plant: Plant, share: float) -> None:

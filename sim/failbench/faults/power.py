@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from failbench.faults.drive import DRIVE, GRIP, cut_overloaded_weld, scale_torque, torque_limits
+from failbench.faults.drive import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, scale_torque
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
 from graceful_plan import SettingError
@@ -73,7 +73,7 @@ class PowerLoss(Fault):
     PARAMETER: ClassVar[str] = "time until the brakes hold, if they are delayed [s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.1, "moderate": 0.15, "severe": 0.25, "critical": 0.5}
     TARGETS: ClassVar[tuple[str, ...]] = ("robot",)
-    FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP, "dof_frictionloss")
+    FIELDS: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys((*DRIVE, *GRIP, *FRICTION)))
     PERIOD: ClassVar[float | None] = 0.05
 
     def __post_init__(self) -> None:
@@ -85,11 +85,10 @@ class PowerLoss(Fault):
     def apply(self, plant: Plant, level: float) -> None:
         """Take the torque away, and close the brakes when it is time."""
         wait = {"none": float("inf"), "delayed": self.amount, "immediate": 0.0}[self.brake]
-        brake = _BRAKE_TORQUE * torque_limits(plant)
+        if plant.time >= wait - plant.dt / 2.0:
+            add_friction(plant, level * _BRAKE_TORQUE)
         gripping = {name: plant[name][plant.robot.gripper_actuators] for name in DRIVE}
         scale_torque(plant, 1.0 - level)
-        if plant.time >= wait - plant.dt / 2.0:
-            plant["dof_frictionloss"][plant.robot.dofs[plant.joints]] += level * brake
         if self.grip == "kept":
             for name, values in gripping.items():
                 plant[name][plant.robot.gripper_actuators] = values
