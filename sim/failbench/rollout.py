@@ -18,6 +18,7 @@ from failbench.execution import CHECKPOINT, Execution, put
 from failbench.injection import CTRL, Injection
 from failbench.recorder import Recorder
 from failbench.records import Job, Rollout
+from failbench.spill import kept_volume
 from failbench.rest import PERIOD, let_sleep
 from failbench.world import World
 from graceful_plan import SettingError
@@ -79,7 +80,8 @@ def _run_group(
     checkpoints = [execution.checkpoint(job.onset) for job in jobs]
     put(simulations, sims, execution.states[checkpoints])
     qpos, qvel, active = (simulations.bind(name) for name in ("qpos", "qvel", "eq_active"))
-    recorder = Recorder(execution.world, execution.baseline, qpos[sims].copy(), qvel[sims].copy())
+    kept = kept_volume(execution.world, execution.states)
+    recorder = Recorder(execution.world, execution.baseline, qpos[sims].copy(), qvel[sims].copy(), kept)
     injections = [
         Injection(
             execution,
