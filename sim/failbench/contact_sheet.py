@@ -164,7 +164,6 @@ def picture(execution: Execution, worst: Worst, offscreen: Offscreen) -> UInt8[A
     for moment in film(execution, worst.job, horizon=steps * execution.dt, lead=0.0):
         touches.observe(moment.model, moment.data, moment.time)
         broken = moment.data
-    offscreen.model.geom_rgba[:], offscreen.model.geom_matid[:] = world.model.geom_rgba, world.model.geom_matid
     touches.paint(offscreen.model)
     camera = _camera(execution, worst.place)
     pixels = offscreen.picture(broken, camera, touches.draw)

@@ -63,6 +63,7 @@ class Touches:
         for i, entity in enumerate(world.scene.entities.values()):
             self._entity[list(entity.geoms)] = i
         self._baseline = baseline
+        self._colours = world.model.geom_rgba.copy(), world.model.geom_matid.copy()
         self._recent: dict[tuple[str, str], list[_Touch]] = {}
         self.struck: set[str] = set()
         """The entities that have been hit so far."""
@@ -96,7 +97,8 @@ class Touches:
         return found
 
     def paint(self, model: mujoco.MjModel) -> None:
-        """Colour the entities that were hit, in a model that is only looked at."""
+        """Colour the entities that were hit, and only them, in a model that is only looked at."""
+        model.geom_rgba[:], model.geom_matid[:] = self._colours
         for entity in self.struck:
             geoms = self._entity == self._entities.index(entity)
             model.geom_rgba[geoms, :3], model.geom_matid[geoms] = _STRUCK, -1

@@ -33,6 +33,8 @@ def check_output(output: Path) -> None:
         raise FormatError(str(output), f"expected a folder for PNG files, or a name in {', '.join(SUFFIXES[1:])}")
     if suffix == "" and output.exists() and not output.is_dir():
         raise FormatError(str(output), "frames go into a folder, and this is a file")
+    if suffix == "" and output.exists() and any(output.iterdir()):
+        raise FormatError(str(output), "this folder is not empty; frames of two films would be mixed up")
     if suffix == ".mp4":
         _ffmpeg()
 
@@ -46,8 +48,11 @@ def write_film(frames: Iterator[Image], output: Path, fps: float) -> tuple[Path,
     if suffix == ".mp4":
         _write_video(frames, output, fps)
     else:
+        # GIF counts in hundredths of a second, and what is left over would be cut off.
+        duration = 10 * round(100.0 / fps) if suffix == ".gif" else 1000.0 / fps
         first = next(frames)
-        first.save(output, save_all=True, append_images=frames, duration=1000.0 / fps, loop=0)
+        rest = list(frames) if suffix == ".apng" else frames  # Pillow goes through those of an APNG twice
+        first.save(output, save_all=True, append_images=rest, duration=duration, loop=0)
     return (output,)
 
 

@@ -33,6 +33,8 @@ _SHINE = 0.85
 """Opacity of marks."""
 _MOST = 10_000
 """Geoms in a picture."""
+_SHADOW = 2048
+"""Resolution of shadows; without a graphics card, finer ones take longer than the rest of the picture."""
 _SMOOTHING = 4
 """Samples of each pixel."""
 
@@ -90,6 +92,7 @@ class Offscreen:
         self.model = copy.copy(model)
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.model.vis.quality.offsamples = _SMOOTHING
+        self.model.vis.quality.shadowsize = min(_SHADOW, self.model.vis.quality.shadowsize)
         self._view = mujoco.MjvScene(self.model, maxgeom=_MOST)
         self._marks = mujoco.MjvScene(self.model, maxgeom=_MOST)
         self._marks.flags[:] = 0  # nothing but what is drawn, on black
@@ -101,8 +104,9 @@ class Offscreen:
         """Take a picture, with marks drawn over it: nothing hides them."""
         pixels = self._render(self._view, data, camera, int(mujoco.mjtCatBit.mjCAT_ALL))
         drawn = self._render(self._marks, data, camera, 0, marks)
-        mixed = _SHINE * drawn + (1.0 - _SHINE) * pixels
-        return np.where(drawn.any(axis=2, keepdims=True), mixed, pixels).astype(np.uint8)
+        marked = drawn.max(axis=2) > 0
+        pixels[marked] = _SHINE * drawn[marked] + (1.0 - _SHINE) * pixels[marked]
+        return pixels
 
     def silhouette(self, data: mujoco.MjData, camera: mujoco.MjvCamera, mark: Mark) -> Bool[Array, "height width"]:
         """Return which pixels a mark covers."""

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -25,6 +25,7 @@ from failbench.execution import CHECKPOINT, STATE, Execution
 from failbench.film import captioned, check_output, write_film
 from failbench.offscreen import Offscreen, find_camera, has_display
 from failbench.records import Job, Rollout
+from failbench.rollout import warnings_counted_only
 from graceful_plan import SettingError
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ Array = np.ndarray
 
 _BEFORE, _AFTER = "#2a7f4f", "#c2185b"
 """Colours of the caption's strip before and after the onset."""
+_NAMES = 4
+"""How many entities a caption names."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +103,7 @@ def replay(
         return ()
     output = Path(output)
     check_output(output)
-    with Offscreen(execution.world.model, *size) as offscreen:
+    with Offscreen(execution.world.model, *size) as offscreen, warnings_counted_only():
         moments = film(execution, job, horizon=horizon, lead=lead)
         return write_film(_frames(execution, job, moments, fps * slow, offscreen, seen_from), output, fps)
 
@@ -112,12 +115,19 @@ def film(execution: Execution, job: Job, *, horizon: float, lead: float) -> Iter
     before = (onset - first) * CHECKPOINT
     for step, (model, data) in enumerate(healthy(execution, first, before)):
         yield Moment(time=(step - before) * execution.dt, model=model, data=data)
+    last = None
     for step, (model, data) in enumerate(single.steps(execution, job, horizon=horizon)):
-        # MuJoCo starts again from its initial state when a simulation blows up; that is no part of the rollout.
         diverged = bool(data.warning.number.any())
+        if diverged and last is not None:
+            # MuJoCo has gone back to its initial state; what is to be seen is the last one that made sense.
+            data.qpos[:] = last
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            mujoco.mj_collision(model, data)
         yield Moment(time=step * execution.dt, model=model, data=data, diverged=diverged)
         if diverged:
             return
+        last = data.qpos.copy()
 
 
 def healthy(execution: Execution, checkpoint: int, count: int) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
@@ -147,7 +157,7 @@ def _job(execution: Execution, rollout: Job | Rollout) -> Job:
     else:
         job = rollout.job
         start = execution.states[execution.checkpoint(job.onset)]
-        if rollout.state is not None and not np.array_equal(rollout.state, start):
+        if rollout.state is not None and not np.array_equal(rollout.state, start, equal_nan=True):
             raise SettingError("rollout", f"one of {job.fault.NAME!r}", "a rollout of this execution")
     execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS)
     return job
@@ -191,10 +201,15 @@ def _frames(
         late = moment.time >= 0.0
         text = f"{abs(moment.time):.3f} s {'after' if late else 'before'} the onset"
         if touches.struck:
-            text += f", hit: {', '.join(sorted(touches.struck))}"
+            text += f", hit: {_listed(sorted(touches.struck))}"
         if moment.diverged:
             text += "; the simulation blew up"
         yield captioned(pixels, heading, text, _AFTER if late else _BEFORE)
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - _NAMES
+    return ", ".join(names[:_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _play(
@@ -204,26 +219,29 @@ def _play(
     if not has_display():
         raise NoPicture("there is no display to open MuJoCo's viewer on", "give an output, e.g. output='replay.gif'")
     viewers = importlib.import_module("mujoco.viewer")
-    clean = execution.world.model
-    model = copy.copy(clean)
-    shown = mujoco.MjData(model)
-    with viewers.launch_passive(model, shown) as viewer:
+    shown = mujoco.MjData(copy.copy(execution.world.model))
+    with warnings_counted_only(), viewers.launch_passive(shown.model, shown) as viewer:
         with viewer.lock():
             for name in ("type", "fixedcamid", "distance", "azimuth", "elevation"):
                 setattr(viewer.cam, name, getattr(camera, name))
             viewer.cam.lookat[:] = camera.lookat
         while viewer.is_running():
-            touches, start = Touches(execution.world, execution.baseline), time.monotonic()
-            with viewer.lock():
-                model.geom_rgba[:], model.geom_matid[:] = clean.geom_rgba, clean.geom_matid
-            for moment in _sampled(touches, film(execution, job, horizon=horizon, lead=lead), rate):
-                if not viewer.is_running():
-                    break
-                with viewer.lock():
-                    shown.qpos[:], shown.qvel[:], shown.time = moment.data.qpos, moment.data.qvel, moment.time
-                    mujoco.mj_forward(model, shown)
-                    touches.paint(model)
-                    viewer.user_scn.ngeom = 0
-                    touches.draw(viewer.user_scn)
-                viewer.sync()
-                time.sleep(max(0.0, start + (moment.time + lead) * slow - time.monotonic()))
+            touches = Touches(execution.world, execution.baseline)
+            moments = film(execution, job, horizon=horizon, lead=lead)
+            _play_once(touches, _sampled(touches, moments, rate), shown, slow, viewer)
+
+
+def _play_once(touches: Touches, moments: Iterator[Moment], shown: mujoco.MjData, slow: float, viewer: Any) -> None:
+    began = None
+    for moment in moments:
+        if not viewer.is_running():
+            return
+        with viewer.lock():
+            shown.qpos[:], shown.qvel[:], shown.time = moment.data.qpos, moment.data.qvel, moment.time
+            mujoco.mj_forward(shown.model, shown)
+            touches.paint(shown.model)
+            viewer.user_scn.ngeom = 0
+            touches.draw(viewer.user_scn)
+        viewer.sync()
+        began = time.monotonic() - moment.time * slow if began is None else began
+        time.sleep(max(0.0, began + moment.time * slow - time.monotonic()))

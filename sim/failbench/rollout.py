@@ -62,7 +62,7 @@ def run(
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
     fields = {name: simulations.expand(name) for name in names}
     rollouts: dict[int, Rollout] = {}
-    with _warnings_counted_only():
+    with warnings_counted_only():
         for first in range(0, len(jobs), size):
             group = order[first : first + size]
             done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
@@ -138,7 +138,7 @@ def _simulate(
 
 
 @contextmanager
-def _warnings_counted_only() -> Generator[None, None, None]:
+def warnings_counted_only() -> Generator[None, None, None]:
     """Keep MuJoCo from writing its log into the working directory: each simulation's warnings are read from it."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)

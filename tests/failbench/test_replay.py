@@ -1,10 +1,11 @@
-"""Pictures of failures: right in number and size, true to the simulation, and refused with a reason where impossible."""
+"""Pictures of failures: right in number and size, true to the simulation, refused with a reason where impossible."""
 
 import contextlib
 import os
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -12,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from breaking import Nothing
-from motions import EVERY_DEGREE, Drop, Weaken, arm, execution
+from motions import EVERY_DEGREE, Drop, Shake, Weaken, arm, execution
 from PIL import Image
 
 import graceful_plan as gp
@@ -64,7 +65,7 @@ def images(files):
 
 
 def above_caption(image):
-    return image[: int(0.7 * len(image))]
+    return image[: len(image) // 2]
 
 
 @pytest.mark.usefixtures("gl")
@@ -75,7 +76,7 @@ class TestFrames:
         assert sorted((tmp_path / "a" / "b").iterdir()) == list(files)
         frames = images(files)
         assert {frame.shape for frame in frames} == {(72, 96, 3)}
-        assert all(not np.array_equal(a, b) for a, b in zip(frames, frames[1:], strict=False))
+        assert all(not np.array_equal(a, b) for a, b in pairwise(frames))
 
     def test_a_failure_looks_like_health_until_it_begins(self, done, tmp_path):
         settings = {"horizon": 0.3, "lead": 0.1, "fps": 20.0, "size": SIZE}
@@ -99,8 +100,9 @@ class TestFrames:
         output = tmp_path / f"new/film{suffix}"
         assert replay(done, LATE, output=output, horizon=0.2, lead=0.0, fps=20.0, size=SIZE) == (output,)
         with Image.open(output) as image:
-            assert (image.size, image.n_frames, image.info["loop"]) == (SIZE, 4, 0)
+            assert (image.size, image.n_frames, image.info.get("loop", 0)) == (SIZE, 4, 0)
             image.seek(1)
+            image.load()
             assert image.info["duration"] == pytest.approx(50.0)
 
     def test_gif_is_as_slow_as_the_format_allows_to_say(self, done, tmp_path):
@@ -121,12 +123,13 @@ class TestFrames:
         )
         assert [file.read_bytes() for file in one] == [file.read_bytes() for file in other]
 
-    def test_a_simulation_that_blows_up_is_shown_until_then(self, done, tmp_path):
+    def test_a_simulation_that_blows_up_is_shown_until_then(self, done, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
         [rollout] = run(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.3)
         assert (rollout.status, rollout.state is None) == ("diverged", False)
         files = replay(done, rollout, output=tmp_path / "x", horizon=0.3, lead=0.0, fps=100.0, size=SIZE)
         assert 1 <= len(files) < 30
-        assert not list(Path.cwd().glob("MUJOCO_LOG.TXT")) or Path.cwd() == ROOT
+        assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
     def test_a_named_camera_and_a_free_one_see_different_things(self, done, tmp_path):
         settings = {"horizon": 0.02, "lead": 0.0, "size": SIZE}
@@ -172,7 +175,7 @@ def test_the_film_is_the_rollout(done):
     assert not last.diverged
     start = mujoco.MjData(done.world.model)
     mujoco.mj_setState(done.world.model, start, done.states[done.checkpoint(LATE.onset)], STATE)
-    assert before == pytest.approx(start.qpos, abs=1e-6)
+    assert before == pytest.approx(start.qpos, abs=1e-5)  # what slept wakes up at the fork
     for name, body in done.world.movable.items():
         adr = done.world.model.jnt_qposadr[done.world.model.body_jntadr[body]]
         position = last.data.qpos[adr : adr + 3]
@@ -201,7 +204,7 @@ def test_nothing_is_marked_where_nothing_fails(done):
 
 
 def test_arrows_of_an_object_at_rest_carry_its_weight():
-    done = execution(settings=SimSettings(grasp="weld"))
+    done = execution(settings=SimSettings(grasp="weld", sleep=False))
     touches = Touches(done.world, done.baseline)
     for moment in moments_of(done, Job(fault=Drop(), onset=0.4, seed=0), horizon=1.5, lead=0.0):
         touches.observe(moment.model, moment.data, moment.time)
@@ -212,8 +215,7 @@ def test_arrows_of_an_object_at_rest_carry_its_weight():
     weight = 9.81 * done.world.model.body_mass[done.world.carried_body]
     down = 0.0
     for arrow in arrows:
-        direction, length = arrow.mat[:, 2], np.linalg.norm(arrow.size[2])
-        down -= direction[2] * (length / 0.01) ** 2
+        down -= arrow.mat[2, 2] * (arrow.size[2] / 0.01) ** 2  # its own z axis, and its length
     assert down == pytest.approx(weight, rel=0.1)
 
 
@@ -275,12 +277,12 @@ def test_settings_out_of_range_are_refused(done, tmp_path, setting, value):
 
 
 def test_more_frames_than_steps_are_refused(done, tmp_path):
-    with pytest.raises(gp.SettingError, match="at most one frame for each time step of 0.002 s"):
+    with pytest.raises(gp.SettingError, match=r"at most one frame for each time step of 0\.002 s"):
         replay(done, LATE, output=tmp_path / "x", fps=60.0, slow=10.0)
 
 
 def test_unknown_cameras_and_targets_are_refused(done, tmp_path):
-    with pytest.raises(gp.UnknownNameError, match="unknown camera 'above'; valid: .*overview"):
+    with pytest.raises(gp.UnknownNameError, match=r"unknown camera 'above'; valid: .*overview"):
         replay(done, LATE, output=tmp_path / "x", camera="above")
     with pytest.raises(gp.UnknownNameError, match="unknown target 'elbow'"):
         replay(done, replace(LATE, fault=Drop(targets=("elbow",))), output=tmp_path / "x")
@@ -382,20 +384,35 @@ print(*[name for name in ("PIL", "OpenGL", "imageio_ffmpeg", "mujoco.viewer") if
     assert (finished.stdout.strip(), finished.stderr, finished.returncode) == ("", "", 0)
 
 
+BLIND = Shake(degree="minor", targets=("panda/joint1",))
+
+
+def severity(done, event):
+    return done.world.scene.entities[event.entity].severity[event.striker]
+
+
 class TestContactSheet:
     def test_has_every_fault_in_few_words(self):
         assert list(contact_sheet.WORDS) == list(faults())
         assert all(len(words.split()) <= 6 for words in contact_sheet.WORDS.values())
 
-    def test_shows_the_worst(self, done, monkeypatch):
-        monkeypatch.setattr(contact_sheet, "_MOMENTS", 3)
-        drop, noise = contact_sheet.worst_of(done, ["gripper_failure", "noise"])
-        jobs = [replace(drop.job, onset=(i + 0.0) * done.duration / 3, seed=i) for i in range(3)]
-        assert drop.job in jobs
-        events = {job.seed: event for job, one in zip(jobs, run(done, jobs), strict=True) for event in one.events}
-        assert drop.text.startswith("object hits ")
-        assert any(drop.time == pytest.approx(event.time + 0.02) for event in events.values())
-        assert noise.text.startswith("tool ") or noise.text.startswith("robot hits ")
+    def test_shows_the_worst_blow(self, done):
+        [worst] = contact_sheet.worst_of(done, ["gripper_failure"])
+        spacing = done.duration / 12
+        jobs = [Job(fault=worst.job.fault, onset=i * spacing, seed=i) for i in range(12)]
+        blows = [(e.energy * severity(done, e), e.time) for one in run(done, jobs) for e in one.events]
+        assert worst.job in jobs
+        assert worst.time == pytest.approx(max(blows)[1] + 0.02)
+        assert worst.text.startswith("object hits ")
+
+    def test_shows_how_far_the_tool_strays_where_nothing_is_hit(self, done):
+        rollouts = run(
+            done, [Job(fault=Nothing(), onset=0.2, seed=0), Job(fault=BLIND, onset=0.2, seed=0)], horizon=0.1
+        )
+        assert not any(one.events for one in rollouts)
+        worst = contact_sheet._worst(done, rollouts)
+        assert worst.job.fault is BLIND
+        assert worst.text.startswith("tool ")
 
     @pytest.mark.usefixtures("gl")
     def test_is_a_page_of_cells(self, tmp_path, monkeypatch):
@@ -406,7 +423,7 @@ class TestContactSheet:
         page = np.asarray(Image.open(output))
         assert page.shape == (384 + 2 * 14, 4 * 400 + 5 * 14, 3)
         cells = [page[14:314, 14 + 414 * i : 414 + 414 * i] for i in range(3)]
-        assert all(np.any(a != b) for a, b in zip(cells, cells[1:], strict=False))
+        assert all(np.any(a != b) for a, b in pairwise(cells))
         assert all(len(np.unique(cell.reshape(-1, 3), axis=0)) > 1000 for cell in cells)
 
     def test_the_one_in_the_documentation_is_there_and_small(self):
