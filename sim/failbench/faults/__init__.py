@@ -117,9 +117,9 @@ def from_document(document: Mapping[str, Any], classes: Mapping[str, type[Fault]
     """
     known = {**_FAULTS, **(classes or {})}
     settings = _mapping("fault", document)
-    name = settings.pop("fault", None)
+    name = str(settings.pop("fault", None))
     if name not in known:
-        raise UnknownNameError("fault", str(name), known)
+        raise UnknownNameError("fault", name, known)
     cls = known[name]
     if "when" in settings:
         settings["when"] = _onset(settings["when"])
@@ -169,9 +169,9 @@ def _mapping(name: str, value: Any) -> dict[str, Any]:
 
 def _onset(document: Any) -> Onset:
     settings = _mapping("when", document)
-    kind = settings.pop("onset", None)
+    kind = str(settings.pop("onset", None))
     if kind not in _ONSETS:
-        raise UnknownNameError("onset", str(kind), _ONSETS)
+        raise UnknownNameError("onset", kind, _ONSETS)
     cls = _ONSETS[kind]
     valid = {setting.name for setting in dataclasses.fields(cls)}
     for key, value in settings.items():
