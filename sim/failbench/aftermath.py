@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from failbench.bounds import Bounds
 from failbench.closeup import Closeup
 from failbench.world import World
 from graceful_plan.array_types import Float
@@ -15,7 +16,8 @@ from graceful_plan.array_types import Float
 Array = np.ndarray
 
 FALLEN = 0.05
-"""An entity whose body's origin ended farther below where it was [m] has fallen."""
+"""An entity that ended with both its body's origin and its lowest point farther below where they were [m] has fallen;
+one that only fell over has not."""
 TIPPED = np.deg2rad(30.0)
 """An entity of which the direction that was up is farther off the vertical [rad] has tipped."""
 MOVED = 1e-3
@@ -30,11 +32,13 @@ class Aftermath:
     Args:
         world: Where.
         closeup: What to look with.
+        bounds: Boxes around its entities.
     """
 
-    def __init__(self, world: World, closeup: Closeup) -> None:
+    def __init__(self, world: World, closeup: Closeup, bounds: Bounds) -> None:
         self._world = world
         self._closeup = closeup
+        self._bounds = bounds
         self._names = list(world.movable)
         free = [*world.movable.values(), *([world.carried_body] if world.carried_body >= 0 else [])]
         adr = world.model.jnt_qposadr[world.model.body_jntadr[free]].astype(int)
@@ -49,6 +53,9 @@ class Aftermath:
         n = len(self._names)
         shift = became[:n, 4:] - was[:n, 4:]
         tilt = _tilt(was[:n], became[:n])
+        fell = shift[:, 2] < -FALLEN
+        if fell.any():
+            fell &= self._bounds.lowest(after) - self._bounds.lowest(before) < -FALLEN
         moved = np.flatnonzero((np.abs(shift) > MOVED).any(axis=1) | (tilt > MOVED))
         (stood, place), (stands, end) = self._look(before), self._look(after)
         left = [self._names[i] for i in moved if self._lost(self._names[i], stood, stands)]
@@ -56,7 +63,7 @@ class Aftermath:
         carried = self._world.striker_bodies.get("carried", ())
         poses = dict(zip([*self._names, "carried"], became, strict=False))
         return {
-            "fell": tuple(self._names[i] for i in np.flatnonzero(shift[:, 2] < -FALLEN)),
+            "fell": tuple(self._names[i] for i in np.flatnonzero(fell)),
             "tipped": tuple(self._names[i] for i in np.flatnonzero(tilt > TIPPED)),
             "left_support": tuple(left),
             "dropped": out_of_place and not _neighbours(stands, carried) & self._pads,

@@ -59,6 +59,11 @@ class Bounds:
         close = (np.abs(c0 - c1) <= h0 + h1).all(axis=1)
         return np.stack([sims[row], steps[row], own, other], axis=1)[close]
 
+    def lowest(self, qpos: Float[Array, " qpos"]) -> Float[Array, " mover"]:
+        """Return the height of the lowest point of the box around each movable entity [m]."""
+        centre, half = self._boxes(np.repeat(qpos[None], len(self._entity), axis=0), self._entity)
+        return centre[:, 2] - half[:, 2]
+
     def _boxes(
         self, qpos: Float[Array, "n qpos"], entity: Int[Array, " n"]
     ) -> tuple[Float[Array, "n xyz"], Float[Array, "n xyz"]]:

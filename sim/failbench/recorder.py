@@ -1,7 +1,8 @@
 """What a failing robot touches: one event for everything that one component does to one entity.
 
 Contact sensors, recorded natively, say when and how hard; the few states at which something is touched for the first
-time are looked at again for directions, speeds and masses. What the healthy run touches is left out.
+time are looked at again for directions, speeds and masses. What the healthy run touches is left out. Sensors of things
+that sleep keep their values, so that what rests on an entity goes on pressing, as it does.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from failbench.aftermath import Aftermath
+from failbench.bounds import Bounds
 from failbench.closeup import CARRIED, ROBOT, Closeup
 from failbench.records import ContactEvent
 from failbench.secondary import Secondary
@@ -79,8 +81,9 @@ class Recorder:
         unique = list(dict.fromkeys(self._pairs))
         self._pair = np.array([unique.index(pair) for pair in self._pairs], dtype=int)
         self._hits: list[dict[tuple[str, str], _Hit]] = [{} for _ in qpos]
-        self._aftermath = Aftermath(world, self._closeup)
-        self._secondary = Secondary(world, self._closeup, self._onset)
+        bounds = Bounds(world)
+        self._aftermath = Aftermath(world, self._closeup, bounds)
+        self._secondary = Secondary(world, self._closeup, bounds, self._onset)
         self._spill = Spill(world, self._closeup, self._onset, kept)
 
     def observe(

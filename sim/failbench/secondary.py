@@ -31,17 +31,18 @@ class Secondary:
     Args:
         world: Where.
         closeup: What to look with.
+        bounds: Boxes around its entities.
         onset: Positions and velocities at the onset [sim, ...].
     """
 
-    def __init__(self, world: World, closeup: Closeup, onset: tuple[Array, Array]) -> None:
+    def __init__(self, world: World, closeup: Closeup, bounds: Bounds, onset: tuple[Array, Array]) -> None:
         self._dt = float(world.model.opt.timestep)
         self._closeup = closeup
         self._onset = onset
         self._movable = [closeup.entities.index(name) for name in world.movable]
         joints = world.model.body_jntadr[list(world.movable.values())]
         self._dofs = world.model.jnt_dofadr[joints].astype(int)
-        self._bounds = Bounds(world)
+        self._bounds = bounds
         entities = len(closeup.entities)
         self._known = np.zeros((len(onset[0]), entities, entities), dtype=bool)
         """Which entities touched at the onset or have touched since."""
