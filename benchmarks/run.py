@@ -20,7 +20,17 @@ if str(ROOT) not in sys.path:
 
 from benchmarks import machine, report, suite  # noqa: E402 - after the path to them is known
 
-SUBJECTS = ("kernels", "safety", "first_path", "planners", "best_known", "optima", "startup", "discretisation")
+SUBJECTS = (
+    "kernels",
+    "safety",
+    "first_path",
+    "planners",
+    "best_known",
+    "optima",
+    "startup",
+    "discretisation",
+    "paper_table",
+)
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset({"best_known"})
 """Run only when named: it takes the better part of an hour and is to be done before `planners`."""
