@@ -105,15 +105,17 @@ class Trial:
             assert driver.returncode == -signal.SIGKILL, f"the driver gave up: {driver.returncode}"
 
     def _kill_someone(self, driver: subprocess.Popen[bytes]) -> None:
+        """Kill the driver or a worker at some moment, unless the driver ends before."""
+        who = self.random.choice(["driver", "worker"])
+        until = time.monotonic() + self.random.uniform(0.0, 0.6 * self.seconds)
+        victims: list[int] = []
+        while not victims or time.monotonic() < until:
+            if driver.poll() is not None:
+                return
+            time.sleep(0.002)
+            victims = [driver.pid] if who == "driver" else _workers(driver.pid)
         try:
-            driver.wait(self.random.uniform(0.0, 0.6 * self.seconds))
-            return
-        except subprocess.TimeoutExpired:
-            pass
-        workers = _workers(driver.pid)
-        who = self.random.choice(["driver", "worker"]) if workers else "driver"
-        try:
-            os.kill(self.random.choice(workers) if who == "worker" else driver.pid, signal.SIGKILL)
+            os.kill(self.random.choice(victims), signal.SIGKILL)
         except ProcessLookupError:
             return
         self.kills[who] += 1
@@ -135,7 +137,8 @@ def _content(folder: Path) -> dict[str, bytes]:
 def _workers(driver: int) -> list[int]:
     """Return the processes that do chunks for a driver."""
     found = []
-    for child in Path(f"/proc/{driver}/task/{driver}/children").read_text().split():
+    children = Path(f"/proc/{driver}/task/{driver}/children")
+    for child in children.read_text().split() if children.exists() else ():
         try:
             command = Path(f"/proc/{child}/cmdline").read_bytes()
         except OSError:

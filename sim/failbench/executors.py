@@ -9,6 +9,7 @@ import signal
 from collections import Counter, deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Protocol, cast, runtime_checkable
 
@@ -176,6 +177,7 @@ class _Worker:
 @contextlib.contextmanager
 def _interrupts_blocked() -> Generator[None]:
     """Start processes that never see Ctrl-C: it reaches the whole group, but is for the driver to act on."""
+    resource_tracker.ensure_running()  # the first process starts it, and that unblocks interrupts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

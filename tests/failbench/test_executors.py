@@ -4,12 +4,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import fake_work
 import pytest
 from fake_work import Fake, Stillborn
+from processes import all_end, children_of
 
 from failbench.chunks import attempt
 from failbench.errors import WorkerError
@@ -104,17 +104,6 @@ def test_workers_out_of_range(workers):
         LocalExecutor(workers=workers)
 
 
-def children_of(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
-
-
 @pytest.mark.parametrize("deadly", [signal.SIGKILL, signal.SIGINT])
 def test_workers_end_with_their_driver_and_stay_silent(deadly):
     code = """
@@ -136,8 +125,5 @@ if __name__ == "__main__":
         # Ctrl-C reaches everybody; a kill only the driver.
         (os.killpg if deadly == signal.SIGINT else os.kill)(driver.pid, deadly)
         _, err = driver.communicate(timeout=20)
-    deadline = time.monotonic() + 10
-    while any(alive(pid) for pid in workers) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not any(alive(pid) for pid in workers)
+    assert all_end(workers)
     assert err.count("Traceback") == (deadly == signal.SIGINT), "only the driver says something"

@@ -1,0 +1,208 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from processes import all_end, children_of
+
+import graceful_plan as gp
+from failbench import cli
+from failbench.dataset import MANIFEST, read_dataset
+from failbench.sweep import JOURNAL
+
+DROP = "tabletop/lift_to_goal/gripper_failure/severe"
+QUICK = ("--iterations", "50", "--horizon", "0.04")
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command; return exit code, standard output and standard error."""
+
+    def run(*argv: str) -> tuple[int, str, str]:
+        code = cli.main(argv)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def motion(tmp_path_factory):
+    """A trajectory in a file."""
+    file = tmp_path_factory.mktemp("motion") / "trajectory.json"
+    task = gp.load_scene("tabletop").tasks["lift_to_goal"]
+    gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50, speed=0.5).unwrap().to_json(file)
+    return file
+
+
+def test_scenarios_are_listed_by_pattern_and_summed_up_without(run):
+    code, out, err = run("scenarios", "drop/weak_grip/*")
+    assert (code, err) == (cli.DONE, "")
+    assert "tabletop/lift_to_goal/weak_grip/minor" in out.splitlines()
+    assert all("/weak_grip/" in line for line in out.splitlines())
+    _, out, _ = run("scenarios")
+    counts = {line.split()[0]: int(line.split()[1]) for line in out.splitlines()[2:]}
+    assert counts["tabletop/lift_to_goal/*"] == 19 * 4
+    assert counts["drop/*"] == counts["end_effector/*"]
+    code, out, _ = run("scenarios", "tabletop/lift_to_goal/noise/*", "--json")
+    (minor, *others) = json.loads(out)
+    assert minor["fault"]["fault"] == "noise"
+    assert len(others) == 3
+
+
+def test_run_sums_a_scenario_up(run):
+    code, out, err = run("run", DROP, "-n", "6", *QUICK)
+    assert (code, err) == (cli.DONE, "")
+    assert out.startswith("6 rollouts\n")
+    assert {"observed impact", "dropped"} <= {line.split("  ")[0] for line in out.splitlines()}
+
+
+def test_run_json_has_the_rows_and_is_reproducible(run, motion):
+    argv = ("run", DROP, "-n", "3", "--horizon", "0.04", "--trajectory", str(motion), "--seed", "4", "--json")
+    (code, first, _), (_, second, _) = run(*argv), run(*argv)
+    assert code == cli.DONE
+    assert first == second
+    document = json.loads(first)
+    assert [row["rollout"] for row in document["rollouts"]] == [0, 1, 2]
+    assert document["sweep"]["motions"][0]["trajectory"] == json.loads(motion.read_text())
+
+
+def test_a_path_without_time_is_timed(run, motion, tmp_path):
+    q = gp.Trajectory.from_json(motion).q.tolist()
+    (tmp_path / "path.json").write_text(json.dumps({"schema": "graceful_plan.path", "version": 1, "q": q}))
+    code, out, err = run("run", DROP, "-n", "1", "--horizon", "0.04", "--trajectory", str(tmp_path / "path.json"))
+    assert (code, err) == (cli.DONE, "")
+    assert out.startswith("1 rollouts")
+
+
+def test_validate_prints_observed_and_predicted(run, motion):
+    argv = ("validate", "--task", "lift_to_goal", "drop/gripper_failure/severe", "-n", "4", *QUICK)
+    code, out, err = run(*argv, "--trajectory", str(motion))
+    assert (code, err) == (cli.DONE, "")
+    assert "observed impact" in out and "predicted impact" in out
+    code, out, _ = run(*argv, "--json")
+    assert code == cli.DONE
+    assert json.loads(out)["n"] == 4
+
+
+def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):
+    folder = tmp_path / "data"
+    argv = ("generate", str(folder), "tabletop/lift_to_goal/gripper_failure/*", "-n", "3", *QUICK, "--workers", "1")
+    code, out, err = run(*argv)
+    assert (code, err) == (cli.DONE, "")
+    assert out.startswith("12 rollouts with ")
+    assert read_dataset(folder).rollouts.num_rows == 12
+    manifest = (folder / MANIFEST).read_bytes()
+    code, out, _ = run("resume", str(folder), "--json")
+    assert code == cli.DONE
+    assert json.loads(out)["rows"]["rollouts"] == 12
+    assert (folder / MANIFEST).read_bytes() == manifest
+    code, _, err = run(*argv, "--seed", "3")
+    assert code == cli.MISUSE
+    assert err.startswith("failbench generate: ") and "other motions, seed; use another folder" in err
+    code, out, err = run("replay", str(folder), "--rollout", "99", "--output", str(tmp_path / "film"))
+    assert (code, out) == (cli.MISUSE, "")
+    assert "rollout = 99, expected between 0 and 11" in err
+
+
+@pytest.mark.slow
+def test_replay_writes_frames(run, tmp_path):
+    code, out, err = run("replay", DROP, "-n", "2", "--rollout", "1", *QUICK, "--output", str(tmp_path / "film"))
+    if "OpenGL" in err:
+        pytest.skip("no OpenGL here")
+    assert (code, err, out) == (cli.DONE, "", f"wrote {tmp_path / 'film'}\n")
+    assert len(list((tmp_path / "film").glob("*.png"))) > 3
+
+
+def test_dry_run_prints_a_sweep_that_generate_takes(run, tmp_path):
+    argv = ("generate", str(tmp_path / "data"), DROP, "-n", "2", *QUICK, "--dry-run")
+    code, out, _ = run(*argv)
+    assert code == cli.DONE
+    assert not (tmp_path / "data").exists()
+    document = json.loads(out)
+    document["faults"][0]["when"] = {"onset": "at_fraction", "fraction": 0.5}
+    (tmp_path / "sweep.json").write_text(json.dumps(document))
+    argv = ("generate", str(tmp_path / "data"), "--sweep", str(tmp_path / "sweep.json"), "--workers", "1")
+    assert run(*argv)[0] == cli.DONE
+    assert len(set(read_dataset(tmp_path / "data").rollouts["onset"].to_pylist())) == 1
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (("scenarios", "cake/*"), "unknown scenarios 'cake/*'"),
+        (("run", "tabletop/*"), "expected one scenario, not"),
+        (("run", DROP, "-n", "0"), "rollouts = 0"),
+        (("run", DROP, "--trajectory", "nowhere.json"), "nowhere.json: cannot be read"),
+        (("validate", "--scene", "moon"), "unknown scene 'moon'; valid: desk"),
+        (("validate", "--task", "dance"), "unknown task of tabletop 'dance'"),
+        (("generate", "folder"), "expected patterns of scenarios, or --sweep FILE"),
+        (("generate", "folder", DROP, "--sweep", "s.json"), "and not both"),
+        (("generate", "folder", "--sweep", "nowhere.json"), "nowhere.json"),
+        (("generate", "folder", "drop/*/minor", "--trajectory", "t.json"), "expected patterns of one task, not"),
+        (("generate", "folder", DROP, "--workers", "-1"), "workers = -1"),
+        (("resume", "nowhere"), "nowhere: no sweep was begun here"),
+    ],
+)
+def test_misuse_is_one_line_and_exit_code_2(run, tmp_path, monkeypatch, argv, message):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(*argv)
+    assert (code, out) == (cli.MISUSE, "")
+    assert err.startswith(f"failbench {argv[0]}: ")
+    assert message in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "folder" / JOURNAL).exists()
+
+
+def test_a_sweep_that_failed_in_part_is_exit_code_1(run, tmp_path):
+    argv = ("generate", str(tmp_path), DROP, "-n", "1", *QUICK, "--dry-run")
+    document = json.loads(run(*argv)[1])
+    (tmp_path / "broken.py").write_text(
+        "from dataclasses import dataclass\nfrom failbench import Fault\n"
+        "@dataclass(frozen=True, kw_only=True)\nclass Broken(Fault):\n"
+        "    NAME, CATEGORY, PARAMETER = 'broken', 'sensor', 'nothing'\n"
+        "    AMOUNTS = {'severe': 1.0}\n"
+        "    def apply(self, plant, level): raise ArithmeticError('no such luck')\n"
+    )  # fmt: skip
+    document["faults"] = [{"fault": f"{tmp_path / 'broken.py'}:Broken"}]
+    (tmp_path / "s.json").write_text(json.dumps(document))
+    code, out, err = run("generate", str(tmp_path / "d"), "--sweep", str(tmp_path / "s.json"), "--workers", "1")
+    assert (code, out) == (cli.FAILED, "")
+    assert "1 of 1 chunks failed" in err and "ArithmeticError: no such luck" in err
+    assert f"failbench resume {tmp_path / 'd'}" in err
+
+
+def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
+    argv = ("run", DROP, "-n", "2", *QUICK)
+    assert run(*argv)[2] == ""
+    monkeypatch.setattr(sys.stderr.__class__, "isatty", lambda self: True)
+    code, out, err = run(*argv)
+    assert code == cli.DONE
+    assert "\x1b" not in out
+    assert "2/2 rollouts" in err
+    assert err.endswith("\r\x1b[K")
+    assert run(*argv, "--json")[2] == ""
+
+
+def test_ctrl_c_says_how_to_go_on_and_leaves_nobody_behind(tmp_path):
+    argv = [sys.executable, "-m", "failbench.cli", "generate", "data", DROP, "-n", "4000", *QUICK, "--workers", "2"]
+    driver = subprocess.Popen(
+        argv, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    wal = tmp_path / "data" / f"{JOURNAL}-wal"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (wal.exists() and wal.stat().st_size > 200_000):
+        time.sleep(0.02)
+    workers = children_of(driver.pid)
+    os.killpg(driver.pid, signal.SIGINT)
+    out, err = driver.communicate(timeout=20)
+    assert (driver.returncode, out, err) == (cli.INTERRUPTED, "", "interrupted; to go on: failbench resume data\n")
+    assert len(workers) >= 2 and all_end(workers)
+
+
+def test_reader_that_goes_away_is_no_error():
+    command = f"{sys.executable} -m failbench.cli scenarios --json | true"
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (cli.DONE, "")
