@@ -23,6 +23,8 @@ _WIDTH = 0.007
 _POINT = 0.007
 _FORCE = np.array([0.93, 0.0, 0.55, 1.0], dtype=np.float32)
 _STRUCK = (1.0, 0.88, 0.1)
+_FURNITURE = ("floor", "table")
+"""Categories of what is too large to be coloured; the points of contact have to do."""
 _HEALTHY = np.array([21, 101, 216])
 _LINE = 2
 """Width of an outline [pixels]."""
@@ -62,6 +64,7 @@ class Touches:
             self._component[list(world.scene.components[name].geoms)] = i
         for i, entity in enumerate(world.scene.entities.values()):
             self._entity[list(entity.geoms)] = i
+        self._furniture = {entity.name for entity in world.scene.entities.values() if entity.category in _FURNITURE}
         self._baseline = baseline
         self._colours = world.model.geom_rgba.copy(), world.model.geom_matid.copy()
         self._recent: dict[tuple[str, str], list[_Touch]] = {}
@@ -97,9 +100,9 @@ class Touches:
         return found
 
     def paint(self, model: mujoco.MjModel) -> None:
-        """Colour the entities that were hit, and only them, in a model that is only looked at."""
+        """Colour the entities that were hit, and nothing else, in a model that is only looked at."""
         model.geom_rgba[:], model.geom_matid[:] = self._colours
-        for entity in self.struck:
+        for entity in self.struck - self._furniture:
             geoms = self._entity == self._entities.index(entity)
             model.geom_rgba[geoms, :3], model.geom_matid[geoms] = _STRUCK, -1
 

@@ -70,8 +70,8 @@ def replay(
 ) -> tuple[Path, ...]:
     """Show a failure, with the last moments before it.
 
-    Entities that are hit turn yellow. Arrows point at where they are hit, in the direction of the force; their length
-    grows with the root of the force. Things that lie on one another get none.
+    Entities that are hit turn yellow, furniture excepted. Arrows point at where they are hit, in the direction of the
+    force; their length grows with the root of the force. Things that lie on one another get none.
 
     Args:
         execution: The healthy run.

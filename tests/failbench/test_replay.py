@@ -228,10 +228,10 @@ def test_marks_beyond_the_room_for_them_are_left_out(done):
     assert view.ngeom == 2
 
 
-def test_only_what_was_hit_is_painted(done):
+def test_only_what_was_hit_is_painted_and_no_furniture(done):
     touches = Touches(done.world, done.baseline)
     model = build_world(done.world.scene).model
-    touches.struck.add("red1")
+    touches.struck |= {"red1", "table"}
     touches.paint(model)
     changed = {model.geom(g).name for g in np.flatnonzero((model.geom_rgba != done.world.model.geom_rgba).any(axis=1))}
     assert changed == {"red1"}
