@@ -78,15 +78,15 @@ class Bounds:
         return centre, half
 
 
-def rotations(quat: Float[Array, "n wxyz"]) -> Float[Array, "n 3 3"]:
+def rotations(quat: Float[Array, "*batch wxyz"]) -> Float[Array, "*batch 3 3"]:
     """Return rotation matrices of unit quaternions."""
-    w, x, y, z = quat.T
+    w, x, y, z = np.moveaxis(quat, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def _box(world: World, data: mujoco.MjData, name: str) -> tuple[Float[Array, " xyz"], Float[Array, " xyz"]]:

@@ -157,7 +157,8 @@ class Recorder:
         felt = sensordata[sims[:, None, None], np.arange(qpos.shape[1])[:, None], columns]
         starts = np.flatnonzero(np.diff(sims, prepend=-1) | np.diff(self._pair[sensors], prepend=-1))
         force = np.add.reduceat(felt[..., 1:4], starts)
-        size = np.sqrt(np.einsum("tsx,tsx->ts", force, force))
+        # Written out, since einsum rounds otherwise for other shapes: what is found must not depend on the batch.
+        size = np.sqrt(force[..., 0] ** 2 + force[..., 1] ** 2 + force[..., 2] ** 2)
         found = np.add.reduceat(felt[..., 0], starts) > 0.0
         rows = zip(
             starts.tolist(),

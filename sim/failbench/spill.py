@@ -44,14 +44,14 @@ _NOTHING = 0.01
 
 
 class Motion(NamedTuple):
-    """A container's motion in W, a row a sample."""
+    """Containers' motions in W."""
 
     time: Float[Array, " sample"]
-    axis: Float[Array, "sample xyz"]
-    rim: Float[Array, "sample xyz"]
-    velocity: Float[Array, "sample xyz"]
+    axis: Float[Array, "sim sample xyz"]
+    rim: Float[Array, "sim sample xyz"]
+    velocity: Float[Array, "sim sample xyz"]
     """Of the middle of the rim [m/s]."""
-    felt: Float[Array, "sample xyz"]
+    felt: Float[Array, "sim sample xyz"]
     """Gravity's reaction plus acceleration [m/s^2]: upward, where the container stands still."""
 
 
@@ -74,6 +74,7 @@ class Spill:
             self._columns = _columns(world)
             self._samples = [tuple(x[:, None, c] for x, c in zip(onset, self._columns, strict=True))]
             self._puddles = Puddles(world, closeup)
+        self._done: tuple[Motion, Array, Array] | None = None
 
     def observe(self, qpos: Float[Array, "sim step qpos"], qvel: Float[Array, "sim step qvel"]) -> None:
         """Take in the next steps."""
@@ -91,15 +92,25 @@ class Spill:
         vessel = self._vessel
         if vessel is None:
             return 0.0, []
-        pose, twist = (np.concatenate([sample[i][sim] for sample in self._samples]) for i in (0, 1))
-        motion = _motion(vessel, pose, twist, self._dt, self._gravity)
-        there = float(vessel.capacity(_angle(motion.axis[:1], np.array([[0.0, 0.0, 1.0]])))[0])
-        kept = min(vessel.volume, there if self._kept is None else self._kept)
-        left = kept * remaining(vessel, motion, kept, self._gravity)
-        lost = kept - left[-1]
-        if lost <= _NOTHING * vessel.volume:
+        if self._done is None:
+            self._done = self._losses(vessel)
+        motion, kept, left = self._done
+        gone = kept[sim] - left[sim]
+        if gone[-1] <= _NOTHING * vessel.volume:
             return 0.0, []
-        return float(lost / kept), self._puddles.events(qpos, _parcels(vessel, motion, kept - left))
+        own = Motion(motion.time, *(x[sim : sim + 1] for x in motion[1:]))
+        return float(gone[-1] / kept[sim]), self._puddles.events(qpos, _parcels(vessel, own, gone))
+
+    def _losses(self, vessel: Vessel) -> tuple[Motion, Float[Array, " sim"], Float[Array, "sim sample"]]:
+        """Return all motions, and the volumes that are in the containers first and at each sample [m^3]."""
+        pose, twist = (np.concatenate([sample[i] for sample in self._samples], axis=1) for i in (0, 1))
+        motion = _motion(vessel, pose, twist, self._dt, self._gravity)
+        if self._kept is None:
+            there = vessel.capacity(_angle(motion.axis[:, 0], np.broadcast_to([0.0, 0.0, 1.0], (len(pose), 3))))
+            kept = np.minimum(vessel.volume, there)
+        else:
+            kept = np.full(len(pose), min(vessel.volume, self._kept))
+        return motion, kept, kept[:, None] * remaining(vessel, motion, kept, self._gravity)
 
 
 def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
@@ -119,68 +130,68 @@ def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
     pose = np.vstack([pose, np.repeat(pose[-1:], _CALM, axis=0)])
     twist = np.vstack([twist, np.zeros((_CALM, 6))])
     gravity = -float(world.model.opt.gravity[2])
-    motion = _motion(vessel, pose, twist, STRIDE * float(world.model.opt.timestep), gravity)
-    return vessel.volume * float(remaining(vessel, motion, vessel.volume, gravity)[-1])
+    motion = _motion(vessel, pose[None], twist[None], STRIDE * float(world.model.opt.timestep), gravity)
+    return vessel.volume * float(remaining(vessel, motion, np.array([vessel.volume]), gravity)[0, -1])
 
 
-def remaining(vessel: Vessel, motion: Motion, kept: float, gravity: float) -> Float[Array, " sample"]:
+def remaining(vessel: Vessel, motion: Motion, kept: Float[Array, " sim"], gravity: float) -> Float[Array, "sim sample"]:
     """Return the part of `kept` [m^3] that is still in the container at each sample."""
-    if kept <= 0.0:
-        return np.zeros(len(motion.felt))
-    heavy = np.linalg.norm(motion.felt, axis=1) > _WEIGHTLESS * gravity
-    capacity = np.where(heavy, vessel.capacity(_angle(motion.axis, motion.felt)) / kept, 1.0)
-    return np.minimum.accumulate(np.minimum(capacity, _after_jolts(motion, gravity)))
+    heavy = np.linalg.norm(motion.felt, axis=-1) > _WEIGHTLESS * gravity
+    capacity = vessel.capacity(_angle(motion.axis, motion.felt)) / np.maximum(kept, 1e-12)[:, None]
+    part = np.minimum(np.where(heavy, capacity, 1.0), _after_jolts(motion, gravity))
+    return np.minimum.accumulate(part, axis=1)
 
 
-def _after_jolts(motion: Motion, gravity: float) -> Float[Array, " sample"]:
+def _after_jolts(motion: Motion, gravity: float) -> Float[Array, "sim sample"]:
     """Return the part that jolts have left in at each sample."""
     v = motion.velocity + np.outer(motion.time, [0.0, 0.0, gravity])  # constant in free fall
-    part = np.ones(len(v))
-    change = np.linalg.norm(v[_JOLT:] - v[:-_JOLT], axis=1)
-    sample = 0
-    for i in np.flatnonzero(change > _LOSSES[-1][0]).tolist():
-        if i >= sample:
-            worst = float(change[i : i + _JOLT].max())
-            part[i + 1 :] *= 1.0 - next(loss for least, loss in _LOSSES if worst >= least)
-            sample = i + _CALM
+    part = np.ones(v.shape[:2])
+    change = np.linalg.norm(v[:, _JOLT:] - v[:, :-_JOLT], axis=-1)
+    calm = np.zeros(len(v), dtype=int)
+    for sim, i in np.argwhere(change > _LOSSES[-1][0]).tolist():
+        if i >= calm[sim]:
+            worst = float(change[sim, i : i + _JOLT].max())
+            part[sim, i + 1 :] *= 1.0 - next(loss for least, loss in _LOSSES if worst >= least)
+            calm[sim] = i + _CALM
     return part
 
 
 def _motion(
-    vessel: Vessel, pose: Float[Array, "sample 7"], twist: Float[Array, "sample 6"], dt: float, gravity: float
+    vessel: Vessel, pose: Float[Array, "sim sample 7"], twist: Float[Array, "sim sample 6"], dt: float, gravity: float
 ) -> Motion:
-    R = rotations(pose[:, 3:])
-    arm = R @ vessel.p_BR
-    velocity = twist[:, :3] + np.cross(np.einsum("nij,nj->ni", R, twist[:, 3:]), arm)
-    n = len(pose)
+    R = rotations(pose[..., 3:])
+    arm, axis, turn = (np.einsum("...ij,...j->...i", R, x) for x in (vessel.p_BR, vessel.axis, twist[..., 3:]))
+    velocity = twist[..., :3] + np.cross(turn, arm)
+    n = pose.shape[1]
     # Near the ends that of the nearest sample that has neighbours enough, for shorter means would be less smooth.
     first = np.clip(np.arange(n) - _SLOSH, 0, max(n - 1 - 2 * _SLOSH, 0))
     last = np.minimum(first + 2 * _SLOSH, n - 1)
-    felt = (velocity[last] - velocity[first]) / (np.maximum(last - first, 1) * dt)[:, None]
-    felt[:, 2] += gravity
-    return Motion(np.arange(n) * dt, R @ vessel.axis, pose[:, :3] + arm, velocity, felt)
+    felt = (velocity[:, last] - velocity[:, first]) / (np.maximum(last - first, 1) * dt)[:, None]
+    felt[..., 2] += gravity
+    return Motion(np.arange(n) * dt, axis, pose[..., :3] + arm, velocity, felt)
 
 
-def _angle(a: Float[Array, "n xyz"], b: Float[Array, "#n xyz"]) -> Float[Array, " n"]:
-    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("nx,nx->n", a, np.broadcast_to(b, a.shape)))
+def _angle(a: Float[Array, "*batch xyz"], b: Float[Array, "*batch xyz"]) -> Float[Array, "*batch"]:
+    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
 
 
 def _parcels(vessel: Vessel, motion: Motion, gone: Float[Array, " sample"]) -> list[Parcel]:
-    """Divide what is gone, by sample, into equal portions that leave over the lowest point of the rim."""
+    """Divide what is gone from one container, by sample, into equal portions that leave over the rim's lowest point."""
     count = min(_PARCELS, max(1, int(gone[-1] / (_DROP * vessel.volume))))
     parcels = []
     for k in range(count):
         i = int(np.searchsorted(gone, (k + 0.5) / count * gone[-1]))
         i = max(i - 1, 0)  # before the loss shows, and before a container that lands has stopped
-        down = motion.axis[i] * (motion.axis[i] @ motion.felt[i]) - motion.felt[i]
+        axis, felt = motion.axis[0, i], motion.felt[0, i]
+        down = axis * (axis @ felt) - felt
         length = float(np.linalg.norm(down))
         edge = vessel.radius * down / length if length > 1e-6 else np.zeros(3)
         parcels.append(
             Parcel(
                 time=float(motion.time[i]),
                 volume=float(gone[-1]) / count,
-                position=motion.rim[i] + edge,
-                velocity=motion.velocity[i],
+                position=motion.rim[0, i] + edge,
+                velocity=motion.velocity[0, i],
             )
         )
     return parcels

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from motions import Drop, Weaken, execution
 
+from failbench import Job, run
 from failbench.closeup import Closeup
 from failbench.puddle import DEPTH, Parcel, Puddles
 from failbench.recorder import Recorder
@@ -113,7 +115,11 @@ def test_the_container_is_found(world: World) -> None:
 
 def _motion(axis: np.ndarray, velocity: np.ndarray, felt: np.ndarray, dt: float = 0.01) -> Motion:
     n = len(velocity)
-    return Motion(np.arange(n) * dt, np.broadcast_to(axis, (n, 3)), np.zeros((n, 3)), velocity, felt)
+    return Motion(np.arange(n) * dt, np.broadcast_to(axis, (1, n, 3)), np.zeros((1, n, 3)), velocity[None], felt[None])
+
+
+def _left(vessel: Vessel, motion: Motion, kept: float) -> np.ndarray:
+    return remaining(vessel, motion, np.array([kept]), _G)[0]
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -123,7 +129,7 @@ def test_an_accelerated_container_spills_where_statics_say(factor: float) -> Non
     freeboard = vessel.height - vessel.volume / (np.pi * vessel.radius**2)
     a = factor * _G * freeboard / vessel.radius
     felt = np.tile([a, 0.0, _G], (50, 1))
-    left = remaining(vessel, _motion(_UP, np.zeros((50, 3)), felt), vessel.volume, _G)[-1]
+    left = _left(vessel, _motion(_UP, np.zeros((50, 3)), felt), vessel.volume)[-1]
     if factor < 1.0:
         assert left == 1.0
     else:
@@ -139,11 +145,11 @@ def test_free_fall_keeps_and_landing_throws_out() -> None:
     velocity[:fall, 2] = -_G * t[:fall]
     felt = np.tile([0.0, 0.0, _G], (60, 1))
     felt[:fall] = 0.0
-    left = remaining(vessel, _motion(-_UP, velocity, felt), vessel.volume, _G)
+    left = _left(vessel, _motion(-_UP, velocity, felt), vessel.volume)
     assert (left[: fall - 3] == 1.0).all()  # upside down, but nothing presses it out
-    upright = remaining(vessel, _motion(_UP, velocity, felt), vessel.volume, _G)
+    upright = _left(vessel, _motion(_UP, velocity, felt), vessel.volume)
     assert upright[-1] == pytest.approx(0.1)
-    slow = remaining(vessel, _motion(_UP, 0.4 * velocity, np.tile([0.0, 0.0, _G], (60, 1))), vessel.volume, _G)
+    slow = _left(vessel, _motion(_UP, 0.4 * velocity, np.tile([0.0, 0.0, _G], (60, 1))), vessel.volume)
     assert slow[-1] == pytest.approx(0.7)
 
 
@@ -211,6 +217,24 @@ def test_robot_and_container_let_it_through(world: World) -> None:
     assert not Puddles(world, closeup).events(qpos, [_parcel([9.0, 0.0, -1.0])])
 
 
+# --- a bundled task ---------------------------------------------------------------------------------------------------
+
+
+def test_coffee_is_lost_by_failures_only() -> None:
+    done = execution("desk", "bring_coffee")
+    nothing, drop = Weaken(degree="minor", duration=0.002), Drop()
+    jobs = [
+        Job(fault=fault, onset=part * done.duration, seed=0) for fault in (nothing, drop) for part in (0.2, 0.5, 0.8)
+    ]
+    rollouts = run(done, jobs, horizon=0.6)
+    assert [rollout.spilled for rollout in rollouts[:3]] == [0.0] * 3
+    assert all(rollout.spilled > 0.8 for rollout in rollouts[3:])
+    wet = [[event for event in rollout.events if event.striker == "contents"] for rollout in rollouts]
+    assert not any(wet[:3]) and all(wet[3:])
+    for rollout, alone in zip(rollouts, (run(done, [job], horizon=0.6)[0] for job in jobs), strict=True):
+        assert (alone.spilled, alone.events) == (rollout.spilled, rollout.events)
+
+
 # --- all of it --------------------------------------------------------------------------------------------------------
 
 
@@ -262,13 +286,8 @@ def test_losses_of_the_healthy_run_do_not_count(world: World) -> None:
     states[:, adr + 3], states[:, adr + 4] = np.cos(angles / 2), np.sin(angles / 2)
     kept = kept_volume(world, states)
     assert kept == pytest.approx(float(vessel.capacity(np.array(np.pi / 4))))
-    motion = Motion(
-        np.arange(40) * 0.01,
-        np.stack([np.zeros(40), -np.sin(angles), np.cos(angles)], axis=1),
-        np.zeros((40, 3)),
-        np.zeros((40, 3)),
-        np.tile([0.0, 0.0, _G], (40, 1)),
-    )
-    assert remaining(vessel, motion, kept, _G)[-1] == pytest.approx(1.0)
-    assert remaining(vessel, motion, vessel.volume, _G)[-1] == pytest.approx(kept / vessel.volume)
+    axis = np.stack([np.zeros(40), -np.sin(angles), np.cos(angles)], axis=1)
+    motion = _motion(axis, np.zeros((40, 3)), np.tile([0.0, 0.0, _G], (40, 1)))
+    assert _left(vessel, motion, kept)[-1] == pytest.approx(1.0)
+    assert _left(vessel, motion, vessel.volume)[-1] == pytest.approx(kept / vessel.volume)
     assert kept_volume(_world(None), states) == 0.0
