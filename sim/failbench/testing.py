@@ -121,6 +121,10 @@ class _Effect(dict[str, Array]):
         """Whether two effects are the same bit by bit, but for some constraints."""
         return all(np.array_equal(_without(n, v, but), _without(n, other[n], but)) for n, v in self.items())
 
+    def not_numbers(self) -> list[str]:
+        """Name what has a NaN in it."""
+        return [name for name, values in self.items() if np.isnan(values.astype(float)).any()]
+
 
 def _without(name: str, values: Array, constraints: Array | None) -> Array:
     return values if constraints is None or name != "eq_active" else np.delete(values, constraints)
@@ -166,6 +170,8 @@ class _Trials:
                 injection.act()
                 improper += _differences(before, _untouchable(data, self.robot))
                 effects.append(_effect(injection, step))
+                if effects[-1].not_numbers():
+                    break  # it would only blow up
             data.ctrl[:] = injection.plant.command[step]
             mujoco.mj_step(model, data)
         state = np.concatenate([data.qpos, data.qvel])
@@ -206,9 +212,7 @@ def _check_degrees(fault: Fault, trials: _Trials) -> Findings:
 
 def _check_numbers(trace: _Trace) -> Findings:
     for effect in trace.effects:
-        for name, values in effect.items():
-            if np.isnan(values.astype(float)).any():
-                yield f"wrote a NaN into {name}"
+        yield from (f"wrote a NaN into {name}" for name in effect.not_numbers())
 
 
 def _check_ramp(fault: Fault, trials: _Trials) -> Findings:
@@ -222,6 +226,8 @@ def _check_determinism(fault: Fault, trials: _Trials) -> Findings:
     first, second = trials.run(fault), trials.run(fault)
     if before != _global_random_state():
         yield "drew from numpy's global random state instead of plant.rng"
+    if any(effect.not_numbers() for effect in first.effects):
+        return
     alike = len(first.effects) == len(second.effects) and all(
         a.same(b) for a, b in zip(first.effects, second.effects, strict=True)
     )
@@ -238,7 +244,7 @@ def _check_restoration(fault: Fault, trials: _Trials) -> Findings:
     trace = trials.run(dataclasses.replace(fault, duration=0.1))
     weld = np.array([trials.robot.weld] if trials.robot.weld >= 0 else [], dtype=int)  # nothing mends it
     last = trace.effects[-1]
-    if not last.same(trace.healthy, but=weld):
+    if not last.not_numbers() and not last.same(trace.healthy, but=weld):
         names = [name for name, values in trace.healthy.items() if not np.array_equal(values, last[name])]
         yield f"is not undone when its duration is over: changed for good: {', '.join(names)}"
 

@@ -73,7 +73,8 @@ def test_degree_scales_the_consequence(name):
     # What holds, holds: a weaker grip that is still strong enough may differ by less than a millimetre.
     assert (np.diff(means) > -1e-4).all(), means
     assert means[3] > 2.0 * means[0] or name == "power_loss"
-    assert means[3] > means[2] > means[1]
+    if faults()[name].CATEGORY in ("actuator", "sensor"):
+        assert (np.diff(means) > 0.0).all(), means
 
 
 def same_model(a, b):

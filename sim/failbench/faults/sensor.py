@@ -138,7 +138,7 @@ class DeadZone(Fault):
     def apply(self, plant: Plant, level: float) -> None:
         """Let the reading drag behind the position."""
         q, width = plant.q[plant.joints], level * self.amount
-        reading = np.clip(plant.memory.get("reading", q), q - width, q + width)
+        reading = np.minimum(np.maximum(plant.memory.get("reading", q), q - width), q + width)
         plant.memory["reading"] = reading
         bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
         bias[struck, 0] += bias[struck, 1] * (reading - q)
