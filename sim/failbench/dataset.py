@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from failbench.work import Sweep
 
 MANIFEST = "manifest.json"
-PART_ROWS = 50_000
-"""Rows of a part, at most."""
+PART_ROWS = 10_000
+"""Rows of a part, at most; about as many are in memory while it is written, 10 kB each."""
 
 _SCHEMA = "failbench.dataset"
 _TEMPORARY = ".unfinished-"

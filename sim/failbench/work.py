@@ -189,8 +189,9 @@ class Sweep:
             motions = tuple(_motion(motion, f"{source}: motion {i}") for i, motion in enumerate(document["motions"]))
             _check_keys(f"{source}: settings", document["settings"], {field.name for field in fields(SimSettings)})
             settings = SimSettings(**document["settings"])
+            faults = tuple(dict(fault.items()) for fault in document["faults"])
             values = {name: document[name] for name in own - {"motions", "settings", "faults"}}
-            return cls(motions=motions, settings=settings, faults=tuple(document["faults"]), **values)
+            return cls(motions=motions, settings=settings, faults=faults, **values)
         except (TypeError, AttributeError) as error:
             raise FormatError(source, f"a value of the wrong type: {error}") from None
 
@@ -308,6 +309,9 @@ def _task(scene: str, task: str) -> gp.Task:
 def _motion(document: Any, source: str) -> Motion:
     _check_keys(source, document, {field.name for field in fields(Motion)})
     plan, trajectory = document["plan"], document["trajectory"]
+    for key in ("name", "scene", "task"):
+        if not isinstance(document[key], str) and not (key == "task" and document[key] is None):
+            raise FormatError(source, f"{key} has to be text, not {document[key]!r}")
     if plan is not None:
         _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
     return Motion(

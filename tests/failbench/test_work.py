@@ -2,14 +2,17 @@ import dataclasses
 import json
 import pickle
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from failbench import work
+from failbench import summary, work
 from failbench.faults import faults, to_document
+from failbench.records import ContactEvent, Rollout
 from failbench.rollout import run
+from failbench.rows import contact_rows, rollout_row
 from failbench.tables import TABLES
 from failbench.work import CHUNK, Motion, PlanSettings, Sweep, execution_of, fault_of, jobs_of, run_chunk
 from failbench.world import SimSettings
@@ -168,6 +171,8 @@ def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
         (lambda d: d["motions"][0].pop("task"), "motion 0: missing keys: task"),
         (lambda d: d["motions"][0]["plan"].update(luck=1), "motion 0: plan: unknown keys: luck"),
         (lambda d: d["settings"].update(gravity=0), "settings: unknown keys: gravity"),
+        (lambda d: d["motions"][0].update(scene=3), "motion 0: scene has to be text, not 3"),
+        (lambda d: d["motions"][0].update(trajectory={"t": [0.0]}), "missing keys"),
         (lambda d: d.update(motions=3), "a value of the wrong type"),
         (lambda d: d.update(horizon="long"), "a value of the wrong type"),
         (lambda d: d.update(faults=["gripper_failure"]), "a value of the wrong type"),
@@ -176,7 +181,7 @@ def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
 def test_documents_that_are_no_sweep_are_refused(sweep, change, message):
     document = json.loads(json.dumps(sweep.to_document()))
     change(document)
-    with pytest.raises(FormatError, match=rf"my\.json.*{message}"):
+    with pytest.raises(FormatError, match=message):
         Sweep.from_document(document, "my.json")
 
 
@@ -188,3 +193,31 @@ def test_file_that_is_not_json_is_refused(tmp_path):
 
 def test_bundled_planner_settings_are_accepted_by_plan():
     assert {field.name for field in dataclasses.fields(PlanSettings)} <= set(gp.plan.__annotations__)
+
+
+def test_numbers_of_a_simulation_that_blew_up_become_null(sweep):
+    nan = float("nan")
+    event = ContactEvent(
+        striker="body",
+        entity="blue",
+        time=0.1,
+        position=(nan, 0.0, float("inf")),
+        peak_force=1.0,
+        impulse=nan,
+        speed=1.0,
+        energy=nan,
+    )
+    job = jobs_of(sweep, 0, 0)[0]
+    state = np.array([1.0, 2.0])
+    rollout = Rollout(
+        job=job, onset=0.0, status="diverged", events=(event,), poses={"blue": np.full(7, nan)}, state=state
+    )
+    (contact,) = contact_rows(3, rollout)
+    assert (contact["x"], contact["y"], contact["z"], contact["impulse"]) == (None, 0.0, None, None)
+    row = rollout_row(rollout, execution_of(sweep, 0))
+    assert row["poses"] == [{"name": "blue", "wxyz_xyz": [None] * 7}]
+    assert (row["status"], row["state"]) == ("diverged", [1.0, 2.0])
+    json.dumps([row, contact], allow_nan=False)
+    all_diverged = {"rollouts": [{"rollout": 3, **row}], "contacts": [contact]}
+    text = summary.rollouts(all_diverged, execution_of(sweep, 0).world.scene)
+    assert text.startswith("1 rollouts; 1 diverged and are left out")
