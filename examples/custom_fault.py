@@ -1,6 +1,6 @@
 """A fault of your own: a joint runs away, because its drive gives full torque whatever it is told.
 
-Pass the object; nothing is registered. On the command line it is `--fault examples/custom_fault.py:Runaway`.
+Pass the object; nothing is registered. In a sweep file its name is "examples/custom_fault.py:Runaway".
 """
 
 from collections.abc import Mapping
