@@ -1,0 +1,211 @@
+"""Failures a second that FailBench simulates on one core, beside a plain loop in Python; and where the time goes."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Sequence
+from unittest import mock
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+import failbench
+import graceful_plan as gp
+from benchmarks import report, suite
+from failbench.execution import CHECKPOINT
+from failbench.faults import GripperFailure, faults
+from failbench.recorder import Recorder
+from failbench.sampling import make_jobs
+
+TITLE = "FailBench: rollouts a second"
+MEASURED = """\
+Scene `tabletop`, task `lift_to_goal`: the whole arm, 15 free boxes, the object held by the fingers; half of the joints'
+limits; time step 2 ms. Failures at times spread over the motion, one second simulated after each. "Drops": the gripper
+fails; "mixed": all 19 faults at their default degree, equally often. "Plain loop": the same forks from the same
+checkpoints, with mj_step and the recorder called step by step from Python; "from the start": the same loop, but the
+healthy motion is simulated anew before each failure and nothing sleeps, as is usual. All in one process, one kind after
+the other in several rounds; the best round of each counts. The breakdown is that of the fastest round.
+"""
+DROPS_AT_LEAST, MIXED_AT_LEAST, THREADS_AT_LEAST = 70.0, 40.0, 1.8
+HORIZON = 1.0
+
+Array = np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How much."""
+
+    drops: int
+    mixed: int
+    loop: int
+    """Rollouts of the plain loop; a multiple of 19 has all faults."""
+    rounds: int
+
+
+FULL = Sizes(drops=256, mixed=190, loop=38, rounds=5)
+QUICK = Sizes(drops=32, mixed=19, loop=19, rounds=1)
+
+
+@dataclasses.dataclass(kw_only=True)
+class Timing:
+    """The fastest round of one kind of work."""
+
+    seconds: float = np.inf
+    rollouts: int = 0
+    parts: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def rate(self) -> float:
+        """Rollouts a second."""
+        return self.rollouts / self.seconds
+
+
+def run(options: suite.Options) -> str:
+    """Measure everything."""
+    sizes = QUICK if options.quick else FULL
+    execution = prepared()
+    drops = make_jobs([GripperFailure()], execution.duration, n=sizes.drops)
+    mixed = make_jobs([fault() for fault in faults().values()], execution.duration, n=sizes.mixed)
+    looped = mixed[: sizes.loop]
+    still = dataclasses.replace(execution, world=_without_sleep(execution.world))
+    work: dict[str, tuple[int, Callable[[], object]]] = {
+        "drops": (len(drops), lambda: failbench.run(execution, drops, horizon=HORIZON)),
+        "drops, 2 threads": (len(drops), lambda: failbench.run(execution, drops, horizon=HORIZON, threads=2)),
+        "mixed": (len(mixed), lambda: failbench.run(execution, mixed, horizon=HORIZON)),
+        "mixed, 2 threads": (len(mixed), lambda: failbench.run(execution, mixed, horizon=HORIZON, threads=2)),
+        "plain loop, drops": (sizes.loop, lambda: _loop(execution, drops[: sizes.loop])),
+        "plain loop, mixed": (sizes.loop, lambda: _loop(execution, looped)),
+        "from the start, drops": (sizes.loop, lambda: _loop(still, drops[: sizes.loop], anew=True)),
+    }
+    timings = {name: Timing() for name in work}
+    for _ in range(sizes.rounds):
+        for name, (count, do) in work.items():
+            _time(timings[name], count, do)
+    lines = list(_targets(timings, _differing(execution, looped), len(looped)))
+    return f"{MEASURED}\n{report.targets(lines)}\n{_rates(timings)}\n{_breakdown(timings)}"
+
+
+def prepared() -> failbench.Execution:
+    """Plan and execute the motion."""
+    task = suite.task("tabletop/lift_to_goal")
+    planned = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50, speed=0.5)
+    return failbench.execute(planned, failbench.build_world(task.scene))
+
+
+def plain_rollout(execution: failbench.Execution, job: failbench.Job, *, anew: bool = False) -> failbench.Rollout:
+    """Do one rollout step by step in Python.
+
+    Args:
+        execution: The healthy run.
+        job: What fails, and when.
+        anew: Whether to simulate the healthy motion first, which changes nothing but the time it takes.
+    """
+    model = execution.world.model
+    checkpoint = execution.checkpoint(job.onset)
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, execution.states[0 if anew else checkpoint], mujoco.mjtState.mjSTATE_INTEGRATION)
+    if anew:
+        for command in execution.command[: checkpoint * CHECKPOINT]:
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+        mujoco.mj_setState(model, data, execution.states[checkpoint], mujoco.mjtState.mjSTATE_INTEGRATION)
+    recorder = Recorder(execution.world, execution.baseline, data.qpos[None].copy(), data.qvel[None].copy())
+    for _, now in failbench.steps(execution, job, horizon=HORIZON):
+        recorder.observe(now.sensordata[None, None], now.qpos[None, None], now.qvel[None, None])
+    onset = checkpoint * CHECKPOINT * execution.dt
+    return failbench.Rollout(job=job, onset=onset, **recorder.finish(0))
+
+
+def same(first: failbench.Rollout, second: failbench.Rollout) -> bool:
+    """Tell whether two rollouts agree in every bit of what they recorded."""
+    fields = [field.name for field in dataclasses.fields(first) if field.name not in ("poses", "state")]
+    return all(getattr(first, name) == getattr(second, name) for name in fields) and all(
+        np.array_equal(first.poses[name], second.poses[name]) for name in first.poses.keys() | second.poses.keys()
+    )
+
+
+def _loop(execution: failbench.Execution, jobs: Sequence[failbench.Job], *, anew: bool = False) -> None:
+    for job in jobs:
+        plain_rollout(execution, job, anew=anew)
+
+
+def _differing(execution: failbench.Execution, jobs: Sequence[failbench.Job]) -> int:
+    """Return how many native rollouts differ from those of the plain loop."""
+    native = failbench.run(execution, jobs, horizon=HORIZON, threads=2)
+    return sum(not same(rollout, plain_rollout(execution, rollout.job)) for rollout in native)
+
+
+def _without_sleep(world: failbench.World) -> failbench.World:
+    return failbench.build_world(world.scene, dataclasses.replace(world.settings, sleep=False))
+
+
+def _time(timing: Timing, count: int, do: Callable[[], object]) -> None:
+    """Time one round, and keep it if it is the fastest so far."""
+    parts = {"simulation": 0.0, "recorder": 0.0}
+    with (
+        mock.patch("failbench.rollout.Batch", _told(Batch, ("rollout",), parts, "simulation")),
+        mock.patch("failbench.rollout.Recorder", _told(Recorder, ("__init__", "observe", "finish"), parts, "recorder")),
+    ):
+        started = time.perf_counter()
+        do()
+        seconds = time.perf_counter() - started
+    if seconds < timing.seconds:
+        timing.seconds, timing.rollouts, timing.parts = seconds, count, parts
+
+
+def _told(cls: type, methods: Sequence[str], parts: dict[str, float], part: str) -> type:
+    """Return a class whose methods add the time they take to a part."""
+
+    def told(method: Callable[..., object]) -> Callable[..., object]:
+        def timed(*args: object, **named: object) -> object:
+            started = time.perf_counter()
+            try:
+                return method(*args, **named)
+            finally:
+                parts[part] += time.perf_counter() - started
+
+        return timed
+
+    return type(cls.__name__, (cls,), {name: told(getattr(cls, name)) for name in methods})
+
+
+def _targets(timings: dict[str, Timing], differing: int, compared: int) -> Iterator[report.Target]:
+    for name, least in (("drops", DROPS_AT_LEAST), ("mixed", MIXED_AT_LEAST)):
+        rate = timings[name].rate
+        yield report.Target(
+            what=f"rollouts/s on one core, {name}", wanted=f">= {least:g}", measured=f"{rate:.1f}", met=rate >= least
+        )
+    for name in ("drops", "mixed"):
+        gain = timings[f"{name}, 2 threads"].rate / timings[name].rate
+        yield report.Target(
+            what=f"two threads against one, {name}",
+            wanted=f">= {THREADS_AT_LEAST:g}",
+            measured=f"{gain:.2f}",
+            met=gain >= THREADS_AT_LEAST,
+        )
+    yield report.Target(
+        what="rollouts that differ from the plain loop in any bit",
+        wanted="0",
+        measured=f"{differing} of {compared}",
+        met=differing == 0,
+    )
+
+
+def _rates(timings: dict[str, Timing]) -> str:
+    rows = []
+    for name, timing in timings.items():
+        native = timings["mixed" if "mixed" in name else "drops"]
+        rows.append((name, timing.rollouts, f"{timing.rate:.1f}", f"{native.rate / timing.rate:.2f}"))
+    return report.table(("kind", "rollouts", "rollouts/s", "native, one thread, is faster by"), rows)
+
+
+def _breakdown(timings: dict[str, Timing]) -> str:
+    rows = []
+    for name in ("drops", "mixed"):
+        timing = timings[name]
+        parts = timing.parts | {"rest": timing.seconds - sum(timing.parts.values())}
+        rows.append((name, *(f"{1e3 * s / timing.rollouts:.2f} ({s / timing.seconds:.0%})" for s in parts.values())))
+    return report.table(("ms a rollout", "simulation", "recorder", "rest"), rows)
