@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from failbench.work import Sweep
 
 MANIFEST = "manifest.json"
-PART_ROWS = 10_000
-"""Rows of a part, at most; about as many are in memory while it is written, 10 kB each."""
+PART_ROWS = 5_000
+"""Rows of a part, at most; as many are in memory until it is written, some 30 kB each."""
 
 _SCHEMA = "failbench.dataset"
 _TEMPORARY = ".unfinished-"
