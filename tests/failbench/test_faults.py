@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from breaking import Nothing, Record, healthy_run
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import EVERY_DEGREE
 from mujoco.batch import MODEL_FIELDS
@@ -120,6 +120,19 @@ def _wxyz_xyz(qpos):
 
 
 @pytest.mark.parametrize("name", ALL)
+def test_targets_that_cannot_have_the_fault_are_refused(name):
+    cls = faults()[name]
+    able = set(cls.STRIKES)
+    for target, part in (("gripper", "gripper"), ("panda/joint1", "joints"), ("all", "joints"), ("any", "joints")):
+        if part in able:
+            assert cls(targets=(target,)).targets == (target,)
+        else:
+            with pytest.raises(SettingError, match=f"targets = .*among them: nothing else can have a {name}"):
+                cls(targets=(target,))
+    assert cls(targets=("robot",)).targets == ("robot",)
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_the_seed_decides_everything(name):
     fault = faults()[name]()
     first, second = Record(fault, seed=3, horizon=0.1), Record(fault, seed=3, horizon=0.1)
@@ -148,13 +161,30 @@ GIVEN = st.sampled_from(list(faults().values())).flatmap(
 )
 
 
-@given(chosen=GIVEN)
-def test_json_form_and_back(chosen):
+def made(chosen):
     cls, settings = chosen
     if "when" in settings:
         onset, arguments = settings["when"]
         settings = settings | {"when": onset(*arguments)}
-    fault = cls(**settings)
+    if "targets" in settings:  # one of them has to be able to have the fault
+        settings = settings | {"targets": (*settings["targets"], "robot")}
+    return cls(**settings)
+
+
+@given(chosen=GIVEN, seed=st.integers(0, 2**31), when=st.floats(0.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_any_fault_leaves_finite_numbers_and_ends_in_time(chosen, seed, when):
+    fault, done = made(chosen), healthy_run()
+    record = Record(fault, when=when, seed=seed, horizon=0.12)
+    assert np.isfinite(record.all).all() and np.isfinite(record.command).all()
+    if fault.duration is not None and fault.duration < 0.1:
+        assert same_model(record.model, done.world.model)
+        assert np.array_equal(record.command[-1], done.commands(record.onset_step, len(record.command))[-1])
+
+
+@given(chosen=GIVEN)
+def test_json_form_and_back(chosen):
+    fault = made(chosen)
     assert from_document(json.loads(json.dumps(to_document(fault), allow_nan=False))) == fault
 
 
@@ -231,6 +261,7 @@ from failbench import Fault
 @dataclass(frozen=True, kw_only=True)
 class Own(Fault):
     size: float = 1.0
+    count: int = 1
     NAME: ClassVar[str] = "own"
 
     def apply(self, plant, level):
@@ -242,8 +273,11 @@ def test_a_fault_of_ones_own_is_loaded_and_has_a_json_form(tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     cls = load_class(f"{tmp_path / 'mine.py'}:Own")
     assert issubclass(cls, Fault)
-    fault = cls(size=2.0)
-    assert from_document(to_document(fault), {"own": cls}) == fault
+    fault = cls(size=2.0, count=3)
+    again = from_document(to_document(fault), {"own": cls})
+    assert again == fault and isinstance(again.count, int)
+    with pytest.raises(SettingError, match=r"count = 2\.5, expected a whole number"):
+        from_document(to_document(fault) | {"count": 2.5}, {"own": cls})
     with pytest.raises(UnknownNameError, match="unknown fault 'own'"):
         from_document(to_document(fault))
 

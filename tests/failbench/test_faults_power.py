@@ -1,5 +1,7 @@
 """Signatures of the faults of the power supply, against theory or the healthy run."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -97,6 +99,15 @@ def test_grip_without_power(grip, lost):
         record = Record(fault, when=1.0, horizon=0.4, done=done)
         assert (record.slip[-1] > 0.02) == lost
     assert not record.force[:, :7].any()
+
+
+def test_self_locking_fingers_without_power_do_not_open_on_command():
+    done = healthy_run()
+    command = done.command.copy()
+    command[-100:, done.world.robot.gripper_actuators] = done.world.robot.grip_open
+    done = dataclasses.replace(done, command=command)
+    fault = PowerLoss(brake="immediate", grip="kept")
+    assert Record(fault, when=0.7, horizon=0.6, done=done).slip[-1] < 2e-3
 
 
 def test_power_loss_of_an_unknown_kind_is_refused():

@@ -196,7 +196,11 @@ def _checked(name: str, value: Any, default: Any) -> Any:
         if not isinstance(value, type(default)):
             raise SettingError(name, value, "true or false" if isinstance(default, bool) else "a text")
         return value
-    if default is None or isinstance(default, int | float):
+    if isinstance(default, int):
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise SettingError(name, value, "a whole number")
+        return value
+    if default is None or isinstance(default, float):
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise SettingError(name, value, "a number")
         return float(value)

@@ -55,6 +55,7 @@ class LimitedRange(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "motion that is left in each direction [rad or m]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.2, "moderate": 0.1, "severe": 0.05, "critical": 0.01}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("jnt_range", "jnt_limited", "jnt_solref")
 
     def apply(self, plant: Plant, level: float) -> None:
@@ -109,6 +110,7 @@ class StuckPosition(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "time from the first rubbing to the standstill [s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.4, "moderate": 0.2, "severe": 0.1, "critical": 0.0}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("eq_data", "dof_armature", *FRICTION)
     PERIOD: ClassVar[float | None] = 0.02
 
@@ -132,6 +134,7 @@ class IncreasedFriction(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "dry friction, as a share of the joint's greatest torque"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.1, "moderate": 0.3, "severe": 0.6, "critical": 0.9}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("dof_damping", *FRICTION)
 
     def apply(self, plant: Plant, level: float) -> None:

@@ -64,6 +64,12 @@ def scale_torque(plant: Plant, share: float) -> None:
     plant["actuator_forcerange"][actuators(plant)] *= share
 
 
+def hold_grip(plant: Plant) -> None:
+    """Leave the gripper as it was told to be at the onset, deaf to later commands."""
+    grippers = plant.robot.gripper_actuators
+    plant.ahead[:, grippers] = plant.healthy[0, grippers]
+
+
 def cut_overloaded_weld(plant: Plant) -> None:
     """Cut the weld that stands for the grasp if fingers would not hold the object's weight any more.
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.faults.drive import GRIP, cut_overloaded_weld
+from failbench.faults.drive import GRIP, cut_overloaded_weld, hold_grip
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
 
@@ -22,6 +22,7 @@ class GripperFailure(Fault):
     PARAMETER: ClassVar[str] = "time in which the gripper opens [s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.8, "moderate": 0.4, "severe": 0.1, "critical": 0.0}
     TARGETS: ClassVar[tuple[str, ...]] = ("gripper",)
+    STRIKES: ClassVar[tuple[str, ...]] = ("gripper",)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Open the gripper little by little."""
@@ -39,13 +40,13 @@ class WeakGrip(Fault):
     PARAMETER: ClassVar[str] = "grip force that is left, as a share of the healthy one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.3, "moderate": 0.1, "severe": 0.02, "critical": 0.005}
     TARGETS: ClassVar[tuple[str, ...]] = ("gripper",)
+    STRIKES: ClassVar[tuple[str, ...]] = ("gripper",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_forcerange", *GRIP)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Limit the force of the fingers."""
-        if plant.gripper:
-            plant["actuator_forcerange"][plant.robot.gripper_actuators] *= 1.0 + level * (self.amount - 1.0)
-            cut_overloaded_weld(plant)
+        plant["actuator_forcerange"][plant.robot.gripper_actuators] *= 1.0 + level * (self.amount - 1.0)
+        cut_overloaded_weld(plant)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,19 +65,18 @@ class StuckGripper(Fault):
     PARAMETER: ClassVar[str] = "how far open it sticks, as a share of the widest opening"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.25, "moderate": 0.5, "severe": 0.8, "critical": 1.0}
     TARGETS: ClassVar[tuple[str, ...]] = ("gripper",)
+    STRIKES: ClassVar[tuple[str, ...]] = ("gripper",)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Hold the gripper where it sticks."""
-        if self.closed and plant.gripper:
-            grippers = plant.robot.gripper_actuators
-            plant.ahead[:, grippers] = plant.healthy[0, grippers]
-        elif not self.closed:
+        if self.closed:
+            hold_grip(plant)
+        else:
             _open(plant, level * self.amount)
 
 
 def _open(plant: Plant, share: np.ndarray | float) -> None:
     """Open the gripper by a share of the widest opening, for all steps to come or for each."""
-    if plant.gripper:
-        grippers = plant.robot.gripper_actuators
-        plant.ahead[:, grippers] += share * (plant.robot.grip_open - plant.ahead[:, grippers])
-        plant.cut_weld()
+    grippers = plant.robot.gripper_actuators
+    plant.ahead[:, grippers] += share * (plant.robot.grip_open - plant.ahead[:, grippers])
+    plant.cut_weld()

@@ -16,6 +16,9 @@ DEGREES = ("minor", "moderate", "severe", "critical")
 
 CATEGORIES = ("actuator", "sensor", "end_effector", "power")
 
+_PARTS = {"gripper": ("gripper",), "robot": ("joints", "gripper")}
+"""The parts that a target stands for, if not joints alone."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fault(ABC):
@@ -49,6 +52,8 @@ class Fault(ABC):
     """The parameter's value by degree."""
     TARGETS: ClassVar[tuple[str, ...]] = ("any",)
     """What is struck unless the user says otherwise."""
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints", "gripper")
+    """Which parts of a robot can have this fault at all."""
     FIELDS: ClassVar[tuple[str, ...]] = ()
     """Fields of the MuJoCo model that `apply` writes."""
     PERIOD: ClassVar[float | None] = None
@@ -64,6 +69,10 @@ class Fault(ABC):
         if isinstance(self.targets, str):
             raise SettingError("targets", self.targets, "a tuple of names")
         object.__setattr__(self, "targets", tuple(self.targets))
+        parts = {part for target in self.targets for part in _PARTS.get(target, ("joints",))}
+        if parts and parts.isdisjoint(self.STRIKES):
+            able = " or ".join({"joints": "a joint", "gripper": "the gripper"}[part] for part in self.STRIKES)
+            raise SettingError("targets", self.targets, f"{able} among them: nothing else can have a {self.NAME}")
 
     @property
     def amount(self) -> float:

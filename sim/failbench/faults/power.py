@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from failbench.faults.drive import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, scale_torque
+from failbench.faults.drive import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, hold_grip, scale_torque
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
 from graceful_plan import SettingError
@@ -92,4 +92,5 @@ class PowerLoss(Fault):
         if self.grip == "kept":
             for name, values in gripping.items():
                 plant[name][plant.robot.gripper_actuators] = values
+            hold_grip(plant)
         cut_overloaded_weld(plant)

@@ -30,6 +30,7 @@ class Noise(Fault):
     CATEGORY: ClassVar[str] = "sensor"
     PARAMETER: ClassVar[str] = "standard deviation of the position reading [rad or m]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.005, "moderate": 0.02, "severe": 0.05, "critical": 0.1}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Let the readings scatter."""
@@ -48,6 +49,7 @@ class BiasDrift(Fault):
     CATEGORY: ClassVar[str] = "sensor"
     PARAMETER: ClassVar[str] = "rate at which the position reading drifts away [rad/s or m/s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.02, "moderate": 0.05, "severe": 0.15, "critical": 0.4}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Let the readings drift."""
@@ -87,6 +89,7 @@ class Dropout(Fault):
         "length of a gap [s]; gaps begin at random, 0.25 s apart in the mean, the first at the onset"
     )
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.02, "moderate": 0.04, "severe": 0.08, "critical": 0.16}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
     PERIOD: ClassVar[float | None] = 0.01
 
@@ -114,6 +117,7 @@ class ScaleError(Fault):
     CATEGORY: ClassVar[str] = "sensor"
     PARAMETER: ClassVar[str] = "relative error of the reading"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.01, "moderate": 0.02, "severe": 0.05, "critical": 0.1}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
 
     def apply(self, plant: Plant, level: float) -> None:
@@ -132,6 +136,7 @@ class DeadZone(Fault):
     CATEGORY: ClassVar[str] = "sensor"
     PARAMETER: ClassVar[str] = "width of the zone [rad or m]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.01, "moderate": 0.03, "severe": 0.06, "critical": 0.12}
+    STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
     PERIOD: ClassVar[float | None] = 0.0
 
