@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from types import MappingProxyType
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from failbench.bounds import Bounds
 from failbench.closeup import Closeup
 from failbench.world import World
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Float, Int
 
 Array = np.ndarray
 
@@ -70,29 +69,29 @@ class Aftermath:
             "poses": MappingProxyType(poses),
         }
 
-    def _look(self, qpos: Float[Array, " qpos"]) -> tuple[dict[int, set[int]], Float[Array, " xyz"] | None]:
-        """Return which bodies touch each body, and where the carried object is in the tool frame."""
+    def _look(self, qpos: Float[Array, " qpos"]) -> tuple[Int[Array, "contact 2"], Float[Array, " xyz"] | None]:
+        """Return the bodies of all contacts, and where the carried object is in the tool frame."""
         self._closeup.place(qpos)
-        touching: dict[int, set[int]] = {}
-        for a, b in self._closeup.bodies().tolist():
-            touching.setdefault(a, set()).add(b)
-            touching.setdefault(b, set()).add(a)
+        pairs = self._closeup.bodies()
         if self._world.carried_body < 0:
-            return touching, None
+            return pairs, None
         data = self._closeup.data
         R_WT, p_WT = data.site_xmat[self._tool].reshape(3, 3), data.site_xpos[self._tool]
-        return touching, R_WT.T @ (data.xpos[self._world.carried_body] - p_WT)
+        return pairs, R_WT.T @ (data.xpos[self._world.carried_body] - p_WT)
 
-    def _lost(self, name: str, stood: dict[int, set[int]], stands: dict[int, set[int]]) -> bool:
+    def _lost(self, name: str, stood: Int[Array, "contact 2"], stands: Int[Array, "later 2"]) -> bool:
         """Return whether an entity touches nothing any more of what it touched, the robot aside."""
         own = self._world.entity_bodies[name]
         support = _neighbours(stood, own) - self._strikers
         return bool(support) and not support & _neighbours(stands, own)
 
 
-def _neighbours(touching: dict[int, set[int]], bodies: Iterable[int]) -> set[int]:
-    own = set(bodies)
-    return set[int]().union(*(touching.get(body, ()) for body in own)) - own
+def _neighbours(pairs: Int[Array, "contact 2"], bodies: tuple[int, ...]) -> set[int]:
+    """Return the bodies that touch some bodies, these aside."""
+    found: set[int] = set()
+    for body in bodies:
+        found.update(pairs[pairs[:, 0] == body, 1].tolist(), pairs[pairs[:, 1] == body, 0].tolist())
+    return found.difference(bodies)
 
 
 def _tilt(before: Float[Array, "body 7"], after: Float[Array, "body 7"]) -> Float[Array, " body"]:

@@ -93,11 +93,11 @@ class Secondary:
         """Look whether entities that are near each other touch."""
         self._looks[sim] += 1
         self._closeup.place(qpos[step], qvel[step])
+        touching = {(a, b) for a, b in self._closeup.owners().tolist()}
         for a, b in pairs:
-            if not self._known[sim, a, b] and self._closeup.normal(a, b) is not None:
+            if not self._known[sim, a, b] and ((a, b) in touching or (b, a) in touching):
                 self._known[sim, a, b] = self._known[sim, b, a] = True
                 self._found(sim, done, step, (a, b), qpos, qvel)
-                self._closeup.place(qpos[step], qvel[step])
 
     def _found(
         self,
