@@ -153,6 +153,8 @@ class Recorder:
         qvel: Float[Array, "sim step qvel"],
     ) -> None:
         """Add what sensors felt during the block; those between one component and one entity act as one."""
+        order = np.lexsort((self._pair[sensors], sims))
+        sims, sensors = sims[order], sensors[order]
         columns = self._adr[sensors][:, None, None] + np.arange(SENSOR_SIZE)
         felt = sensordata[sims[:, None, None], np.arange(qpos.shape[1])[:, None], columns]
         starts = np.flatnonzero(np.diff(sims, prepend=-1) | np.diff(self._pair[sensors], prepend=-1))
