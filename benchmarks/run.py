@@ -30,6 +30,9 @@ SUBJECTS = (
     "startup",
     "discretisation",
     "paper_table",
+    "drop_physics",
+    "failbench_speed",
+    "failbench_soak",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset({"best_known"})

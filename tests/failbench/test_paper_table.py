@@ -13,8 +13,8 @@ from failbench import ContactEvent
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from benchmarks import paper_table  # noqa: E402 - after the path to them is known
-from benchmarks.paper_cost import SHARPNESS, _soft_max, _soft_min, as_coded  # noqa: E402
+from benchmarks import paper_table
+from benchmarks.paper_cost import SHARPNESS, _soft_max, _soft_min, as_coded
 
 RECOMPUTED = {"T1": 0.343, "T2": 0.457, "T3": 0.369, "T4": 0.236}
 BOXES_DIFFER = 0.08
