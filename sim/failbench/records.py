@@ -65,7 +65,7 @@ class Rollout:
     Args:
         job: What was asked.
         onset: When the fault began, on the trajectory's clock [s]: the job's, rounded to the nearest checkpoint.
-        status: "completed", or "diverged" if the simulation blew up.
+        status: "completed", or "diverged" if the simulation blew up; then there are no consequences, but a `state`.
         events: Contacts that the healthy run does not have, in the order of their first touch.
         fell: Movable entities that ended more than 5 cm lower than they began.
         tipped: Movable entities that ended more than 30 degrees off their initial axis.

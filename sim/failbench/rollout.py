@@ -101,7 +101,8 @@ def _run_group(
             onset=checkpoint * CHECKPOINT * execution.dt,
             status="diverged" if diverged[i] else "completed",
             state=execution.states[checkpoint].copy() if diverged[i] else None,
-            **recorder.finish(i),
+            # MuJoCo resets what blows up: what is recorded from then on never happened.
+            **({} if diverged[i] else recorder.finish(i)),
         )
         for i, (job, checkpoint) in enumerate(zip(jobs, checkpoints, strict=True))
     ]

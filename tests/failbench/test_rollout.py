@@ -117,6 +117,9 @@ def test_a_simulation_that_blows_up_is_reported(done, monkeypatch):
     assert [r.status for r in rollouts] == ["completed", "diverged", "completed"]
     assert np.array_equal(rollouts[1].state, broken[10], equal_nan=True)
     assert rollouts[0].state is None
+    assert rollouts[0].poses
+    assert not rollouts[1].poses
+    assert not rollouts[1].events
 
 
 def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):
