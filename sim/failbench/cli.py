@@ -64,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
 
     judge = _command(commands, "validate", _validate, "compare what failures of a motion hit with what was predicted")
     judge.add_argument(
-        "patterns", nargs="*", default=["drop/*"], help="of scenarios, whose faults count (default drop/*)"
+        "patterns", nargs="*", default=["drop/*/severe"], help="of scenarios, whose faults count (default drop/*/severe)"
     )
     judge.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     judge.add_argument("--task", help="task of the scene (default: its first)")
