@@ -7,7 +7,9 @@ so in the same steps. What comes out does not depend on the batch: each simulati
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 
 import mujoco
@@ -18,8 +20,8 @@ from failbench.execution import CHECKPOINT, Execution, put
 from failbench.injection import CTRL, Injection
 from failbench.recorder import Recorder
 from failbench.records import Job, Rollout
-from failbench.spill import kept_volume
 from failbench.rest import PERIOD, let_sleep
+from failbench.spill import kept_volume
 from failbench.world import World
 from graceful_plan import SettingError
 
@@ -39,35 +41,57 @@ def run(
         jobs: What fails, and when.
         horizon: How long is simulated after the onset [s].
         threads: Threads of the simulation.
-        batch: How many simulations are in memory at once. The result does not depend on it, nor on `threads`.
+        batch: How many simulations a thread has in memory at once. The result does not depend on it, nor on `threads`.
 
     Returns:
         A rollout for each job, in the order of the jobs.
 
     Raises:
         UnknownNameError: If a fault strikes a joint that the robot does not have.
-        SettingError: If the horizon is shorter than a time step.
+        SettingError: If the horizon is shorter than a time step, or there are no threads or batches to do it.
     """
     steps = round(horizon / execution.dt)
     if steps < 1:
         raise SettingError("horizon", horizon, f"at least the time step of {execution.dt:g} s")
+    for name, count in (("threads", threads), ("batch", batch)):
+        if count < 1:
+            raise SettingError(name, count, "at least 1")
     for job in jobs:
         execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS)
     if not jobs:
         return []
-    # Faults of a kind act in the same steps, so they are kept together.
-    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.PERIOD is not None, jobs[i].fault.NAME, i))
-    size = min(batch, len(jobs))
-    simulations = Batch(execution.world.model, size, nthread=threads, persistent=True)
+    # Faults of a kind act in the same steps, so they are kept together; those that act again and again take longest.
+    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.PERIOD is None, jobs[i].fault.NAME, i))
+    size = min(batch, -(-len(jobs) // threads))
+    groups = iter([order[first : first + size] for first in range(0, len(jobs), size)])
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
-    fields = {name: simulations.expand(name) for name in names}
     rollouts: dict[int, Rollout] = {}
-    with warnings_counted_only():
-        for first in range(0, len(jobs), size):
-            group = order[first : first + size]
+
+    def work() -> None:
+        simulations = Batch(execution.world.model, size, nthread=1, persistent=True)
+        fields = {name: simulations.expand(name) for name in names}
+        for group in groups:
             done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
-            rollouts |= zip(group, done, strict=True)
+            rollouts.update(zip(group, done, strict=True))
+
+    with warnings_counted_only():
+        _in_threads(work, threads, groups)
     return [rollouts[i] for i in range(len(jobs))]
+
+
+def _in_threads(work: Callable[[], None], threads: int, groups: Iterator[list[int]]) -> None:
+    """Let threads take groups until none is left; each has a batch, so that one records while others simulate."""
+    if threads == 1:
+        work()
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        parts = [pool.submit(work) for _ in range(threads)]
+        try:
+            wait(parts, return_when=FIRST_EXCEPTION)
+        finally:
+            deque(groups, maxlen=0)  # after an error or an interrupt nobody begins another one
+    for part in parts:
+        part.result()
 
 
 def _run_group(

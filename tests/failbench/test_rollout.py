@@ -1,4 +1,5 @@
 import copy
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -8,6 +9,7 @@ from motions import Drop, Shake, Weaken, execution
 import graceful_plan as gp
 from failbench import Job, SimSettings, run, steps
 from failbench.execution import CHECKPOINT
+from failbench.rollout import _run_group
 
 FAULTS = (
     Drop(),
@@ -133,7 +135,35 @@ def test_misuse_is_refused(done):
         run(done, [Job(fault=Drop(), onset=0.1, seed=0)], horizon=0.0)
     with pytest.raises(gp.UnknownNameError, match="unknown target 'elbow'"):
         run(done, [Job(fault=Drop(targets=("elbow",)), onset=0.1, seed=0)])
+    for setting in ("threads", "batch"):
+        with pytest.raises(gp.SettingError, match=f"{setting} = 0, expected at least 1"):
+            run(done, [Job(fault=Drop(), onset=0.1, seed=0)], **{setting: 0})
     assert run(done, []) == []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bug(Drop):
+    """A fault whose author has made a mistake."""
+
+    NAME = "bug"
+
+    def apply(self, plant, level):
+        raise IndexError("a mistake in a fault")
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_mistake_in_a_fault_is_raised_and_ends_the_others(done, threads, monkeypatch):
+    begun = []
+
+    def counted(*given):
+        begun.append(given)
+        return _run_group(*given)
+
+    monkeypatch.setattr("failbench.rollout._run_group", counted)
+    jobs = [Job(fault=fault, onset=0.2, seed=0) for fault in (Bug(), *[Drop()] * 60)]
+    with pytest.raises(IndexError, match="a mistake in a fault"):
+        run(done, jobs, horizon=0.05, threads=threads, batch=1)
+    assert len(begun) < len(jobs)
 
 
 def test_a_weld_lets_go_without_a_push():
