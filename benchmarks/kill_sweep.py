@@ -29,6 +29,8 @@ if str(ROOT) not in sys.path:
 from benchmarks import machine  # noqa: E402 - after the path to it is known
 from failbench.dataset import read_dataset  # noqa: E402
 from failbench.faults import faults, to_document  # noqa: E402
+from failbench.journal import Journal  # noqa: E402
+from failbench.sweep import JOURNAL  # noqa: E402
 from failbench.work import Motion, PlanSettings, Sweep  # noqa: E402
 
 FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")
@@ -123,10 +125,17 @@ class Trial:
             driver.wait()
 
     def _start(self, name: str) -> subprocess.Popen[bytes]:
-        begun = (self.folder / name / "journal.sqlite").exists() and self.random.random() < 0.5
-        what = ["resume", name] if begun else ["generate", name, "--sweep", str(self.file)]
+        resumes = self.random.random() < 0.5 and _begun(self.folder / name / JOURNAL)
+        what = ["resume", name] if resumes else ["generate", name, "--sweep", str(self.file)]
         command = [sys.executable, "-m", "failbench.cli", *what, "--workers", str(self.workers)]
         return subprocess.Popen(command, cwd=self.folder, stdout=subprocess.DEVNULL)
+
+
+def _begun(journal: Path) -> bool:
+    if not journal.exists():
+        return False
+    with Journal(journal) as opened:
+        return opened.begun
 
 
 def _content(folder: Path) -> dict[str, bytes]:

@@ -22,7 +22,7 @@ from failbench.executors import Executor, LocalExecutor
 from failbench.faults import to_document
 from failbench.replay import replay
 from failbench.scenarios import scenarios
-from failbench.sweep import Generated, Progress, generate, read_sweep, resume, sweep_of
+from failbench.sweep import JOURNAL, Generated, Progress, generate, read_sweep, resume, sweep_of
 from failbench.validate import validate
 from failbench.work import Motion, PlanSettings, Sweep, execution_of, jobs_of, run_chunk, scene_of
 from failbench.world import SimSettings
@@ -45,7 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED if isinstance(error, SweepFailed | PlanningFailed) else MISUSE
     except KeyboardInterrupt:
         folder = getattr(args, "folder", None)
-        print("interrupted" + (f"; to go on: failbench resume {folder}" if folder else ""), file=sys.stderr)
+        begun = folder is not None and (folder / JOURNAL).exists()
+        print("interrupted" + (f"; to go on: failbench resume {folder}" if begun else ""), file=sys.stderr)
         return INTERRUPTED
 
 
@@ -64,7 +65,10 @@ def _parser() -> argparse.ArgumentParser:
 
     judge = _command(commands, "validate", _validate, "compare what failures of a motion hit with what was predicted")
     judge.add_argument(
-        "patterns", nargs="*", default=["drop/*/severe"], help="of scenarios, whose faults count (default drop/*/severe)"
+        "patterns",
+        nargs="*",
+        default=["drop/*/severe"],
+        help="of scenarios, whose faults count (default drop/*/severe)",
     )
     judge.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     judge.add_argument("--task", help="task of the scene (default: its first)")

@@ -72,13 +72,16 @@ def generate(
         JournalBusy: If another process is working on it.
         ExecutionRefused: If the healthy robot cannot carry a motion out.
         SweepFailed: If chunks failed; the others are done, and `resume` tries these again.
+        MissingExtra: If pyarrow is not installed.
     """
+    check_arrow()  # before hours of work, not after
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    # Planned before there is a journal, so that one that is there was begun but for a kill within milliseconds.
+    about = None if (folder / JOURNAL).exists() else _prepared(sweep)
     with Journal(folder / JOURNAL) as journal:
         if not journal.begun:
-            planned = sweep.planned()
-            journal.begin({"sweep": planned.to_document(), "versions": versions(), "inputs": _inputs(planned)})
+            journal.begin(about or _prepared(sweep))
         _check_same(journal, sweep)
         return _finish(journal, folder, executor, callback)
 
@@ -89,6 +92,7 @@ def resume(folder: str | Path, *, executor: Executor | None = None, callback: Ca
     Raises:
         FormatError: If no sweep was begun there, or it was begun with other versions, files or settings.
     """
+    check_arrow()
     with _begun(Path(folder)) as journal:
         return _finish(journal, Path(folder), executor, callback)
 
@@ -100,7 +104,7 @@ def _begun(folder: Path) -> Generator[Journal]:
         raise FormatError(str(folder), f"no sweep was begun here: there is no {JOURNAL}")
     with Journal(folder / JOURNAL) as journal:
         if not journal.begun:
-            raise FormatError(str(journal.file), "no sweep was begun in it")
+            raise FormatError(str(journal.file), "no sweep was begun in it; `generate` begins one")
         yield journal
 
 
@@ -163,9 +167,14 @@ def versions() -> dict[str, str]:
     return {"graceful_plan": gp.__version__} | {name: metadata.version(name) for name in ("mujoco", "numpy")}
 
 
+def _prepared(sweep: Sweep) -> dict[str, Any]:
+    """Plan what is still to be planned, and return what the sweep is about, with all that decides about results."""
+    planned = sweep.planned()
+    return {"sweep": planned.to_document(), "versions": versions(), "inputs": _inputs(planned)}
+
+
 def _finish(journal: Journal, folder: Path, executor: Executor | None, callback: Callback | None) -> Generated:
     """Do what is left of a sweep that was begun, and write the dataset."""
-    check_arrow()  # before hours of work, not after
     about = journal.about
     sweep = Sweep.from_document(about["sweep"], str(journal.file))
     done = journal.done()

@@ -160,6 +160,13 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
         resume(tmp_path)
 
 
+def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, reference, tmp_path):
+    with Journal(tmp_path / JOURNAL):
+        pass
+    generate(sweep, tmp_path, executor=InProcess())
+    assert files(tmp_path) == reference
+
+
 def test_misuse_is_found_before_anything_is_begun(sweep, tmp_path):
     elbow = dataclasses.replace(sweep, faults=({"fault": "loose_joint", "targets": ["elbow"]},))
     with pytest.raises(UnknownNameError, match="elbow"):
@@ -169,8 +176,7 @@ def test_misuse_is_found_before_anything_is_begun(sweep, tmp_path):
     motion = Motion(name="rush", scene="tabletop", task="lift_to_goal", trajectory=hasty)
     with pytest.raises(ExecutionRefused, match="rush: "):
         generate(dataclasses.replace(sweep, motions=(motion,)), tmp_path, executor=InProcess())
-    with pytest.raises(FormatError, match="no sweep was begun in it"):
-        resume(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_sweep_of_scenarios_is_every_fault_on_every_task():
