@@ -48,11 +48,9 @@ def run(
 
     Raises:
         UnknownNameError: If a fault strikes a joint that the robot does not have.
-        SettingError: If the horizon is shorter than a time step, or there are no threads or batches to do it.
+        SettingError: If the horizon is too short or too long, or there are no threads or batches to do it.
     """
-    steps = round(horizon / execution.dt)
-    if steps < 1:
-        raise SettingError("horizon", horizon, f"at least the time step of {execution.dt:g} s")
+    steps = execution.steps(horizon)
     for name, count in (("threads", threads), ("batch", batch)):
         if count < 1:
             raise SettingError(name, count, "at least 1")
@@ -67,25 +65,26 @@ def run(
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
     rollouts: dict[int, Rollout] = {}
 
-    def work() -> None:
-        simulations = Batch(execution.world.model, size, nthread=1, persistent=True)
+    def work(simulations: Batch) -> None:
         fields = {name: simulations.expand(name) for name in names}
         for group in groups:
             done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
             rollouts.update(zip(group, done, strict=True))
 
+    # Made here, not in the threads, whose separate heaps would grow.
+    batches = [Batch(execution.world.model, size, nthread=1, persistent=True) for _ in range(threads)]
     with warnings_counted_only():
-        _in_threads(work, threads, groups)
+        _in_threads(work, batches, groups)
     return [rollouts[i] for i in range(len(jobs))]
 
 
-def _in_threads(work: Callable[[], None], threads: int, groups: Iterator[list[int]]) -> None:
+def _in_threads(work: Callable[[Batch], None], batches: Sequence[Batch], groups: Iterator[list[int]]) -> None:
     """Let threads take groups until none is left; each has a batch, so that one records while others simulate."""
-    if threads == 1:
-        work()
+    if len(batches) == 1:
+        work(batches[0])
         return
-    with ThreadPoolExecutor(threads) as pool:
-        parts = [pool.submit(work) for _ in range(threads)]
+    with ThreadPoolExecutor(len(batches)) as pool:
+        parts = [pool.submit(work, simulations) for simulations in batches]
         try:
             wait(parts, return_when=FIRST_EXCEPTION)
         finally:
