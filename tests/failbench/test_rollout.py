@@ -131,7 +131,7 @@ def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):
 
 
 def test_misuse_is_refused(done):
-    with pytest.raises(gp.SettingError, match=r"horizon = 0\.0, expected at least the time step"):
+    with pytest.raises(gp.SettingError, match=r"horizon = 0\.0, expected between the time step"):
         run(done, [Job(fault=Drop(), onset=0.1, seed=0)], horizon=0.0)
     with pytest.raises(gp.UnknownNameError, match="unknown target 'elbow'"):
         run(done, [Job(fault=Drop(targets=("elbow",)), onset=0.1, seed=0)])
