@@ -21,7 +21,7 @@ from failbench.errors import SweepFailed
 from failbench.executors import Executor, LocalExecutor
 from failbench.faults import to_document
 from failbench.replay import replay
-from failbench.scenarios import scenarios
+from failbench.scenarios import scenarios, usual_grasp
 from failbench.sweep import JOURNAL, Generated, Progress, generate, read_sweep, resume, sweep_of
 from failbench.validate import validate
 from failbench.work import Motion, PlanSettings, Sweep, execution_of, jobs_of, run_chunk, scene_of
@@ -127,7 +127,9 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
     parser.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
-    parser.add_argument("--grasp", choices=("fingers", "weld"), default=settings.grasp, help="what holds the object")
+    parser.add_argument(
+        "--grasp", choices=("fingers", "weld"), help="what holds the object (default: a weld where fingers cannot)"
+    )
     parser.add_argument("--control", choices=("servo", "torque"), default=settings.control, help="what drives the arm")
 
 
@@ -177,7 +179,7 @@ def _validate(args: argparse.Namespace) -> int:
             horizon=args.horizon,
             seed=args.seed,
             importance=args.importance,
-            settings=_settings(args),
+            settings=SimSettings(control=args.control, grasp=motion.grasp or "fingers"),
             progress=bar.show,
         )
     _print(args, report.to_document(), str(report))
@@ -228,7 +230,7 @@ def _replay(args: argparse.Namespace) -> int:
 
 
 def _settings(args: argparse.Namespace) -> SimSettings:
-    return SimSettings(grasp=args.grasp, control=args.control)
+    return SimSettings(control=args.control)
 
 
 def _plan_settings(args: argparse.Namespace) -> PlanSettings:
@@ -236,14 +238,14 @@ def _plan_settings(args: argparse.Namespace) -> PlanSettings:
 
 
 def _motion(args: argparse.Namespace, scene: str, task: str | None) -> Motion:
-    name = f"{scene}/{task}"
+    name, grasp = f"{scene}/{task}", args.grasp or usual_grasp(scene, task)
     if args.trajectory is None:
-        return Motion(name=name, scene=scene, task=task, plan=_plan_settings(args))
+        return Motion(name=name, scene=scene, task=task, plan=_plan_settings(args), grasp=grasp)
     motion = documents.read_motion(args.trajectory)
     if isinstance(motion, gp.Path):
         held = scene_of(scene, task)
         motion = gp.retime(motion, held.limits, held.joints)
-    return Motion(name=name, scene=scene, task=task, trajectory=motion)
+    return Motion(name=name, scene=scene, task=task, trajectory=motion, grasp=grasp)
 
 
 def _one(args: argparse.Namespace) -> Sweep:
@@ -273,6 +275,7 @@ def _sweep(args: argparse.Namespace) -> Sweep:
         horizon=args.horizon,
         seed=args.seed,
         settings=_settings(args),
+        grasp=args.grasp,
     )
     if args.trajectory is None:
         return sweep

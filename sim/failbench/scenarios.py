@@ -29,6 +29,7 @@ class Scenario:
         task: Name of its task.
         fault: What breaks.
         tags: "FAMILY/FAULT/DEGREE" for each family that it belongs to, the fault's category first.
+        grasp: What holds the object: "weld" if the fingers cannot; see `SimSettings`.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Scenario:
     task: str
     fault: Fault
     tags: tuple[str, ...]
+    grasp: str = "fingers"
 
     def matches(self, pattern: str) -> bool:
         """Whether the name or a tag matches a pattern with the wildcards * and ?."""
@@ -53,6 +55,11 @@ def scenarios(pattern: str = "*") -> tuple[Scenario, ...]:
         labels = {label for scenario in _registry() for label in (scenario.scene, *_families(scenario))}
         raise UnknownNameError("scenarios", pattern, {f"{label}/*" for label in labels})
     return found
+
+
+def usual_grasp(scene: str, task: str | None) -> str:
+    """Return what holds the object of a task: "weld" where the fingers cannot, else "fingers"."""
+    return "weld" if task in _file().welds.get(scene, ()) else "fingers"
 
 
 def _families(scenario: Scenario) -> tuple[str, ...]:
@@ -74,9 +81,20 @@ class _Family(NamedTuple):
         )
 
 
+class _File(NamedTuple):
+    families: Mapping[str, _Family]
+    welds: Mapping[str, tuple[str, ...]]
+    """Tasks by scene."""
+
+
+@cache
+def _file() -> _File:
+    return read_file(_FILE)
+
+
 @cache
 def _registry() -> tuple[Scenario, ...]:
-    families = read_families(_FILE)
+    families = _file().families
     return tuple(
         scenario
         for scene_name in gp.scenes()
@@ -86,12 +104,13 @@ def _registry() -> tuple[Scenario, ...]:
 
 
 def _of_task(scene: str, task: str, holds: frozenset[str], families: Mapping[str, _Family]) -> tuple[Scenario, ...]:
-    found = []
+    found, grasp = [], usual_grasp(scene, task)
     for name, kind in faults().items():
         belongs = [kind.CATEGORY, *(key for key, family in families.items() if family.has(name, scene, task, holds))]
         for degree in DEGREES:
             tags = tuple(f"{family}/{name}/{degree}" for family in belongs)
-            found.append(Scenario(f"{scene}/{task}/{name}/{degree}", scene, task, kind(degree=degree), tags))
+            label = f"{scene}/{task}/{name}/{degree}"
+            found.append(Scenario(label, scene, task, kind(degree=degree), tags, grasp))
     return tuple(found)
 
 
@@ -106,17 +125,21 @@ def _tasks(scene_name: str) -> dict[str, frozenset[str]]:
     return found
 
 
-def read_families(file: Path) -> dict[str, _Family]:
-    """Read families from a YAML file laid out like `scenarios.yaml`.
+def read_file(file: Path) -> _File:
+    """Read families and welds from a YAML file laid out like `scenarios.yaml`.
 
     Raises:
-        SceneError: If the file is broken or names a fault that does not exist, with the line.
+        SceneError: If the file is broken or names a fault or a scene that does not exist, with the line.
     """
     root = read_yaml(file)
-    root.only("version", "families")
+    root.only("version", "weld", "families")
     if root["version"].number() != 1:
         raise root["version"].error("only version 1 of scenario files is known")
-    return {name: _family(block) for name, block in root["families"].items()}
+    welds = {} if (block := root.get("weld")) is None else {scene: tasks.strings() for scene, tasks in block.items()}
+    for scene in welds:
+        if scene not in gp.scenes():
+            raise root["weld"].error(f"unknown scene {scene!r} in weld; valid: {', '.join(gp.scenes())}")
+    return _File({name: _family(block) for name, block in root["families"].items()}, welds)
 
 
 def _family(block: Block) -> _Family:

@@ -25,7 +25,7 @@ from failbench.errors import ExecutionRefused, SweepFailed
 from failbench.executors import Executor, LocalExecutor
 from failbench.faults import to_document
 from failbench.journal import Journal
-from failbench.scenarios import scenarios
+from failbench.scenarios import scenarios, usual_grasp
 from failbench.work import Motion, PlanSettings, Sweep, execution_of, fault_of, own_file, run_chunk
 from failbench.world import SimSettings
 from graceful_plan import SettingError
@@ -127,6 +127,7 @@ def sweep_of(
     horizon: float = 1.0,
     seed: int = 0,
     settings: SimSettings | None = None,
+    grasp: str | None = None,
 ) -> Sweep:
     """Return a sweep over scenarios of the registry: each fault on a planned motion of each task.
 
@@ -137,6 +138,7 @@ def sweep_of(
         horizon: How long is simulated after the onset [s].
         seed: Of everything random but the planner.
         settings: How the scenes are simulated.
+        grasp: What holds the objects; None for the fingers, and a weld where they cannot.
 
     Raises:
         UnknownNameError: If a pattern matches nothing.
@@ -148,7 +150,13 @@ def sweep_of(
     if len(found) != len(tasks) * len(faults):
         raise SettingError("scenarios", " ".join(patterns), "the same faults on every task; do the others separately")
     motions = tuple(
-        Motion(name=f"{scene}/{task}" + f"/{i}" * (len(plans) > 1), scene=scene, task=task, plan=plan)
+        Motion(
+            name=f"{scene}/{task}" + f"/{i}" * (len(plans) > 1),
+            scene=scene,
+            task=task,
+            plan=plan,
+            grasp=usual_grasp(scene, task) if grasp is None else grasp,
+        )
         for scene, task in tasks
         for i, plan in enumerate(plans)
     )

@@ -57,6 +57,7 @@ class Motion:
         task: Task of the scene whose object is carried; None carries nothing.
         plan: How the trajectory is planned; None if it is given.
         trajectory: The trajectory; None if it is still to be planned.
+        grasp: What holds the object; None for what the sweep's settings say.
     """
 
     name: str
@@ -64,8 +65,11 @@ class Motion:
     task: str | None = None
     plan: PlanSettings | None = None
     trajectory: Trajectory | None = None
+    grasp: str | None = None
 
     def __post_init__(self) -> None:
+        if self.grasp is not None:
+            SimSettings(grasp=self.grasp)  # says what is valid
         if self.plan is None and self.trajectory is None:
             raise SettingError(f"trajectory of motion {self.name!r}", None, "a trajectory, or plan settings")
         if self.plan is not None and self.task is None:
@@ -159,6 +163,7 @@ class Sweep:
                 "task": motion.task,
                 "plan": None if motion.plan is None else asdict(motion.plan),
                 "trajectory": None if motion.trajectory is None else json.loads(motion.trajectory.to_json()),
+                "grasp": motion.grasp,
             }
             for motion in self.motions
         ]
@@ -246,7 +251,8 @@ def execution_of(sweep: Sweep, motion: int) -> Execution:
     what = sweep.motions[motion]
     if what.trajectory is None:
         raise SettingError(f"trajectory of motion {what.name!r}", None, "a trajectory; use Sweep.planned()")
-    return _execution(what.scene, what.task, sweep.settings, what.trajectory.to_json())
+    settings = sweep.settings if what.grasp is None else replace(sweep.settings, grasp=what.grasp)
+    return _execution(what.scene, what.task, settings, what.trajectory.to_json())
 
 
 def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[Job, ...]:
@@ -309,8 +315,8 @@ def _task(scene: str, task: str) -> gp.Task:
 def _motion(document: Any, source: str) -> Motion:
     _check_keys(source, document, {field.name for field in fields(Motion)})
     plan, trajectory = document["plan"], document["trajectory"]
-    for key in ("name", "scene", "task"):
-        if not isinstance(document[key], str) and not (key == "task" and document[key] is None):
+    for key in ("name", "scene", "task", "grasp"):
+        if not isinstance(document[key], str) and not (key in ("task", "grasp") and document[key] is None):
             raise FormatError(source, f"{key} has to be text, not {document[key]!r}")
     if plan is not None:
         _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
@@ -320,6 +326,7 @@ def _motion(document: Any, source: str) -> Motion:
         task=document["task"],
         plan=None if plan is None else PlanSettings(**plan),
         trajectory=None if trajectory is None else Trajectory.from_json(json.dumps(trajectory)),
+        grasp=document["grasp"],
     )
 
 
