@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from failbench.errors import ExecutionRefused
 from failbench.world import World
-from graceful_plan import Path, PlanResult, RobotDynamics, ShapeError, Trajectory, retime
+from graceful_plan import Path, PlanResult, RobotDynamics, SettingError, Trajectory, retime
 from graceful_plan.array_types import Float
 
 Array = np.ndarray
@@ -20,6 +20,8 @@ STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CHECKPOINT = 5
 """Steps from one checkpoint to the next."""
 
+_LONGEST = 100.0
+"""Longest horizon [s]: the commands of every rollout of a batch are in memory."""
 _SETTLE = 0.4
 """Time for the fingers to close and for everything to come to rest before the motion begins [s]."""
 _REST = 0.2
@@ -68,6 +70,16 @@ class Execution:
         nearest = round(onset / (CHECKPOINT * self.dt))
         return min(max(nearest, 0), len(self.states) - 1)
 
+    def steps(self, horizon: float) -> int:
+        """Return the number of time steps in a horizon [s].
+
+        Raises:
+            SettingError: If that is none, or more than there is memory for.
+        """
+        if not self.dt <= horizon <= _LONGEST:
+            raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {_LONGEST:g} s")
+        return round(horizon / self.dt)
+
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
         """Return a copy of the commands of `count` steps from a step on, the last one held after the end."""
         return self.command[np.minimum(np.arange(step, step + count), len(self.command) - 1)]
@@ -78,15 +90,15 @@ def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: Wor
 
     Raises:
         PlanningFailed: If it is the result of a plan that failed.
-        ShapeError: If it has other joints than the scene.
+        SettingError: If it is a trajectory of other joints than the scene's, or in another order.
     """
     if isinstance(motion, PlanResult):
         motion = motion.unwrap()
     if not isinstance(motion, Trajectory):
         path = motion if isinstance(motion, Path) else Path(np.asarray(motion, dtype=float))
         motion = retime(path, world.scene.limits, world.scene.joints)
-    if motion.q.shape[1] != len(world.scene.joints):
-        raise ShapeError("trajectory", motion.q.shape, f"(n, {len(world.scene.joints)} joints)")
+    if motion.joints != world.scene.joints:
+        raise SettingError("joints of the trajectory", motion.joints, f"those of the scene: {world.scene.joints}")
     return motion
 
 
@@ -101,12 +113,14 @@ def execute(
         tolerance: How far a joint may be from where it should be [rad or m].
 
     Raises:
-        ExecutionRefused: If a joint does not follow, or the object does not stay in the gripper.
+        ExecutionRefused: If a joint does not follow, or has to leave its range, or the object does not stay in the
+            gripper.
     """
     trajectory = as_trajectory(motion, world)
     dt = world.settings.timestep
     steps = max(1, int(np.ceil(trajectory.duration / dt - 1e-9)))
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
+    _check_range(wanted, tolerance, world, dt)
     command = _commands(trajectory, world, steps)
     start = _settled(trajectory, world, command[0])
     batch = Batch(world.model, 1, nthread=1, persistent=True)
@@ -179,6 +193,15 @@ def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actua
     state = np.zeros(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
+
+
+def _check_range(wanted: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:
+    low, high = world.scene.limits.position.T
+    off = np.argwhere((wanted < low - tolerance) | (wanted > high + tolerance))
+    if len(off):
+        step, joint = (int(i) for i in off[0])
+        problem = f"it is to be at {wanted[step, joint]:.3g}, its range is {low[joint]:.3g} to {high[joint]:.3g}"
+        raise ExecutionRefused(f"joint {world.scene.joints[joint]!r}", (step + 1) * dt, problem)
 
 
 def _check_tracking(error: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:

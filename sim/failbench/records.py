@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -9,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from failbench.faults.fault import Fault
+from graceful_plan import SettingError
 
 Array = np.ndarray
 
@@ -19,7 +21,7 @@ class Job:
 
     Args:
         fault: What breaks.
-        onset: When, on the trajectory's clock [s].
+        onset: When, after the start of the trajectory [s]; beyond its end, the end.
         seed: Of everything random in the rollout.
         weight: Density of the onset that is asked about over the density that it was drawn from.
     """
@@ -28,6 +30,15 @@ class Job:
     onset: float
     seed: int
     weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.fault, Fault):
+            raise SettingError("fault", self.fault, "a failbench.Fault")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
+            raise SettingError("seed", self.seed, "a whole number, at least 0")
+        for name, value in (("onset", self.onset), ("weight", self.weight)):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise SettingError(name, value, "a finite number >= 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +75,7 @@ class Rollout:
 
     Args:
         job: What was asked.
-        onset: When the fault began, on the trajectory's clock [s]: the job's, rounded to the nearest checkpoint.
+        onset: When the fault began, after the start of the trajectory [s]: the checkpoint nearest to the job's.
         status: "completed", or "diverged" if the simulation blew up; then there are no consequences, but a `state`.
         events: Contacts that the healthy run does not have, in the order of their first touch.
         fell: Movable entities that ended more than 5 cm lower than they began.

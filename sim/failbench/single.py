@@ -19,10 +19,10 @@ def steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Iterator[t
     Both are changed in place by the next step. As always after mj_step, derived quantities such as contacts belong to
     the state before the step.
     """
+    count = execution.steps(horizon)
     model = copy.copy(execution.world.model)
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, execution.states[execution.checkpoint(job.onset)], STATE)
-    count = round(horizon / execution.dt)
     injection = Injection(
         execution,
         job,

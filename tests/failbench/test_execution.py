@@ -72,6 +72,15 @@ def test_a_motion_that_is_too_fast_is_refused_with_joint_and_time(result, task):
     assert e.value.what[7:-1] in task.scene.joints
 
 
+def test_a_motion_out_of_a_joint_s_range_is_refused_with_joint_and_time(task):
+    q = np.stack([task.start, task.start, task.start])
+    q[2, 3] = 0.5
+    away = gp.Trajectory(np.array([0.0, 1.0, 3.0]), q, 0.0 * q, 0.0 * q, task.scene.joints)
+    with pytest.raises(ExecutionRefused, match=r"joint 'panda/joint4' at .* its range is -3.07 to -0.0698") as e:
+        execute(away, world("tabletop", "green_to_blue"))
+    assert 1.0 < e.value.time < 3.0
+
+
 def test_an_object_that_slips_is_refused():
     pan = gp.load_scene("kitchen_counter").tasks["move_oil"]
     still = np.stack([pan.start, pan.start + 0.01])
@@ -105,6 +114,10 @@ def test_other_joints_and_failed_plans_are_refused(task):
     made = world("tabletop", "green_to_blue")
     with pytest.raises(gp.ShapeError):
         execute(np.zeros((3, 5)), made)
+    q = np.stack([task.start, task.start])
+    turned = gp.Trajectory(np.array([0.0, 1.0]), q, 0.0 * q, 0.0 * q, tuple(reversed(task.scene.joints)))
+    with pytest.raises(gp.SettingError, match=r"joints of the trajectory = .*joint7.* expected those of the scene"):
+        execute(turned, made)
     with pytest.raises(gp.NonFiniteError):
         execute(np.full((3, 7), np.nan), made)
     failed = gp.plan(task.scene.limits.position[:, 1] + 1.0, task.goal, task.scene, w=0.0)

@@ -175,3 +175,25 @@ def test_a_weld_lets_go_without_a_push():
     g = done.world.model.opt.gravity
     fall = np.diff(speeds, axis=0) / done.dt
     assert fall == pytest.approx(np.tile(g, (len(fall), 1)), abs=1e-6)
+
+
+@pytest.mark.parametrize("horizon", [0.0, -1.0, 0.001, float("nan"), float("inf"), 1e9])
+def test_horizons_are_checked(done, horizon):
+    job = Job(fault=Drop(), onset=0.1, seed=0)
+    for ask in (lambda: run(done, [job], horizon=horizon), lambda: list(steps(done, job, horizon=horizon))):
+        with pytest.raises(gp.SettingError, match=r"horizon = .*between the time step of 0\.002 s and 100 s"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"onset": float("nan")}, "onset = nan"),
+        ({"onset": -0.1}, "onset = -0.1"),
+        ({"seed": -1}, "seed = -1, expected a whole number"),
+        ({"weight": float("inf")}, "weight = inf"),
+    ],
+)
+def test_jobs_are_checked(wrong, message):
+    with pytest.raises(gp.SettingError, match=message):
+        Job(**({"fault": Drop(), "onset": 0.1, "seed": 0} | wrong))
