@@ -100,7 +100,7 @@ class Plant:
         Needs the field "eq_data".
         """
         constraint = self.robot.locks[joint]
-        self["eq_data"][constraint, 0] = position
+        self["eq_data"][constraint, 0] = position - self.robot.reference[joint]
         self.eq_active[constraint] = 1
 
     def release(self) -> None:

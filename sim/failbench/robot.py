@@ -24,6 +24,7 @@ class Robot:
     | joints            | names of the planned joints, from the base to the tool                       | nq    |
     | joint_ids         | their ids                                                                    | nq    |
     | qpos              | their addresses in qpos                                                      | nq    |
+    | reference         | their positions in the model's own pose, which locks count from [rad or m]   | nq    |
     | dofs              | their addresses in qvel                                                      | nq    |
     | actuators         | the actuator that drives each                                                | nq    |
     | locks             | for each an equality constraint, inactive, that holds it where it is told to | nq    |
@@ -42,6 +43,7 @@ class Robot:
     joints: tuple[str, ...]
     joint_ids: Array
     qpos: Array
+    reference: Array
     dofs: Array
     actuators: Array
     locks: Array
@@ -55,6 +57,11 @@ class Robot:
     grip_closed: Array
     pads: Array
     weld: int
+
+    def __post_init__(self) -> None:
+        for array in vars(self).values():
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False  # one robot for all rollouts: no fault may change it for the others
 
     def struck(self, targets: Sequence[str], rng: np.random.Generator) -> tuple[Array, bool]:
         """Return which joints (indices into `joints`) and whether the gripper are meant by `targets`.

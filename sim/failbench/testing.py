@@ -26,7 +26,6 @@ from failbench.faults import faults, from_document, to_document
 from failbench.faults.fault import CATEGORIES, DEGREES, Fault
 from failbench.injection import Injection
 from failbench.records import Job
-from failbench.robot import Robot
 from failbench.world import build_world
 from graceful_plan import GracefulPlanError, UnknownNameError, load_scene
 from graceful_plan.testing import ContractError
@@ -166,9 +165,9 @@ class _Trials:
         effects, improper = [], []
         for step in range(_STEPS):
             if injection.next == step:
-                before = _untouchable(data, self.robot)
+                before = _untouchable(data)
                 injection.act()
-                improper += _differences(before, _untouchable(data, self.robot))
+                improper += _differences(before, _untouchable(data))
                 effects.append(_effect(injection, step))
                 if effects[-1].not_numbers():
                     break  # it would only blow up
@@ -186,11 +185,9 @@ def _effect(injection: Injection, step: int) -> _Effect:
     return _Effect(changed, command=sent, eq_active=plant.eq_active.copy())
 
 
-def _untouchable(data: mujoco.MjData, robot: Robot) -> dict[str, Array]:
+def _untouchable(data: mujoco.MjData) -> dict[str, Array]:
     """Copy what a fault may only read."""
-    arrays = {f"robot.{f.name}": getattr(robot, f.name) for f in dataclasses.fields(robot)}
-    arrays |= {"qpos": data.qpos, "qvel": data.qvel}
-    return {name: np.array(values) for name, values in arrays.items()}
+    return {"qpos": data.qpos.copy(), "qvel": data.qvel.copy()}
 
 
 def _differences(before: Mapping[str, Array], after: Mapping[str, Array]) -> list[str]:

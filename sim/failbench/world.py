@@ -95,7 +95,8 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
     """Make a scene ready to be simulated.
 
     Raises:
-        UnsupportedError: If a planned joint has no position servo, or the gripper cannot hold.
+        UnsupportedError: If a planned joint has no position servo, or one with dynamics of its own, or the gripper
+            cannot hold.
     """
     settings = SimSettings() if settings is None else settings
     model = scene.model
@@ -141,6 +142,8 @@ def _actuator_of(model: mujoco.MjModel, joint: int, name: str) -> int:
     found = np.flatnonzero(of_joint)
     if len(found) != 1:
         raise UnsupportedError(f"the joint {name!r} has {len(found)} actuators; FailBench drives it by exactly one")
+    if int(model.actuator_dyntype[found[0]]) != int(mujoco.mjtDyn.mjDYN_NONE):
+        raise UnsupportedError(f"the actuator of {name!r} has dynamics of its own; FailBench drives those without")
     return int(found[0])
 
 
@@ -242,6 +245,8 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
     """Set the servos up in the model that is going to be simulated, and say where the robot's parts are in it."""
     joints = [int(model.joint(name).id) for name in scene.joints]
     dofs = model.jnt_dofadr[joints].astype(int)
+    _ungear(model, actuators)
+    _limit_forces(model, scene, actuators, gripper)
     # Feed-forward takes commands out of the joints' range, and a dead arm must not be held up.
     model.actuator_ctrllimited[actuators] = 0
     model.body_gravcomp[sorted(scene.robot_bodies)] = 0.0
@@ -251,9 +256,9 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
     model.geom_solimp[gripper.pads] = _FIRM
     if settings.control == "torque":
         inertia = _inertia(model, scene)[dofs]
+        model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED
         model.actuator_gainprm[actuators, 0] = 1.0
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE
-        model.actuator_biasprm[actuators, 0] = 0.0
         model.actuator_biasprm[actuators, 1] = -(_BANDWIDTH**2) * inertia
         model.actuator_biasprm[actuators, 2] = -2.0 * _BANDWIDTH * inertia
     kp, kd = -model.actuator_biasprm[actuators, 1], -model.actuator_biasprm[actuators, 2]
@@ -265,6 +270,7 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
         joints=scene.joints,
         joint_ids=np.array(joints),
         qpos=np.array(scene.qpos_adr),
+        reference=model.qpos0[scene.qpos_adr].copy(),
         dofs=dofs,
         actuators=np.array(actuators),
         locks=np.array([int(model.equality(f"failbench/lock/{name}").id) for name in scene.joints]),
@@ -279,6 +285,33 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
         pads=gripper.pads,
         weld=-1 if grasps or scene.carried is None else int(model.equality("failbench/hold").id),
     )
+
+
+def _ungear(model: mujoco.MjModel, actuators: list[int]) -> None:
+    """Express drives in terms of their joints: the same torques, without a gear and a constant force.
+
+    The controller makes up for the constant force in any case, so a healthy robot is the same without it.
+    """
+    gear = model.actuator_gear[actuators, 0].copy()
+    model.actuator_gear[actuators, 0] = 1.0
+    model.actuator_gainprm[actuators, 0] *= gear
+    model.actuator_biasprm[actuators, 0] = 0.0
+    model.actuator_biasprm[actuators, 1:3] *= gear[:, None] ** 2
+    model.actuator_forcerange[actuators] = np.sort(model.actuator_forcerange[actuators] * gear[:, None], axis=1)
+
+
+def _limit_forces(model: mujoco.MjModel, scene: Scene, actuators: list[int], gripper: Gripper) -> None:
+    """Limit drives that have no limit of their own: faults set friction and grip in proportion to it.
+
+    Joints get the scene's torque limit, if it is known; fingers what their servos ask for at most.
+    """
+    known = [(a, t) for a, t in zip(actuators, scene.limits.torque, strict=True) if np.isfinite(t)]
+    stroke = np.abs(gripper.open - gripper.closed)
+    known += zip(gripper.actuators.tolist(), -model.actuator_biasprm[gripper.actuators, 1] * stroke, strict=True)
+    for actuator, force in known:
+        if not model.actuator_forcelimited[actuator]:
+            model.actuator_forcelimited[actuator] = 1
+            model.actuator_forcerange[actuator] = -force, force
 
 
 def _inertia(model: mujoco.MjModel, scene: Scene) -> Float[Array, " nv"]:

@@ -146,11 +146,7 @@ def test_what_writes_where_it_may_only_read():
         plant.robot.kp[0] += 1.0
 
     assert findings(variant(apply=push)()) == ("apply() wrote into plant.qvel, which is to be read only",)
-    robot = healthy_run().world.robot
-    before = robot.kp[0]
-    with pytest.raises(ContractError, match=r"wrote into plant\.robot\.kp"):
-        check_fault(variant(apply=improve)(), healthy_run())
-    robot.kp[0] = before
+    assert findings(variant(apply=improve)()) == ("raised ValueError: assignment destination is read-only",)
 
 
 def test_what_writes_into_the_healthy_commands():

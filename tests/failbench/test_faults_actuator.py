@@ -5,8 +5,11 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from breaking import Nothing, Record, healthy_run, joint
+from breaking import WELD, Nothing, Record, healthy_run, joint
+from motions import ARM, SERVO, arm
 
+import graceful_plan as gp
+from failbench import Job, build_world, execute, run, steps
 from failbench.faults import (
     DEGREES,
     CompleteShutdown,
@@ -15,6 +18,7 @@ from failbench.faults import (
     LimitedRange,
     LooseJoint,
     PartialDegradation,
+    PowerLoss,
     StuckPosition,
     faults,
 )
@@ -152,3 +156,35 @@ def test_several_joints_can_be_struck(name):
     record, well = Record(fault, horizon=0.6), Record(Nothing(), horizon=0.6)
     off = np.abs(record.q - well.q).max(axis=0)
     assert (off[[1, 3]] > 5.0 * 1e-3).all()
+
+
+def test_a_stuck_joint_stays_where_it_is_whatever_the_model_calls_zero():
+    text = ARM.format(fingers="", actuators=SERVO).replace('range="-2 2"', 'range="-1 3" ref="1"')
+    scene = gp.Scene.from_mjcf(text, robot="base", tool="tool", velocity=[2.0], acceleration=[5.0], torque=[80.0])
+    done = execute([[0.0], [0.6]], build_world(scene))
+    record = Record(StuckPosition(degree="critical"), done=done)
+    assert np.abs(record.q - record.q0).max() < 5e-3  # it brakes from 1.5 rad/s
+    assert abs(record.qd[-1]) < 1e-3
+
+
+@pytest.mark.parametrize("fault", [IncreasedFriction(), StuckPosition(), PowerLoss()])
+def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
+    job = Job(fault=fault, onset=0.1, seed=0)
+    with pytest.raises(gp.UnsupportedError, match="greatest torque of the joint 'shoulder' is not known"):
+        run(execute([[0.0], [0.6]], build_world(arm())), [job])
+    done = execute([[0.0], [0.6]], build_world(arm(torque=[80.0])))
+    *_, (_, data) = steps(done, job, horizon=0.6)
+    held = abs(data.qvel[done.world.robot.dofs]) < 1e-3
+    assert held or isinstance(fault, IncreasedFriction)  # whose motor goes on
+
+
+@pytest.mark.parametrize("fault", [CompleteShutdown, LooseJoint, PartialDegradation, GradualDegradation])
+def test_a_weld_does_not_hold_for_a_gripper_that_is_dead(fault):
+    done = healthy_run(WELD)
+    jobs = [
+        Job(fault=fault(degree=degree, targets=("gripper",)), onset=0.2 * done.duration, seed=0)
+        for degree in ("minor", "critical")
+    ]
+    kept, lost = (rollout.dropped for rollout in run(done, jobs))
+    assert lost == (fault is not PartialDegradation)  # a tenth of the force carries the can
+    assert not kept or fault is CompleteShutdown

@@ -4,7 +4,7 @@ import pytest
 from motions import FINGERS, SERVO, arm, world
 
 import graceful_plan as gp
-from failbench import SimSettings, build_world
+from failbench import SimSettings, build_world, execute
 from failbench.world import SENSOR_SIZE
 
 TASKS = [(name, task) for name in gp.scenes() for task in gp.load_scene(name).tasks]
@@ -84,3 +84,38 @@ def test_the_gripper_opens_the_way_the_fingers_part(axes):
 def test_settings_are_checked(settings, message):
     with pytest.raises(gp.SettingError, match=message):
         SimSettings(**settings)
+
+
+@pytest.mark.parametrize(
+    "servo",
+    [
+        '<position joint="shoulder" kp="5" kv="0.5" gear="10" forcerange="-8 8"/>',
+        '<position joint="shoulder" kp="5" kv="0.5" gear="-10" forcerange="-8 8"/>',
+        '<general joint="shoulder" biastype="affine" gainprm="500" biasprm="20 -500 -50" forcerange="-80 80"/>',
+    ],
+)
+@pytest.mark.parametrize("control", ["servo", "torque"])
+def test_gears_and_constant_forces_of_drives_are_made_up_for(servo, control):
+    settings = SimSettings(control=control)
+    plain = '<position joint="shoulder" kp="500" kv="50" forcerange="-80 80"/>'
+    first, second = (execute([[0.0], [0.6]], build_world(arm(actuators=a), settings)) for a in (plain, servo))
+    assert second.tracking_error == pytest.approx(first.tracking_error, rel=1e-6)
+    assert second.world.model.actuator_forcerange[0] == pytest.approx([-80.0, 80.0])
+
+
+def test_a_drive_with_dynamics_of_its_own_is_refused():
+    with pytest.raises(gp.UnsupportedError, match="the actuator of 'shoulder' has dynamics of its own"):
+        build_world(arm(actuators='<position joint="shoulder" kp="500" kv="50" timeconst="0.05"/>'))
+
+
+def test_drives_without_limits_of_their_own_have_those_of_the_scene():
+    servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
+    model = build_world(arm(fingers=FINGERS, actuators=servos, torque=[30.0])).model
+    assert model.actuator_forcelimited.all()
+    # The servos of the fingers ask for 100 N/m over their stroke of 0.04 m at most.
+    assert model.actuator_forcerange == pytest.approx(np.outer([30.0, 4.0, 4.0], [-1.0, 1.0]))
+
+
+def test_nobody_changes_the_robot_of_all_rollouts():
+    with pytest.raises(ValueError, match="read-only"):
+        build_world(arm()).robot.kp[:] = 0.0

@@ -8,7 +8,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.faults.drive import DRIVE, FRICTION, add_friction, scale_response, scale_torque
+from failbench.faults.drive import (
+    DRIVE,
+    FRICTION,
+    GRIP,
+    add_friction,
+    cut_overloaded_weld,
+    scale_response,
+    scale_torque,
+)
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
 
@@ -24,11 +32,12 @@ class CompleteShutdown(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "viscous resistance of the dead motor [N m s/rad]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 40.0, "moderate": 10.0, "severe": 2.0, "critical": 0.0}
-    FIELDS: ClassVar[tuple[str, ...]] = ("actuator_gainprm", "actuator_biasprm", "dof_damping")
+    FIELDS: ClassVar[tuple[str, ...]] = ("dof_damping", *DRIVE, *GRIP)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Take the torque away."""
         scale_response(plant, 1.0 - level)
+        cut_overloaded_weld(plant, 1.0 - level)
         plant["dof_damping"][plant.robot.dofs[plant.joints]] += level * self.amount
 
 
@@ -40,11 +49,13 @@ class LooseJoint(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "stiffness that is left, as a share of the healthy one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.3, "moderate": 0.1, "severe": 0.03, "critical": 0.01}
-    FIELDS: ClassVar[tuple[str, ...]] = ("actuator_gainprm", "actuator_biasprm")
+    FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Weaken the coupling of motor and joint."""
-        scale_response(plant, 1.0 + level * (self.amount - 1.0))
+        share = 1.0 + level * (self.amount - 1.0)
+        scale_response(plant, share)
+        cut_overloaded_weld(plant, share)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,11 +89,12 @@ class PartialDegradation(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "torque that is left, as a share of the healthy one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.8, "moderate": 0.5, "severe": 0.25, "critical": 0.1}
-    FIELDS: ClassVar[tuple[str, ...]] = DRIVE
+    FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Weaken the drive."""
         scale_torque(plant, 1.0 + level * (self.amount - 1.0))
+        cut_overloaded_weld(plant)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,11 +107,12 @@ class GradualDegradation(Fault):
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "torque that is left after the ramp, as a share of the healthy one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.6, "moderate": 0.3, "severe": 0.1, "critical": 0.0}
-    FIELDS: ClassVar[tuple[str, ...]] = DRIVE
+    FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
 
     def apply(self, plant: Plant, level: float) -> None:
         """Weaken the drive as far as the ramp has come."""
         scale_torque(plant, 1.0 + level * (self.amount - 1.0))
+        cut_overloaded_weld(plant)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from failbench.plant import Plant
+from graceful_plan import UnsupportedError
 
 Array = np.ndarray
 
@@ -36,9 +37,16 @@ def add_friction(plant: Plant, share: float) -> Array:
 
     Returns:
         The friction of each of them [N m or N].
+
+    Raises:
+        UnsupportedError: If the greatest torque of one of them is not known.
     """
     dofs = plant.robot.dofs[plant.joints]
-    torque = share * plant["actuator_forcerange"][plant.robot.actuators[plant.joints], 1]
+    limit = plant["actuator_forcerange"][plant.robot.actuators[plant.joints], 1]
+    for joint in plant.joints[limit <= 0.0]:
+        name = plant.robot.joints[joint]
+        raise UnsupportedError(f"the greatest torque of the joint {name!r} is not known; tell the scene")
+    torque = share * limit
     plant["dof_frictionloss"][dofs] += torque
     plant["dof_solref"][dofs] = [2.0 * plant.dt, 1.0]
     plant["dof_solimp"][dofs] = _STIFF
@@ -70,17 +78,25 @@ def hold_grip(plant: Plant) -> None:
     plant.ahead[:, grippers] = plant.healthy[0, grippers]
 
 
-def cut_overloaded_weld(plant: Plant) -> None:
+def cut_overloaded_weld(plant: Plant, share: float = 1.0) -> None:
     """Cut the weld that stands for the grasp if fingers would not hold the object's weight any more.
 
-    Fingers hold it as long as the friction coefficient times the sum of their normal forces carries its weight. Needs
-    the fields `GRIP` and "actuator_forcerange".
+    Fingers hold it as long as the friction coefficient times the sum of their normal forces carries its weight. A hand
+    without drives holds until nothing is left. Needs the fields `GRIP` and "actuator_forcerange".
+
+    Args:
+        plant: Where.
+        share: Part of the greatest force that the fingers still press with.
     """
     robot = plant.robot
     if robot.weld < 0 or not plant.gripper:
         return
+    if not len(robot.gripper_actuators):
+        if share == 0.0:
+            plant.cut_weld()
+        return
     carried = plant["eq_obj2id"][robot.weld]
     friction = plant["geom_friction"][robot.pads, 0].max(initial=0.0)
     grip = plant["actuator_forcerange"][robot.gripper_actuators, 1].sum()
-    if friction * grip < plant["body_mass"][carried] * _GRAVITY:
+    if friction * share * grip < plant["body_mass"][carried] * _GRAVITY:
         plant.cut_weld()

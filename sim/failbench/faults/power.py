@@ -93,4 +93,4 @@ class PowerLoss(Fault):
             for name, values in gripping.items():
                 plant[name][plant.robot.gripper_actuators] = values
             hold_grip(plant)
-        cut_overloaded_weld(plant)
+        cut_overloaded_weld(plant, float(self.grip == "kept" or level < 1.0))
