@@ -65,7 +65,7 @@ class Injection:
             fields={name: fields[name] for name in fault.FIELDS},
         )
         self._model = execution.world.model
-        self._end = steps if fault.duration is None else round(fault.duration / execution.dt)
+        self._end = steps if fault.duration is None else max(1, round(fault.duration / execution.dt))
         self.next = 0
         """The step before which the fault acts next."""
 

@@ -93,6 +93,13 @@ def test_temporary_faults_leave_the_model_as_it_was_bit_by_bit(name):
     assert not record.data.eq_active[done.world.robot.locks].any()
 
 
+def test_a_fault_shorter_than_a_step_lasts_a_step():
+    done = healthy_run()
+    record = Record(faults()["noise"](duration=1e-4), horizon=0.02)
+    differs = (record.command != done.commands(record.onset_step, len(record.command))).any(axis=1)
+    assert differs.tolist() == [True] + [False] * (len(differs) - 1)
+
+
 def test_while_they_last_something_is_different():
     for name in ALL:
         record = Record(faults()[name](degree="critical"), horizon=0.02)

@@ -66,7 +66,9 @@ class Fault(ABC):
             raise SettingError("ramp", self.ramp, "a finite time >= 0 s")
         if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
             raise SettingError("duration", self.duration, "a finite time > 0 s, or None for good")
-        if isinstance(self.targets, str):
+        if not isinstance(self.when, Onset):
+            raise SettingError("when", self.when, "AtTime, AtFraction or Uniform")
+        if not isinstance(self.targets, tuple | list):
             raise SettingError("targets", self.targets, "a tuple of names")
         object.__setattr__(self, "targets", tuple(self.targets))
         parts = {part for target in self.targets for part in _PARTS.get(target, ("joints",))}
