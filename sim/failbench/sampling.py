@@ -22,6 +22,8 @@ Array = np.ndarray
 Prediction = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 """Predicted impact of a failure at each of some times after the start of a trajectory [s]; at least 0."""
 
+MOST = 10_000_000
+"""Rollouts that may be asked for at once; their random numbers are in memory."""
 _CELLS = 512
 """Cells of even probability in which a proposal density is constant."""
 _UNIFORM = 0.1
@@ -62,7 +64,7 @@ def make_jobs(
     """
     if not faults:
         raise SettingError("faults", tuple(faults), "at least one fault")
-    check_whole("n", n, 1)
+    check_whole("n", n, 1, MOST)
     check_whole("seed", seed, 0)
     rounds = -(-n // len(faults))
     draws = draw(seed, rounds * len(faults))
@@ -76,10 +78,12 @@ def make_jobs(
     return tuple(jobs)
 
 
-def check_whole(name: str, value: object, least: int) -> None:
-    """Raise SettingError unless this is a whole number of at least `least`."""
+def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
+    """Raise SettingError unless this is a whole number of at least `least`, and at most `most`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise SettingError(name, value, f"a whole number, at least {least}")
+    if most is not None and value > most:
+        raise SettingError(name, value, f"a whole number, at most {most}")
 
 
 def quantile_grid(count: int = _CELLS) -> Float[Array, " cell"]:

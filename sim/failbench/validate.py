@@ -19,7 +19,7 @@ from failbench.faults.fault import Fault
 from failbench.records import Job, Rollout
 from failbench.report import EntityReport, ValidationReport
 from failbench.rollout import run
-from failbench.sampling import check_whole, make_jobs, quantile_grid
+from failbench.sampling import MOST, check_whole, make_jobs, quantile_grid
 from failbench.scenarios import scenarios as find_scenarios
 from failbench.score import energy_impact, observed_impact, secondary_impact
 from failbench.statistics import (
@@ -81,9 +81,11 @@ def validate(
         ExecutionRefused: If the healthy robot cannot carry out the motion.
         UnknownNameError: If a pattern matches nothing, or a fault strikes a joint that the robot does not have.
         PlanningFailed: If `motion` is the result of a plan that failed.
+        SettingError: If a setting makes no sense, or only the gripper fails and there is nothing in it.
     """
     faults = chosen_faults(scenarios)
-    check_whole("n", n, 1)
+    _check_droppable(faults, scene)
+    check_whole("n", n, 1, MOST)
     check_whole("seed", seed, 0)
     check_confidence(confidence)
     execution = execute(motion, build_world(scene, settings))
@@ -165,7 +167,7 @@ def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
         UnknownNameError: If a pattern matches nothing.
         SettingError: If something is neither a pattern nor a fault, or there is nothing.
     """
-    given = [scenarios] if isinstance(scenarios, str | Fault) else list(scenarios)
+    given = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else list(scenarios)
     found: dict[Fault, None] = {}
     for entry in given:
         if isinstance(entry, Fault):
@@ -177,6 +179,12 @@ def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
     if not found:
         raise SettingError("scenarios", tuple(given), "at least one pattern or fault")
     return tuple(found)
+
+
+def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
+    """Raise SettingError if nothing can come of any of the faults."""
+    if scene.carried is None and all(set(fault.targets or fault.TARGETS) == {"gripper"} for fault in faults):
+        raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
 
 
 def predicted_impact(

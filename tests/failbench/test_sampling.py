@@ -130,3 +130,8 @@ def test_misuse_is_refused() -> None:
         make_jobs([Nothing()], 1.0, n=1, seed=-1)
     with pytest.raises(SettingError, match="finite impacts >= 0"):
         make_jobs([Nothing()], 1.0, n=1, predicted=lambda t: -t)
+
+
+def test_more_rollouts_than_there_is_memory_for_are_refused():
+    with pytest.raises(SettingError, match="n = 1000000000000, expected a whole number, at most"):
+        make_jobs([Nothing()], 1.0, n=10**12)

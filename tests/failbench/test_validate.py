@@ -290,3 +290,10 @@ def test_the_document_holds_everything(tmp_path: Path) -> None:
 def test_the_field_table_lists_the_fields() -> None:
     rows = re.findall(r"^\s*\| (\w+) ", inspect.getdoc(ValidationReport) or "", flags=re.MULTILINE)
     assert rows == ["field", *(field.name for field in dataclasses.fields(ValidationReport))]
+
+
+def test_drops_without_anything_in_the_gripper_are_refused():
+    scene = gp.load_scene("tabletop")
+    still = np.stack([scene.tasks["green_to_blue"].start] * 2)
+    with pytest.raises(gp.SettingError, match="scene = 'tabletop', expected one with an object in the gripper"):
+        validate(still, scene, "drop/*/severe", n=3)
