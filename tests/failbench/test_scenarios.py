@@ -113,5 +113,5 @@ def test_every_scenario_runs(scene_name: str, task_name: str) -> None:
 def _begin(task: gp.Task) -> gp.Trajectory:
     """Return a short way from the start of a task towards its first goal, at half the speed as in a sweep."""
     way = task.goal[0] - task.start
-    path = gp.Path(np.stack([task.start, task.start + 0.05 * way / np.linalg.norm(way)]))
+    path = gp.Path(np.stack([task.start, task.start + 0.005 * way / np.linalg.norm(way)]))
     return gp.retime(path, task.scene.limits, task.scene.joints, speed=0.5)
