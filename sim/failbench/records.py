@@ -51,7 +51,7 @@ class ContactEvent:
         time: First touch, after the onset [s].
         position: Where, in W [m].
         peak_force: Greatest normal force [N]. Depends on the softness of MuJoCo's contacts.
-        impulse: Time integral of the contact force's magnitude [N s]; what sleeps adds nothing to it.
+        impulse: Time integral of the contact force's magnitude [N s], with that of what comes to rest there.
         speed: Relative speed of the two at the first touch, along the normal [m/s], >= 0.
         energy: Kinetic energy of the striker at the first touch [J]: half its effective mass at the point of touch,
             along the normal, times `speed` squared.

@@ -24,14 +24,14 @@ Array = np.ndarray
 
 STRIDE = 5
 """Steps from one sample of the container's motion to the next."""
-_SLOSH = 3
-"""Samples to either side over which the acceleration is averaged: 60 ms at a step of 2 ms."""
+_SLOSH = 0.03
+"""Time to either side over which the acceleration is averaged [s]."""
 _WEIGHTLESS = 0.2
 """Below this part of gravity no surface forms, and nothing pours out."""
-_JOLT = 3
-"""Samples that a jolt takes at most."""
-_CALM = 10
-"""Samples after a jolt before the next one can begin."""
+_JOLT = 0.03
+"""Time that a jolt takes at most [s]."""
+_CALM = 0.1
+"""Time after the beginning of a jolt before the next one can begin [s]."""
 _LOSSES = ((1.5, 0.9), (0.7, 0.3))
 """Change of velocity that is felt in a jolt [m/s] and the part that it throws out: a fall onto something hard from more
 than a hand's breadth; a hard stop. Assumptions: no measurements are known."""
@@ -126,11 +126,12 @@ def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
     nq, nv = world.model.nq, world.model.nv
     parts = states[:, 1 : 1 + nq], states[:, 1 + nq : 1 + nq + nv]
     pose, twist = (x[:, c] for x, c in zip(parts, _columns(world), strict=True))
-    # Then it stands still.
-    pose = np.vstack([pose, np.repeat(pose[-1:], _CALM, axis=0)])
-    twist = np.vstack([twist, np.zeros((_CALM, 6))])
+    dt = STRIDE * float(world.model.opt.timestep)
+    after = _samples(_CALM, dt)  # then it stands still
+    pose = np.vstack([pose, np.repeat(pose[-1:], after, axis=0)])
+    twist = np.vstack([twist, np.zeros((after, 6))])
     gravity = -float(world.model.opt.gravity[2])
-    motion = _motion(vessel, pose[None], twist[None], STRIDE * float(world.model.opt.timestep), gravity)
+    motion = _motion(vessel, pose[None], twist[None], dt, gravity)
     return vessel.volume * float(remaining(vessel, motion, np.array([vessel.volume]), gravity)[0, -1])
 
 
@@ -146,13 +147,16 @@ def _after_jolts(motion: Motion, gravity: float) -> Float[Array, "sim sample"]:
     """Return the part that jolts have left in at each sample."""
     v = motion.velocity + np.outer(motion.time, [0.0, 0.0, gravity])  # constant in free fall
     part = np.ones(v.shape[:2])
-    change = np.linalg.norm(v[:, _JOLT:] - v[:, :-_JOLT], axis=-1)
+    if len(motion.time) < 2:
+        return part
+    jolt, rest = (_samples(duration, float(motion.time[1] - motion.time[0])) for duration in (_JOLT, _CALM))
+    change = np.linalg.norm(v[:, jolt:] - v[:, :-jolt], axis=-1)
     calm = np.zeros(len(v), dtype=int)
     for sim, i in np.argwhere(change > _LOSSES[-1][0]).tolist():
         if i >= calm[sim]:
-            worst = float(change[sim, i : i + _JOLT].max())
+            worst = float(change[sim, i : i + jolt].max())
             part[sim, i + 1 :] *= 1.0 - next(loss for least, loss in _LOSSES if worst >= least)
-            calm[sim] = i + _CALM
+            calm[sim] = i + rest
     return part
 
 
@@ -164,11 +168,17 @@ def _motion(
     velocity = twist[..., :3] + np.cross(turn, arm)
     n = pose.shape[1]
     # Near the ends that of the nearest sample that has neighbours enough, for shorter means would be less smooth.
-    first = np.clip(np.arange(n) - _SLOSH, 0, max(n - 1 - 2 * _SLOSH, 0))
-    last = np.minimum(first + 2 * _SLOSH, n - 1)
+    slosh = _samples(_SLOSH, dt)
+    first = np.clip(np.arange(n) - slosh, 0, max(n - 1 - 2 * slosh, 0))
+    last = np.minimum(first + 2 * slosh, n - 1)
     felt = (velocity[:, last] - velocity[:, first]) / (np.maximum(last - first, 1) * dt)[:, None]
     felt[..., 2] += gravity
     return Motion(np.arange(n) * dt, axis, pose[..., :3] + arm, velocity, felt)
+
+
+def _samples(duration: float, dt: float) -> int:
+    """Return how many samples a duration has [s], at least one."""
+    return max(1, round(duration / dt))
 
 
 def _angle(a: Float[Array, "*batch xyz"], b: Float[Array, "*batch xyz"]) -> Float[Array, "*batch"]:

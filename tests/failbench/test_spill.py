@@ -153,6 +153,17 @@ def test_free_fall_keeps_and_landing_throws_out() -> None:
     assert slow[-1] == pytest.approx(0.7)
 
 
+@pytest.mark.parametrize("dt", [0.01, 0.002, 0.0005])
+def test_a_jolt_throws_out_the_same_at_any_time_step(dt: float) -> None:
+    """A stop from 0.8 m/s within 20 ms."""
+    t = np.arange(0.0, 0.4, dt)
+    velocity = np.outer(np.clip((0.22 - t) / 0.02, 0.0, 1.0), [0.8, 0.0, 0.0])
+    felt = np.tile([0.0, 0.0, _G], (len(t), 1))
+    left = _left(_vessel(), _motion(_UP, velocity, felt, dt), 3e-4)
+    assert left[0] == 1.0
+    assert left[-1] == pytest.approx(0.7)
+
+
 # --- where it goes ----------------------------------------------------------------------------------------------------
 
 
