@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import mujoco
@@ -20,8 +22,8 @@ STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CHECKPOINT = 5
 """Steps from one checkpoint to the next."""
 
-_LONGEST = 100.0
-"""Longest horizon [s]: the commands of every rollout of a batch are in memory."""
+_LONGEST = 200.0
+"""Longest motion and horizon [s]: states and commands of all steps are in memory."""
 _SETTLE = 0.4
 """Time for the fingers to close and for everything to come to rest before the motion begins [s]."""
 _REST = 0.2
@@ -90,13 +92,15 @@ def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: Wor
 
     Raises:
         PlanningFailed: If it is the result of a plan that failed.
-        SettingError: If it is a trajectory of other joints than the scene's, or in another order.
+        SettingError: If it is a trajectory of other joints than the scene's, or in another order, or too long.
     """
     if isinstance(motion, PlanResult):
         motion = motion.unwrap()
     if not isinstance(motion, Trajectory):
         path = motion if isinstance(motion, Path) else Path(np.asarray(motion, dtype=float))
         motion = retime(path, world.scene.limits, world.scene.joints)
+    if motion.duration > _LONGEST:
+        raise SettingError("duration of the trajectory", motion.duration, f"at most {_LONGEST:g} s")
     if motion.joints != world.scene.joints:
         raise SettingError("joints of the trajectory", motion.joints, f"those of the scene: {world.scene.joints}")
     return motion
@@ -122,11 +126,12 @@ def execute(
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
     _check_range(wanted, tolerance, world, dt)
     command = _commands(trajectory, world, steps)
-    start = _settled(trajectory, world, command[0])
-    batch = Batch(world.model, 1, nthread=1, persistent=True)
-    put(batch, np.array([0]), start[None])
     record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
-    out = batch.rollout(steps, command[None, :steps], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
+    with warnings_counted_only():
+        start = _settled(trajectory, world, command[0])
+        batch = Batch(world.model, 1, nthread=1, persistent=True)
+        put(batch, np.array([0]), start[None])
+        out = batch.rollout(steps, command[None, :steps], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
     error = np.abs(out["qpos"][0][:, world.robot.qpos] - wanted)
     _check_tracking(error, tolerance, world, dt)
     slip = _slip(out["xpos"][0], out["xquat"][0], world)
@@ -149,6 +154,17 @@ def put(batch: Batch, sims: Array, states: Float[Array, "sim state"]) -> None:
     """Set simulations of a batch to states, with nothing left of what they did before."""
     batch.reset(sims, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     batch.state[sims] = states
+
+
+@contextmanager
+def warnings_counted_only() -> Generator[None, None, None]:
+    """Keep MuJoCo from writing its log into the working directory; each simulation counts its own warnings."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:

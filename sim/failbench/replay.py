@@ -21,11 +21,10 @@ import numpy as np
 from failbench import single
 from failbench.drawing import Touches
 from failbench.errors import NoPicture
-from failbench.execution import CHECKPOINT, STATE, Execution
+from failbench.execution import CHECKPOINT, STATE, Execution, warnings_counted_only
 from failbench.film import captioned, check_output, write_film
 from failbench.offscreen import Offscreen, find_camera, has_display
 from failbench.records import Job, Rollout
-from failbench.rollout import warnings_counted_only
 from graceful_plan import SettingError
 
 if TYPE_CHECKING:

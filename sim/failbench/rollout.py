@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from failbench.execution import CHECKPOINT, Execution, put
+from failbench.execution import CHECKPOINT, Execution, put, warnings_counted_only
 from failbench.injection import CTRL, Injection
 from failbench.recorder import Recorder
 from failbench.records import Job, Rollout
@@ -159,14 +157,3 @@ def _simulate(
         if step % PERIOD == 0:
             let_sleep(world, xpos[:count], sleep_policy[:count])
     return simulations.warning[sims, :, _COUNT].any(axis=1)
-
-
-@contextmanager
-def warnings_counted_only() -> Generator[None, None, None]:
-    """Keep MuJoCo from writing its log into the working directory: each simulation's warnings are read from it."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)

@@ -81,6 +81,23 @@ def test_a_motion_out_of_a_joint_s_range_is_refused_with_joint_and_time(task):
     assert 1.0 < e.value.time < 3.0
 
 
+def test_a_healthy_run_that_blows_up_is_refused_and_leaves_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    wild = arm(actuators='<position joint="shoulder" kp="500000000" kv="0"/>')
+    with pytest.raises(ExecutionRefused, match="joint 'shoulder'"):
+        execute(np.array([[0.0], [0.6]]), build_world(wild))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_motion_that_takes_too_long_is_refused(task):
+    q = np.stack([task.start, task.start])
+    with pytest.raises(gp.SettingError, match="duration of the trajectory = 1000000.0, expected at most"):
+        execute(
+            gp.Trajectory(np.array([0.0, 1e6]), q, 0.0 * q, 0.0 * q, task.scene.joints),
+            world("tabletop", "green_to_blue"),
+        )
+
+
 def test_an_object_that_slips_is_refused():
     pan = gp.load_scene("kitchen_counter").tasks["move_oil"]
     still = np.stack([pan.start, pan.start + 0.01])

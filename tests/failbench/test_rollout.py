@@ -181,7 +181,7 @@ def test_a_weld_lets_go_without_a_push():
 def test_horizons_are_checked(done, horizon):
     job = Job(fault=Drop(), onset=0.1, seed=0)
     for ask in (lambda: run(done, [job], horizon=horizon), lambda: list(steps(done, job, horizon=horizon))):
-        with pytest.raises(gp.SettingError, match=r"horizon = .*between the time step of 0\.002 s and 100 s"):
+        with pytest.raises(gp.SettingError, match=r"horizon = .*between the time step of 0\.002 s and 200 s"):
             ask()
 
 
