@@ -1,0 +1,383 @@
+"""Scenes that no constant was fitted on: bundled ones with things moved, turned, taken away and added, and other tasks.
+
+Each variant is a few lines of data and a seed. Things stay on what they stood on; every end of a task is another
+configuration than in the bundled scene, and some tasks carry things that no bundled task does. `problems` says what is
+wrong with a variant, and nothing is expected to be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from types import MappingProxyType
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+import graceful_plan as gp
+from graceful_plan.elements import ObjectNote, TaskNote
+
+Array = np.ndarray
+
+TOUCHES = 0.001
+"""Things may be this deep [m] in each other."""
+_GAP = 0.004
+"""Least distance [m] between things that were moved."""
+_ROOM = 0.01
+"""Least clearance [m] at the ends of a task, unless the bundled task has less, as things that stand have."""
+_TRIES = 4000
+_END_SPREAD = 0.12
+"""How far the ends of a task are from those of the bundled one [rad], standard deviation of each joint."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thing:
+    """Something that is added, free to move.
+
+    Args:
+        kind: "box" or "cylinder".
+        size: Half lengths, or radius and half height [m].
+        category: Entity class.
+        severity: In place of the table's.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    category: str
+    severity: float | None = None
+
+    @property
+    def half_height(self) -> float:
+        """[m]"""
+        return self.size[-1]
+
+
+class Shift(NamedTuple):
+    """How far things are moved at random."""
+
+    distance: float
+    """At most, along x and y [m]."""
+    turn: float
+    """At most, about z [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A scene made from a bundled one.
+
+    Args:
+        base: Name of the bundled scene.
+        seed: Of everything random.
+        remove: Bodies that are taken away.
+        shift: How far every free body is moved and turned.
+        keep: Bodies that stay where they are all the same.
+        turn: Fixed bodies that are turned about z [rad], in place.
+        add: Things that are put on the support, anywhere in `area`.
+        area: Where (x, y at least; x, y at most; z of the support) [m].
+        carry: Objects that no task of the bundled scene carries, by name, with the point where they are held, above the
+            body's origin [m]; each does the first two tasks.
+    """
+
+    base: str
+    seed: int
+    remove: tuple[str, ...] = ()
+    shift: Shift = Shift(0.0, 0.0)
+    keep: tuple[str, ...] = ()
+    turn: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    add: Mapping[str, Thing] = field(default_factory=lambda: MappingProxyType({}))
+    area: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    carry: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+_TABLE = (-0.25, -0.47, 0.25, -0.23, 0.40)
+_TUMBLER = Thing(kind="cylinder", size=(0.028, 0.045), category="glass", severity=10.0)
+_PLATE = Thing(kind="cylinder", size=(0.07, 0.01), category="glass", severity=10.0)
+_TOWER = Thing(kind="box", size=(0.025, 0.025, 0.09), category="robust", severity=2.0)
+_BRICK = Thing(kind="box", size=(0.05, 0.025, 0.02), category="robust", severity=2.0)
+
+VARIANTS: Mapping[str, Variant] = MappingProxyType(
+    {
+        "tabletop_turned": Variant(
+            base="tabletop",
+            seed=101,
+            remove=("white2", "red4"),
+            shift=Shift(0.025, 0.8),
+        ),
+        "tabletop_mixed": Variant(
+            base="tabletop",
+            seed=102,
+            remove=("white1", "white3", "white6", "white7", "red2", "red3"),
+            shift=Shift(0.02, 0.4),
+            add={"tumbler1": _TUMBLER, "tumbler2": _TUMBLER, "plate": _PLATE, "tower": _TOWER, "brick": _BRICK},
+            area=_TABLE,
+            carry={"tumbler1": 0.02, "tower": 0.07},
+        ),
+        "tabletop_l1_scattered": Variant(
+            base="tabletop_l1",
+            seed=103,
+            shift=Shift(0.08, 3.1),
+            add={"tumbler": _TUMBLER, "brick1": _BRICK, "brick2": _BRICK},
+            area=_TABLE,
+        ),
+        "tabletop_l3_thinned": Variant(
+            base="tabletop_l3",
+            seed=104,
+            remove=("bottle2", "tumbler2", "tower2", "white5", "bottle4", "tumbler6", "white8", "tumbler8"),
+            shift=Shift(0.03, 1.5),
+            carry={"tumbler4": 0.02, "tower1": 0.08},
+        ),
+        "desk_rearranged": Variant(
+            base="desk",
+            seed=105,
+            remove=("stapler",),
+            shift=Shift(0.08, 0.6),
+            turn={"cat": 0.7},
+            add={
+                "cup": Thing(kind="cylinder", size=(0.035, 0.04), category="glass"),
+                "letters": Thing(kind="box", size=(0.11, 0.06, 0.004), category="paper"),
+            },
+            area=(0.25, -0.5, 0.75, 0.5, 0.74),
+        ),
+        "dining_table_rearranged": Variant(
+            base="dining_table",
+            seed=106,
+            remove=("fork",),
+            shift=Shift(0.06, 1.0),
+            add={
+                "glass": Thing(kind="cylinder", size=(0.03, 0.06), category="glass"),
+                "saucer": Thing(kind="cylinder", size=(0.08, 0.008), category="glass"),
+            },
+            area=(0.3, -0.45, 0.75, 0.45, 0.74),
+        ),
+        "kitchen_counter_rearranged": Variant(
+            base="kitchen_counter",
+            seed=107,
+            remove=("glass_right",),
+            shift=Shift(0.04, 0.6),
+            keep=("soup_pot", "pan", "cutting_board", "knife"),
+            add={
+                "tin": Thing(kind="cylinder", size=(0.04, 0.05), category="robust"),
+                "tile": Thing(kind="box", size=(0.07, 0.05, 0.006), category="robust"),
+            },
+            area=(0.28, -0.42, 0.7, 0.22, 0.90),
+        ),
+    }
+)
+"""By name."""
+
+
+@cache
+def load(name: str) -> gp.Scene:
+    """Build a variant.
+
+    Raises:
+        UnknownNameError: If there is none of that name.
+    """
+    if name not in VARIANTS:
+        raise gp.UnknownNameError("variant", name, VARIANTS)
+    variant = VARIANTS[name]
+    base = gp.load_scene(variant.base)
+    rng = np.random.default_rng(variant.seed)
+    spec = base.spec.copy()
+    for body in variant.remove:
+        spec.delete(spec.body(body))
+    for body, angle in variant.turn.items():
+        spec.body(body).quat = [math.cos(angle / 2.0), 0.0, 0.0, math.sin(angle / 2.0)]
+    for body, thing in variant.add.items():
+        _add(spec, body, thing, variant.area)
+    notes = replace(base.notes, name=name, file=None, entities=_entities(base, variant), tasks={}, keyframes={})
+    notes = replace(notes, objects={key: note for key, note in notes.objects.items() if key not in variant.remove})
+    _place(gp.Scene.build(spec.copy(), notes), spec, variant, rng)
+    return _with_tasks(gp.Scene.build(spec, notes), base, variant, rng)
+
+
+def task_names(name: str) -> list[str]:
+    """Return the names of a variant's tasks."""
+    return list(load(name).tasks)
+
+
+def problems(scene: gp.Scene) -> list[str]:
+    """Return what is wrong with a scene as such: things in each other, or out of reach."""
+    data = _at_home(scene)
+    return [
+        f"{first} and {second} are {-distance * 1e3:.1f} mm in each other"
+        for first, second, distance in _distances(scene.model, data, _free(scene), scene)
+        if distance < -TOUCHES
+    ]
+
+
+def _entities(base: gp.Scene, variant: Variant) -> dict[str, gp.EntityNote]:
+    kept = {key: note for key, note in base.notes.entities.items() if key not in variant.remove}
+    added = {key: gp.EntityNote(category=x.category, severity=x.severity) for key, x in variant.add.items()}
+    return kept | added
+
+
+def _add(spec: mujoco.MjSpec, name: str, thing: Thing, area: tuple[float, ...]) -> None:
+    kinds = {"box": mujoco.mjtGeom.mjGEOM_BOX, "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER}
+    size = [*thing.size, 0.0][:3]
+    body = spec.worldbody.add_body(name=name, pos=[area[0], area[1], area[4] + thing.half_height])
+    body.add_freejoint(name=name)
+    body.add_geom(name=name, type=kinds[thing.kind], size=size, density=600.0, condim=4)
+
+
+# --- where things stand ----------------------------------------------------------------------------------------------
+
+
+def _free(scene: gp.Scene) -> dict[str, int]:
+    """Return the bodies that can move freely, by name."""
+    model = scene.model
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    return {model.body(int(model.jnt_bodyid[j])).name: int(model.jnt_bodyid[j]) for j in free}
+
+
+def _at_home(scene: gp.Scene) -> mujoco.MjData:
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.home_qpos
+    mujoco.mj_kinematics(scene.model, data)
+    return data
+
+
+def _place(scene: gp.Scene, spec: mujoco.MjSpec, variant: Variant, rng: np.random.Generator) -> None:
+    """Draw where the free bodies stand until none is in another, one after the other, and write it down."""
+    model, data, bodies = scene.model, _at_home(scene), _free(scene)
+    # What is added may stand anywhere; the largest have the least choice and go first. The others make room.
+    size = {
+        name: 2.0 if name in variant.keep else max(variant.add[name].size[:2]) for name in (*variant.keep, *variant.add)
+    }
+    order = sorted(bodies, key=lambda name: -size.get(name, 0.0))
+    placed: list[str] = []
+    for name in order:
+        address = int(model.jnt_qposadr[model.body_jntadr[bodies[name]]])
+        before = data.qpos[address : address + 7].copy()
+        supports = _below(scene, data, bodies[name])
+        others = {key: bodies[key] for key in placed}
+        for attempt in range(_TRIES):
+            # Whoever finds no room by small steps may take larger ones.
+            data.qpos[address : address + 7] = _drawn(before, variant, name, 1.0 + attempt // 500, rng)
+            mujoco.mj_kinematics(model, data)
+            if name in variant.keep or _stands(scene, data, bodies[name], others, supports):
+                break
+        else:
+            raise gp.SceneError(f"there is no room for {name!r}")
+        placed.append(name)
+        body = spec.body(name)
+        body.pos, body.quat = data.qpos[address : address + 3].copy(), data.qpos[address + 3 : address + 7].copy()
+
+
+def _drawn(before: Array, variant: Variant, name: str, reach: float, rng: np.random.Generator) -> Array:
+    pose = before.copy()
+    if name in variant.keep:
+        return pose
+    if name in variant.add:
+        pose[:2] = rng.uniform(variant.area[:2], variant.area[2:4])
+        angle = rng.uniform(-math.pi, math.pi)
+    else:
+        pose[:2] += rng.uniform(-1.0, 1.0, size=2) * variant.shift.distance * reach
+        angle = rng.uniform(-1.0, 1.0) * variant.shift.turn
+    turn = np.array([math.cos(angle / 2.0), 0.0, 0.0, math.sin(angle / 2.0)])
+    mujoco.mju_mulQuat(pose[3:], turn, before[3:])
+    return pose
+
+
+def _below(scene: gp.Scene, data: mujoco.MjData, body: int) -> set[int]:
+    """Return the fixed geoms that a body touches now, or nearly does."""
+    model = scene.model
+    return {g for g in _fixed(scene) for own in _own(model, body) if _distance(model, data, own, g) < _GAP}
+
+
+def _stands(scene: gp.Scene, data: mujoco.MjData, body: int, others: Mapping[str, int], supports: set[int]) -> bool:
+    """Whether a body keeps its distance from everything but its support, and stands on that with all of its foot."""
+    model, own = scene.model, _own(scene.model, body)
+    moved = [g for other in others.values() for g in _own(model, other)]
+    apart = all(_distance(model, data, a, b) >= _GAP for a in own for b in moved)
+    if not apart or any(_distance(model, data, a, b) < _GAP for a in own for b in _fixed(scene) if b not in supports):
+        return False
+    return all(_has_under_it(model, data, corner, supports) for corner in _foot(model, data, own))
+
+
+def _foot(model: mujoco.MjModel, data: mujoco.MjData, own: list[int]) -> Array:
+    """Return the corners of the box around what reaches lowest, in xy [m]."""
+    corners = []
+    for g in own:
+        centre, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        corners.append(data.geom_xpos[g] + (centre + signs * half) @ data.geom_xmat[g].reshape(3, 3).T)
+    points = np.concatenate(corners)
+    return points[points[:, 2] < points[:, 2].min() + 0.01][:, :2]
+
+
+def _has_under_it(model: mujoco.MjModel, data: mujoco.MjData, xy: Array, supports: set[int]) -> bool:
+    for g in supports:
+        at = (np.array([*xy, data.geom_xpos[g][2]]) - data.geom_xpos[g]) @ data.geom_xmat[g].reshape(3, 3)
+        off = np.abs(at - model.geom_aabb[g, :3]) - model.geom_aabb[g, 3:]
+        if (off[:2] <= 0.0).all():
+            return True
+    return False
+
+
+def _own(model: mujoco.MjModel, body: int) -> list[int]:
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return np.flatnonzero((model.geom_bodyid == body) & collides).tolist()
+
+
+def _fixed(scene: gp.Scene) -> list[int]:
+    """Return the geoms that collide, do not move and are not the robot's."""
+    model = scene.model
+    still = (model.body_weldid[model.geom_bodyid] == 0) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    return [g for g in np.flatnonzero(still).tolist() if int(model.geom_bodyid[g]) not in scene.robot_bodies]
+
+
+def _distance(model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int) -> float:
+    return mujoco.mj_geomDistance(model, data, first, second, 0.05, None)
+
+
+def _distances(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: Mapping[str, int], scene: gp.Scene
+) -> list[tuple[str, str, float]]:
+    found, names = [], list(bodies)
+    for i, name in enumerate(names):
+        for own in _own(model, bodies[name]):
+            for other in names[i + 1 :]:
+                found += [(name, other, _distance(model, data, own, g)) for g in _own(model, bodies[other])]
+            for g in _fixed(scene):
+                found.append((name, model.body(int(model.geom_bodyid[g])).name, _distance(model, data, own, g)))
+    return found
+
+
+# --- what is to be done ----------------------------------------------------------------------------------------------
+
+
+def _with_tasks(scene: gp.Scene, base: gp.Scene, variant: Variant, rng: np.random.Generator) -> gp.Scene:
+    """Return a variant with the bundled tasks, the other way round and between other ends, and those of its own."""
+    objects = dict(scene.notes.objects)
+    for name, height in variant.carry.items():
+        X_TO = np.diag([1.0, -1.0, -1.0, 1.0])  # the tool points down, the object stands
+        X_TO[2, 3] = height
+        objects[name] = ObjectNote(body=name, X_TO=X_TO, fingers=0.03)
+    scene = gp.Scene.build(scene.spec, replace(scene.notes, objects=objects))
+    given = [(name, task) for name, task in base.tasks.items() if task.object_name in objects]
+    todo = [(f"{name}_back", task, task.object_name) for name, task in given]
+    todo += [(f"{name}_with_{thing}", task, thing) for thing in variant.carry for name, task in given[:2]]
+    tasks: dict[str, TaskNote] = {}
+    for name, task, thing in todo:
+        held = scene.attach(thing, support=task.support)
+        start, goal = (_end(held, base_end, task, rng) for base_end in (task.goal[0], task.start))
+        tasks[name] = TaskNote(start=start, goal=(goal,), object_name=thing, support=task.support)
+    return gp.Scene.build(scene.spec, replace(scene.notes, tasks=tasks))
+
+
+def _end(scene: gp.Scene, q: Array, task: gp.Task, rng: np.random.Generator) -> tuple[float, ...]:
+    """Return a configuration near one of a bundled task's ends that is as free as that was."""
+    room = min(_ROOM, float(gp.clearance(task.scene, q)))
+    low, high = scene.limits.position.T
+    for attempt in range(_TRIES):
+        spread = _END_SPREAD * (1.0 + attempt // 200)
+        near = np.clip(q + rng.normal(scale=spread, size=len(q)), low + 0.02, high - 0.02)
+        if room > 0.0 and float(gp.clearance(scene, near)) >= room:
+            return tuple(near.round(4).tolist())
+        if room <= 0.0 and gp.clearance(scene, near) >= _ROOM:  # a thing that stood is held in the air here
+            return tuple(near.round(4).tolist())
+    raise gp.SceneError(f"an end of {task.name!r} is not free")
