@@ -359,7 +359,7 @@ def _with_tasks(scene: gp.Scene, base: gp.Scene, variant: Variant, rng: np.rando
         objects[name] = ObjectNote(body=name, X_TO=X_TO, fingers=0.03)
     scene = gp.Scene.build(scene.spec, replace(scene.notes, objects=objects))
     given = [(name, task) for name, task in base.tasks.items() if task.object_name in objects]
-    todo = [(f"{name}_back", task, task.object_name) for name, task in given]
+    todo = [(f"{name}_back", task, str(task.object_name)) for name, task in given]
     todo += [(f"{name}_with_{thing}", task, thing) for thing in variant.carry for name, task in given[:2]]
     tasks: dict[str, TaskNote] = {}
     for name, task, thing in todo:

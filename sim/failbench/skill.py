@@ -56,8 +56,8 @@ class Reliability(NamedTuple):
     """Lower end of the band."""
     high: Float[Array, " bin"]
     """Upper end of the band."""
-    count: Int[Array, " bin"]
-    """Events."""
+    events: Int[Array, " bin"]
+    """How many."""
 
 
 def brier(predicted: ArrayLike, happened: ArrayLike) -> float:
@@ -183,7 +183,7 @@ def kendall(predicted: ArrayLike, observed: ArrayLike) -> float:
     _check_pairs(a, b)
     if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return math.nan
-    return float(kendalltau(a, b)[0])
+    return float(np.asarray(kendalltau(a, b))[0])
 
 
 def slope(predicted: ArrayLike, observed: ArrayLike) -> float:

@@ -93,8 +93,8 @@ def test_reliability_bands_cover_what_is_calibrated() -> None:
     p, y = _sample()
     clusters = np.arange(len(p)) % 200
     curve = skill.reliability(p, y, clusters, bins=12)
-    assert curve.count.sum() == len(p)
-    assert curve.count.max() - curve.count.min() <= 1
+    assert curve.events.sum() == len(p)
+    assert curve.events.max() - curve.events.min() <= 1
     assert (np.diff(curve.predicted) > 0.0).all()
     assert (curve.low <= curve.observed).all() and (curve.observed <= curve.high).all()
     inside = (curve.low <= curve.predicted) & (curve.predicted <= curve.high)
