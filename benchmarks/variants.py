@@ -51,7 +51,7 @@ class Thing:
 
     @property
     def half_height(self) -> float:
-        """[m]"""
+        """Half of what it is high, standing [m]."""
         return self.size[-1]
 
 
@@ -62,6 +62,9 @@ class Shift(NamedTuple):
     """At most, along x and y [m]."""
     turn: float
     """At most, about z [rad]."""
+
+
+_UNMOVED = Shift(0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +87,7 @@ class Variant:
     base: str
     seed: int
     remove: tuple[str, ...] = ()
-    shift: Shift = Shift(0.0, 0.0)
+    shift: Shift = _UNMOVED
     keep: tuple[str, ...] = ()
     turn: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     add: Mapping[str, Thing] = field(default_factory=lambda: MappingProxyType({}))
