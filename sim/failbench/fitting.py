@@ -22,8 +22,12 @@ from graceful_plan.array_types import Bool, Float, Int
 
 Array = np.ndarray
 
-_STEP = 1e-4
+_STEP = 1e-5
 """Of finite differences, in units of a prior's spread."""
+_ENOUGH = 0.05
+"""An expected gain of the log-likelihood [nat] that is not worth another step."""
+_SHORTEST = 1e-3
+"""Least share of a step."""
 _FARTHEST = 4.0
 """How many spreads a constant may be from its prior, within its own bounds."""
 
@@ -41,6 +45,7 @@ class Constant:
         high: Greatest value.
         unit: Of the value.
         meaning: In words.
+        shared: Whether all shape classes have the same.
     """
 
     name: str
@@ -50,6 +55,7 @@ class Constant:
     high: float = np.inf
     unit: str = ""
     meaning: str = ""
+    shared: bool = False
 
     def __post_init__(self) -> None:
         if not self.low <= self.prior <= self.high:
@@ -76,10 +82,8 @@ class Constant:
 class Family(ABC):
     """A model of drops whose constants can be fitted."""
 
-    @property
-    @abstractmethod
-    def constants(self) -> tuple[Constant, ...]:
-        """What is fitted, for each shape class."""
+    constants: tuple[Constant, ...]
+    """What is fitted: once if it is shared, otherwise for each shape class."""
 
     @abstractmethod
     def shape(self, scene: Scene) -> str:
@@ -163,6 +167,31 @@ def predictions(
     return [family.probability(values[sample.shape], sample.prepared) for sample in samples]
 
 
+class Layout(NamedTuple):
+    """Which constants of which shape classes are fitted, in the order of a vector of spreads from their centres."""
+
+    family: Family
+    slots: tuple[tuple[Constant, str | None], ...]
+    """None: of all shapes."""
+    centres: tuple[float, ...]
+
+    def values(self, z: Float[Array, " slot"], shape: str) -> dict[str, float]:
+        """Return the constants of a shape class."""
+        return {self.slots[i][0].name: self.value(i, float(z[i])) for i in self.columns(shape)}
+
+    def value(self, slot: int, z: float) -> float:
+        """Return one constant."""
+        return self.slots[slot][0].value(z, self.centres[slot])
+
+    def columns(self, shape: str) -> list[int]:
+        """Return the slots that matter to a shape class."""
+        return [i for i, (_, own) in enumerate(self.slots) if own in (None, shape)]
+
+    def bounds(self) -> Float[Array, "2 slot"]:
+        """Return least and greatest spreads."""
+        return np.array([c.bounds(x) for (c, _), x in zip(self.slots, self.centres, strict=True)]).T
+
+
 def fit(
     family: Family,
     samples: Sequence[Sample],
@@ -171,7 +200,8 @@ def fit(
     resamples: int = 500,
     seed: int = 0,
     confidence: float = 0.95,
-    iterations: int = 60,
+    iterations: int = 30,
+    shapes: Sequence[str] = (),
 ) -> dict[str, dict[str, Fitted]]:
     """Fit the constants: first for all shapes alike, then for each, with what fits all as its prior.
 
@@ -182,7 +212,8 @@ def fit(
         resamples: How often motions are drawn for the intervals.
         seed: Of the draws.
         confidence: Of the intervals.
-        iterations: Of L-BFGS, at most.
+        iterations: Of the search, at most.
+        shapes: Shape classes that get constants even if nothing of the kind was dropped: those that fit all.
 
     Returns:
         Constants by shape class and name.
@@ -190,98 +221,109 @@ def fit(
     check_confidence(confidence)
     if not samples:
         raise SettingError("samples", 0, "at least one")
-    priors = {constant.name: constant.prior for constant in family.constants}
-    shared = _values(family, _optimum(family, samples, priors, trust, iterations), priors)
-    found = {}
-    for shape in sorted({sample.shape for sample in samples}):
-        own = [sample for sample in samples if sample.shape == shape]
-        z = _optimum(family, own, shared, trust, iterations)
-        drawn = _bootstrap(family, own, shared, z, trust, resamples, seed)
-        low, high = np.quantile(drawn, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence], axis=0)
-        ends = (_values(family, end, shared) for end in (z, low, high))
-        found[shape] = {name: Fitted(*numbers) for name, *numbers in _together(*ends)}
-    return found
+    alike = Layout(family, tuple((c, None) for c in family.constants), tuple(c.prior for c in family.constants))
+    z = optimum(alike, samples, trust, iterations)
+    centre = {c.name: alike.value(i, float(z[i])) for i, c in enumerate(family.constants)}
+    dropped = sorted({sample.shape for sample in samples})
+    slots = [(c, None) for c in family.constants if c.shared]
+    slots += [(c, shape) for shape in dropped for c in family.constants if not c.shared]
+    apart = Layout(family, tuple(slots), tuple(centre[c.name] for c, _ in slots))
+    ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
+    fitted: list[dict[tuple[str, str | None], Fitted]] = []
+    for layout, best in ((alike, z), (apart, optimum(apart, samples, trust, iterations))):
+        low, high = np.quantile(_bootstrap(layout, samples, best, trust, resamples, seed), ends, axis=0)
+        numbers = [Fitted(*(layout.value(i, float(x[i])) for x in (best, low, high))) for i in range(len(best))]
+        fitted.append({(c.name, shape): x for (c, shape), x in zip(layout.slots, numbers, strict=True)})
+
+    def of(constant: Constant, shape: str) -> Fitted:
+        own = fitted[1].get((constant.name, None if constant.shared else shape))
+        return fitted[0][constant.name, None] if own is None else own
+
+    return {shape: {c.name: of(c, shape) for c in family.constants} for shape in sorted({*shapes, *dropped})}
 
 
-def _together(*values: Mapping[str, float]) -> list[tuple[str, float, float, float]]:
-    first, *others = values
-    return [(name, number, *(other[name] for other in others)) for name, number in first.items()]  # pyright: ignore[reportReturnType]
+def optimum(layout: Layout, samples: Sequence[Sample], trust: float, iterations: int) -> Float[Array, " slot"]:
+    """Return where prior and tempered likelihood are greatest.
 
-
-def _values(family: Family, z: Float[Array, " constant"], centre: Mapping[str, float]) -> dict[str, float]:
-    return {c.name: c.value(float(x), centre[c.name]) for c, x in zip(family.constants, z, strict=True)}
-
-
-def _optimum(
-    family: Family, samples: Sequence[Sample], centre: Mapping[str, float], trust: float, iterations: int
-) -> Float[Array, " constant"]:
-    """Return where prior and tempered likelihood are greatest, in spreads from the prior."""
-    from scipy.optimize import minimize
-
-    events = sum(int(sample.counted.sum()) for sample in samples)
-
-    def loss(z: Float[Array, " constant"]) -> float:
-        values = _values(family, z, centre)
-        surprise = sum(_surprise(family.probability(values, sample.prepared), sample) for sample in samples)
-        return (surprise + 0.5 * trust * float(z @ z)) / events
-
-    def both(z: Float[Array, " constant"]) -> tuple[float, Float[Array, " constant"]]:
-        here = loss(z)
-        return here, np.array([(loss(z + _STEP * axis) - here) / _STEP for axis in np.eye(len(z))])
-
-    bounds = [constant.bounds(centre[constant.name]) for constant in family.constants]
-    start = np.zeros(len(bounds))
-    found = minimize(both, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": iterations})
-    return np.asarray(found.x, dtype=float)
+    By Fisher's scoring within bounds: a quasi-Newton method needs several times as many gradients, which are finite
+    differences here.
+    """
+    low, high = layout.bounds()
+    z = np.zeros(len(low))
+    for _ in range(iterations):
+        here, gradient, fisher, _ = quadratic(layout, samples, z, trust)
+        free = ~((z <= low) & (gradient > 0.0) | (z >= high) & (gradient < 0.0))
+        step = np.zeros(len(z))
+        step[free] = -np.linalg.solve(fisher[np.ix_(free, free)], gradient[free])
+        gain, length = -float(gradient @ step), 1.0
+        if gain < 2.0 * _ENOUGH:
+            break
+        while length > _SHORTEST:
+            there = np.clip(z + length * step, low, high)
+            if loss(layout, samples, there, trust) < here - 1e-4 * length * gain:
+                break
+            length *= 0.5
+        else:
+            break
+        z = there
+    return z
 
 
 def _clipped(p: Float[Array, "n entity"]) -> Float[Array, "n entity"]:
     return np.clip(p, SMALLEST, 1.0 - SMALLEST)
 
 
+def loss(layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float) -> float:
+    """Return the negative log-likelihood with that of the prior [nat]."""
+    found = 0.5 * trust * float(z @ z)
+    for sample in samples:
+        found += _surprise(_clipped(layout.family.probability(layout.values(z, sample.shape), sample.prepared)), sample)
+    return found
+
+
 def _surprise(p: Float[Array, "n entity"], sample: Sample) -> float:
-    """Return the negative log-likelihood [nat]."""
-    p = _clipped(p)
     return float(-np.log(np.where(sample.hit, p, 1.0 - p))[sample.counted].sum())
 
 
-def _bootstrap(
-    family: Family,
-    samples: Sequence[Sample],
-    centre: Mapping[str, float],
-    z: Float[Array, " constant"],
-    trust: float,
-    resamples: int,
-    seed: int,
-) -> Float[Array, "resample constant"]:
-    """Draw whole motions with replacement, and take one Newton step from the optimum to that of each draw."""
-    count = len(z)
-    scores: dict[int, Float[Array, " constant"]] = {}
-    fisher = trust * np.eye(count)
+def quadratic(
+    layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float
+) -> tuple[float, Float[Array, " slot"], Float[Array, "slot slot"], dict[int, Float[Array, " slot"]]]:
+    """Return the loss, its gradient, Fisher's information with the prior's, and each motion's share in the gradient."""
+    here, fisher = 0.5 * trust * float(z @ z), trust * np.eye(len(z))
+    shares: dict[int, Float[Array, " slot"]] = {}
     for sample in samples:
-        p, slopes = _linear(family, sample, z, centre)
-        variance = p * (1.0 - p)
-        push = np.where(sample.counted, (p - sample.hit) / variance, 0.0)
-        each = np.einsum("ne,cne->nc", push, slopes)
-        for motion in np.unique(sample.motion):
-            scores[int(motion)] = scores.get(int(motion), np.zeros(count)) + each[sample.motion == motion].sum(axis=0)
-        fisher += np.einsum("ane,bne,ne->ab", slopes, slopes, sample.counted / variance)
-    pushes = np.array(list(scores.values()))
+        columns = layout.columns(sample.shape)
+        p, slopes = _slopes(layout, sample, z, columns)
+        here += _surprise(p, sample)
+        weight = np.where(sample.counted, 1.0 / (p * (1.0 - p)), 0.0)
+        each = np.einsum("ne,cne->nc", weight * (p - sample.hit), slopes)
+        fisher[np.ix_(columns, columns)] += np.einsum("ane,bne,ne->ab", slopes, slopes, weight, optimize=True)
+        for motion in np.unique(sample.motion).tolist():
+            share = shares.setdefault(motion, np.zeros(len(z)))
+            share[columns] += each[sample.motion == motion].sum(axis=0)
+    return here, trust * z + np.sum(list(shares.values()), axis=0), fisher, shares
+
+
+def _slopes(
+    layout: Layout, sample: Sample, z: Float[Array, " slot"], columns: Sequence[int]
+) -> tuple[Float[Array, "n entity"], Float[Array, "column n entity"]]:
+    """Return probabilities and their derivatives with respect to the constants, in spreads."""
+
+    def at(point: Float[Array, " slot"]) -> Float[Array, "n entity"]:
+        return _clipped(layout.family.probability(layout.values(point, sample.shape), sample.prepared))
+
+    here, axes = at(z), _STEP * np.eye(len(z))
+    return here, np.stack([(at(z + axes[i]) - here) / _STEP for i in columns])
+
+
+def _bootstrap(
+    layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float, resamples: int, seed: int
+) -> Float[Array, "resample slot"]:
+    """Draw whole motions with replacement, and take one Newton step from the optimum to that of each draw."""
+    _, _, fisher, shares = quadratic(layout, samples, z, trust)
+    pushes = np.array(list(shares.values()))
     n = len(pushes)
     drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=resamples)
     # Less that of all motions once, which the prior balances but for what bounds hold back.
     steps = np.linalg.solve(fisher, ((drawn - 1.0) @ pushes).T).T
-    low, high = np.array([c.bounds(centre[c.name]) for c in family.constants]).T
-    return np.clip(z - steps, low, high)
-
-
-def _linear(
-    family: Family, sample: Sample, z: Float[Array, " constant"], centre: Mapping[str, float]
-) -> tuple[Float[Array, "n entity"], Float[Array, "constant n entity"]]:
-    """Return probabilities and their derivatives with respect to the constants, in spreads."""
-
-    def at(point: Float[Array, " constant"]) -> Float[Array, "n entity"]:
-        return _clipped(family.probability(_values(family, point, centre), sample.prepared))
-
-    axes = _STEP * np.eye(len(z))
-    return at(z), np.stack([(at(z + axis) - at(z - axis)) / (2.0 * _STEP) for axis in axes])
+    return np.clip(z - steps, *layout.bounds())

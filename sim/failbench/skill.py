@@ -60,6 +60,39 @@ class Reliability(NamedTuple):
     """How many."""
 
 
+class Figures(NamedTuple):
+    """How good predicted probabilities are, at a glance."""
+
+    events: int
+    """How many."""
+    happened: int
+    """How many of them did."""
+    brier_skill: float
+    """Over the base rate."""
+    auc: float
+    """Area under the ROC curve."""
+    calibration_error: float
+    """By bins of equal counts."""
+    ratio: float
+    """Predicted over observed."""
+    log_loss: float
+    """Mean [nat]."""
+
+
+def figures(predicted: ArrayLike, happened: ArrayLike, bins: int = 10) -> Figures:
+    """Judge predicted probabilities."""
+    p, y = _events(predicted, happened)
+    return Figures(
+        events=len(y),
+        happened=int(y.sum()),
+        brier_skill=brier_skill(p, y),
+        auc=auc(p, y),
+        calibration_error=calibration_error(p, y, bins),
+        ratio=predicted_ratio(p, y),
+        log_loss=log_loss(p, y),
+    )
+
+
 def brier(predicted: ArrayLike, happened: ArrayLike) -> float:
     """Return the mean squared difference of predicted probability and outcome; 0 is best."""
     p, y = _events(predicted, happened)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -32,7 +32,7 @@ class Prepared(NamedTuple):
 class GaussianFamily(Family):
     """P = product over x and y of the probability that the landing point is within both halves."""
 
-    constants: ClassVar[tuple[Constant, ...]] = (  # pyright: ignore[reportIncompatibleMethodOverride]
+    constants = (
         Constant(name="width", prior=0.02, spread=1.0, low=1e-3, high=0.5, unit="m", meaning="spread at no height"),
         Constant(name="speed", prior=0.05, spread=1.0, low=1e-3, high=2.0, unit="m/s", meaning="spread over time"),
         Constant(name="reach", prior=1.0, spread=0.5, low=-1.0, high=4.0, meaning="share of the object's size"),

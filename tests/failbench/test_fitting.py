@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gaussian_family import GaussianFamily, Prepared
+from scipy.optimize import minimize
 
 import graceful_plan as gp
 from failbench import fitting
@@ -74,6 +75,55 @@ def test_each_shape_gets_its_own() -> None:
     found = fitting.fit(GaussianFamily(), samples, trust=1.0)
     assert set(found) == {"box", "round"}
     assert found["box"]["width"].value < 0.05 < found["round"]["width"].value
+
+
+def test_shared_constants_are_the_same_for_all_shapes() -> None:
+    class Shared(GaussianFamily):
+        constants = tuple(replace(c, shared=c.name == "speed") for c in GaussianFamily.constants)
+
+    other = TRUTH | {"width": 0.08}
+    samples = _made_up(TRUTH, 800, 2) + _made_up(other, 800, 3, shape="round")
+    found = fitting.fit(Shared(), samples, trust=1.0)
+    assert found["box"]["speed"] == found["round"]["speed"]
+    assert found["box"]["speed"].value == pytest.approx(TRUTH["speed"], rel=0.15)
+    assert found["box"]["width"].value < 0.05 < found["round"]["width"].value
+
+
+def test_the_optimum_is_that_of_another_optimiser() -> None:
+    samples = _made_up(TRUTH, 400, 8)
+    family = GaussianFamily()
+    layout = fitting.Layout(
+        family, tuple((c, None) for c in family.constants), tuple(c.prior for c in family.constants)
+    )
+    found = fitting.optimum(layout, samples, 5.0, 30)
+    other = minimize(
+        lambda z: fitting.loss(layout, samples, z, 5.0), np.zeros(3), method="L-BFGS-B", bounds=layout.bounds().T
+    )
+    assert fitting.loss(layout, samples, found, 5.0) <= other.fun + 0.1
+    assert np.allclose(found, other.x, atol=0.03)
+
+
+def test_gradient_is_that_of_the_loss() -> None:
+    samples = _made_up(TRUTH, 100, 9) + _made_up(TRUTH, 100, 10, shape="round")
+    family = GaussianFamily()
+    slots = ((family.constants[0], None), *((c, shape) for shape in ("box", "round") for c in family.constants[1:]))
+    layout = fitting.Layout(family, slots, tuple(c.prior for c, _ in slots))
+    z = np.array([0.3, -0.2, 0.1, 0.4, -0.3])
+    loss, gradient, fisher, shares = fitting.quadratic(layout, samples, z, 2.0)
+    assert loss == pytest.approx(fitting.loss(layout, samples, z, 2.0))
+    for i, axis in enumerate(1e-4 * np.eye(5)):
+        ahead, behind = (fitting.loss(layout, samples, z + sign * axis, 2.0) for sign in (1.0, -1.0))
+        assert gradient[i] == pytest.approx((ahead - behind) / 2e-4, rel=1e-3, abs=0.05)
+    assert np.allclose(gradient, 2.0 * z + sum(shares.values()))
+    assert (np.linalg.eigvalsh(fisher) > 0.0).all()
+
+
+def test_shapes_that_were_never_dropped_get_what_fits_all() -> None:
+    samples = _made_up(TRUTH, 500, 7)
+    found = fitting.fit(GaussianFamily(), samples, trust=1.0, shapes=("ball",))
+    for name, true in TRUTH.items():
+        assert found["ball"][name].value == pytest.approx(true, rel=0.2)
+        assert found["ball"][name].low < found["ball"][name].value < found["ball"][name].high
 
 
 def test_without_evidence_the_prior_stays() -> None:

@@ -77,6 +77,16 @@ def test_what_happens_as_often_as_predicted_has_the_known_scores() -> None:
     assert skill.predicted_ratio(p, y) == pytest.approx(1.0, abs=0.03)
 
 
+def test_figures_at_a_glance_are_the_same() -> None:
+    p, y = _sample(500)
+    found = skill.figures(p, y, bins=7)
+    assert (found.events, found.happened) == (500, y.sum())
+    for name in ("brier_skill", "auc", "log_loss"):
+        assert getattr(found, name) == getattr(skill, name)(p, y)
+    assert found.calibration_error == skill.calibration_error(p, y, 7)
+    assert found.ratio == skill.predicted_ratio(p, y)
+
+
 def test_calibration_error_of_what_is_always_predicted_too_likely() -> None:
     p, y = _sample()
     high = np.minimum(1.0, p + 0.2)

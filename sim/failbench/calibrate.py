@@ -1,0 +1,241 @@
+"""Calibration of a drop model: drop things in many scenes, fit its constants, and write down where they come from.
+
+The document holds, beside each constant and its interval, what was dropped where with which versions, and how good the
+model is on each scene with constants that were fitted on all the others.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+
+import graceful_plan as gp
+from failbench.drops import DropJob, Drops, do_job, drop_jobs
+from failbench.fitting import Family, Fitted, Sample, fit, predictions, samples_of
+from failbench.skill import Figures, figures
+from graceful_plan import Scene, SettingError
+from graceful_plan.array_types import Bool, Float
+
+Array = np.ndarray
+
+VERSION = 1
+_DIGITS = 5
+"""Significant digits of what is written."""
+
+Progress = Callable[[int, int], None]
+"""Called with the number of motions done and the number of all."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """Constants of a drop model, and why they are what they are. Made by `calibrate`.
+
+    | field      | meaning                                                                     |
+    |------------|-----------------------------------------------------------------------------|
+    | model      | name of the model                                                           |
+    | constants  | by shape class and name                                                     |
+    | units      | of the constants, by name                                                   |
+    | shared     | names of the constants that all shape classes share                         |
+    | fitted     | figures on what they were fitted on                                         |
+    | held_out   | figures on each scene, with constants fitted on all others; "all" of them together |
+    | provenance | scenes, drops, seed, versions                                               |
+    """
+
+    model: str
+    constants: Mapping[str, Mapping[str, Fitted]]
+    units: Mapping[str, str]
+    shared: tuple[str, ...]
+    fitted: Figures
+    held_out: Mapping[str, Figures]
+    provenance: Mapping[str, Any]
+
+    def to_document(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        shapes = list(self.constants)
+        own = [name for name in self.units if name not in self.shared]
+        intervals = {
+            "shared": {name: _interval(self.constants[shapes[0]][name]) for name in self.shared},
+            "classes": {shape: {name: _interval(self.constants[shape][name]) for name in own} for shape in shapes},
+        }
+        return {
+            "version": VERSION,
+            "provenance": {
+                "model": self.model,
+                **self.provenance,
+                "fitted": _figures(self.fitted),
+                "held_out": {scene: _figures(found) for scene, found in self.held_out.items()},
+                "units": {name: unit for name, unit in self.units.items() if unit},
+                "intervals": intervals,
+            },
+            "shared": {name: _rounded(self.constants[shapes[0]][name].value) for name in self.shared},
+            "classes": {shape: {name: _rounded(self.constants[shape][name].value) for name in own} for shape in shapes},
+        }
+
+    def to_yaml(self) -> str:
+        """Return it as YAML text that `FootprintSettings.load` and its like read."""
+        text = yaml.safe_dump(self.to_document(), sort_keys=False, default_flow_style=None, width=140)
+        head = (
+            "# Written by `failbench calibrate`; do not edit. Intervals are 95 %, whole motions drawn with replacement."
+        )
+        return f"{head}\n# held_out: each scene with constants that were fitted on the others.\n{text}"
+
+    def __str__(self) -> str:
+        rows = [("fitted", self.fitted), *self.held_out.items()]
+        lines = [f"{'scene':<24} {'events':>8} {'hits':>6} {'skill':>6} {'AUC':>6} {'ECE':>6} {'ratio':>6}"]
+        lines += [
+            f"{name:<24} {x.events:>8} {x.happened:>6} {x.brier_skill:>6.3f} {x.auc:>6.3f}"
+            f" {x.calibration_error:>6.3f} {x.ratio:>6.2f}"
+            for name, x in rows
+        ]
+        return "\n".join(lines)
+
+
+def generate_drops(
+    scenes: Sequence[str],
+    *,
+    load: Callable[[str], Scene] = gp.load_scene,
+    n: int = 60,
+    seed: int = 0,
+    processes: int = 1,
+    progress: Progress | None = None,
+) -> tuple[list[Drops], list[str]]:
+    """Drop the object of every task of some scenes along several motions.
+
+    Args:
+        scenes: Names of scenes.
+        load: Loads a scene by name; a function of a module.
+        n: Drops along each motion.
+        seed: Of everything random. What comes out depends on it alone, not on `processes`.
+        processes: How many to work in.
+        progress: Called after each motion.
+
+    Returns:
+        The drops, and why some motions have none.
+    """
+    jobs = drop_jobs(load, scenes, n=n, seed=seed)
+    found: list[Drops] = []
+    refused: list[str] = []
+
+    def take(outcome: Drops | str) -> None:
+        found.append(outcome) if isinstance(outcome, Drops) else refused.append(outcome)
+        if progress is not None:
+            progress(len(found) + len(refused), len(jobs))
+
+    if processes <= 1:
+        for job in jobs:
+            take(do_job(job))
+    else:
+        # Spawned, not forked: libraries below have threads.
+        with multiprocessing.get_context("spawn").Pool(processes) as pool:
+            for outcome in pool.imap(_do, jobs):
+                take(outcome)
+    return found, refused
+
+
+def _do(job: DropJob) -> Drops | str:
+    return do_job(job)
+
+
+def calibrate(
+    family: Family,
+    drops: Sequence[Drops],
+    *,
+    model: str,
+    load: Callable[[str], Scene] = gp.load_scene,
+    shapes: Sequence[str] = (),
+    trust: float = 25.0,
+    seed: int = 0,
+    iterations: int = 30,
+    about: Mapping[str, Any] | None = None,
+) -> Calibration:
+    """Fit a model's constants to drops, and judge them on scenes that they were not fitted on.
+
+    Args:
+        family: The model.
+        drops: What was dropped, in two scenes at least.
+        model: Its name, for the record.
+        load: Loads a scene by name.
+        shapes: Shape classes that get constants even if nothing of the kind was dropped.
+        trust: See `fitting.fit`.
+        seed: Of the intervals.
+        iterations: Of each fit, at most.
+        about: What else to put down: how the drops were made.
+
+    Raises:
+        SettingError: If all drops are in one scene.
+    """
+    names = sorted({part.scene for part in drops})
+    if len(names) < 2:
+        raise SettingError("scenes", tuple(names), "at least two, to judge on each what was fitted on the others")
+    samples = samples_of(family, drops, scenes_of(drops, load))
+    every = (*shapes, *(sample.shape for sample in samples))
+    constants = fit(family, samples, seed=seed, trust=trust, iterations=iterations, shapes=every)
+    held_out: dict[str, Figures] = {}
+    guessed: list[tuple[Array, Array]] = []
+    for name in names:
+        others, own = ([s for s in samples if (s.scene == name) is mine] for mine in (False, True))
+        found = fit(family, others, resamples=2, trust=trust, iterations=iterations, shapes=every)
+        guessed.append(events(predictions(family, own, _values(found)), own))
+        held_out[name] = figures(*guessed[-1])
+    held_out["all"] = figures(np.concatenate([p for p, _ in guessed]), np.concatenate([hit for _, hit in guessed]))
+    return Calibration(
+        model=model,
+        constants=constants,
+        units={constant.name: constant.unit for constant in family.constants},
+        shared=tuple(constant.name for constant in family.constants if constant.shared),
+        fitted=figures(*events(predictions(family, samples, _values(constants)), samples)),
+        held_out=held_out,
+        provenance={
+            "scenes": names,
+            "tasks": len(samples),
+            "motions": len(drops),
+            "drops": sum(len(part) for part in drops),
+            "grasps": {grasp: sum(len(part) for part in drops if part.grasp == grasp) for grasp in ("fingers", "weld")},
+            **(about or {}),
+            "trust": trust,
+            "seed": seed,
+            "versions": {"graceful_plan": gp.__version__, "mujoco": mujoco.__version__},
+        },
+    )
+
+
+def scenes_of(drops: Sequence[Drops], load: Callable[[str], Scene]) -> dict[tuple[str, str], Scene]:
+    """Load the scene of every scene's name and task's name, with the object attached."""
+    loaded = {name: load(name) for name in sorted({part.scene for part in drops})}
+    return {(part.scene, part.task): loaded[part.scene].tasks[part.task].scene for part in drops}
+
+
+def events(
+    predicted: Sequence[Float[Array, "_ _"]], samples: Sequence[Sample]
+) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
+    """Return predicted probabilities and outcomes of all events that count."""
+    pairs = [(p[sample.counted], sample.hit[sample.counted]) for p, sample in zip(predicted, samples, strict=True)]
+    return np.concatenate([p for p, _ in pairs]), np.concatenate([hit for _, hit in pairs])
+
+
+def write(calibration: Calibration, file: str | FilePath) -> None:
+    """Write a calibration as YAML."""
+    FilePath(file).write_text(calibration.to_yaml(), encoding="utf-8")
+
+
+def _values(constants: Mapping[str, Mapping[str, Fitted]]) -> dict[str, dict[str, float]]:
+    return {shape: {name: x.value for name, x in values.items()} for shape, values in constants.items()}
+
+
+def _interval(x: Fitted) -> list[float]:
+    return [_rounded(x.low), _rounded(x.high)]
+
+
+def _figures(found: Figures) -> dict[str, Any]:
+    return {name: value if isinstance(value, int) else _rounded(value) for name, value in found._asdict().items()}
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")

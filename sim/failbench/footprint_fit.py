@@ -1,0 +1,94 @@
+"""The drop model `Footprint` as something whose constants can be fitted.
+
+Priors are what the constants would be taken to be without any drops: a gripper needs some hundredths of a second to let
+go and does not do it quite evenly; what falls off something moves by about its own size. Their spreads say how far off
+that may well be; drops decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from failbench.fitting import Constant, Family, Fitted
+from graceful_plan import Scene, StateBatch
+from graceful_plan.array_types import Float
+from graceful_plan.costs.interactions.footprint import Footprint
+from graceful_plan.costs.interactions.footprint_constants import SHARED, FootprintConstants, FootprintSettings
+from graceful_plan.costs.interactions.footprint_tables import SHAPE_CLASSES, footprint_tables
+
+Array = np.ndarray
+
+
+class _Prior(NamedTuple):
+    prior: float
+    spread: float
+    low: float = -np.inf
+    high: float = np.inf
+    unit: str = ""
+
+
+_PRIORS: Mapping[str, _Prior] = {
+    "delay": _Prior(0.03, 0.02, 0.0, 0.2, "s"),
+    "velocity_spread": _Prior(0.04, 0.5, 0.005, 0.3, "m/s"),
+    "height_spread": _Prior(0.1, 0.05, 0.0, 1.0, "m/m"),
+    "carry_spread": _Prior(0.1, 0.07, 0.0, 1.0, "s"),
+    "side_spread": _Prior(0.5, 0.3, 0.0, 3.0, "size"),
+    "side_reach": _Prior(0.0, 0.3, -1.5, 1.5, "size"),
+    "side_height": _Prior(0.05, 0.5, 0.005, 0.3, "m"),
+    "catch": _Prior(0.7, 0.2, 0.0, 1.0),
+    "leave_tilt": _Prior(1.5, 0.7, -3.0, 6.0),
+    "position_spread": _Prior(0.01, 0.4, 0.001, 0.1, "m"),
+    "size_spread": _Prior(1.0, 0.4, 0.0, 4.0, "size"),
+    "tumble_reach": _Prior(1.0, 0.4, -1.0, 4.0, "size"),
+    "catch_margin": _Prior(-0.4, 0.3, -2.0, 1.0, "size"),
+    "leave": _Prior(-0.3, 0.7, -5.0, 5.0),
+    "leave_offset": _Prior(1.5, 0.6, -1.0, 6.0),
+    "leave_narrow": _Prior(0.2, 0.4, -2.0, 3.0),
+    "leave_speed": _Prior(1.2, 0.6, -2.0, 6.0, "s/m"),
+    "drift": _Prior(1.0, 0.4, -1.0, 4.0, "size"),
+    "carry": _Prior(0.08, 0.05, -0.5, 1.0, "s"),
+    "slide": _Prior(0.1, 0.05, -0.5, 1.0, "s"),
+    "topple_reach": _Prior(0.6, 0.3, -1.0, 3.0, "size"),
+}
+
+
+class _Prepared(NamedTuple):
+    scene: Scene
+    q: Float[Array, "n nq"]
+    direction: Float[Array, "n nq"]
+    speed: Float[Array, " n"]
+
+
+class FootprintFamily(Family):
+    """`Footprint`, one set of constants for each of `SHAPE_CLASSES`, some of them shared."""
+
+    constants = tuple(Constant(name=name, shared=name in SHARED, **prior._asdict()) for name, prior in _PRIORS.items())
+
+    def shape(self, scene: Scene) -> str:
+        """Return the shape class of the carried object."""
+        return SHAPE_CLASSES[footprint_tables(scene).shape_class]
+
+    def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> _Prepared:
+        """Return the states as a batch wants them."""
+        speed = np.linalg.norm(qd, axis=1)
+        return _Prepared(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+
+    def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
+        """Return what `Footprint` predicts for the carried object."""
+        constants = FootprintConstants(**values)
+        model = Footprint(FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
+        found = model.probability(StateBatch(*prepared))
+        return found[:, list(prepared.scene.components).index("carried")]
+
+
+def settings_of(constants: Mapping[str, Mapping[str, Fitted]]) -> FootprintSettings:
+    """Return fitted constants as the model's settings."""
+    return FootprintSettings(
+        **{
+            shape: FootprintConstants(**{name: x.value for name, x in constants[shape].items()})
+            for shape in SHAPE_CLASSES
+        }
+    )

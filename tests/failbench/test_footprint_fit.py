@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from failbench import calibrate, drops
+from failbench.drops import Drops
+from failbench.footprint_fit import FootprintFamily, settings_of
+from graceful_plan.costs.interactions.footprint import Footprint
+from graceful_plan.costs.interactions.footprint_constants import FootprintConstants, FootprintSettings
+from graceful_plan.costs.interactions.footprint_tables import SHAPE_CLASSES
+
+FAMILY = FootprintFamily()
+
+
+def test_every_constant_has_a_prior() -> None:
+    assert {c.name for c in FAMILY.constants} == {field.name for field in dataclasses.fields(FootprintConstants)}
+
+
+def test_priors_and_bounds_are_constants_that_the_model_takes() -> None:
+    for end in ("prior", "low", "high"):
+        FootprintConstants(**{c.name: getattr(c, end) for c in FAMILY.constants})
+
+
+def test_it_predicts_what_the_model_does() -> None:
+    scene = gp.load_scene("tabletop_l3").tasks["green_to_blue"].scene
+    task = gp.load_scene("tabletop_l3").tasks["green_to_blue"]
+    u = np.linspace(0.0, 1.0, 7)[:, None]
+    q = task.start + u * (task.goal[0] - task.start)
+    qd = np.vstack([np.zeros(7), np.tile(0.4 * (task.goal[0] - task.start), (6, 1))])
+    shipped = FootprintSettings.shipped()
+    shape = FAMILY.shape(scene)
+    found = FAMILY.probability(dataclasses.asdict(getattr(shipped, shape)), FAMILY.prepare(scene, q, qd))
+    expected = gp.interaction_probability(scene, q, Footprint(), qd)
+    assert shape == "box"
+    assert np.array_equal(found, expected[:, list(scene.components).index("carried")])
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> calibrate.Calibration:
+    jobs = [drops.drop_jobs(gp.load_scene, [name], n=20, kinds=drops.KINDS[:1])[0] for name in ("tabletop", "desk")]
+    parts = [part for part in map(drops.do_job, jobs) if isinstance(part, Drops)]
+    return calibrate.calibrate(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2)
+
+
+def test_the_model_reads_what_calibration_writes(calibrated: calibrate.Calibration, tmp_path: Path) -> None:
+    calibrate.write(calibrated, tmp_path / "footprint.yaml")
+    read, given = FootprintSettings.load(tmp_path / "footprint.yaml"), settings_of(calibrated.constants)
+    for shape in SHAPE_CLASSES:
+        for name, value in dataclasses.asdict(getattr(given, shape)).items():
+            assert getattr(getattr(read, shape), name) == pytest.approx(value, rel=1e-4)
