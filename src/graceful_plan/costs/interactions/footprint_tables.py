@@ -9,6 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -111,44 +112,43 @@ def _collides(model: mujoco.MjModel, geom: int) -> bool:
 # --- the carried object ---------------------------------------------------------------------------------------------
 
 
-def _object(scene: Scene, data: mujoco.MjData, held: Sequence[int]) -> dict[str, object]:
+def _object(scene: Scene, data: mujoco.MjData, held: Sequence[int]) -> dict[str, Any]:
     assert scene.carried is not None
     model, robot = scene.model, compile_scene(scene).robot
     body = model.body(scene.carried.body).id
-    R_WO, p_WO = data.xmat[body].reshape(3, 3), data.xpos[body]
-    # Masses of bodies that ride on the object count; they are rigid with it.
-    inside = [
-        b for b in range(model.nbody) if model.body_rootid[b] == model.body_rootid[body] and _below(model, b, body)
-    ]
-    mass = model.body_mass[inside]
-    com = mass @ data.xipos[inside] / mass.sum() if mass.sum() > 0.0 else p_WO
     X_LO = robot.X_LT @ scene.carried.X_TO
-    offset, rotation, half, kind, corners = [], [], [], [], []
-    for geom in held:
-        R = R_WO.T @ data.geom_xmat[geom].reshape(3, 3)
-        p = R_WO.T @ (data.geom_xpos[geom] - p_WO) + R @ model.geom_aabb[geom, :3]
-        reach = np.abs(R) @ model.geom_aabb[geom, 3:]
-        corners += [p - reach, p + reach]
-        offset.append(X_LO[:3, :3] @ (p - R_WO.T @ (com - p_WO)))
-        rotation.append(X_LO[:3, :3] @ R)
-        half.append(model.geom_aabb[geom, 3:])
-        kind.append(_part_kind(int(model.geom_type[geom])))
-    main = int(np.argmax([np.prod(h) for h in half]))
-    box = 0.5 * (np.max(corners, axis=0) - np.min(corners, axis=0))
+    R_WO, p_WO = data.xmat[body].reshape(3, 3), data.xpos[body]
+    R_OG = np.array([R_WO.T @ data.geom_xmat[geom].reshape(3, 3) for geom in held])
+    # geom_aabb is a box around the geom in the geom's own axes.
+    place = np.array([R_WO.T @ (data.geom_xpos[geom] - p_WO) for geom in held])
+    place = place + np.einsum("pij,pj->pi", R_OG, model.geom_aabb[held, :3])
+    half, kind = model.geom_aabb[held, 3:], [_part_kind(int(model.geom_type[geom])) for geom in held]
+    around = np.einsum("pij,pj->pi", np.abs(R_OG), half)
+    size = 0.5 * ((place + around).max(axis=0) - (place - around).min(axis=0))
+    com = R_WO.T @ (_centre_of_mass(model, data, body) - p_WO)
+    main = int(np.argmax(half.prod(axis=1)))
     joint_link = np.array([int(np.flatnonzero(robot.joint == j)[0]) for j in range(len(scene.joints))])
+    moves = [float(_moved_by(robot.parent, robot.tool_link, link)) for link in joint_link.tolist()]
     return {
         "shape_class": SHAPE_CLASSES.index(_shape_class(kind[main], np.sort(half[main]))),
         "link": int(robot.tool_link),
-        "moves": np.array([float(_moved_by(robot.parent, robot.tool_link, link)) for link in joint_link]),
+        "moves": np.array(moves),
         "joint_link": joint_link,
-        "centre": X_LO[:3, :3] @ (R_WO.T @ (com - p_WO)) + X_LO[:3, 3],
-        "part_offset": np.array(offset),
-        "part_rotation": np.array(rotation),
-        "part_half": np.array(half),
+        "centre": X_LO[:3, :3] @ com + X_LO[:3, 3],
+        "part_offset": (place - com) @ X_LO[:3, :3].T,
+        "part_rotation": X_LO[:3, :3] @ R_OG,
+        "part_half": half.copy(),
         "part_kind": np.array(kind),
         "main": main,
-        "size": float(np.sqrt(np.mean(box**2))),
+        "size": float(np.sqrt(np.mean(size**2))),
     }
+
+
+def _centre_of_mass(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> Float[Array, " 3"]:
+    """Centre of mass in W of a body with everything that rides on it; the body's origin if it has no mass."""
+    bodies = [body for body in range(model.nbody) if _below(model, body, root)]
+    mass = model.body_mass[bodies]
+    return mass @ data.xipos[bodies] / mass.sum() if mass.sum() > 0.0 else data.xpos[root]
 
 
 def _below(model: mujoco.MjModel, body: int, root: int) -> bool:
@@ -180,7 +180,7 @@ def _shape_class(kind: int, half: Float[Array, " 3"]) -> str:
 # --- what it can land on --------------------------------------------------------------------------------------------
 
 
-def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, object]:
+def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
     assert scene.carried is not None
     model = scene.model
     owner = {geom: k for k, entity in enumerate(scene.entities.values()) for geom in entity.geoms}
