@@ -31,6 +31,7 @@ SUBJECTS = (
     "discretisation",
     "paper_table",
     "drop_physics",
+    "drop_prediction",
     "failbench_speed",
     "failbench_soak",
 )

@@ -46,7 +46,7 @@ class BrierParts(NamedTuple):
 
 
 class Reliability(NamedTuple):
-    """A reliability curve: equally many events in each bin, in the order of their predicted probability."""
+    """A reliability curve: bins of events in the order of their predicted probability."""
 
     predicted: Float[Array, " bin"]
     """Mean prediction of each bin."""
@@ -164,6 +164,7 @@ def reliability(
     clusters: ArrayLike,
     *,
     bins: int = 10,
+    by_hits: bool = False,
     resamples: int = 1000,
     seed: int = 0,
     confidence: float = 0.95,
@@ -175,6 +176,8 @@ def reliability(
         happened: Outcomes.
         clusters: Which motion each event is of; whole motions are drawn with replacement.
         bins: How many, of equal counts.
+        by_hits: Whether equally many hits are predicted in each bin, instead of equally many events: most events are
+            all but impossible, and bins of equal counts tell little about those that are not.
         resamples: How often to draw.
         seed: Of the draws.
         confidence: Of each bin's band.
@@ -182,7 +185,7 @@ def reliability(
     check_confidence(confidence)
     p, y = _events(predicted, happened)
     members = _clusters(clusters, len(p))
-    parts = _bins(p, bins)
+    parts = _bins_of_hits(p, bins) if by_hits else _bins(p, bins)
     shape = (len(parts), int(members.max()) + 1)
     hits, counts = np.zeros(shape), np.zeros(shape)
     for i, part in enumerate(parts):
@@ -269,6 +272,13 @@ def _bins(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"]]:
     if not 1 <= bins <= len(p):
         raise SettingError("bins", bins, f"between 1 and the number of events, {len(p)}")
     return np.array_split(np.argsort(p, kind="stable"), bins)
+
+
+def _bins_of_hits(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"]]:
+    order = np.argsort(p, kind="stable")
+    reached = np.cumsum(p[order])
+    cuts = np.searchsorted(reached, reached[-1] * np.arange(1, bins) / bins)
+    return [part for part in np.split(order, cuts) if len(part)]
 
 
 def _events(predicted: ArrayLike, happened: ArrayLike) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

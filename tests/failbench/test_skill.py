@@ -111,6 +111,16 @@ def test_reliability_bands_cover_what_is_calibrated() -> None:
     assert inside.sum() >= 9
 
 
+def test_bins_of_equal_hits() -> None:
+    p, y = _sample()
+    curve = skill.reliability(p, y, np.arange(len(p)), bins=8, by_hits=True, resamples=50)
+    assert curve.events.sum() == len(p)
+    assert np.allclose(curve.predicted * curve.events, p.sum() / 8, atol=1.5)
+    assert (np.diff(curve.events) < 0).all()
+    alike = skill.reliability(np.zeros(9), np.zeros(9), np.arange(9), bins=3, by_hits=True, resamples=50)
+    assert alike.events.sum() == 9
+
+
 def test_bands_widen_if_events_of_a_motion_are_alike() -> None:
     p, _ = _sample(2000)
     rng = np.random.default_rng(1)

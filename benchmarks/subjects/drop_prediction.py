@@ -1,0 +1,236 @@
+"""Is what the drop model predicts what happens? Every event of drops in scenes that no constant was fitted on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import landing, report, suite, variants
+from failbench import skill
+from failbench.calibrate import scenes_of
+from failbench.drops import KINDS, DropJob, Drops, do_job, drop_jobs
+from graceful_plan.costs.interactions.footprint import Footprint
+
+Array = np.ndarray
+
+TITLE = "Drop model: predicted and observed hits, event by event"
+MEASURED = """\
+Scenes: variants of the bundled ones (`benchmarks/variants.py`), with things moved, turned, taken away and added, other
+ends of all tasks, and things carried that no bundled task carries; calibration has seen none of them. Motions: planned
+with w = 0 and with Algorithm 1 at w = 0.5, and over random via points, at 0.3 to 1.0 of the velocity limits. The
+gripper fails at a random time; the object is held by the fingers where they can, otherwise by a weld. An event is a
+drop and an entity: did the object touch it within one second (what entities do to each other is not counted)? "Skill":
+Brier skill over the base rate of the same events. "ECE": 20 bins of equal counts. "Ratio": predicted hits over observed
+ones. Intervals are 95 %, whole motions drawn with replacement. "Aimed": Algorithm 1 with the object moved to where
+ballistics takes it at the height of each entity.
+"""
+SEED = 2026
+LEAST = {"brier_skill": 0.65, "auc": 0.96}
+MOST_ECE = 0.02
+RATIO = (0.9, 1.1)
+DROPS, SCENES = 1000, 6
+BINS = 20
+PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "reliability.png"
+
+MODELS: Mapping[str, Callable[[gp.Scene, Array, Array], Array]] = {
+    "footprint": lambda scene, q, qd: _carried(scene, gp.interaction_probability(scene, q, Footprint(), qd)),
+    "Algorithm 1": lambda scene, q, qd: _carried(scene, gp.interaction_probability(scene, q, "aabb", qd)),
+    "Algorithm 1, aimed": landing.landed_probability,
+}
+SEVERITIES = (
+    ("0", -np.inf, 0.0),
+    ("above 0, at most 1", 0.0, 1.0),
+    ("above 1, at most 5", 1.0, 5.0),
+    ("above 5", 5.0, np.inf),
+)
+"""Classes of events by the severity of the object's touching the entity."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How much."""
+
+    drops: int
+    """In each scene, at least."""
+    scenes: int | None
+    kinds: int | None
+    resamples: int
+
+
+FULL = Sizes(drops=DROPS, scenes=None, kinds=None, resamples=1000)
+QUICK = Sizes(drops=24, scenes=2, kinds=1, resamples=20)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Events:
+    """Events, one a row."""
+
+    scene: Array
+    motion: Array
+    severity: Array
+    happened: Array
+    predicted: Mapping[str, Array]
+
+    def only(self, chosen: Array) -> Events:
+        """Return some of them."""
+        rest = {name: getattr(self, name)[chosen] for name in ("scene", "motion", "severity", "happened")}
+        return Events(**rest, predicted={name: p[chosen] for name, p in self.predicted.items()})
+
+
+def run(options: suite.Options) -> str:
+    """Drop, predict and compare."""
+    sizes = QUICK if options.quick else FULL
+    drops, refused = drop_all(sizes, options)
+    events = events_of(drops)
+    if not options.quick:
+        draw(events, PICTURE, sizes.resamples)
+    dropped = {name: sum(len(x) for x in drops if x.scene == name) for name in dict.fromkeys(x.scene for x in drops)}
+    grasps = ", ".join(
+        f"{sum(len(x) for x in drops if x.grasp == grasp)} from {grasp}" for grasp in ("fingers", "weld")
+    )
+    lost = sum(x.lost for x in drops)
+    parts = [
+        MEASURED,
+        f"{sum(dropped.values())} drops ({grasps}; {lost} diverged) along {len(drops)} motions:"
+        f" {len(events.happened)} events.",
+        *(f"No drops: {reason}." for reason in refused),
+        report.targets(_targets(events, dropped, sizes)),
+        report.table(_HEADER, _rows(events, dropped)),
+        "By severity of the touch, all scenes:\n",
+        report.table(_HEADER, _severity_rows(events)),
+        "Reliability of `footprint`, bins of equally many predicted hits (![](../docs/images/reliability.png)):\n",
+        report.table(("predicted", "observed", "95 %", "events"), _curve_rows(events, sizes.resamples)),
+    ]
+    return "\n".join(parts)
+
+
+def drop_all(sizes: Sizes, options: suite.Options) -> tuple[list[Drops], list[str]]:
+    """Drop things in all variants; return the drops in the order of their jobs, and why some motions have none."""
+    names = list(variants.VARIANTS)[: sizes.scenes]
+    jobs: list[tuple[int, DropJob]] = []
+    for k, name in enumerate(names):
+        kinds = KINDS[: sizes.kinds]
+        motions = len(variants.load(name).tasks) * len(kinds)
+        n = -(-sizes.drops // motions) + (0 if options.quick else 2)  # some diverge, now and then
+        found = drop_jobs(variants.load, [name], n=n, seed=SEED + k, kinds=kinds)
+        jobs += list(enumerate(found, start=len(jobs)))
+    outcomes = dict(suite.spread(_numbered, jobs, options.processes, "motions"))
+    ordered = [outcomes[i] for i in range(len(jobs))]
+    return [x for x in ordered if isinstance(x, Drops)], [x for x in ordered if isinstance(x, str)]
+
+
+def _numbered(job: tuple[int, DropJob]) -> tuple[int, Drops | str]:
+    return job[0], do_job(job[1])
+
+
+def events_of(drops: Sequence[Drops], models: Mapping[str, Callable[..., Array]] = MODELS) -> Events:
+    """Predict the events of drops with every model."""
+    scenes = scenes_of(drops, variants.load)
+    columns: dict[str, list[Array]] = {name: [] for name in ("scene", "motion", "severity", "happened")}
+    predicted: dict[str, list[Array]] = {name: [] for name in models}
+    for i, part in enumerate(drops):
+        scene = scenes[part.scene, part.task]
+        severity = np.array([entity.severity["carried"] for entity in scene.entities.values()])
+        counted = np.broadcast_to(part.counted, part.hit.shape)
+        columns["scene"].append(np.full(counted.sum(), part.scene))
+        columns["motion"].append(np.full(counted.sum(), i))
+        columns["severity"].append(np.broadcast_to(severity, part.hit.shape)[counted])
+        columns["happened"].append(part.hit[counted])
+        for name, model in models.items():
+            predicted[name].append(model(scene, part.q, part.qd)[counted])
+    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    return Events(**joined, predicted={name: np.concatenate(parts) for name, parts in predicted.items()})
+
+
+def _carried(scene: gp.Scene, probability: Array) -> Array:
+    return probability[:, list(scene.components).index("carried")]
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+_HEADER = ("", "model", "drops", "events", "hits", "skill", "AUC", "ECE", "ratio", "log loss")
+
+
+def _targets(events: Events, dropped: Mapping[str, int], sizes: Sizes) -> list[report.Target]:
+    p, y, motion = events.predicted["footprint"], events.happened, events.motion
+
+    def estimate(statistic: Callable[[Array, Array], float]) -> skill.Estimate:
+        return skill.bootstrap(statistic, p, y, motion, resamples=min(200, sizes.resamples))
+
+    enough = len(dropped) >= SCENES and min(dropped.values()) >= DROPS
+    least = min(dropped.values())
+    found = {
+        "Brier skill": (estimate(skill.brier_skill), f">= {LEAST['brier_skill']}", LEAST["brier_skill"], np.inf),
+        "AUC": (estimate(skill.auc), f">= {LEAST['auc']}", LEAST["auc"], np.inf),
+        "ECE": (estimate(lambda a, b: skill.calibration_error(a, b, BINS)), f"<= {MOST_ECE}", 0.0, MOST_ECE),
+        "predicted over observed hits": (estimate(skill.predicted_ratio), f"{RATIO[0]} to {RATIO[1]}", *RATIO),
+    }
+    rows = [
+        report.Target(what=f"footprint, {what}", wanted=wanted, measured=str(x), met=low <= x.mean <= high)
+        for what, (x, wanted, low, high) in found.items()
+    ]
+    counted = f"{len(dropped)} x {least}"
+    return [
+        *rows,
+        report.Target(what="held-out scenes x drops", wanted=f">= {SCENES} x {DROPS}", measured=counted, met=enough),
+    ]
+
+
+def _rows(events: Events, dropped: Mapping[str, int]) -> list[Sequence[object]]:
+    rows = []
+    for name in [*dropped, ""]:
+        chosen = events.only(events.scene == name) if name else events
+        drops = dropped[name] if name else sum(dropped.values())
+        rows += [_row(name or "all", model, drops, chosen) for model in events.predicted]
+    return rows
+
+
+def _severity_rows(events: Events) -> list[Sequence[object]]:
+    rows = []
+    for label, low, high in SEVERITIES:
+        chosen = events.only((events.severity > low) & (events.severity <= high))
+        if len(chosen.happened) >= BINS:
+            rows += [_row(label, model, "", chosen) for model in events.predicted]
+    return rows
+
+
+def _row(label: str, model: str, drops: object, events: Events) -> Sequence[object]:
+    found = skill.figures(np.clip(events.predicted[model], 0.0, 1.0), events.happened, min(BINS, len(events.happened)))
+    numbers = (found.brier_skill, found.auc, found.calibration_error, found.ratio, found.log_loss)
+    return (label, model, drops, found.events, found.happened, *(f"{x:.3f}" for x in numbers))
+
+
+def _curve_rows(events: Events, resamples: int) -> list[Sequence[object]]:
+    curve = _curve(events, "footprint", resamples)
+    return [(f"{p:.4f}", f"{y:.4f}", f"{low:.4f} to {high:.4f}", n) for p, y, low, high, n in zip(*curve, strict=True)]
+
+
+def _curve(events: Events, model: str, resamples: int) -> skill.Reliability:
+    p = np.clip(events.predicted[model], 0.0, 1.0)
+    return skill.reliability(p, events.happened, events.motion, bins=BINS, by_hits=True, resamples=resamples)
+
+
+def draw(events: Events, file: Path, resamples: int) -> None:
+    """Draw the reliability curves of all models, that of the drop model with its band."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.4, 5.0), dpi=160, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot([0, 1], [0, 1], color="0.6", linewidth=1, linestyle=":", label="as often as predicted")
+    colours = dict(zip(events.predicted, ("#1f6f4a", "#b5532a", "#6a6fb0"), strict=False))
+    for model, colour in colours.items():
+        curve = _curve(events, model, resamples)
+        axes.plot(curve.predicted, curve.observed, "o-", color=colour, markersize=3, linewidth=1.3, label=model)
+        axes.fill_between(curve.predicted, curve.low, curve.high, color=colour, alpha=0.2, linewidth=0)
+    scenes = len(np.unique(events.scene))
+    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="predicted probability of a hit", ylabel="share of hits")
+    axes.set_title(f"{len(events.happened):,} events in {scenes} scenes that calibration never saw", fontsize=9)
+    axes.legend(fontsize=8, loc="upper left")
+    axes.set_aspect("equal")
+    figure.savefig(file)
