@@ -84,7 +84,7 @@ def _judge(
 ) -> Verdict:
     impact = objective.objective.impact
     # The judge knows how to recompute the published model over the joint length; other costs it takes as they are.
-    recomputable = objective.kernel_severity is not None and isinstance(impact, ImpactCost)
+    recomputable = objective.kernel is not None and isinstance(impact, ImpactCost) and impact.is_published()
     return verify(
         trajectory,
         scene,

@@ -95,7 +95,7 @@ class Kernels:
 
     def link_poses(self, q: ArrayLike) -> Float[Array, "*batch link 4 4"]:
         """Pose of every link in W [m]."""
-        flat, batch = self._rows("q", q)
+        flat, batch = self.rows("q", q)
         return self.core.link_poses(flat).reshape(*batch, len(self.robot.parent), 4, 4)
 
     def tool_pose(self, q: ArrayLike) -> Float[Array, "*batch 4 4"]:
@@ -104,7 +104,7 @@ class Kernels:
 
     def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:
         """Tell which configurations keep at least `margin` [m] of clearance; never optimistic."""
-        flat, batch = self._rows("q", q)
+        flat, batch = self.rows("q", q)
         _check_margin(margin)
         return self.core.free_states(flat, margin).reshape(batch)
 
@@ -112,7 +112,7 @@ class Kernels:
         self, q0: ArrayLike, q1: ArrayLike, step: float = CHECK_STEP, margin: float = 0.0
     ) -> Bool[Array, "*batch"]:
         """Tell which straight edges are free at configurations at most `step` [rad] apart, ends included."""
-        first, second, batch = self._edges(q0, q1, step)
+        first, second, batch = self.edge_rows(q0, q1, step)
         _check_margin(margin)
         return self.core.free_edges(first, second, step, margin).reshape(batch)
 
@@ -121,42 +121,43 @@ class Kernels:
 
         A lower bound of the true one where that is positive.
         """
-        flat, batch = self._rows("q", q)
+        flat, batch = self.rows("q", q)
         return self.core.clearance(flat).reshape(batch)
 
     def clearance_gradient(self, q: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"]]:
         """Signed clearance [m] and its gradient [m/rad], that of the nearest pair where several are equally near."""
-        flat, batch = self._rows("q", q)
+        flat, batch = self.rows("q", q)
         clearance, gradient = self.core.clearance_gradient(flat)
         return clearance.reshape(batch), gradient.reshape(*batch, self.nq)
 
     def interaction(self, q: ArrayLike) -> Float[Array, "*batch component entity"]:
         """Probability by Algorithm 1 that each component hits each entity, given a failure at q."""
-        flat, batch = self._rows("q", q)
+        flat, batch = self.rows("q", q)
         return self.core.interaction(flat).reshape(*batch, *self.hazards.severity.shape)
+
+    def overlap(self, severity: Float[Array, "component entity"]) -> ImpactKernel:
+        """Return the impact by Algorithm 1 with these severities."""
+        if np.shape(severity) != self.hazards.severity.shape:
+            raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
+        return ImpactKernel(self, _native.OverlapImpact(self.core, _reals(finite_array("severity", severity))))
 
     def impact(self, q: ArrayLike, severity: Float[Array, "component entity"]) -> Float[Array, "*batch"]:
         """Expected severity by Algorithm 1 given a failure at q: sum of P S."""
-        flat, batch = self._rows("q", q)
-        return self.core.impact(self._severity(severity), flat).reshape(batch)
+        return self.overlap(severity).states(q)
 
     def edge_costs(
         self, q0: ArrayLike, q1: ArrayLike, severity: Float[Array, "component entity"], step: float = COST_STEP
     ) -> Float[Array, "*batch 2"]:
-        """Length [rad] and integral of the impact over length of each straight edge, by the trapezoid rule."""
-        first, second, batch = self._edges(q0, q1, step)
-        return self.core.edge_costs(self._severity(severity), first, second, step).reshape(*batch, 2)
+        """Length [rad] and integral of the impact by Algorithm 1 over length of each straight edge."""
+        return self.overlap(severity).edges(q0, q1, step)
 
-    def _severity(self, severity: Array) -> Array:
-        if np.shape(severity) != self.hazards.severity.shape:
-            raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
-        return _reals(finite_array("severity", severity))
-
-    def _rows(self, name: str, q: ArrayLike) -> tuple[Float[Array, "n nq"], tuple[int, ...]]:
+    def rows(self, name: str, q: ArrayLike) -> tuple[Float[Array, "n nq"], tuple[int, ...]]:
+        """Return configurations (or velocities) row by row, as the core takes them, and their batch axes."""
         array = self._positions(name, q)
         return _reals(array.reshape(-1, self.nq)), array.shape[:-1]
 
-    def _edges(self, q0: ArrayLike, q1: ArrayLike, step: float) -> tuple[Array, Array, tuple[int, ...]]:
+    def edge_rows(self, q0: ArrayLike, q1: ArrayLike, step: float) -> tuple[Array, Array, tuple[int, ...]]:
+        """Return the ends of edges row by row, and their batch axes."""
         if not step > 0.0:
             raise SettingError("step", step, "a positive length [rad]")
         first, second = self._positions("q0", q0), self._positions("q1", q1)
@@ -174,6 +175,31 @@ class Kernels:
         if array.size and np.abs(array).max() > MAX_POSITION:
             raise SettingError(name, float(np.abs(array).max()), f"positions of at most {MAX_POSITION:g} rad or m")
         return array
+
+
+class ImpactKernel:
+    """A native model of the impact with fixed severities: what native planners charge edges with.
+
+    Args:
+        kernels: Those of the scene.
+        native: The model in the core.
+    """
+
+    def __init__(self, kernels: Kernels, native: _native.Impact) -> None:
+        self.kernels, self.native = kernels, native
+
+    def states(self, q: ArrayLike) -> Float[Array, "*batch"]:
+        """Expected severity given a failure at q, at rest."""
+        flat, batch = self.kernels.rows("q", q)
+        return self.native.states(flat).reshape(batch)
+
+    def edges(self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP) -> Float[Array, "*batch 2"]:
+        """Length [rad] and integral of the impact over length of each straight edge, by the trapezoid rule.
+
+        A model that knows velocities takes those of an edge whose slowest joint moves as fast as it may.
+        """
+        first, second, batch = self.kernels.edge_rows(q0, q1, step)
+        return self.native.edges(first, second, step).reshape(*batch, 2)
 
 
 def _check_margin(margin: float) -> None:

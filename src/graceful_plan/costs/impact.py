@@ -11,6 +11,7 @@ from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.interactions import MODELS, BoxOverlap, InteractionModel
 from graceful_plan.elements import COMPONENTS
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.kernels import ImpactKernel
 from graceful_plan.scene import Scene
 
 Array = np.ndarray
@@ -60,6 +61,11 @@ class ImpactCost(Cost):
         """Expected severity given a failure at each state."""
         return np.einsum("nce,ce->n", self.interaction.probability(batch), self.severity(batch.scene))
 
-    def on_kernel(self) -> bool:
-        """Whether the native kernel computes the same."""
-        return type(self) is ImpactCost and type(self.interaction) is BoxOverlap  # a subclass may compute otherwise
+    def kernel(self, scene: Scene) -> ImpactKernel | None:
+        """Return the native kernel that computes the same, None if there is none."""
+        # A subclass may compute otherwise.
+        return self.interaction.kernel(scene, self.severity(scene)) if type(self) is ImpactCost else None
+
+    def is_published(self) -> bool:
+        """Whether this is the published model, Algorithm 1, which a verdict can recompute on its own."""
+        return type(self) is ImpactCost and type(self.interaction) is BoxOverlap

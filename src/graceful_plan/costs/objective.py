@@ -9,6 +9,7 @@ sampled and stays additive over edges. Integrals are trapezoid sums with sub-ste
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from graceful_plan.costs.cost import Cost, StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.kernels import COST_STEP
+from graceful_plan.kernels import COST_STEP, ImpactKernel
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene import Scene
@@ -83,14 +84,12 @@ class SceneObjective:
         """Whether V is the joint-space length, so that distances bound J from below."""
         return self.objective.motion == JointLength()
 
-    @property
-    def kernel_severity(self) -> Float[Array, "component entity"] | None:
-        """Severities with which the native kernel computes the edge costs, None if it cannot."""
+    @cached_property
+    def kernel(self) -> ImpactKernel | None:
+        """The native kernel that computes the edge costs, None if there is none."""
         impact = self.objective.impact
-        if not isinstance(impact, ImpactCost) or not impact.on_kernel():
-            return None
         by_length = self.motion_is_length and self.objective.exposure == "length"
-        return impact.severity(self.scene) if by_length else None
+        return impact.kernel(self.scene) if by_length and isinstance(impact, ImpactCost) else None
 
     def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
         """Impact given a failure at each state, at rest."""
@@ -98,9 +97,8 @@ class SceneObjective:
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
         """V and S of straight edges from `q0` to `q1`."""
-        severity = self.kernel_severity
-        if severity is not None:
-            return self.kernels.edge_costs(q0, q1, severity)
+        if self.kernel is not None:
+            return self.kernel.edges(q0, q1)
         samples = _Samples(q0, q1, self.scene.limits.velocity)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)

@@ -14,6 +14,7 @@ namespace GP_ISA {
 #include "clearance.hpp"
 #include "gradient.hpp"
 #include "interaction.hpp"
+#include "footprint.hpp"
 
 static void link_poses(const Tables& tables, const double* q, size_t n, double* X_WL) {
   D qs[kMaxJoints];
@@ -107,26 +108,86 @@ static void impact(const Tables& tables, const double* severity, const double* q
 }
 
 // V = length, S = integral of the impact over length by the trapezoid rule, at least every `step`.
-static void edge_costs(const Tables& tables, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost) {
+template <class Value>
+static inline void edge_cost(const Tables& tables, const double* a, const double* b, double step, Value impact_at, double* cost) {
   constexpr int W = kLanes<double>;
   D qs[kMaxJoints], lane;
-  const Hazard hazard(tables, severity);
   for (int i = 0; i < W; ++i) lane[i] = double(i);
+  const double length = distance(tables, a, b);
+  const int n_block = int((length / step + 1.0) / W) + 1, last = n_block * W - 1;
+  double sum = 0;
+  if (length > 0)
+    for (int block = 0; block < n_block; ++block) {
+      interpolate<double>(tables, a, b, (lane + double(block * W)) * (1.0 / last), qs);
+      const D value = impact_at(qs);
+      for (int i = 0; i < W; ++i) sum += value[i];
+      if (block == 0) sum -= 0.5 * value[0];
+      if (block == n_block - 1) sum -= 0.5 * value[W - 1];
+    }
+  cost[0] = length;
+  cost[1] = length * sum / last;
+}
+
+static void edge_costs(const Tables& tables, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost) {
+  const Hazard hazard(tables, severity);
+  const size_t nq = size_t(tables.n_joint);
+  for (size_t k = 0; k < n; ++k)
+    edge_cost(tables, q0 + k * nq, q1 + k * nq, step, [&](const D* q) { return impact_of(tables, hazard, q); }, cost + 2 * k);
+}
+
+// --- the drop model -------------------------------------------------------------------------------------------------
+
+template <class Visit> static inline void for_each_release(const Tables& tables, const double* q, const double* qd, size_t n, Visit visit) {
+  D qs[kMaxJoints], rates[kMaxJoints];
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    load<double>(tables, q, first, n, qs);
+    if (qd) load<double>(tables, qd, first, n, rates);
+    visit(first, qs, qd ? rates : nullptr);
+  }
+}
+
+static void drop(const Tables& tables, const DropTables& drop, const double* q, const double* qd, size_t n, double* probability) {
+  D P[kMaxEntities];
+  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+    drop_probability(tables, drop, nullptr, qs, rates, P);
+    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
+      for (int e = 0; e < drop.n_entity; ++e) probability[(first + size_t(i)) * size_t(drop.n_entity) + size_t(e)] = P[e][i];
+  });
+}
+
+static void drop_impact(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
+                        double* out) {
+  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+    const D value = drop_impact_of(tables, drop, severity, qs, rates);
+    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
+  });
+}
+
+// The velocity is that of the edge: its slowest joint at its speed.
+static void drop_edge_costs(const Tables& tables, const DropTables& drop, const double* severity, const double* q0, const double* q1, size_t n,
+                            double step, double* cost) {
+  D rates[kMaxJoints];
+  const size_t nq = size_t(tables.n_joint);
   for (size_t k = 0; k < n; ++k) {
-    const double *a = q0 + k * size_t(tables.n_joint), *b = q1 + k * size_t(tables.n_joint);
-    const double length = distance(tables, a, b);
-    const int n_block = int((length / step + 1.0) / W) + 1, last = n_block * W - 1;
-    double sum = 0;
-    if (length > 0)
-      for (int block = 0; block < n_block; ++block) {
-        interpolate<double>(tables, a, b, (lane + double(block * W)) * (1.0 / last), qs);
-        const D value = impact_of(tables, hazard, qs);
-        for (int i = 0; i < W; ++i) sum += value[i];
-        if (block == 0) sum -= 0.5 * value[0];
-        if (block == n_block - 1) sum -= 0.5 * value[W - 1];
-      }
-    cost[2 * k] = length;
-    cost[2 * k + 1] = length * sum / last;
+    const double *a = q0 + k * nq, *b = q1 + k * nq;
+    double duration = 0;
+    for (size_t j = 0; j < nq; ++j) {
+      const double seconds = __builtin_fabs(b[j] - a[j]) / drop.speed[j];
+      duration = seconds > duration ? seconds : duration;
+    }
+    for (size_t j = 0; j < nq; ++j) rates[j] = D{} + (duration > 0 ? (b[j] - a[j]) / duration : 0.0);
+    edge_cost(tables, a, b, step, [&](const D* q) { return drop_impact_of(tables, drop, severity, q, rates); }, cost + 2 * k);
+  }
+}
+
+// e^x and ln e^x, for tests of what the drop model computes itself.
+static void elementary(const double* x, size_t n, double* exponentials, double* logarithms) {
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    D value = {};
+    const size_t count = n - first < size_t(kLanes<double>) ? n - first : size_t(kLanes<double>);
+    for (size_t i = 0; i < count; ++i) value[i] = x[first + i];
+    const D e = exponential(value), l = logarithm(e);
+    for (size_t i = 0; i < count; ++i) exponentials[first + i] = e[i], logarithms[first + i] = l[i];
   }
 }
 
@@ -138,6 +199,8 @@ static void edge_costs(const Tables& tables, const double* severity, const doubl
 #define GP_JOIN(a, b) GP_JOIN_(a, b)
 extern const Kernels GP_JOIN(kernels_, GP_ISA) = {GP_TEXT(GP_ISA),   GP_ISA::kLanes<float>, GP_ISA::link_poses,
                                                  GP_ISA::free_states, GP_ISA::free_edges,   GP_ISA::clearance,
-                                                 GP_ISA::interaction, GP_ISA::impact,       GP_ISA::edge_costs};
+                                                 GP_ISA::interaction, GP_ISA::impact,       GP_ISA::edge_costs,
+                                                 GP_ISA::drop,        GP_ISA::drop_impact,  GP_ISA::drop_edge_costs,
+                                                 GP_ISA::elementary};
 
 }  // namespace gp

@@ -39,6 +39,19 @@ static inline bool any(MaskF m) {
 #endif
 }
 static inline bool all(MaskF m) { return !any(~m); }
+static inline bool any(Mask<double> m) {
+#if defined(__AVX512F__)
+  return _mm512_movepi64_mask((__m512i)m) != 0;
+#elif defined(__AVX2__)
+  return _mm256_movemask_pd((__m256d)m) != 0;
+#elif defined(__SSE2__)
+  return _mm_movemask_pd((__m128d)m) != 0;
+#else
+  int64_t all = 0;
+  for (int i = 0; i < kLanes<double>; ++i) all |= m[i];
+  return all != 0;
+#endif
+}
 
 template <class V> static inline V relu(V a) { return a > 0 ? a : V{}; }
 template <class V> static inline V absolute(V a) { return a < 0 ? -a : a; }
@@ -57,6 +70,49 @@ static inline F square_root(F a) {
   for (int i = 0; i < kLanes<float>; ++i) r[i] = __builtin_sqrtf(a[i]);
   return r;
 #endif
+}
+
+static inline Lanes<double> square_root(Lanes<double> a) {
+#if defined(__AVX512F__)
+  return (Lanes<double>)_mm512_maskz_sqrt_pd(__mmask8(0xff), (__m512d)a);  // as above
+#elif defined(__AVX2__)
+  return (Lanes<double>)_mm256_sqrt_pd((__m256d)a);
+#elif defined(__SSE2__)
+  return (Lanes<double>)_mm_sqrt_pd((__m128d)a);
+#else
+  Lanes<double> r;
+  for (int i = 0; i < kLanes<double>; ++i) r[i] = __builtin_sqrt(a[i]);
+  return r;
+#endif
+}
+
+// e^x for |x| <= 700, good to 1e-15: x = k ln 2 + r, a polynomial in r that is best in the sense of Chebyshev, and k put
+// into the exponent of a double. The rounding trick leaves k + 1023 in the low bits of the sum.
+static inline Lanes<double> exponential(Lanes<double> x) {
+  using D = Lanes<double>;
+  const double magic = 6755399441055744.0 + 1023.0;  // 1.5 * 2^52 and the bias of exponents
+  const D shifted = x * 1.4426950408889634074 + magic;
+  const D k = shifted - magic;
+  const D r = (x - k * 6.93147180369123816490e-01) - k * 1.90821492927058770002e-10;
+  const D r2 = r * r, r4 = r2 * r2;
+  const D low = (1.0 + r * 1.0000000000000075) + r2 * (0.49999999999998795 + r * 0.16666666666543611);
+  const D middle = (0.041666666667569435 + r * 0.00833333338943906) + r2 * (0.001388888866441864 + r * 0.00019841165489612028);
+  const D high = (2.4801793454767542e-05 + r * 2.764216950992623e-06) + r2 * 2.7518754445605016e-07;
+  return (low + r4 * (middle + r4 * high)) * (D)((Mask<double>)shifted << 52);
+}
+
+// ln x for normal x > 0, good to 1e-15: x = m 2^e with m around 1, and the series of artanh.
+static inline Lanes<double> logarithm(Lanes<double> x) {
+  using D = Lanes<double>;
+  const Mask<double> bits = (Mask<double>)x;
+  const D exponent = (D)((bits >> 52) | 0x4330000000000000) - (4503599627370496.0 + 1023.0);  // integer in the low bits of 2^52
+  const D m = (D)((bits & 0x000fffffffffffff) | 0x3ff0000000000000);  // [1, 2)
+  const auto upper = m > 1.4142135623730951;
+  const D y = upper ? 0.5 * m : m, e = upper ? exponent + 1.0 : exponent;
+  const D s = (y - 1.0) / (y + 1.0), z = s * s;
+  const D series = 1.0 + z * (1.0 / 3 + z * (1.0 / 5 + z * (1.0 / 7 + z * (1.0 / 9 + z * (1.0 / 11 + z * (1.0 / 13 + z * (1.0 / 15 +
+                   z * (1.0 / 17 + z * (1.0 / 19 + z * (1.0 / 21))))))))));
+  return e * 6.93147180559945286227e-01 + 2.0 * s * series;
 }
 
 // Sine and cosine by reduction to [-pi/4, pi/4] in two or three steps (Cody and Waite) and Cephes' polynomials.

@@ -11,6 +11,8 @@ constexpr int kMaxSpheres = 2048;
 constexpr int kMaxParts = 128;
 constexpr int kMaxComponents = 3;
 constexpr int kMaxEntities = 512;
+constexpr int kMaxDropParts = 32;
+constexpr int kMaxSurfaces = 512;
 
 enum Kind : int32_t { kPlane, kSphere, kCapsule, kEllipsoid, kCylinder, kBox, kMesh };
 
@@ -72,6 +74,40 @@ struct Tables {
   const uint32_t* moved_by;   // per link: bit j set if joint j moves it
 };
 
+// --- the drop model: costs/interactions/footprint.py has its specification and the names of what stands here ---------
+
+enum DropShape : int32_t { kFlat, kRound, kBall };
+
+struct DropPart {
+  int32_t shape;
+  double offset[3], R[9], half[3];  // in the axes of the link; offset from the centre of mass
+};
+
+struct Surface {  // a target: a box turned about the vertical
+  int32_t entity, turn;  // turn: equal for equal axes
+  double centre[2], axis[2], half[2], diagonal, carries[2], bottom, top;
+  double bound[2];               // half sizes of the box around it in W
+  double reached[2], inside[2];  // half sizes for the centre of what tumbles over it: hits it, is caught by it
+  double near[2];                // the larger of these
+};
+
+// Constants of the model; the order is that of `footprint_constants()` in bindings.cpp.
+struct DropConstants {
+  double delay, velocity_spread, height_spread, carry_spread, side_spread, side_reach, side_height, catches, leave_tilt;
+  double position_spread, size_spread, tumble_reach, catch_margin, leave, leave_offset, leave_narrow, leave_speed;
+  double drift, carry, slide, topple_reach;
+};
+
+struct DropTables {
+  int32_t n_part, n_surface, n_level, n_entity, link, frame, main;
+  double centre[3], size, radius;  // radius: of a ball around the centre of mass that holds all parts
+  const DropPart* part;
+  const Surface* surface;       // by top, highest first
+  const int32_t* level_start;   // first surface of each level, and their number at the end
+  const double* speed;          // per joint: how fast it is along an edge whose slowest joint it is
+  DropConstants constants;
+};
+
 // One instruction set's kernels. q is row-major [n, n_joint]; severity is [n_component, n_entity].
 struct Kernels {
   const char* isa;
@@ -83,6 +119,12 @@ struct Kernels {
   void (*interaction)(const Tables&, const double* q, size_t n, double* probability);
   void (*impact)(const Tables&, const double* severity, const double* q, size_t n, double* impact);
   void (*edge_costs)(const Tables&, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost);
+  // The drop model; severity is [n_entity], qd null at rest.
+  void (*drop)(const Tables&, const DropTables&, const double* q, const double* qd, size_t n, double* probability);
+  void (*drop_impact)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n, double* impact);
+  void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* q0, const double* q1, size_t n, double step,
+                          double* cost);
+  void (*elementary)(const double* x, size_t n, double* exponential, double* logarithm);
 };
 
 extern const Kernels kernels_baseline;

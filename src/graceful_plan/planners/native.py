@@ -26,13 +26,13 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
     """Make the space that the core plans in: all native if it can be, else calling back for every edge."""
     lower, upper = (np.ascontiguousarray(limit, dtype=np.float64) for limit in (problem.lower, problem.upper))
     scene_objective = objective if isinstance(objective, SceneObjective) else None
-    severity = None if scene_objective is None else scene_objective.kernel_severity
-    if isinstance(problem, SceneProblem) and severity is not None:
+    kernel = None if scene_objective is None else scene_objective.kernel
+    if isinstance(problem, SceneProblem) and kernel is not None:
         return _native.SceneSpace(
             core=problem.kernels.core,
+            impact=kernel.native,
             lower=lower,
             upper=upper,
-            severity=np.ascontiguousarray(severity),
             w=objective.w,
             check_step=problem.check_step,
             fine_step=FINE_STEP,

@@ -17,8 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions.interaction import InteractionModel
+from graceful_plan.kernels import ImpactKernel
+from graceful_plan.scene import Scene
 
 Array = np.ndarray
 
@@ -30,3 +33,7 @@ class BoxOverlap(InteractionModel):
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P by Algorithm 1."""
         return batch.compiled.kernels.interaction(batch.q)
+
+    def kernel(self, scene: Scene, severity: Float[Array, "component entity"]) -> ImpactKernel | None:
+        """Return the native kernel; a subclass may compute otherwise."""
+        return compile_scene(scene).kernels.overlap(severity) if type(self) is BoxOverlap else None

@@ -92,20 +92,26 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
 from graceful_plan.costs.interactions.footprint_drop import Drop, release, simulate
+from graceful_plan.costs.interactions.footprint_kernel import footprint_kernel
 from graceful_plan.costs.interactions.footprint_tables import footprint_tables
 from graceful_plan.costs.interactions.interaction import InteractionModel
+from graceful_plan.kernels import ImpactKernel
+from graceful_plan.scene import Scene
 
 Array = np.ndarray
 
+FALLING = ("carried", "contents")
+"""Components that fall when the gripper lets go."""
 _CHUNK = 200_000  # states times targets that are worked on at once
 
 
 @dataclass(frozen=True)
 class Footprint(InteractionModel):
-    """The drop model in NumPy.
+    """The drop model: probabilities from the native kernel, details (`drop`) from NumPy.
 
     Args:
         settings: Constants; the shipped ones by default.
@@ -119,11 +125,20 @@ class Footprint(InteractionModel):
         P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
         if scene.carried is None or not len(batch):
             return P
-        drop = self.drop(batch).entity
+        drop = footprint_kernel(scene, self.settings).probability(batch.q, batch.qd)
         for row, name in enumerate(scene.components):
-            if name in ("carried", "contents"):
+            if name in FALLING:
                 P[:, row] = drop
         return P
+
+    def kernel(self, scene: Scene, severity: Float[Array, "component entity"]) -> ImpactKernel | None:
+        """Return the native kernel; a subclass may compute otherwise."""
+        if type(self) is not Footprint:
+            return None
+        if scene.carried is None:  # P = 0
+            return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
+        falling = [name in FALLING for name in scene.components]
+        return footprint_kernel(scene, self.settings).with_severity(severity[falling].sum(axis=0))
 
     def drop(self, batch: StateBatch) -> Drop:
         """Return what becomes of the object, per target and per entity.

@@ -8,12 +8,14 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
+from graceful_plan.kernels import ImpactKernel
+from graceful_plan.scene import Scene
 
 Array = np.ndarray
 
 
 class InteractionModel(ABC):
-    """Base of all interaction models: a frozen object with one method."""
+    """Base of all interaction models: a frozen object with one method, and `kernel` if the core has the model too."""
 
     @abstractmethod
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
@@ -21,3 +23,11 @@ class InteractionModel(ABC):
 
         Laws: in [0, 1]; each state on its own; independent of severities.
         """
+
+    def kernel(self, scene: Scene, severity: Float[Array, "component entity"]) -> ImpactKernel | None:
+        """Return the native kernel for sums of P S with these severities, None if there is none.
+
+        Law: the same as from `probability`, to rounding.
+        """
+        del scene, severity
+        return None

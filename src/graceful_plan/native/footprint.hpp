@@ -1,0 +1,434 @@
+// The drop model: whom the carried object hits if it is let go here, at this velocity. The specification, with the letters
+// used here, is in costs/interactions/footprint.py. What is left out to save time adds less than some 1e-13 to any result.
+
+constexpr double kGravity = 9.81;
+constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
+constexpr double kHalfRoot = 0.70710678118654752440;
+constexpr double kTail = 32.0;      // scales of noise beyond which nothing happens: e^-32 is 1e-14
+constexpr double kNothing = 1e-14;  // a probability that does not matter
+constexpr double kLeastMass = 1e-6;
+
+// --- functions ------------------------------------------------------------------------------------------------------
+
+struct Point2 {
+  D x, y;
+};
+
+static inline Point2 turned(const Surface& s, D x, D y) { return {s.axis[0] * x + s.axis[1] * y, s.axis[0] * y - s.axis[1] * x}; }
+static inline Point2 placed(const Surface& s, D x, D y) { return turned(s, x - s.centre[0], y - s.centre[1]); }
+
+static inline Vec<D> cross(const Vec<D>& a, const Vec<D>& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+// e^x, held at what is nothing in a probability.
+static inline D weight(D x) { return exponential(minimum(maximum(x, D{} - 60.0), D{} + 60.0)); }
+
+// A product of probabilities with one division for all of them: no factor of `under` is below 1.
+struct Chance {
+  D over = D{} + 1.0, under = D{} + 1.0;
+
+  // P(|x + noise| < A), for logistic noise of the given scale.
+  void within(D x, D A, D inverse_scale) {
+    A = maximum(A, D{} + 1e-4);
+    const D f = weight((absolute(x) - A) * inverse_scale), h = weight(-(absolute(x) + A) * inverse_scale);
+    over *= 1.0 - f * h;
+    under *= (1.0 + f) * (1.0 + h);
+  }
+  // P(noise < u), for noise of standard deviation 1.
+  void below(D u) { under *= 1.0 + weight(u * (-1.0 / kBeta)); }
+  D value() const { return over / under; }
+};
+
+static inline D fall(D vz, D h) {
+  const D k = 0.5 * (h + square_root(h * h + 1e-4));
+  return (vz + square_root(vz * vz + 2.0 * kGravity * k)) * (1.0 / kGravity);
+}
+
+// --- the state at release -------------------------------------------------------------------------------------------
+
+struct FlyingPart {
+  Vec<D> o, u;  // centre from c, velocity of it
+  D axis[9], bottom;
+  D stands;     // how much of the ground contact is its
+};
+
+struct Flight {
+  Vec<D> c, v, w;
+  FlyingPart part[kMaxDropParts];
+  D low, high, tilt, speed;
+  D turn_speed, late;  // |w|, and how much later than the lowest part another may be down, at most
+};
+
+// How far a part reaches in a direction whose components in its axes are d.
+static inline D reach(const DropPart& part, const D d[3]) {
+  if (part.shape == kBall) return D{} + part.half[0];
+  if (part.shape == kFlat) return absolute(d[0]) * part.half[0] + absolute(d[1]) * part.half[1] + absolute(d[2]) * part.half[2];
+  return absolute(d[2]) * part.half[2] + part.half[0] * square_root(maximum(1.0 - d[2] * d[2], D{} + 1e-12));
+}
+
+static inline D tilt_of(int shape, const D axis[9]) {
+  if (shape == kBall) return D{};
+  const D a = axis[6] * axis[6], b = axis[7] * axis[7], c = axis[8] * axis[8];
+  return 1.0 - (shape == kRound ? (a + b) * (a + b) + c * c : a * a + b * b + c * c);
+}
+
+static inline void add_joint_velocities(const Tables& tables, int link, const Frame<D>* X_W, const D* qd, Flight& flight) {
+  for (int l = link; l >= 0; l = tables.link[l].parent) {
+    const Link& joint = tables.link[l];
+    if (joint.joint < 0) continue;
+    const Frame<D>& X = X_W[l];
+    const D rate = qd[joint.joint];
+    const Vec<D> z = {X.R[2] * rate, X.R[5] * rate, X.R[8] * rate};
+    Vec<D> u = z;
+    if (!joint.slide) {
+      u = cross(z, {flight.c.x - X.p.x, flight.c.y - X.p.y, flight.c.z - X.p.z});
+      flight.w.x += z.x, flight.w.y += z.y, flight.w.z += z.z;
+    }
+    flight.v.x += u.x, flight.v.y += u.y, flight.v.z += u.z;
+  }
+}
+
+static inline void place_part(const DropPart& part, const Frame<D>& X, const Flight& flight, FlyingPart& flying) {
+  flying.o = rotate(X, part.offset);
+  const Vec<D> swing = cross(flight.w, flying.o);
+  flying.u = {flight.v.x + swing.x, flight.v.y + swing.y, flight.v.z + swing.z};
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) flying.axis[3 * i + j] = X.R[3 * i] * part.R[j] + X.R[3 * i + 1] * part.R[3 + j] + X.R[3 * i + 2] * part.R[6 + j];
+}
+
+static inline void release(const Tables& tables, const DropTables& drop, const Frame<D>* X_W, const D* qd, Flight& flight) {
+  const Frame<D>& X = X_W[drop.frame];
+  flight.c = transform(X, drop.centre);
+  flight.v = flight.w = {D{}, D{}, D{}};
+  if (qd) add_joint_velocities(tables, drop.link, X_W, qd, flight);
+  D highest_bottom = D{} - 1e9;
+  flight.low = D{} + 1e9, flight.high = D{} - 1e9;
+  for (int p = 0; p < drop.n_part; ++p) {
+    FlyingPart& part = flight.part[p];
+    place_part(drop.part[p], X, flight, part);
+    const D up = reach(drop.part[p], part.axis + 6), z = flight.c.z + part.o.z;
+    part.bottom = z - up;
+    flight.low = minimum(flight.low, part.bottom), flight.high = maximum(flight.high, z + up);
+    highest_bottom = maximum(highest_bottom, part.bottom);
+  }
+  for (int p = 0; p < drop.n_part; ++p) {
+    const D above = (flight.part[p].bottom - flight.low) * (1.0 / 0.012);
+    flight.part[p].stands = exponential(maximum(-above * above, D{} - 700.0));
+  }
+  flight.tilt = tilt_of(drop.part[drop.main].shape, flight.part[drop.main].axis);
+  flight.speed = square_root(flight.v.x * flight.v.x + flight.v.y * flight.v.y + 1e-4);
+  flight.turn_speed = square_root(flight.w.x * flight.w.x + flight.w.y * flight.w.y + flight.w.z * flight.w.z);
+  // Heights differ by so much at most, and a square root of a sum is below the sum of the square roots.
+  flight.late = square_root((highest_bottom - flight.low) * (2.0 / kGravity));
+}
+
+// --- 1. first contact -----------------------------------------------------------------------------------------------
+
+// How far each part reaches along the axes of a surface, and halfway between them; kept for the next one turned alike.
+struct Reaches {
+  int turn = -1;
+  struct {
+    D x, y, left, right;
+  } part[kMaxDropParts];
+
+  void turn_to(const DropTables& drop, const Flight& flight, const Surface& s) {
+    if (turn == s.turn) return;
+    turn = s.turn;
+    for (int p = 0; p < drop.n_part; ++p) {
+      const D* Q = flight.part[p].axis;
+      D x[3], y[3], left[3], right[3];
+      for (int i = 0; i < 3; ++i) {
+        x[i] = Q[i] * s.axis[0] + Q[3 + i] * s.axis[1], y[i] = Q[3 + i] * s.axis[0] - Q[i] * s.axis[1];
+        left[i] = (x[i] + y[i]) * kHalfRoot, right[i] = (y[i] - x[i]) * kHalfRoot;
+      }
+      part[p] = {reach(drop.part[p], x), reach(drop.part[p], y), reach(drop.part[p], left), reach(drop.part[p], right)};
+    }
+  }
+};
+
+// The object when it passes the height of a top.
+struct Passage {
+  double top = __builtin_inf();
+  D time = {};                     // of the lowest part, with the delay
+  D x = {}, y = {}, near = {};     // of the centre of mass then, and how far from it anything may happen
+  bool detailed = false;
+  struct {
+    D x, y, inverse_scale, passes;  // of each part when it is down there; 1 + e^.. of the gate that it has to be above
+  } part[kMaxDropParts];
+
+  void move_to(const DropTables& drop, const Flight& flight, double height) {
+    if (top == height) return;
+    top = height, detailed = false;
+    const DropConstants& k = drop.constants;
+    const D falling = fall(flight.v.z, flight.low - top);
+    time = falling + k.delay;
+    x = flight.c.x + flight.v.x * time, y = flight.c.y + flight.v.y * time;
+    const D late = falling + flight.late;
+    near = drop.radius * (1.0 + flight.turn_speed * (late + k.delay)) + flight.speed * flight.late +
+           kTail * kBeta * (k.position_spread + k.velocity_spread * late);
+    near *= 1.4142135623730951;  // a margin in the surface's axes is less than that in W's
+  }
+  void detail(const DropTables& drop, const Flight& flight) {
+    if (detailed) return;
+    const DropConstants& k = drop.constants;
+    for (int p = 0; p < drop.n_part; ++p) {
+      const FlyingPart& flying = flight.part[p];
+      const D h = flying.bottom - top, t = fall(flight.v.z, h), spread = k.velocity_spread * t;
+      part[p].inverse_scale = (1.0 / kBeta) / square_root(k.position_spread * k.position_spread + spread * spread);
+      part[p].x = flight.c.x + flying.o.x + flying.u.x * (t + k.delay);
+      part[p].y = flight.c.y + flying.o.y + flying.u.y * (t + k.delay);
+      Chance gate;
+      gate.below(h * (1.0 / 0.008) + 1.0);
+      part[p].passes = gate.under;
+    }
+    detailed = true;
+  }
+};
+
+static inline bool may_meet(const Surface& s, const Passage& passage) {
+  return any((absolute(passage.x - s.centre[0]) < s.bound[0] + passage.near) & (absolute(passage.y - s.centre[1]) < s.bound[1] + passage.near));
+}
+
+// D: P that the object is over a surface when it passes the height of its top.
+static inline D overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage, Reaches& reaches) {
+  D best = {};
+  if (!may_meet(s, passage)) return best;
+  passage.detail(drop, flight);
+  reaches.turn_to(drop, flight, s);
+  for (int p = 0; p < drop.n_part; ++p) {
+    const auto& part = passage.part[p];
+    const auto& r = reaches.part[p];
+    const Point2 at = placed(s, part.x, part.y);
+    const D a = s.half[0] + r.x, b = s.half[1] + r.y;
+    if (!any(((absolute(at.x) - a) * part.inverse_scale < kTail) & ((absolute(at.y) - b) * part.inverse_scale < kTail))) continue;
+    Chance chance;
+    chance.within(at.x, a, part.inverse_scale);
+    chance.within(at.y, b, part.inverse_scale);
+    chance.within((at.x + at.y) * kHalfRoot, s.diagonal + r.left, part.inverse_scale);
+    chance.within((at.y - at.x) * kHalfRoot, s.diagonal + r.right, part.inverse_scale);
+    chance.under *= part.passes;
+    best = maximum(best, chance.value());
+  }
+  return best;
+}
+
+// --- 2. support -----------------------------------------------------------------------------------------------------
+
+struct Moments {
+  D area = {}, x = {}, y = {}, xx = {}, yy = {}, xy = {};
+
+  // What of the parts' ground contact a surface carries; `at` is the centre of mass in its axes.
+  void add(const DropTables& drop, const Flight& flight, const Surface& s, const Point2& at, Reaches& reaches) {
+    if (!any((absolute(at.x) < s.carries[0] + drop.radius) & (absolute(at.y) < s.carries[1] + drop.radius))) return;
+    reaches.turn_to(drop, flight, s);
+    for (int p = 0; p < drop.n_part; ++p) {
+      const FlyingPart& part = flight.part[p];
+      const auto& r = reaches.part[p];
+      const Point2 o = turned(s, part.o.x, part.o.y);
+      const D x0 = maximum(o.x - r.x, -s.carries[0] - at.x), x1 = minimum(o.x + r.x, s.carries[0] - at.x);
+      const D y0 = maximum(o.y - r.y, -s.carries[1] - at.y), y1 = minimum(o.y + r.y, s.carries[1] - at.y);
+      const D wx = relu(x1 - x0), wy = relu(y1 - y0), patch = part.stands * wx * wy;
+      add_patch(s, patch, 0.5 * (x0 + x1), 0.5 * (y0 + y1), wx * wx * (1.0 / 12), wy * wy * (1.0 / 12));
+    }
+  }
+
+ private:
+  void add_patch(const Surface& s, D patch, D mx, D my, D qx, D qy) {
+    const double c = s.axis[0], n = s.axis[1];
+    const D ux = c * mx - n * my, uy = n * mx + c * my;
+    area += patch, x += patch * ux, y += patch * uy;
+    xx += patch * (ux * ux + c * c * qx + n * n * qy);
+    yy += patch * (uy * uy + n * n * qx + c * c * qy);
+    xy += patch * (ux * uy + c * n * (qx - qy));
+  }
+};
+
+// T: P that the object does not stay on what carries it, and n: where to it leaves.
+static inline D leaves(const DropTables& drop, const Flight& flight, const Moments& m, Point2& away) {
+  const DropConstants& k = drop.constants;
+  const D share = 1.0 / (m.area + 1e-6), ex = m.x * share, ey = m.y * share;
+  const D xx = m.xx * share - ex * ex + 1e-5, yy = m.yy * share - ey * ey + 1e-5, xy = m.xy * share - ex * ey;
+  const D det = maximum(xx * yy - xy * xy, D{} + 1e-11);
+  const D d2 = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) / det, off = d2 / (3.0 + d2), narrow = det / (xx + yy);
+  const D height = flight.c.z - flight.low, distance = -off / square_root(ex * ex + ey * ey + 1e-6);
+  away = {distance * ex, distance * ey};
+  const D u = k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * flight.speed + 2.0 * k.leave_tilt * flight.tilt +
+              0.5 * k.leave_narrow * logarithm((height * height + 1e-6) / (3.0 * narrow));
+  Chance chance;
+  chance.below(u);
+  return chance.value();
+}
+
+// --- steps 1 and 2 for all levels -----------------------------------------------------------------------------------
+
+struct Landing {
+  D contact[kMaxSurfaces], time[kMaxSurfaces];                      // C, tc
+  D first[kMaxSurfaces], leaving[kMaxSurfaces];                     // per level: sum of F, M
+  Point2 away[kMaxSurfaces];                                        // per level: n
+  D landed, total, mean_time, height, fallen;                       // sum of F, that + 1e-6, tl, zs, hs
+  D x, y;                                                           // L
+  D blur;                                                           // variance of the place
+};
+
+// D of a level's surfaces, left in `contact`; also the sum of D and the product of 1 - D.
+static inline void meet_level(const DropTables& drop, const Flight& flight, int level, bool arrives, Passage& passage, Reaches& reaches,
+                              Landing& landing, D& sum, D& missed) {
+  sum = D{}, missed = D{} + 1.0;
+  for (int k = drop.level_start[level]; k < drop.level_start[level + 1]; ++k) {
+    const Surface& s = drop.surface[k];
+    passage.move_to(drop, flight, s.top);
+    landing.time[k] = passage.time;
+    landing.contact[k] = arrives ? overlap(drop, flight, s, passage, reaches) : D{};
+    sum += landing.contact[k], missed *= 1.0 - landing.contact[k];
+  }
+}
+
+static inline void land(const DropTables& drop, const Flight& flight, Landing& landing) {
+  const DropConstants& c = drop.constants;
+  Passage passage;
+  Reaches reaches;
+  D arrives = D{} + 1.0, sum_time = {}, sum_height = {}, sum_fallen = {};
+  landing.landed = D{};
+  for (int l = 0; l < drop.n_level; ++l) {
+    D sum, missed;
+    meet_level(drop, flight, l, any(arrives > kNothing), passage, reaches, landing, sum, missed);
+    const D first = arrives * (1.0 - missed), share = first / (sum + kLeastMass);
+    landing.first[l] = landing.leaving[l] = D{}, landing.away[l] = {D{}, D{}};
+    if (!any(sum > 0.0)) continue;
+    const bool lands = any(first > kNothing);
+    Moments moments;
+    for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
+      const Surface& s = drop.surface[k];
+      const D F = share * landing.contact[k], time = landing.time[k];
+      landing.contact[k] *= arrives;
+      landing.first[l] += F, sum_time += F * time, sum_height += F * s.top, sum_fallen += F * relu(flight.low - s.top);
+      if (lands) moments.add(drop, flight, s, placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time), reaches);
+    }
+    arrives *= missed;
+    landing.landed += landing.first[l];
+    if (lands) landing.leaving[l] = landing.first[l] * leaves(drop, flight, moments, landing.away[l]);
+  }
+  landing.total = landing.landed + kLeastMass;
+  const D share = 1.0 / landing.total;
+  landing.mean_time = sum_time * share, landing.height = sum_height * share, landing.fallen = sum_fallen * share;
+  landing.x = flight.c.x + flight.v.x * landing.mean_time, landing.y = flight.c.y + flight.v.y * landing.mean_time;
+  const D late = c.velocity_spread * landing.mean_time, deep = c.height_spread * landing.fallen;
+  landing.blur = c.position_spread * c.position_spread + late * late + deep * deep;
+}
+
+// --- 3. falls on to something lower ---------------------------------------------------------------------------------
+
+struct Tumble {
+  D mass = {};            // B
+  Point2 drift = {D{}, D{}};  // N
+  D inverse_scale;
+  Point2 start;           // L + ks v
+  D x, y;                 // where it is on the present level
+  D keep;
+
+  Tumble(const DropTables& drop, const Flight& flight, const Landing& landing) {
+    const DropConstants& k = drop.constants;
+    const double tumbling = k.size_spread * drop.size;
+    const D v2 = flight.v.x * flight.v.x + flight.v.y * flight.v.y;
+    inverse_scale = (1.0 / kBeta) / square_root(landing.blur + tumbling * tumbling + k.carry_spread * k.carry_spread * v2);
+    start = {landing.x + k.carry * flight.v.x, landing.y + k.carry * flight.v.y};
+  }
+  bool enter(const DropTables& drop) {
+    keep = D{} + 1.0;
+    if (!any(mass > kNothing)) return false;
+    const D moved = drop.constants.drift * drop.size / (mass + kLeastMass);
+    x = start.x + drift.x * moved, y = start.y + drift.y * moved;
+    return true;
+  }
+  // G, and whether it goes on.
+  D hit(const DropTables& drop, const Surface& s) {
+    const Point2 at = placed(s, x, y);
+    if (!any(((absolute(at.x) - s.near[0]) * inverse_scale < kTail) & ((absolute(at.y) - s.near[1]) * inverse_scale < kTail))) return D{};
+    Chance hits, caught;
+    hits.within(at.x, D{} + s.reached[0], inverse_scale);
+    hits.within(at.y, D{} + s.reached[1], inverse_scale);
+    caught.within(at.x, D{} + s.inside[0], inverse_scale);
+    caught.within(at.y, D{} + s.inside[1], inverse_scale);
+    keep *= 1.0 - drop.constants.catches * caught.value();
+    return mass * hits.value();
+  }
+  void leave(D leaving, const Point2& away) {
+    mass = mass * keep + leaving;
+    drift = {drift.x * keep + leaving * away.x, drift.y * keep + leaving * away.y};
+  }
+};
+
+// --- 4. side contacts -----------------------------------------------------------------------------------------------
+
+struct Sweep {
+  D x, y, reach, inverse_scale, top;
+
+  Sweep(const DropTables& drop, const Flight& flight, const Landing& landing) {
+    const DropConstants& k = drop.constants;
+    D leaves = {}, nx = {}, ny = {};
+    for (int l = 0; l < drop.n_level; ++l) {
+      leaves += landing.leaving[l];
+      nx += landing.leaving[l] * landing.away[l].x, ny += landing.leaving[l] * landing.away[l].y;
+    }
+    const D share = 1.0 / landing.total;
+    leaves *= share;
+    x = landing.x + k.slide * flight.v.x + k.drift * drop.size * (nx * share);
+    y = landing.y + k.slide * flight.v.y + k.drift * drop.size * (ny * share);
+    const double resting = k.side_spread * drop.size;
+    const D toppling = k.size_spread * drop.size * leaves;
+    inverse_scale = (1.0 / kBeta) / square_root(landing.blur + resting * resting + toppling * toppling);
+    reach = (k.side_reach + k.topple_reach * leaves) * drop.size;
+    top = landing.height + flight.high - flight.low;
+  }
+  // H, given P that the object comes down beside the surface.
+  D hit(const DropTables& drop, const Flight& flight, const Surface& s, D time, D beside) const {
+    const D over = (top - s.bottom) * (1.0 / drop.constants.side_height);
+    const Point2 from = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time), to = placed(s, x, y);
+    const D mx = 0.5 * (from.x + to.x), my = 0.5 * (from.y + to.y), dx = to.x - from.x, dy = to.y - from.y;
+    const D a = s.half[0] + reach, b = s.half[1] + reach;
+    const auto near_x = (absolute(mx) - relu(a + 0.5 * absolute(dx)) - 1e-3) * inverse_scale < kTail;
+    const auto near_y = (absolute(my) - relu(b + 0.5 * absolute(dy)) - 1e-3) * inverse_scale < kTail;
+    if (!any(near_x & near_y & (over > -kTail * kBeta) & (beside > kNothing))) return D{};
+    Chance chance;
+    chance.below(over);
+    chance.within(mx, a + 0.5 * square_root(dx * dx + 1e-6), inverse_scale);
+    chance.within(my, b + 0.5 * square_root(dy * dy + 1e-6), inverse_scale);
+    return beside * chance.value();
+  }
+};
+
+// --- together -------------------------------------------------------------------------------------------------------
+
+// P of every entity; those without severity are left at zero, if severities are given.
+static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd, D* P) {
+  Frame<D> X_W[kMaxLinks];
+  Flight flight;
+  Landing landing;
+  forward_kinematics<double>(tables, q, X_W);
+  release(tables, drop, X_W, qd, flight);
+  land(drop, flight, landing);
+  Tumble tumble(drop, flight, landing);
+  const Sweep sweep(drop, flight, landing);
+  D lower = landing.landed;  // sum of F over this level and those below it
+  for (int e = 0; e < drop.n_entity; ++e) P[e] = D{};
+  for (int l = 0; l < drop.n_level; ++l) {
+    const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
+    for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
+      const Surface& s = drop.surface[k];
+      const D G = tumbles ? tumble.hit(drop, s) : D{}, C = landing.contact[k];
+      if (s.entity < 0 || (severity && severity[s.entity] == 0.0)) continue;
+      const D H = sweeps ? sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)) : D{};
+      P[s.entity] = maximum(P[s.entity], 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H));
+    }
+    tumble.leave(landing.leaving[l], landing.away[l]);
+    lower -= landing.first[l];
+  }
+}
+
+static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd) {
+  D P[kMaxEntities], impact = {};
+  drop_probability(tables, drop, severity, q, qd, P);
+  for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e];
+  return impact;
+}

@@ -1,0 +1,178 @@
+// Models of the impact, with severities: what native planners charge edges with. Part of bindings.cpp.
+#pragma once
+#include <cmath>
+
+#include "core.hpp"
+
+namespace gp {
+namespace {
+
+// I of configurations at rest and integrals over straight edges; one scene, fixed severities.
+class Impact {
+ public:
+  virtual ~Impact() = default;
+  virtual void states(const double* q, size_t n, double* impact) const = 0;
+  virtual void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const = 0;
+
+  auto states_array(Reals q) const {
+    double* out;
+    auto array = make<double>({core_.rows(q)}, out);
+    nb::gil_scoped_release release;
+    states(q.data(), q.shape(0), out);
+    return array;
+  }
+  auto edges_array(Reals q0, Reals q1, double step) const {
+    double* out;
+    auto array = make<double>({core_.rows(q0), 2}, out);
+    require(core_.rows(q1) == core_.rows(q0), "q0 and q1 differ in length");
+    nb::gil_scoped_release release;
+    edges(q0.data(), q1.data(), q0.shape(0), step, out);
+    return array;
+  }
+
+ protected:
+  Impact(const Core& core, const Reals& severity) : core_(core), severity_(point(severity)) {}
+
+  const Core& core_;
+  const Point severity_;
+};
+
+// Algorithm 1; severity is [component, entity].
+class OverlapImpact final : public Impact {
+ public:
+  OverlapImpact(const Core& core, Reals severity) : Impact(core, severity) {
+    require(severity.size() == size_t(core.tables().n_component * core.tables().n_entity), "severity is not [component, entity]");
+  }
+  void states(const double* q, size_t n, double* impact) const override {
+    core_.kernels().impact(core_.tables(), severity_.data(), q, n, impact);
+  }
+  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
+    core_.kernels().edge_costs(core_.tables(), severity_.data(), q0, q1, n, step, cost);
+  }
+};
+
+constexpr const char* kDropConstants[] = {  // in the order of DropConstants
+    "delay",       "velocity_spread", "height_spread", "carry_spread", "side_spread",  "side_reach",  "side_height",
+    "catch",       "leave_tilt",      "position_spread", "size_spread", "tumble_reach", "catch_margin", "leave",
+    "leave_offset", "leave_narrow",   "leave_speed",   "drift",        "carry",        "slide",       "topple_reach"};
+static_assert(sizeof(DropConstants) == sizeof(kDropConstants) / sizeof(kDropConstants[0]) * sizeof(double));
+
+// The drop model of what is carried.
+class DropModel {
+ public:
+  // target: centre (2), axis (2), half sizes (2), diagonal, carrying half sizes (2), bottom, top
+  DropModel(const Core& core, int link, Reals centre, Integers part_shape, Reals part_offset, Reals part_rotation, Reals part_half, int main,
+            double size, Integers target_entity, Reals target, Integers level_start, int n_entity, Reals speed, Reals constants)
+      : core_(core), level_start_(level_start.data(), level_start.data() + level_start.size()), speed_(point(speed)) {
+    require(centre.size() == 3 && speed.size() == size_t(core.tables().n_joint), "sizes of the drop model");
+    require(constants.size() * sizeof(double) == sizeof(DropConstants), "constants of the drop model");
+    std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.delay);
+    std::copy(centre.data(), centre.data() + 3, tables_.centre);
+    tables_.link = link, tables_.frame = core.frame(link), tables_.main = main, tables_.size = size, tables_.n_entity = n_entity;
+    for (double v : speed_) require(v > 0, "speed");
+    require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
+    add_parts(part_shape, part_offset, part_rotation, part_half);
+    require(main >= 0 && size_t(main) < part_.size(), "main part");
+    add_surfaces(target_entity, target);
+    check_levels();
+    tables_.n_part = int(part_.size()), tables_.n_surface = int(surface_.size()), tables_.n_level = int(level_start_.size()) - 1;
+    tables_.part = part_.data(), tables_.surface = surface_.data(), tables_.level_start = level_start_.data(), tables_.speed = speed_.data();
+  }
+  DropModel(const DropModel&) = delete;
+
+  const Core& core() const { return core_; }
+  const DropTables& tables() const { return tables_; }
+
+  auto probability(Reals q, Reals qd) const {
+    double* out;
+    auto array = make<double>({core_.rows(q), size_t(tables_.n_entity)}, out);
+    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    nb::gil_scoped_release release;
+    core_.kernels().drop(core_.tables(), tables_, q.data(), qd.data(), q.shape(0), out);
+    return array;
+  }
+  auto impact(Reals severity, Reals q, Reals qd) const {
+    double* out;
+    auto array = make<double>({core_.rows(q)}, out);
+    require(severity.size() == size_t(tables_.n_entity), "severity is not [entity]");
+    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    nb::gil_scoped_release release;
+    core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), out);
+    return array;
+  }
+
+ private:
+  void add_parts(const Integers& shape, const Reals& offset, const Reals& rotation, const Reals& half) {
+    const size_t n = shape.size();
+    require(n >= 1 && n <= size_t(kMaxDropParts), "number of carried parts");
+    require(offset.size() == 3 * n && rotation.size() == 9 * n && half.size() == 3 * n, "carried parts");
+    for (size_t p = 0; p < n; ++p) {
+      DropPart part{};
+      part.shape = shape.data()[p];
+      require(part.shape >= kFlat && part.shape <= kBall, "shape of a carried part");
+      std::copy(rotation.data() + 9 * p, rotation.data() + 9 * p + 9, part.R);
+      double offset2 = 0, half2 = 0;
+      for (size_t i = 0; i < 3; ++i) {
+        part.offset[i] = offset.data()[3 * p + i], part.half[i] = half.data()[3 * p + i];
+        offset2 += part.offset[i] * part.offset[i], half2 += part.half[i] * part.half[i];
+      }
+      tables_.radius = std::max(tables_.radius, std::sqrt(offset2) + std::sqrt(half2));
+      part_.push_back(part);
+    }
+  }
+  void add_surfaces(const Integers& entity, const Reals& target) {
+    const size_t n = entity.size();
+    require(n <= size_t(kMaxSurfaces) && target.size() == 11 * n, "number of surfaces");
+    for (size_t k = 0; k < n; ++k) {
+      const double* t = target.data() + 11 * k;
+      Surface s{};
+      s.entity = entity.data()[k];
+      require(s.entity >= -1 && s.entity < tables_.n_entity, "entity of a surface");
+      s.diagonal = t[6], s.bottom = t[9], s.top = t[10];
+      for (int i = 0; i < 2; ++i) s.centre[i] = t[i], s.axis[i] = t[2 + i], s.half[i] = t[4 + i], s.carries[i] = t[7 + i];
+      s.turn = int(k);
+      for (const Surface& other : surface_)
+        if (other.axis[0] == s.axis[0] && other.axis[1] == s.axis[1]) s.turn = other.turn;
+      for (int i = 0; i < 2; ++i) {
+        const double margin = s.carries[i] + tables_.constants.catch_margin * tables_.size;
+        s.bound[i] = std::abs(s.axis[i]) * s.half[0] + std::abs(s.axis[1 - i]) * s.half[1];
+        s.reached[i] = s.half[i] + tables_.constants.tumble_reach * tables_.size;
+        s.inside[i] = 0.5 * (margin + std::sqrt(margin * margin + 1e-4));
+        s.near[i] = std::max(s.reached[i], s.inside[i]);
+      }
+      require(surface_.empty() || s.top <= surface_.back().top, "surfaces ordered by height");
+      surface_.push_back(s);
+    }
+  }
+  void check_levels() const {
+    require(!level_start_.empty() && level_start_.front() == 0 && size_t(level_start_.back()) == surface_.size(), "levels");
+    for (size_t l = 0; l + 1 < level_start_.size(); ++l) require(level_start_[l] < level_start_[l + 1], "empty level");
+  }
+
+  const Core& core_;
+  DropTables tables_{};
+  std::vector<DropPart> part_;
+  std::vector<Surface> surface_;
+  std::vector<int32_t> level_start_;
+  Point speed_;
+};
+
+// The drop model with a severity per entity; along edges at their speed.
+class DropImpact final : public Impact {
+ public:
+  DropImpact(const DropModel& model, Reals severity) : Impact(model.core(), severity), model_(model) {
+    require(severity.size() == size_t(model.tables().n_entity), "severity is not [entity]");
+  }
+  void states(const double* q, size_t n, double* impact) const override {
+    core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), q, nullptr, n, impact);
+  }
+  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
+    core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), q0, q1, n, step, cost);
+  }
+
+ private:
+  const DropModel& model_;
+};
+
+}  // namespace
+}  // namespace gp

@@ -1,0 +1,167 @@
+"""The drop model in the core against the one in NumPy, which is its specification."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import graceful_plan as gp
+from graceful_plan.compile import compile_scene
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.interactions import Footprint
+from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
+from graceful_plan.costs.interactions.footprint_kernel import CONSTANTS, FootprintKernel, footprint_kernel
+from graceful_plan.costs.interactions.footprint_tables import footprint_tables
+from graceful_plan.exceptions import NonFiniteError, ShapeError
+from graceful_plan.kernels import Kernels, instruction_sets
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.scene_problem import SceneProblem
+
+_P = 1e-11  # probabilities: what is left out to save time, and rounding; the bar is 1e-9
+SETTINGS = FootprintSettings.shipped()
+
+
+class Generic(Footprint):
+    """The same model, of which nobody can know that the core has it."""
+
+
+def _states(scene, n, seed, fastest=1.5):
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(*scene.limits.position.T, size=(n, len(scene.joints)))
+    return q, scene.limits.velocity * rng.uniform(-1.0, 1.0, q.shape) * rng.uniform(0.0, fastest, (n, 1))
+
+
+def _numpy(scene, q, qd):
+    speed = np.linalg.norm(qd, axis=1)
+    direction = qd / np.where(speed > 0.0, speed, 1.0)[:, None]
+    return Footprint().drop(StateBatch(scene, q, direction, speed)).entity
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return gp.load_scene("desk").tasks["bring_coffee"].scene
+
+
+@pytest.fixture(scope="module")
+def kernel(scene):
+    return footprint_kernel(scene, SETTINGS)
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", gp.scenes())
+def test_the_kernel_is_the_specification(name):
+    for k, task in enumerate(gp.load_scene(name).tasks.values()):
+        q, qd = _states(task.scene, 150, seed=k)
+        q[-50:] = np.linspace(task.start, task.goal[0], 50)
+        qd[-25:] = 0.0
+        found = footprint_kernel(task.scene, SETTINGS).probability(q, qd)
+        np.testing.assert_allclose(found, _numpy(task.scene, q, qd), atol=_P)
+        assert found.max() > 0.5
+
+
+@given(seed=st.integers(0, 10_000), scale=st.floats(0.2, 4.0), fastest=st.floats(0.0, 20.0))
+@settings(max_examples=25, deadline=None)
+def test_constants_of_all_sizes(scene, seed, scale, fastest):
+    rng = np.random.default_rng(seed)
+    tables = footprint_tables(scene)
+    values = {n: getattr(SETTINGS.of(tables.shape_class), n) * scale ** rng.uniform(-1.0, 1.0) for n in CONSTANTS}
+    values["catch"] = min(1.0, values["catch"])
+    constants = type(SETTINGS.box)(**values)
+    compiled = compile_scene(scene)
+    found = FootprintKernel(tables, constants, compiled.kernels, scene.limits.velocity, len(scene.entities))
+    q, qd = _states(scene, 40, seed, fastest)
+    twin = Footprint(FootprintSettings(box=constants, cylinder=constants, plate=constants, ball=constants))
+    speed = np.linalg.norm(qd, axis=1)
+    batch = StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+    np.testing.assert_allclose(found.probability(q, qd), twin.drop(batch).entity, atol=1e-9)
+
+
+@pytest.mark.parametrize("isa", instruction_sets())
+def test_instruction_sets_agree(scene, kernel, isa):
+    compiled, tables = compile_scene(scene), footprint_tables(scene)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    constants = SETTINGS.of(tables.shape_class)
+    other = FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities))
+    q, qd = _states(scene, 301, seed=1)
+    np.testing.assert_allclose(other.probability(q, qd), kernel.probability(q, qd), atol=_P)
+    x = np.concatenate([np.linspace(-700.0, 700.0, 4001), np.linspace(-1.0, 1.0, 999), [0.0, 5e-324, -5e-324]])
+    exponential, logarithm = kernels.core.elementary(x)
+    np.testing.assert_allclose(exponential, np.exp(x), rtol=1e-13)
+    np.testing.assert_allclose(logarithm, x, rtol=1e-13, atol=3e-16)
+
+
+def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
+    q, qd = _states(scene, 21, seed=2)
+    whole = kernel.probability(q, qd)
+    each = [kernel.probability(*state) for state in zip(q, qd, strict=True)]
+    np.testing.assert_allclose(whole, each, atol=_P)
+    shaped = kernel.probability(q.reshape(3, 7, -1), qd.reshape(3, 7, -1))
+    assert np.array_equal(shaped.reshape(whole.shape), whole)
+    assert np.array_equal(kernel.probability(q), kernel.probability(q, np.zeros_like(q)))
+    assert kernel.probability(q[:0]).shape == (0, len(scene.entities))
+
+
+# --- what planners are charged ----------------------------------------------------------------------------------------
+
+
+def test_impact_is_the_sum_over_entities(scene, kernel):
+    q, qd = _states(scene, 40, seed=3)
+    severity = np.random.default_rng(0).uniform(size=len(scene.entities)) * (np.arange(len(scene.entities)) % 3 > 0)
+    np.testing.assert_allclose(kernel.impact(q, severity, qd), kernel.probability(q, qd) @ severity, atol=1e-12)
+    np.testing.assert_allclose(kernel.with_severity(severity).states(q), kernel.probability(q) @ severity, atol=1e-12)
+
+
+def test_edges_are_charged_at_their_speed(scene):
+    native = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene)
+    generic = gp.Objective(impact=gp.ImpactCost(model=Generic())).bind(scene)
+    assert native.kernel is not None and generic.kernel is None
+    q0, q1 = _states(scene, 20, seed=4)[0], _states(scene, 20, seed=5)[0]
+    q1[0] = q0[0]
+    np.testing.assert_allclose(native.edges(q0, q1), generic.edges(q0, q1), rtol=2e-3)
+    np.testing.assert_allclose(native.states(q0), native.kernel.states(q0), rtol=1e-9)
+    assert np.all(native.edges(q0, q1)[0] == 0.0)
+
+
+def test_planners_run_on_it():
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"), w=2.0).bind(task.scene)
+    problem = SceneProblem(kernels=compile_scene(task.scene).kernels, start=task.start, goals=np.atleast_2d(task.goal))
+    assert type(native_space(problem, objective)).__name__ == "SceneSpace"
+    native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=1500)
+    assert native.path is not None
+    assert native.cost.total == pytest.approx(objective.breakdown(native.path).total, rel=1e-9)
+    # It pays: an ordinary plan is dearer by the same account.
+    ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=1500)
+    assert ordinary.path is not None and objective.breakdown(ordinary.path).total > 1.05 * native.cost.total
+
+
+def test_nothing_carried_harms_nobody():
+    scene = gp.load_scene("tabletop")
+    assert scene.carried is None
+    objective = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene)
+    q0, q1 = _states(scene, 5, seed=6)[0], _states(scene, 5, seed=7)[0]
+    assert objective.kernel is not None
+    assert not objective.edges(q0, q1)[:, 1].any() and not objective.states(q0).any()
+
+
+# --- misuse -----------------------------------------------------------------------------------------------------------
+
+
+def test_misuse_names_the_culprit(scene, kernel):
+    q, qd = _states(scene, 3, seed=8)
+    with pytest.raises(ShapeError, match="qd"):
+        kernel.probability(q, qd[:2])
+    with pytest.raises(ShapeError, match="qd"):
+        kernel.probability(q, qd[:, :3])
+    with pytest.raises(NonFiniteError, match="qd"):
+        kernel.probability(q, np.full_like(qd, np.inf))
+    with pytest.raises(ShapeError, match="severity"):
+        kernel.impact(q, np.ones(2))
+    with pytest.raises(ShapeError, match="severity"):
+        kernel.with_severity(np.ones(len(scene.entities) + 1))
+    with pytest.raises(ValueError, match="speed"):
+        compiled, tables = compile_scene(scene), footprint_tables(scene)
+        constants = SETTINGS.of(tables.shape_class)
+        FootprintKernel(tables, constants, compiled.kernels, np.zeros(len(scene.joints)), len(scene.entities))
