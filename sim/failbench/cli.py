@@ -16,10 +16,12 @@ from typing import Any
 
 import graceful_plan as gp
 from failbench import summary
+from failbench.calibrate import write
 from failbench.chunks import Rows
 from failbench.errors import SweepFailed
 from failbench.executors import Executor, LocalExecutor
 from failbench.faults import to_document
+from failbench.footprint_fit import calibrate_footprint
 from failbench.replay import replay
 from failbench.scenarios import scenarios, usual_grasp
 from failbench.sweep import JOURNAL, Generated, Progress, generate, read_sweep, resume, sweep_of
@@ -88,6 +90,14 @@ def _parser() -> argparse.ArgumentParser:
     again = _command(commands, "resume", _resume, "go on with a sweep that was killed, interrupted or failed in part")
     again.add_argument("folder", type=FilePath, help="where it was begun")
     _add_executor(again)
+
+    fit = _command(commands, "calibrate", _calibrate, "fit the drop model's constants to drops in bundled scenes")
+    fit.add_argument("output", type=FilePath, help="YAML file for the constants, with where they come from")
+    fit.add_argument("--scenes", nargs="+", metavar="SCENE", help="bundled scenes, two or more (default: all)")
+    fit.add_argument("-n", type=int, default=60, help="drops along each motion (default 60)")
+    fit.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    fit.add_argument("--drops", type=FilePath, metavar="FILE", help="keep the drops here, or take them if it is there")
+    fit.add_argument("--workers", type=int, default=0, help="processes (default: one for each core)")
 
     show = _command(commands, "replay", _replay, "show a rollout of a scenario, or of a sweep")
     _add_scenario(show, "name of the scenario, or folder of a sweep")
@@ -209,6 +219,21 @@ def _made(args: argparse.Namespace, made: Generated) -> int:
     return DONE
 
 
+def _calibrate(args: argparse.Namespace) -> int:
+    with _Bar(args, "motions") as bar:
+        found = calibrate_footprint(
+            args.scenes or gp.scenes(),
+            n=args.n,
+            seed=args.seed,
+            processes=args.workers or os.cpu_count() or 1,
+            drops=args.drops,
+            progress=bar.show,
+        )
+    write(found, args.output)
+    _print(args, found.to_document(), str(found))
+    return DONE
+
+
 def _replay(args: argparse.Namespace) -> int:
     folder = FilePath(args.scenario)
     sweep = read_sweep(folder) if folder.is_dir() else _one(args).planned()
@@ -300,7 +325,8 @@ def _print(args: argparse.Namespace, document: Any, text: str) -> None:
 class _Bar:
     """Shows how much is done, if somebody sits at a terminal."""
 
-    def __init__(self, args: argparse.Namespace) -> None:
+    def __init__(self, args: argparse.Namespace, unit: str = "rollouts") -> None:
+        self.unit = unit
         self.shown = sys.stderr.isatty() and not args.json
         self.started = time.monotonic()
 
@@ -317,12 +343,12 @@ class _Bar:
         self.show(progress.rollouts_done, progress.rollouts, failed)
 
     def show(self, done: int, total: int, note: str = "") -> None:
-        """Overwrite the line with how many rollouts are done."""
+        """Overwrite the line with how many are done."""
         if self.shown:
             bar = "#" * (30 * done // total)
             seconds = time.monotonic() - self.started
             print(
-                f"\r\x1b[K[{bar:<30}] {done}/{total} rollouts, {seconds:.0f} s{note}",
+                f"\r\x1b[K[{bar:<30}] {done}/{total} {self.unit}, {seconds:.0f} s{note}",
                 end="",
                 file=sys.stderr,
                 flush=True,

@@ -7,13 +7,18 @@ that may well be; drops decide.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 import numpy as np
 
+import graceful_plan as gp
+from failbench.calibrate import Calibration, Progress, calibrate, generate_drops
+from failbench.drops import read_drops, write_drops
 from failbench.fitting import Constant, Family, Fitted
-from graceful_plan import Scene, StateBatch
+from failbench.sampling import MOST, check_whole
+from graceful_plan import Scene, StateBatch, UnknownNameError
 from graceful_plan.array_types import Float
 from graceful_plan.costs.interactions.footprint import Footprint
 from graceful_plan.costs.interactions.footprint_constants import SHARED, FootprintConstants, FootprintSettings
@@ -82,6 +87,49 @@ class FootprintFamily(Family):
         model = Footprint(FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
         found = model.probability(StateBatch(*prepared))
         return found[:, list(prepared.scene.components).index("carried")]
+
+
+def calibrate_footprint(
+    scenes: Sequence[str],
+    *,
+    n: int = 60,
+    seed: int = 0,
+    processes: int = 1,
+    drops: str | FilePath | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Drop things in bundled scenes, or take drops from a file, and calibrate the drop model with them.
+
+    Args:
+        scenes: Names of bundled scenes, two at least.
+        n: Drops along each motion.
+        seed: Of everything random.
+        processes: How many to drop in; the fit is done in this one.
+        drops: File that the drops are kept in, or taken from if it is there. Then only those in `scenes` count.
+        progress: Called after each motion.
+
+    Raises:
+        UnknownNameError: If there is no such scene.
+        SettingError: If there is but one scene, or too little to drop.
+        FormatError: If the file is there and holds something else.
+    """
+    for name in scenes:
+        if name not in gp.scenes():
+            raise UnknownNameError("scene", name, gp.scenes())
+    check_whole("n", n, 1, MOST)
+    about: dict[str, Any] = {"horizon": 1.0, "motions_without": []}
+    file = None if drops is None else FilePath(drops)
+    if file is not None and file.exists():
+        dropped = [part for part in read_drops(file) if part.scene in scenes]
+        about["drops_from"] = file.name
+    else:
+        dropped, about["motions_without"] = generate_drops(
+            scenes, n=n, seed=seed, processes=processes, progress=progress
+        )
+        if file is not None:
+            write_drops(file, dropped)
+    family = FootprintFamily()
+    return calibrate(family, dropped, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
 
 
 def settings_of(constants: Mapping[str, Mapping[str, Fitted]]) -> FootprintSettings:

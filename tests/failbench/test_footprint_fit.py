@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench import calibrate, drops
+from failbench import calibrate, drops, footprint_fit
+from failbench.cli import DONE, MISUSE, main
 from failbench.drops import Drops
 from failbench.footprint_fit import FootprintFamily, settings_of
 from graceful_plan.costs.interactions.footprint import Footprint
@@ -53,3 +56,30 @@ def test_the_model_reads_what_calibration_writes(calibrated: calibrate.Calibrati
     for shape in SHAPE_CLASSES:
         for name, value in dataclasses.asdict(getattr(given, shape)).items():
             assert getattr(getattr(read, shape), name) == pytest.approx(value, rel=1e-4)
+
+
+def test_the_command_keeps_its_drops_and_takes_them_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibrate, "drop_jobs", lambda *a, **k: drops.drop_jobs(*a, **k, kinds=drops.KINDS[:1])[::4])
+    monkeypatch.setattr(footprint_fit, "calibrate", partial(calibrate.calibrate, iterations=1))
+    kept, first, second = (tmp_path / name for name in ("drops.npz", "first.yaml", "second.yaml"))
+    options = ["--scenes", "tabletop", "tabletop_l1", "-n", "6", "--drops", str(kept), "--workers", "1"]
+    assert main(["calibrate", str(first), *options]) == DONE
+    assert "tabletop_l1" in capsys.readouterr().out
+    assert main(["calibrate", str(second), *options, "--json"]) == DONE
+    assert json.loads(capsys.readouterr().out)["provenance"]["drops_from"] == "drops.npz"
+    assert FootprintSettings.load(first) == FootprintSettings.load(second)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [(["--scenes", "nowhere"], "nowhere"), (["-n", "0"], "n = 0"), (["--scenes", "tabletop"], "at least two")],
+)
+def test_misuse_is_told(
+    options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(footprint_fit, "generate_drops", lambda *_, **__: ([], []))
+    assert main(["calibrate", str(tmp_path / "out.yaml"), *options]) == MISUSE
+    assert text in capsys.readouterr().err
+    assert not (tmp_path / "out.yaml").exists()
