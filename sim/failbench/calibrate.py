@@ -101,7 +101,8 @@ def generate_drops(
     scenes: Sequence[str],
     *,
     load: Callable[[str], Scene] = gp.load_scene,
-    n: int = 60,
+    n: int = 30,
+    repeats: int = 2,
     seed: int = 0,
     processes: int = 1,
     progress: Progress | None = None,
@@ -112,6 +113,7 @@ def generate_drops(
         scenes: Names of scenes.
         load: Loads a scene by name; a function of a module.
         n: Drops along each motion.
+        repeats: Motions of each kind for each task.
         seed: Of everything random. What comes out depends on it alone, not on `processes`.
         processes: How many to work in.
         progress: Called after each motion.
@@ -119,7 +121,7 @@ def generate_drops(
     Returns:
         The drops, and why some motions have none.
     """
-    jobs = drop_jobs(load, scenes, n=n, seed=seed)
+    jobs = drop_jobs(load, scenes, n=n, seed=seed, repeats=repeats)
     found: list[Drops] = []
     refused: list[str] = []
 
@@ -150,7 +152,7 @@ def calibrate(
     model: str,
     load: Callable[[str], Scene] = gp.load_scene,
     shapes: Sequence[str] = (),
-    trust: float = 25.0,
+    trusts: Sequence[float] = (25.0, 100.0, 400.0),
     seed: int = 0,
     iterations: int = 30,
     about: Mapping[str, Any] | None = None,
@@ -163,7 +165,7 @@ def calibrate(
         model: Its name, for the record.
         load: Loads a scene by name.
         shapes: Shape classes that get constants even if nothing of the kind was dropped.
-        trust: See `fitting.fit`.
+        trusts: To be tried, see `fitting.fit`; the one whose log loss on held-out scenes is least is taken.
         seed: Of the intervals.
         iterations: Of each fit, at most.
         about: What else to put down: how the drops were made.
@@ -176,22 +178,16 @@ def calibrate(
         raise SettingError("scenes", tuple(names), "at least two, to judge on each what was fitted on the others")
     samples = samples_of(family, drops, scenes_of(drops, load))
     every = (*shapes, *(sample.shape for sample in samples))
+    tried = {trust: _held_out(family, samples, trust, iterations, every) for trust in trusts}
+    trust = min(tried, key=lambda x: tried[x]["all"].log_loss)
     constants = fit(family, samples, seed=seed, trust=trust, iterations=iterations, shapes=every)
-    held_out: dict[str, Figures] = {}
-    guessed: list[tuple[Array, Array]] = []
-    for name in names:
-        others, own = ([s for s in samples if (s.scene == name) is mine] for mine in (False, True))
-        found = fit(family, others, resamples=2, trust=trust, iterations=iterations, shapes=every)
-        guessed.append(events(predictions(family, own, _values(found)), own))
-        held_out[name] = figures(*guessed[-1])
-    held_out["all"] = figures(np.concatenate([p for p, _ in guessed]), np.concatenate([hit for _, hit in guessed]))
     return Calibration(
         model=model,
         constants=constants,
         units={constant.name: constant.unit for constant in family.constants},
         shared=tuple(constant.name for constant in family.constants if constant.shared),
         fitted=figures(*events(predictions(family, samples, _values(constants)), samples)),
-        held_out=held_out,
+        held_out=tried[trust],
         provenance={
             "scenes": names,
             "tasks": len(samples),
@@ -200,10 +196,26 @@ def calibrate(
             "grasps": {grasp: sum(len(part) for part in drops if part.grasp == grasp) for grasp in ("fingers", "weld")},
             **(about or {}),
             "trust": trust,
+            "trusts_tried": {str(x): _rounded(found["all"].log_loss) for x, found in tried.items()},
             "seed": seed,
             "versions": {"graceful_plan": gp.__version__, "mujoco": mujoco.__version__},
         },
     )
+
+
+def _held_out(
+    family: Family, samples: Sequence[Sample], trust: float, iterations: int, shapes: Sequence[str]
+) -> dict[str, Figures]:
+    """Judge constants on each scene that were fitted on all others, and on "all" of these together."""
+    found: dict[str, Figures] = {}
+    guessed: list[tuple[Array, Array]] = []
+    for name in sorted({sample.scene for sample in samples}):
+        others, own = ([s for s in samples if (s.scene == name) is mine] for mine in (False, True))
+        constants = fit(family, others, resamples=2, trust=trust, iterations=iterations, shapes=shapes)
+        guessed.append(events(predictions(family, own, _values(constants)), own))
+        found[name] = figures(*guessed[-1])
+    found["all"] = figures(np.concatenate([p for p, _ in guessed]), np.concatenate([hit for _, hit in guessed]))
+    return found
 
 
 def scenes_of(drops: Sequence[Drops], load: Callable[[str], Scene]) -> dict[tuple[str, str], Scene]:

@@ -94,7 +94,8 @@ def _parser() -> argparse.ArgumentParser:
     fit = _command(commands, "calibrate", _calibrate, "fit the drop model's constants to drops in bundled scenes")
     fit.add_argument("output", type=FilePath, help="YAML file for the constants, with where they come from")
     fit.add_argument("--scenes", nargs="+", metavar="SCENE", help="bundled scenes, two or more (default: all)")
-    fit.add_argument("-n", type=int, default=60, help="drops along each motion (default 60)")
+    fit.add_argument("-n", type=int, default=30, help="drops along each motion (default 30)")
+    fit.add_argument("--repeats", type=int, default=2, help="motions of each kind for each task (default 2)")
     fit.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
     fit.add_argument("--drops", type=FilePath, metavar="FILE", help="keep the drops here, or take them if it is there")
     fit.add_argument("--workers", type=int, default=0, help="processes (default: one for each core)")
@@ -224,6 +225,7 @@ def _calibrate(args: argparse.Namespace) -> int:
         found = calibrate_footprint(
             args.scenes or gp.scenes(),
             n=args.n,
+            repeats=args.repeats,
             seed=args.seed,
             processes=args.workers or os.cpu_count() or 1,
             drops=args.drops,

@@ -251,9 +251,10 @@ def drop_jobs(
     n: int,
     seed: int = 0,
     kinds: Sequence[MotionKind] = KINDS,
+    repeats: int = 1,
     horizon: float = 1.0,
 ) -> list[DropJob]:
-    """Return a job for every kind of motion on every task of some scenes that carries something.
+    """Return jobs for every kind of motion on every task of some scenes that carries something.
 
     Args:
         load: Loads a scene by name.
@@ -261,12 +262,13 @@ def drop_jobs(
         n: Drops along each motion.
         seed: Of everything random; each motion gets its own.
         kinds: Of motions.
+        repeats: Motions of each kind.
         horizon: How long is simulated after each onset [s].
     """
     tasks = [
         (scene, name) for scene in scenes for name, task in load(scene).tasks.items() if task.object_name is not None
     ]
-    todo = [(scene, task, kind) for scene, task in tasks for kind in kinds]
+    todo = [(scene, task, kind) for scene, task in tasks for kind in kinds for _ in range(repeats)]
     seeds = np.random.default_rng(seed).integers(2**31, size=len(todo))
     return [
         DropJob(load=load, scene=scene, task=task, kind=kind, n=n, seed=int(s), horizon=horizon)

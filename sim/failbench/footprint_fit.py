@@ -92,7 +92,8 @@ class FootprintFamily(Family):
 def calibrate_footprint(
     scenes: Sequence[str],
     *,
-    n: int = 60,
+    n: int = 30,
+    repeats: int = 2,
     seed: int = 0,
     processes: int = 1,
     drops: str | FilePath | None = None,
@@ -103,6 +104,7 @@ def calibrate_footprint(
     Args:
         scenes: Names of bundled scenes, two at least.
         n: Drops along each motion.
+        repeats: Motions of each kind for each task.
         seed: Of everything random.
         processes: How many to drop in; the fit is done in this one.
         drops: File that the drops are kept in, or taken from if it is there. Then only those in `scenes` count.
@@ -117,6 +119,7 @@ def calibrate_footprint(
         if name not in gp.scenes():
             raise UnknownNameError("scene", name, gp.scenes())
     check_whole("n", n, 1, MOST)
+    check_whole("repeats", repeats, 1, MOST)
     about: dict[str, Any] = {"horizon": 1.0, "motions_without": []}
     file = None if drops is None else FilePath(drops)
     if file is not None and file.exists():
@@ -124,7 +127,7 @@ def calibrate_footprint(
         about["drops_from"] = file.name
     else:
         dropped, about["motions_without"] = generate_drops(
-            scenes, n=n, seed=seed, processes=processes, progress=progress
+            scenes, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress
         )
         if file is not None:
             write_drops(file, dropped)

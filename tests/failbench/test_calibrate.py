@@ -38,6 +38,9 @@ def test_fitting_helps(dropped: list[Drops], calibrated: calibrate.Calibration) 
     assert calibrated.fitted.log_loss < before.log_loss
     assert set(calibrated.held_out) == {*SCENES, "all"}
     parts = [calibrated.held_out[name].events for name in SCENES]
+    tried = calibrated.provenance["trusts_tried"]
+    assert calibrated.held_out["all"].log_loss == pytest.approx(min(tried.values()), rel=1e-4)
+    assert min(tried, key=lambda x: tried[x]) == str(calibrated.provenance["trust"])
     assert calibrated.held_out["all"].events == sum(parts) == calibrated.fitted.events
 
 
@@ -68,7 +71,9 @@ def test_drops_do_not_depend_on_processes(monkeypatch: pytest.MonkeyPatch) -> No
     told: list[tuple[int, int]] = []
     kinds = drops.KINDS[:1]
     monkeypatch.setattr(drops, "KINDS", kinds)
-    monkeypatch.setattr(calibrate, "drop_jobs", lambda *a, **k: drops.drop_jobs(*a, **k, kinds=kinds)[:2])
+    monkeypatch.setattr(
+        calibrate, "drop_jobs", lambda *a, **k: drops.drop_jobs(*a, **{**k, "repeats": 1}, kinds=kinds)[:2]
+    )
     first, refused = calibrate.generate_drops(["tabletop_l1"], n=4, progress=lambda *x: told.append(x))
     second, _ = calibrate.generate_drops(["tabletop_l1"], n=4, processes=2)
     assert not refused

@@ -47,7 +47,7 @@ def test_it_predicts_what_the_model_does() -> None:
 def calibrated() -> calibrate.Calibration:
     jobs = [drops.drop_jobs(gp.load_scene, [name], n=20, kinds=drops.KINDS[:1])[0] for name in ("tabletop", "desk")]
     parts = [part for part in map(drops.do_job, jobs) if isinstance(part, Drops)]
-    return calibrate.calibrate(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2)
+    return calibrate.calibrate(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
 
 
 def test_the_model_reads_what_calibration_writes(calibrated: calibrate.Calibration, tmp_path: Path) -> None:
@@ -61,8 +61,10 @@ def test_the_model_reads_what_calibration_writes(calibrated: calibrate.Calibrati
 def test_the_command_keeps_its_drops_and_takes_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibrate, "drop_jobs", lambda *a, **k: drops.drop_jobs(*a, **k, kinds=drops.KINDS[:1])[::4])
-    monkeypatch.setattr(footprint_fit, "calibrate", partial(calibrate.calibrate, iterations=1))
+    monkeypatch.setattr(
+        calibrate, "drop_jobs", lambda *a, **k: drops.drop_jobs(*a, **{**k, "repeats": 1}, kinds=drops.KINDS[:1])[::4]
+    )
+    monkeypatch.setattr(footprint_fit, "calibrate", partial(calibrate.calibrate, iterations=1, trusts=(25.0,)))
     kept, first, second = (tmp_path / name for name in ("drops.npz", "first.yaml", "second.yaml"))
     options = ["--scenes", "tabletop", "tabletop_l1", "-n", "6", "--drops", str(kept), "--workers", "1"]
     assert main(["calibrate", str(first), *options]) == DONE
