@@ -32,12 +32,13 @@ SUBJECTS = (
     "paper_table",
     "drop_physics",
     "drop_prediction",
+    "trajectory_prediction",
     "failbench_speed",
     "failbench_soak",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known"})
-"""Run only when named: it takes the better part of an hour and is to be done before `planners`."""
+ON_REQUEST = frozenset({"best_known", "trajectory_prediction"})
+"""Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
 

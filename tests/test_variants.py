@@ -11,7 +11,8 @@ import graceful_plan as gp
 
 sys.path.insert(0, str(FilePath(__file__).parents[1]))
 
-from benchmarks import landing, variants
+from benchmarks import landing, suite, variants
+from benchmarks.subjects import trajectory_prediction
 
 from failbench.faults.end_effector import StuckGripper
 from graceful_plan.reference_cost import reference_probability
@@ -111,3 +112,30 @@ def test_it_is_algorithm_1_where_the_object_comes_down() -> None:
     plain = reference_probability(with_box(data.xipos[body][:2] + offset), still[None], ["carried"])[0, 0, -1]
     assert 0.0 < plain < 1.0
     assert aimed == pytest.approx(plain, abs=1e-6)
+
+
+# --- motion by motion ------------------------------------------------------------------------------------------------
+
+
+def test_motions_that_are_done_are_not_done_again(tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs = trajectory_prediction.jobs_of("tabletop_l1_scattered", trajectory_prediction.QUICK)[:3]
+    file, options = tmp_path / "store" / "done.jsonl", suite.Options()
+    asked: list[int] = []
+
+    def fake(job: tuple[int, object]) -> trajectory_prediction.Done:
+        asked.append(job[0])
+        return trajectory_prediction.Done(
+            number=job[0], label="", drops=4, observed=1.0, error=0.1, halves=(1.0, 1.0), predicted={"footprint": 0.5}
+        )
+
+    monkeypatch.setattr(trajectory_prediction, "_do", fake)
+    trajectory_prediction.go_on(file, jobs, options, until=0.0)
+    assert asked == []
+    trajectory_prediction.go_on(file, jobs, options, until=np.inf)
+    assert sorted(asked) == [0, 1, 2]
+    whole = file.read_text()
+    file.write_text(whole[:-10])  # killed while it wrote the last line
+    trajectory_prediction.go_on(file, jobs, options, until=np.inf)
+    assert len(asked) == 4
+    assert sorted(x.number for x in trajectory_prediction.read(file)) == [0, 1, 2]
+    assert file.read_text() == whole
