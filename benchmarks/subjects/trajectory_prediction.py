@@ -22,10 +22,10 @@ TITLE = "Drop model: predicted and observed impact, motion by motion"
 MEASURED = """\
 Scenes, motions and drops as in `drop_prediction`, with other seeds; motions of all kinds of a scene are mixed.
 Observed: mean over the drops of a motion of the summed severities of what the object touched. Predicted: mean of the
-sum of P S over the same onsets. "Spearman", "Kendall": rank correlations within a scene; "slope" and "Pearson" of the line
-of observed over predicted. "Halves": Spearman's correlation of the impacts observed in two halves of the drops, stepped
-up to all of them (Spearman-Brown): no prediction can be expected to exceed its square root. Intervals are 95 %, motions
-drawn with replacement.
+sum of P S over the same onsets. "Spearman", "Kendall": rank correlations within a scene; "slope" and "Pearson" of the
+line of observed over predicted. "Halves": Spearman's correlation of the impacts observed in two halves of the drops,
+stepped up to all of them (Spearman-Brown): no prediction can be expected to exceed its square root. Intervals are 95 %,
+motions drawn with replacement.
 """
 STORE = Path(__file__).resolve().parents[1] / "trajectory_drops"
 """A file for each scene and seed, a line for each motion that is done; an interrupted run goes on where it was."""
