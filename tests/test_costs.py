@@ -194,3 +194,17 @@ def test_a_custom_cost_plugs_in(task):
     assert low.status is gp.PlanStatus.SOLVED
     straight = gp.evaluate(gp.Path(np.stack([task.start, low.path.q[-1]])), task.scene, objective)
     assert low.cost.total <= straight.total + 1e-9
+
+
+def test_paces_have_their_mean_and_need_speeds_only(task):
+    path = _path(task)
+    slow, fast = (gp.evaluate(path, task.scene, gp.Objective(impact=Speed(), pace=pace)).impact for pace in (0.2, 0.4))
+    limit = np.linalg.norm(np.diff(path.q, axis=0), axis=1)
+    limit /= np.max(np.abs(np.diff(path.q, axis=0)) / task.scene.limits.velocity, axis=1)
+    at_limit = float(limit @ np.linalg.norm(np.diff(path.q, axis=0), axis=1))
+    assert fast == pytest.approx(2.0 * slow, rel=1e-12)
+    assert slow == pytest.approx(0.2 * at_limit, rel=0.02)
+    aabb = {gp.evaluate(path, task.scene, gp.Objective(pace=pace)).impact for pace in (0.0, 0.3, 1.0)}
+    assert len(aabb) == 1
+    with pytest.raises(SettingError, match=r"pace = 1\.5"):
+        gp.Objective(pace=1.5)

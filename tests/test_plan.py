@@ -314,7 +314,7 @@ def test_time_limits_that_puzzle_are_refused(time_limit):
 def test_other_arguments_that_puzzle_are_refused():
     for w in ("1", 1e300, float("inf")):
         with pytest.raises(SettingError, match="w = "):
-            checked_objective(None, w)
+            checked_objective(None, w, 1.0)
     for seed in (-1, "a", 1.5):
         with pytest.raises(SettingError, match="seed"):
             checked_seed(seed)

@@ -70,7 +70,7 @@ def plan(
     started = time.perf_counter()
     solver, rng = checked_planner(planner), checked_seed(seed)
     limit = checked_time_limit(time_limit, iterations, speed)
-    bound = checked_objective(objective, w).bind(scene)
+    bound = checked_objective(objective, w, speed).bind(scene)
     resolved_start = resolve_start(start, scene)
     if not len(resolved_start.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=resolved_start.detail)

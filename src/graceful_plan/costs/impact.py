@@ -61,10 +61,10 @@ class ImpactCost(Cost):
         """Expected severity given a failure at each state."""
         return np.einsum("nce,ce->n", self.interaction.probability(batch), self.severity(batch.scene))
 
-    def kernel(self, scene: Scene) -> ImpactKernel | None:
-        """Return the native kernel that computes the same, None if there is none."""
+    def kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
+        """Return the native kernel that computes the same, None if there is none; see `InteractionModel.kernel`."""
         # A subclass may compute otherwise.
-        return self.interaction.kernel(scene, self.severity(scene)) if type(self) is ImpactCost else None
+        return self.interaction.kernel(scene, self.severity(scene), paces) if type(self) is ImpactCost else None
 
     def is_published(self) -> bool:
         """Whether this is the published model, Algorithm 1, which a verdict can recompute on its own."""

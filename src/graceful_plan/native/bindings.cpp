@@ -189,7 +189,8 @@ NB_MODULE(_native, m) {
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a);
   nb::class_<Impact>(m, "Impact").def("states", &Impact::states_array, "q"_a).def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a);
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact").def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
-  nb::class_<DropImpact, Impact>(m, "DropImpact").def(nb::init<const DropModel&, Reals>(), "model"_a, "severity"_a, nb::keep_alive<1, 2>());
+  nb::class_<DropImpact, Impact>(m, "DropImpact")
+      .def(nb::init<const DropModel&, Reals, double, double>(), "model"_a, "severity"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>());
   nb::class_<Space>(m, "Space");
   nb::class_<SceneSpace, Space>(m, "SceneSpace")
       .def(nb::init<const Core&, const Impact&, Reals, Reals, double, double, double, double, double>(), "core"_a, "impact"_a, "lower"_a,

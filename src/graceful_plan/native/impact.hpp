@@ -160,18 +160,21 @@ class DropModel {
 // The drop model with a severity per entity; along edges at their speed.
 class DropImpact final : public Impact {
  public:
-  DropImpact(const DropModel& model, Reals severity) : Impact(model.core(), severity), model_(model) {
+  DropImpact(const DropModel& model, Reals severity, double slow, double fast)
+      : Impact(model.core(), severity), model_(model), pace_{slow, fast} {
     require(severity.size() == size_t(model.tables().n_entity), "severity is not [entity]");
+    require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
   }
   void states(const double* q, size_t n, double* impact) const override {
     core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), q, nullptr, n, impact);
   }
   void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
-    core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), q0, q1, n, step, cost);
+    core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, q0, q1, n, step, cost);
   }
 
  private:
   const DropModel& model_;
+  const double pace_[2];  // shares of the joints' speeds
 };
 
 }  // namespace

@@ -163,10 +163,11 @@ static void drop_impact(const Tables& tables, const DropTables& drop, const doub
   });
 }
 
-// The velocity is that of the edge: its slowest joint at its speed.
-static void drop_edge_costs(const Tables& tables, const DropTables& drop, const double* severity, const double* q0, const double* q1, size_t n,
-                            double step, double* cost) {
-  D rates[kMaxJoints];
+// The velocity is that of the edge: its slowest joint at a share of its speed, by turns the first and the second one.
+static void drop_edge_costs(const Tables& tables, const DropTables& drop, const double* severity, const double* pace, const double* q0,
+                            const double* q1, size_t n, double step, double* cost) {
+  D rates[kMaxJoints], share;
+  for (int i = 0; i < kLanes<double>; ++i) share[i] = pace[i % 2];
   const size_t nq = size_t(tables.n_joint);
   for (size_t k = 0; k < n; ++k) {
     const double *a = q0 + k * nq, *b = q1 + k * nq;
@@ -175,7 +176,7 @@ static void drop_edge_costs(const Tables& tables, const DropTables& drop, const 
       const double seconds = __builtin_fabs(b[j] - a[j]) / drop.speed[j];
       duration = seconds > duration ? seconds : duration;
     }
-    for (size_t j = 0; j < nq; ++j) rates[j] = D{} + (duration > 0 ? (b[j] - a[j]) / duration : 0.0);
+    for (size_t j = 0; j < nq; ++j) rates[j] = share * (duration > 0 ? (b[j] - a[j]) / duration : 0.0);
     edge_cost(tables, a, b, step, [&](const D* q) { return drop_impact_of(tables, drop, severity, q, rates); }, cost + 2 * k);
   }
 }

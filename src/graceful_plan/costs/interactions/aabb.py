@@ -34,6 +34,9 @@ class BoxOverlap(InteractionModel):
         """Return P by Algorithm 1."""
         return batch.compiled.kernels.interaction(batch.q)
 
-    def kernel(self, scene: Scene, severity: Float[Array, "component entity"]) -> ImpactKernel | None:
-        """Return the native kernel; a subclass may compute otherwise."""
+    def kernel(
+        self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
+    ) -> ImpactKernel | None:
+        """Return the native kernel, to which velocities are all the same; a subclass may compute otherwise."""
+        del paces
         return compile_scene(scene).kernels.overlap(severity) if type(self) is BoxOverlap else None

@@ -131,14 +131,16 @@ class Footprint(InteractionModel):
                 P[:, row] = drop
         return P
 
-    def kernel(self, scene: Scene, severity: Float[Array, "component entity"]) -> ImpactKernel | None:
+    def kernel(
+        self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
+    ) -> ImpactKernel | None:
         """Return the native kernel; a subclass may compute otherwise."""
         if type(self) is not Footprint:
             return None
         if scene.carried is None:  # P = 0
             return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
         falling = [name in FALLING for name in scene.components]
-        return footprint_kernel(scene, self.settings).with_severity(severity[falling].sum(axis=0))
+        return footprint_kernel(scene, self.settings).with_severity(severity[falling].sum(axis=0), paces)
 
     def drop(self, batch: StateBatch) -> Drop:
         """Return what becomes of the object, per target and per entity.

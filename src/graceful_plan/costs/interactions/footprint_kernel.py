@@ -79,9 +79,9 @@ class FootprintKernel:
         flat, rates, batch = self._states(q, qd)
         return self.native.impact(self._severity(severity), flat, rates).reshape(batch)
 
-    def with_severity(self, severity: Float[Array, " entity"]) -> ImpactKernel:
-        """Return the impact with these severities, for planners."""
-        return ImpactKernel(self.kernels, _native.DropImpact(self.native, self._severity(severity)))
+    def with_severity(self, severity: Float[Array, " entity"], paces: tuple[float, float] = (1.0, 1.0)) -> ImpactKernel:
+        """Return the impact with these severities, for planners; edges are travelled at these shares of `speed`."""
+        return ImpactKernel(self.kernels, _native.DropImpact(self.native, self._severity(severity), *paces))
 
     def _severity(self, severity: Array) -> Float[Array, " entity"]:
         if np.shape(severity) != (self.n_entity,):

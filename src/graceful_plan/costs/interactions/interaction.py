@@ -24,10 +24,14 @@ class InteractionModel(ABC):
         Laws: in [0, 1]; each state on its own; independent of severities.
         """
 
-    def kernel(self, scene: Scene, severity: Float[Array, "component entity"]) -> ImpactKernel | None:
+    def kernel(
+        self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
+    ) -> ImpactKernel | None:
         """Return the native kernel for sums of P S with these severities, None if there is none.
+
+        Along an edge, samples are by turns at the two paces: shares of the velocity at which one joint is at its limit.
 
         Law: the same as from `probability`, to rounding.
         """
-        del scene, severity
+        del scene, severity, paces
         return None
