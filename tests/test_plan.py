@@ -319,7 +319,7 @@ def test_other_arguments_that_puzzle_are_refused():
         with pytest.raises(SettingError, match="seed"):
             checked_seed(seed)
     with pytest.raises(SettingError, match="objective"):
-        checked_objective(gp.JointLength(), None)
+        checked_objective(gp.JointLength(), None, 1.0)
     with pytest.raises(SettingError, match=r"an instance: RRTStar\(\)"):
         checked_planner(gp.RRTStar)
 
