@@ -12,6 +12,9 @@ import numpy as np
 from benchmarks import report, suite
 from graceful_plan.compile import CompiledScene, compile_scene
 from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
+from graceful_plan.costs.interactions.footprint_kernel import FootprintKernel
+from graceful_plan.costs.interactions.footprint_tables import footprint_tables
 from graceful_plan.kernels import CHECK_STEP, COST_STEP, Kernels, instruction_sets
 from graceful_plan.robots import robot_file
 from graceful_plan.scene import Scene
@@ -30,6 +33,8 @@ A Panda that carries a 6 cm box, against {N_BOXES} random oriented boxes and its
 counted. "Uniform": drawn uniformly within the joint limits. Clearance is signed, that of the spheres. Algorithm 1
 runs on `tabletop` with the green cube in the gripper: "impact" is the sum of P S of carried object and contents,
 "interaction" all P with those of the links. "Edge costs" counts the samples of `edge_costs` at {COST_STEP:g} rad.
+The drop model runs on the same scene, at random joint velocities up to the limits or along edges; its pairs are those
+of a configuration and an entity.
 MuJoCo is `mj_kinematics` and `mj_collision` called from Python, with the box as a part of the hand, so that it needs
 no placing. Best of several repetitions; millions of configurations per second.
 """
@@ -50,8 +55,15 @@ class Sizes:
 FULL = Sizes(uniform=200_000, edges=10_000, heavy=50_000, mujoco=20_000, repetitions=7)
 QUICK = Sizes(uniform=20_000, edges=1000, heavy=5000, mujoco=1000, repetitions=2)
 
-WANTED = {"free edges": 6.0, "uniform": 3.0, "clearance": 1.0, "clearance and gradient": 0.5, "impact": 3.0}
-"""Targets with AVX-512, in millions of configurations per second."""
+WANTED = {
+    "free edges": 6.0,
+    "uniform": 3.0,
+    "clearance": 1.0,
+    "clearance and gradient": 0.5,
+    "impact": 3.0,
+    "drop model, pairs": 20.0,
+}
+"""Targets with AVX-512, in millions of configurations (or pairs) per second."""
 
 
 def run(options: suite.Options) -> str:
@@ -59,14 +71,14 @@ def run(options: suite.Options) -> str:
     sizes = QUICK if options.quick else FULL
     rng = np.random.default_rng(0)
     boxes = compile_scene(boxes_scene(np.random.default_rng(0)))
-    tabletop = compile_scene(_carrying(suite.scene("tabletop")))
-    severity = ImpactCost().severity(_carrying(suite.scene("tabletop")))
+    tabletop = _carrying(suite.scene("tabletop"))
     lower, upper = boxes.robot.lower, boxes.robot.upper
     q = rng.uniform(lower, upper, (sizes.uniform, len(lower)))
     edges = free_edges(boxes.kernels, q, sizes.edges, rng)
     rates = {
         isa: _rates(Kernels(boxes.robot, boxes.world, boxes.hazards, isa=isa), q, edges, sizes)
-        | _impact_rates(Kernels(tabletop.robot, tabletop.world, tabletop.hazards, isa=isa), severity, q, edges, sizes)
+        | _impact_rates(tabletop, isa, q, edges, sizes)
+        | _drop_rates(tabletop, isa, q, edges, sizes)
         for isa in instruction_sets()
     }
     rates["MuJoCo"] = _mujoco_rates(q, edges, sizes)
@@ -147,15 +159,35 @@ def _rates(kernels: Kernels, q: Array, edges: tuple[Array, Array], sizes: Sizes)
     return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
 
 
-def _impact_rates(
-    kernels: Kernels, severity: Array, q: Array, edges: tuple[Array, Array], sizes: Sizes
-) -> dict[str, float]:
+def _kernels(scene: Scene, isa: str) -> Kernels:
+    compiled = compile_scene(scene)
+    return Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+
+
+def _impact_rates(scene: Scene, isa: str, q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
+    kernels, severity = _kernels(scene, isa), ImpactCost().severity(scene)
     heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
     samples = int(np.ceil(length / COST_STEP).sum()) + len(length)
     work: dict[str, tuple[int, Callable[[], object]]] = {
         "impact": (len(heavy), lambda: kernels.impact(heavy, severity)),
         "interaction": (len(heavy), lambda: kernels.interaction(heavy)),
         "edge costs": (samples, lambda: kernels.edge_costs(*edges, severity)),
+    }
+    return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
+
+
+def _drop_rates(scene: Scene, isa: str, q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
+    tables, limit = footprint_tables(scene), scene.limits.velocity
+    constants = FootprintSettings.shipped().of(tables.shape_class)
+    drop = FootprintKernel(tables, constants, _kernels(scene, isa), limit, len(scene.entities))
+    heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
+    rates = limit * np.random.default_rng(2).uniform(-1.0, 1.0, heavy.shape)
+    charged = drop.with_severity(np.ones(len(scene.entities)))
+    samples = int(np.ceil(length / COST_STEP).sum()) + len(length)
+    work: dict[str, tuple[int, Callable[[], object]]] = {
+        "drop model": (len(heavy), lambda: drop.probability(heavy, rates)),
+        "drop model, pairs": (len(heavy) * len(scene.entities), lambda: drop.probability(heavy, rates)),
+        "drop model, edge costs": (samples, lambda: charged.edges(*edges)),
     }
     return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
 

@@ -4,8 +4,10 @@
 constexpr double kGravity = 9.81;
 constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
 constexpr double kHalfRoot = 0.70710678118654752440;
-constexpr double kTail = 32.0;      // scales of noise beyond which nothing happens: e^-32 is 1e-14
-constexpr double kNothing = 1e-14;  // a probability that does not matter
+constexpr double kTail = 29.0;      // scales of noise beyond which nothing happens: e^-29 is 3e-13
+constexpr double kNothing = 1e-13;  // a probability that does not matter
+constexpr double kTouch = 0.008;    // how sharply a part passes the height of a top [m]
+constexpr double kAbove = -kTouch * (1.0 + kTail * kBeta);  // lower above a top than that, a part does not come down on it
 constexpr double kLeastMass = 1e-6;
 
 // --- functions ------------------------------------------------------------------------------------------------------
@@ -22,7 +24,8 @@ static inline Vec<D> cross(const Vec<D>& a, const Vec<D>& b) {
 }
 
 // e^x, held at what is nothing in a probability.
-static inline D weight(D x) { return exponential(minimum(maximum(x, D{} - 60.0), D{} + 60.0)); }
+static inline D tail(D x) { return exponential(maximum(x, D{} - 60.0)); }
+static inline D odds(D x) { return tail(minimum(x, D{} + 60.0)); }
 
 // A product of probabilities with one division for all of them: no factor of `under` is below 1.
 struct Chance {
@@ -31,13 +34,15 @@ struct Chance {
   // P(|x + noise| < A), for logistic noise of the given scale.
   void within(D x, D A, D inverse_scale) {
     A = maximum(A, D{} + 1e-4);
-    const D f = weight((absolute(x) - A) * inverse_scale), h = weight(-(absolute(x) + A) * inverse_scale);
+    const D inside = (A - absolute(x)) * inverse_scale;
+    if (!any(inside < kTail)) return;  // certain: the ground, large tables
+    const D f = odds(-inside), h = tail(-(absolute(x) + A) * inverse_scale);
     over *= 1.0 - f * h;
     under *= (1.0 + f) * (1.0 + h);
   }
   // P(noise < u), for noise of standard deviation 1.
-  void below(D u) { under *= 1.0 + weight(u * (-1.0 / kBeta)); }
-  D value() const { return over / under; }
+  void below(D u) { under *= 1.0 + odds(u * (-1.0 / kBeta)); }
+  D value() const { return over * reciprocal(under); }
 };
 
 static inline D fall(D vz, D h) {
@@ -56,7 +61,7 @@ struct FlyingPart {
 struct Flight {
   Vec<D> c, v, w;
   FlyingPart part[kMaxDropParts];
-  D low, high, tilt, speed;
+  D low, high, highest_bottom, tilt, speed;
   D turn_speed, late;  // |w|, and how much later than the lowest part another may be down, at most
 };
 
@@ -102,15 +107,14 @@ static inline void release(const Tables& tables, const DropTables& drop, const F
   flight.c = transform(X, drop.centre);
   flight.v = flight.w = {D{}, D{}, D{}};
   if (qd) add_joint_velocities(tables, drop.link, X_W, qd, flight);
-  D highest_bottom = D{} - 1e9;
-  flight.low = D{} + 1e9, flight.high = D{} - 1e9;
+  flight.low = D{} + 1e9, flight.high = flight.highest_bottom = D{} - 1e9;
   for (int p = 0; p < drop.n_part; ++p) {
     FlyingPart& part = flight.part[p];
     place_part(drop.part[p], X, flight, part);
     const D up = reach(drop.part[p], part.axis + 6), z = flight.c.z + part.o.z;
     part.bottom = z - up;
     flight.low = minimum(flight.low, part.bottom), flight.high = maximum(flight.high, z + up);
-    highest_bottom = maximum(highest_bottom, part.bottom);
+    flight.highest_bottom = maximum(flight.highest_bottom, part.bottom);
   }
   for (int p = 0; p < drop.n_part; ++p) {
     const D above = (flight.part[p].bottom - flight.low) * (1.0 / 0.012);
@@ -118,9 +122,9 @@ static inline void release(const Tables& tables, const DropTables& drop, const F
   }
   flight.tilt = tilt_of(drop.part[drop.main].shape, flight.part[drop.main].axis);
   flight.speed = square_root(flight.v.x * flight.v.x + flight.v.y * flight.v.y + 1e-4);
-  flight.turn_speed = square_root(flight.w.x * flight.w.x + flight.w.y * flight.w.y + flight.w.z * flight.w.z);
+  flight.turn_speed = square_root(flight.w.x * flight.w.x + flight.w.y * flight.w.y + flight.w.z * flight.w.z + 1e-12);
   // Heights differ by so much at most, and a square root of a sum is below the sum of the square roots.
-  flight.late = square_root((highest_bottom - flight.low) * (2.0 / kGravity));
+  flight.late = square_root((flight.highest_bottom - flight.low) * (2.0 / kGravity) + 1e-12);
 }
 
 // --- 1. first contact -----------------------------------------------------------------------------------------------
@@ -155,6 +159,7 @@ struct Passage {
   bool detailed = false;
   struct {
     D x, y, inverse_scale, passes;  // of each part when it is down there; 1 + e^.. of the gate that it has to be above
+    Mask<double> above;
   } part[kMaxDropParts];
 
   void move_to(const DropTables& drop, const Flight& flight, double height) {
@@ -168,6 +173,7 @@ struct Passage {
     near = drop.radius * (1.0 + flight.turn_speed * (late + k.delay)) + flight.speed * flight.late +
            kTail * kBeta * (k.position_spread + k.velocity_spread * late);
     near *= 1.4142135623730951;  // a margin in the surface's axes is less than that in W's
+    near = flight.highest_bottom - top > kAbove ? near : D{} - 1e9;
   }
   void detail(const DropTables& drop, const Flight& flight) {
     if (detailed) return;
@@ -175,12 +181,13 @@ struct Passage {
     for (int p = 0; p < drop.n_part; ++p) {
       const FlyingPart& flying = flight.part[p];
       const D h = flying.bottom - top, t = fall(flight.v.z, h), spread = k.velocity_spread * t;
-      part[p].inverse_scale = (1.0 / kBeta) / square_root(k.position_spread * k.position_spread + spread * spread);
+      part[p].inverse_scale = (1.0 / kBeta) * inverse_root(k.position_spread * k.position_spread + spread * spread);
       part[p].x = flight.c.x + flying.o.x + flying.u.x * (t + k.delay);
       part[p].y = flight.c.y + flying.o.y + flying.u.y * (t + k.delay);
       Chance gate;
-      gate.below(h * (1.0 / 0.008) + 1.0);
+      gate.below(h * (1.0 / kTouch) + 1.0);
       part[p].passes = gate.under;
+      part[p].above = h > kAbove;
     }
     detailed = true;
   }
@@ -201,7 +208,8 @@ static inline D overlap(const DropTables& drop, const Flight& flight, const Surf
     const auto& r = reaches.part[p];
     const Point2 at = placed(s, part.x, part.y);
     const D a = s.half[0] + r.x, b = s.half[1] + r.y;
-    if (!any(((absolute(at.x) - a) * part.inverse_scale < kTail) & ((absolute(at.y) - b) * part.inverse_scale < kTail))) continue;
+    const auto near_x = (absolute(at.x) - a) * part.inverse_scale < kTail, near_y = (absolute(at.y) - b) * part.inverse_scale < kTail;
+    if (!any(near_x & near_y & part.above)) continue;
     Chance chance;
     chance.within(at.x, a, part.inverse_scale);
     chance.within(at.y, b, part.inverse_scale);
@@ -247,14 +255,14 @@ struct Moments {
 // T: P that the object does not stay on what carries it, and n: where to it leaves.
 static inline D leaves(const DropTables& drop, const Flight& flight, const Moments& m, Point2& away) {
   const DropConstants& k = drop.constants;
-  const D share = 1.0 / (m.area + 1e-6), ex = m.x * share, ey = m.y * share;
+  const D share = reciprocal(m.area + 1e-6), ex = m.x * share, ey = m.y * share;
   const D xx = m.xx * share - ex * ex + 1e-5, yy = m.yy * share - ey * ey + 1e-5, xy = m.xy * share - ex * ey;
   const D det = maximum(xx * yy - xy * xy, D{} + 1e-11);
-  const D d2 = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) / det, off = d2 / (3.0 + d2), narrow = det / (xx + yy);
-  const D height = flight.c.z - flight.low, distance = -off / square_root(ex * ex + ey * ey + 1e-6);
+  const D d2 = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) * reciprocal(det), off = d2 * reciprocal(3.0 + d2);
+  const D height = flight.c.z - flight.low, distance = -off * inverse_root(ex * ex + ey * ey + 1e-6);
   away = {distance * ex, distance * ey};
   const D u = k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * flight.speed + 2.0 * k.leave_tilt * flight.tilt +
-              0.5 * k.leave_narrow * logarithm((height * height + 1e-6) / (3.0 * narrow));
+              0.5 * k.leave_narrow * logarithm((height * height + 1e-6) * (xx + yy) * reciprocal(3.0 * det));
   Chance chance;
   chance.below(u);
   return chance.value();
@@ -293,7 +301,7 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
   for (int l = 0; l < drop.n_level; ++l) {
     D sum, missed;
     meet_level(drop, flight, l, any(arrives > kNothing), passage, reaches, landing, sum, missed);
-    const D first = arrives * (1.0 - missed), share = first / (sum + kLeastMass);
+    const D first = arrives * (1.0 - missed), share = first * reciprocal(sum + kLeastMass);
     landing.first[l] = landing.leaving[l] = D{}, landing.away[l] = {D{}, D{}};
     if (!any(sum > 0.0)) continue;
     const bool lands = any(first > kNothing);
@@ -310,7 +318,7 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
     if (lands) landing.leaving[l] = landing.first[l] * leaves(drop, flight, moments, landing.away[l]);
   }
   landing.total = landing.landed + kLeastMass;
-  const D share = 1.0 / landing.total;
+  const D share = reciprocal(landing.total);
   landing.mean_time = sum_time * share, landing.height = sum_height * share, landing.fallen = sum_fallen * share;
   landing.x = flight.c.x + flight.v.x * landing.mean_time, landing.y = flight.c.y + flight.v.y * landing.mean_time;
   const D late = c.velocity_spread * landing.mean_time, deep = c.height_spread * landing.fallen;
@@ -331,23 +339,23 @@ struct Tumble {
     const DropConstants& k = drop.constants;
     const double tumbling = k.size_spread * drop.size;
     const D v2 = flight.v.x * flight.v.x + flight.v.y * flight.v.y;
-    inverse_scale = (1.0 / kBeta) / square_root(landing.blur + tumbling * tumbling + k.carry_spread * k.carry_spread * v2);
+    inverse_scale = (1.0 / kBeta) * inverse_root(landing.blur + tumbling * tumbling + k.carry_spread * k.carry_spread * v2);
     start = {landing.x + k.carry * flight.v.x, landing.y + k.carry * flight.v.y};
   }
   bool enter(const DropTables& drop) {
     keep = D{} + 1.0;
     if (!any(mass > kNothing)) return false;
-    const D moved = drop.constants.drift * drop.size / (mass + kLeastMass);
+    const D moved = drop.constants.drift * drop.size * reciprocal(mass + kLeastMass);
     x = start.x + drift.x * moved, y = start.y + drift.y * moved;
     return true;
   }
-  // G, and whether it goes on.
-  D hit(const DropTables& drop, const Surface& s) {
+  // G, if it is wanted, and whether it goes on.
+  D hit(const DropTables& drop, const Surface& s, bool wanted) {
     const Point2 at = placed(s, x, y);
     if (!any(((absolute(at.x) - s.near[0]) * inverse_scale < kTail) & ((absolute(at.y) - s.near[1]) * inverse_scale < kTail))) return D{};
     Chance hits, caught;
-    hits.within(at.x, D{} + s.reached[0], inverse_scale);
-    hits.within(at.y, D{} + s.reached[1], inverse_scale);
+    if (wanted) hits.within(at.x, D{} + s.reached[0], inverse_scale);
+    if (wanted) hits.within(at.y, D{} + s.reached[1], inverse_scale);
     caught.within(at.x, D{} + s.inside[0], inverse_scale);
     caught.within(at.y, D{} + s.inside[1], inverse_scale);
     keep *= 1.0 - drop.constants.catches * caught.value();
@@ -371,13 +379,13 @@ struct Sweep {
       leaves += landing.leaving[l];
       nx += landing.leaving[l] * landing.away[l].x, ny += landing.leaving[l] * landing.away[l].y;
     }
-    const D share = 1.0 / landing.total;
+    const D share = reciprocal(landing.total);
     leaves *= share;
     x = landing.x + k.slide * flight.v.x + k.drift * drop.size * (nx * share);
     y = landing.y + k.slide * flight.v.y + k.drift * drop.size * (ny * share);
     const double resting = k.side_spread * drop.size;
     const D toppling = k.size_spread * drop.size * leaves;
-    inverse_scale = (1.0 / kBeta) / square_root(landing.blur + resting * resting + toppling * toppling);
+    inverse_scale = (1.0 / kBeta) * inverse_root(landing.blur + resting * resting + toppling * toppling);
     reach = (k.side_reach + k.topple_reach * leaves) * drop.size;
     top = landing.height + flight.high - flight.low;
   }
@@ -416,8 +424,9 @@ static inline void drop_probability(const Tables& tables, const DropTables& drop
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
     for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
       const Surface& s = drop.surface[k];
-      const D G = tumbles ? tumble.hit(drop, s) : D{}, C = landing.contact[k];
-      if (s.entity < 0 || (severity && severity[s.entity] == 0.0)) continue;
+      const bool wanted = s.entity >= 0 && !(severity && severity[s.entity] == 0.0);
+      const D G = tumbles ? tumble.hit(drop, s, wanted) : D{}, C = landing.contact[k];
+      if (!wanted) continue;
       const D H = sweeps ? sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)) : D{};
       P[s.entity] = maximum(P[s.entity], 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H));
     }

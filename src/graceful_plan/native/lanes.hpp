@@ -72,16 +72,43 @@ static inline F square_root(F a) {
 #endif
 }
 
-static inline Lanes<double> square_root(Lanes<double> a) {
+// 1/x and 1/sqrt(x) for normal x > 0, good to 1e-15. With AVX-512, two steps of Newton's method from the machine's estimate
+// take a quarter of the time of a division or of a square root.
+static inline Lanes<double> reciprocal(Lanes<double> x) {
 #if defined(__AVX512F__)
-  return (Lanes<double>)_mm512_maskz_sqrt_pd(__mmask8(0xff), (__m512d)a);  // as above
+  Lanes<double> y = (Lanes<double>)_mm512_maskz_rcp14_pd(__mmask8(0xff), (__m512d)x);
+  y += y * (1.0 - x * y);
+  return y + y * (1.0 - x * y);
+#else
+  return 1.0 / x;
+#endif
+}
+static inline Lanes<double> inverse_root(Lanes<double> x) {
+#if defined(__AVX512F__)
+  const Lanes<double> half = 0.5 * x;
+  Lanes<double> y = (Lanes<double>)_mm512_maskz_rsqrt14_pd(__mmask8(0xff), (__m512d)x);
+  y += y * (0.5 - half * y * y);
+  return y + y * (0.5 - half * y * y);
 #elif defined(__AVX2__)
-  return (Lanes<double>)_mm256_sqrt_pd((__m256d)a);
+  return 1.0 / (Lanes<double>)_mm256_sqrt_pd((__m256d)x);
 #elif defined(__SSE2__)
-  return (Lanes<double>)_mm_sqrt_pd((__m128d)a);
+  return 1.0 / (Lanes<double>)_mm_sqrt_pd((__m128d)x);
 #else
   Lanes<double> r;
-  for (int i = 0; i < kLanes<double>; ++i) r[i] = __builtin_sqrt(a[i]);
+  for (int i = 0; i < kLanes<double>; ++i) r[i] = 1.0 / __builtin_sqrt(x[i]);
+  return r;
+#endif
+}
+static inline Lanes<double> square_root(Lanes<double> x) {
+#if defined(__AVX512F__)
+  return x * inverse_root(x);
+#elif defined(__AVX2__)
+  return (Lanes<double>)_mm256_sqrt_pd((__m256d)x);
+#elif defined(__SSE2__)
+  return (Lanes<double>)_mm_sqrt_pd((__m128d)x);
+#else
+  Lanes<double> r;
+  for (int i = 0; i < kLanes<double>; ++i) r[i] = __builtin_sqrt(x[i]);
   return r;
 #endif
 }
@@ -109,7 +136,7 @@ static inline Lanes<double> logarithm(Lanes<double> x) {
   const D m = (D)((bits & 0x000fffffffffffff) | 0x3ff0000000000000);  // [1, 2)
   const auto upper = m > 1.4142135623730951;
   const D y = upper ? 0.5 * m : m, e = upper ? exponent + 1.0 : exponent;
-  const D s = (y - 1.0) / (y + 1.0), z = s * s;
+  const D s = (y - 1.0) * reciprocal(y + 1.0), z = s * s;
   const D series = 1.0 + z * (1.0 / 3 + z * (1.0 / 5 + z * (1.0 / 7 + z * (1.0 / 9 + z * (1.0 / 11 + z * (1.0 / 13 + z * (1.0 / 15 +
                    z * (1.0 / 17 + z * (1.0 / 19 + z * (1.0 / 21))))))))));
   return e * 6.93147180559945286227e-01 + 2.0 * s * series;
