@@ -183,9 +183,22 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
             for a, b, c in zip(q, qd, qdd, strict=True)
         ]
     )
-    command = np.zeros((steps + 1, model.nu))
+    command = np.tile(_standing(world), (steps + 1, 1))
     command[:, robot.actuators] = (robot.kp * q + robot.kd * qd + torque) / robot.gain
     command[:, robot.gripper_actuators] = robot.grip_closed
+    return command
+
+
+def _standing(world: World) -> Float[Array, " actuator"]:
+    """Return commands with which every position servo holds its joint where the scene has it."""
+    model = world.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = world.scene.home_qpos
+    mujoco.mj_fwdPosition(model, data)
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    servo = (bias[:, 1] < 0.0) & (gain != 0.0)
+    command = np.zeros(model.nu)
+    command[servo] = -(bias[servo, 0] + bias[servo, 1] * data.actuator_length[servo]) / gain[servo]
     return command
 
 
