@@ -169,7 +169,7 @@ def warnings_counted_only() -> Generator[None, None, None]:
 
 def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
     """Return what the healthy controller sends: positions, plus needed torques as offsets of the servos' targets."""
-    robot, model, scene = world.robot, world.model, world.scene
+    robot, scene = world.robot, world.scene
     dynamics = RobotDynamics(scene)
     times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
     q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))

@@ -91,7 +91,7 @@ def test_a_healthy_run_that_blows_up_is_refused_and_leaves_no_log(tmp_path, monk
 
 def test_a_motion_that_takes_too_long_is_refused(task):
     q = np.stack([task.start, task.start])
-    with pytest.raises(gp.SettingError, match="duration of the trajectory = 1000000.0, expected at most"):
+    with pytest.raises(gp.SettingError, match=r"duration of the trajectory = 1000000\.0, expected at most"):
         execute(
             gp.Trajectory(np.array([0.0, 1e6]), q, 0.0 * q, 0.0 * q, task.scene.joints),
             world("tabletop", "green_to_blue"),
