@@ -22,7 +22,7 @@ STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CHECKPOINT = 5
 """Steps from one checkpoint to the next."""
 
-_LONGEST = 200.0
+LONGEST = 200.0
 """Longest motion and horizon [s]: states and commands of all steps are in memory."""
 _SETTLE = 0.4
 """Time for the fingers to close and for everything to come to rest before the motion begins [s]."""
@@ -78,8 +78,8 @@ class Execution:
         Raises:
             SettingError: If that is none, or more than there is memory for.
         """
-        if not self.dt <= horizon <= _LONGEST:
-            raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {_LONGEST:g} s")
+        if not self.dt <= horizon <= LONGEST:
+            raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {LONGEST:g} s")
         return round(horizon / self.dt)
 
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
@@ -99,8 +99,8 @@ def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: Wor
     if not isinstance(motion, Trajectory):
         path = motion if isinstance(motion, Path) else Path(np.asarray(motion, dtype=float))
         motion = retime(path, world.scene.limits, world.scene.joints)
-    if motion.duration > _LONGEST:
-        raise SettingError("duration of the trajectory", motion.duration, f"at most {_LONGEST:g} s")
+    if motion.duration > LONGEST:
+        raise SettingError("duration of the trajectory", motion.duration, f"at most {LONGEST:g} s")
     if motion.joints != world.scene.joints:
         raise SettingError("joints of the trajectory", motion.joints, f"those of the scene: {world.scene.joints}")
     return motion

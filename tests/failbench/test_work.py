@@ -144,9 +144,11 @@ def test_unknown_task_names_the_tasks():
         ({"motions": (PLANNED, PLANNED)}, "all of different names"),
         ({"faults": ()}, "faults"),
         ({"rollouts": 0}, "rollouts"),
+        ({"rollouts": 10**12}, "rollouts"),
         ({"seed": -1}, "seed"),
         ({"horizon": float("nan")}, "horizon"),
         ({"horizon": 0.001}, "horizon"),
+        ({"horizon": 1e9}, "horizon"),
     ],
 )
 def test_senseless_sweeps_are_refused(change, message):
