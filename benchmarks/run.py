@@ -33,6 +33,7 @@ SUBJECTS = (
     "drop_physics",
     "failbench_speed",
     "failbench_soak",
+    "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset({"best_known"})
