@@ -320,6 +320,8 @@ def _motion(document: Any, source: str) -> Motion:
             raise FormatError(source, f"{key} has to be text, not {document[key]!r}")
     if plan is not None:
         _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
+    if trajectory is not None and not isinstance(trajectory, dict):  # as text it would be the name of a file
+        raise FormatError(source, f"trajectory has to be an object, not {trajectory!r}")
     return Motion(
         name=document["name"],
         scene=document["scene"],
