@@ -175,10 +175,7 @@ def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
         (lambda d: d["settings"].update(gravity=0), "settings: unknown keys: gravity"),
         (lambda d: d["motions"][0].update(scene=3), "motion 0: scene has to be text, not 3"),
         (lambda d: d["motions"][0].update(trajectory={"t": [0.0]}), "missing keys"),
-        (
-            lambda d: d["motions"][0].update(trajectory="t.json"),
-            "motion 0: trajectory has to be an object, not 't.json'",
-        ),
+        (lambda d: d["motions"][0].update(trajectory="t.json"), "trajectory has to be an object, not 't.json'"),
         (lambda d: d.update(motions=3), "a value of the wrong type"),
         (lambda d: d.update(horizon="long"), "a value of the wrong type"),
         (lambda d: d.update(faults=["gripper_failure"]), "a value of the wrong type"),
