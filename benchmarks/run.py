@@ -35,6 +35,7 @@ SUBJECTS = (
     "trajectory_prediction",
     "failbench_speed",
     "failbench_soak",
+    "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset({"best_known", "trajectory_prediction"})

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import graceful_plan as gp
 from graceful_plan import contacts
 from graceful_plan.contacts import allowed_pairs, geoms_named, without
 from graceful_plan.elements import AllowedContact
@@ -110,3 +111,23 @@ def test_allowed_pairs_are_taken_out() -> None:
 def test_when_is_one_of_two_words() -> None:
     with pytest.raises(SettingError, match="when = 'often', expected 'always' or 'ends'"):
         AllowedContact("hand", "cup", "often")
+
+
+def test_a_gripper_whose_bodies_nobody_named_can_hold():
+    scene = gp.Scene.from_mjcf(
+        """<mujoco><worldbody>
+          <body name="arm"><joint name="j"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+            <site name="tool" pos="0.4 0 0"/>
+            <body pos="0.4 0.03 0"><geom type="box" size="0.02 0.01 0.01"/></body></body>
+          <body name="block" pos="1 0 0"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
+        </worldbody></mujoco>""",
+        robot="arm",
+        tool="tool",
+        velocity=[1.0],
+        acceleration=[1.0],
+        carried="block",
+    )
+    finger, block = 1, 2
+    assert (finger, block) in scene.allowed_pairs("always")
+    with pytest.raises(UnknownNameError):
+        geoms_named(scene.model, "#99")

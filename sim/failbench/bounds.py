@@ -17,7 +17,7 @@ _ANYWHERE = 1e6
 class Bounds:
     """Axis-aligned boxes around the entities of a world. Movable ones are numbered by their order in `world.movable`.
 
-    An entity whose parts move against each other is taken to be anywhere.
+    An entity whose parts move against each other, or that something else moves, is taken to be anywhere.
     """
 
     def __init__(self, world: World) -> None:
@@ -100,6 +100,8 @@ def _box(world: World, data: mujoco.MjData, name: str) -> tuple[Float[Array, " x
             return np.zeros(3), np.full(3, _ANYWHERE)
         R_WB = data.xmat[body].reshape(3, 3)
         R, p = np.einsum("ji,gjk->gik", R_WB, R), (p - data.xpos[body]) @ R_WB
+    elif model.body_weldid[list(world.entity_bodies[name])].any():
+        return np.zeros(3), np.full(3, _ANYWHERE)
     centre = p + np.einsum("gij,gj->gi", R, model.geom_aabb[geoms, :3])
     half = np.einsum("gij,gj->gi", np.abs(R), _half_sizes(model, geoms))
     low, high = (centre - half).min(axis=0), (centre + half).max(axis=0)

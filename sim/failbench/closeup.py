@@ -74,7 +74,7 @@ class Closeup:
         return None if contacts is None else contacts.normal
 
     def touch(self, striker: int, struck: int) -> Touch | None:
-        """Return how one owner strikes another; None if they do not touch."""
+        """Return how one owner strikes another in a state in which they have just met; None if they do not touch."""
         contacts = self._between(striker, struck)
         if contacts is None:
             return None
@@ -85,7 +85,8 @@ class Closeup:
         own, other = self._jacobians
         mujoco.mj_jac(model, data, own, None, contacts.position, contacts.striker)
         mujoco.mj_jac(model, data, other, None, contacts.position, contacts.struck)
-        speed = max(0.0, float(contacts.normal @ ((own - other) @ data.qvel)))
+        # Of things that have just met, MuJoCo's normals may point either way; but they do approach.
+        speed = abs(float(contacts.normal @ ((own - other) @ data.qvel)))
         along = contacts.normal @ own
         response = np.zeros((1, model.nv))
         mujoco.mj_solveM(model, data, response, along[None])

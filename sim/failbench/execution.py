@@ -22,7 +22,7 @@ STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CHECKPOINT = 5
 """Steps from one checkpoint to the next."""
 
-_LONGEST = 200.0
+LONGEST = 200.0
 """Longest motion and horizon [s]: states and commands of all steps are in memory."""
 _SETTLE = 0.4
 """Time for the fingers to close and for everything to come to rest before the motion begins [s]."""
@@ -78,8 +78,8 @@ class Execution:
         Raises:
             SettingError: If that is none, or more than there is memory for.
         """
-        if not self.dt <= horizon <= _LONGEST:
-            raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {_LONGEST:g} s")
+        if not self.dt <= horizon <= LONGEST:
+            raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {LONGEST:g} s")
         return round(horizon / self.dt)
 
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
@@ -99,8 +99,8 @@ def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: Wor
     if not isinstance(motion, Trajectory):
         path = motion if isinstance(motion, Path) else Path(np.asarray(motion, dtype=float))
         motion = retime(path, world.scene.limits, world.scene.joints)
-    if motion.duration > _LONGEST:
-        raise SettingError("duration of the trajectory", motion.duration, f"at most {_LONGEST:g} s")
+    if motion.duration > LONGEST:
+        raise SettingError("duration of the trajectory", motion.duration, f"at most {LONGEST:g} s")
     if motion.joints != world.scene.joints:
         raise SettingError("joints of the trajectory", motion.joints, f"those of the scene: {world.scene.joints}")
     return motion
@@ -169,7 +169,7 @@ def warnings_counted_only() -> Generator[None, None, None]:
 
 def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
     """Return what the healthy controller sends: positions, plus needed torques as offsets of the servos' targets."""
-    robot, model, scene = world.robot, world.model, world.scene
+    robot, scene = world.robot, world.scene
     dynamics = RobotDynamics(scene)
     times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
     q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))
@@ -183,9 +183,22 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
             for a, b, c in zip(q, qd, qdd, strict=True)
         ]
     )
-    command = np.zeros((steps + 1, model.nu))
+    command = np.tile(_standing(world), (steps + 1, 1))
     command[:, robot.actuators] = (robot.kp * q + robot.kd * qd + torque) / robot.gain
     command[:, robot.gripper_actuators] = robot.grip_closed
+    return command
+
+
+def _standing(world: World) -> Float[Array, " actuator"]:
+    """Return commands with which every position servo holds its joint where the scene has it."""
+    model = world.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = world.scene.home_qpos
+    mujoco.mj_fwdPosition(model, data)
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    servo = (bias[:, 1] < 0.0) & (gain != 0.0)
+    command = np.zeros(model.nu)
+    command[servo] = -(bias[servo, 0] + bias[servo, 1] * data.actuator_length[servo]) / gain[servo]
     return command
 
 

@@ -7,6 +7,7 @@ chunk costs a hundred times as much as that, and then even a power cut loses not
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sqlite3
 import zlib
@@ -26,6 +27,10 @@ _TABLES = (
     "CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT",
     "CREATE TABLE chunks (id INTEGER PRIMARY KEY, name TEXT NOT NULL, rows BLOB, error TEXT NOT NULL) STRICT",
 )
+
+
+def _checksum(about: Any) -> str:
+    return hashlib.sha256(json.dumps(about).encode()).hexdigest()
 
 
 class Journal:
@@ -68,6 +73,8 @@ class Journal:
         if self.begun and (self._about("schema"), self._about("version")) != (_SCHEMA, _VERSION):
             found = f"{self._about('schema')} version {self._about('version')}"
             raise FormatError(str(self.file), f"{found}; this version reads {_SCHEMA} version {_VERSION}")
+        if self.begun and self._about("sha256") != _checksum(self._about("about")):
+            raise FormatError(str(self.file), "damaged: what the sweep is about does not fit its checksum")
 
     def __enter__(self) -> Journal:
         return self
@@ -80,7 +87,7 @@ class Journal:
         with self._errors(), self._transaction():
             for table in _TABLES:
                 self._database.execute(table)
-            document = {"schema": _SCHEMA, "version": _VERSION, "about": dict(about)}
+            document = {"schema": _SCHEMA, "version": _VERSION, "about": dict(about), "sha256": _checksum(dict(about))}
             self._database.executemany(
                 "INSERT INTO about VALUES (?, ?)", [(key, json.dumps(value)) for key, value in document.items()]
             )
@@ -152,7 +159,8 @@ class Journal:
         try:
             yield
         except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            # What Python itself finds wrong has no code.
+            if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
                 raise JournalBusy(self.file) from None
             raise FormatError(str(self.file), f"cannot be used: {error}") from None
         except (sqlite3.DatabaseError, zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:

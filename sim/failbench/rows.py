@@ -10,6 +10,7 @@ from failbench.execution import Execution
 from failbench.faults import to_document
 from failbench.records import Rollout
 from failbench.score import energy_impact, observed_impact, secondary_impact
+from graceful_plan import Scene
 
 
 def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
@@ -25,12 +26,8 @@ def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
         "seed": job.seed,
         "weight": job.weight,
         "status": rollout.status,
-        "observed_impact": _number(observed_impact(rollout, scene)),
-        "energy_impact": _number(energy_impact(rollout, scene)),
-        "secondary_impact": _number(secondary_impact(rollout, scene)),
+        **_consequences(rollout, scene),
         "contacts": len(rollout.events),
-        "dropped": bool(rollout.dropped),
-        "spilled": _number(rollout.spilled),
         "fell": list(rollout.fell),
         "tipped": list(rollout.tipped),
         "left_support": list(rollout.left_support),
@@ -38,6 +35,19 @@ def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
             {"name": name, "wxyz_xyz": [_number(x) for x in pose]} for name, pose in sorted(rollout.poses.items())
         ],
         "state": None if rollout.state is None else [float(x) for x in rollout.state],
+    }
+
+
+def _consequences(rollout: Rollout, scene: Scene) -> dict[str, Any]:
+    """Return what can be averaged; null where nothing is known, so that nobody takes it for harmless."""
+    if rollout.status == "diverged":
+        return dict.fromkeys(("observed_impact", "energy_impact", "secondary_impact", "dropped", "spilled"))
+    return {
+        "observed_impact": _number(observed_impact(rollout, scene)),
+        "energy_impact": _number(energy_impact(rollout, scene)),
+        "secondary_impact": _number(secondary_impact(rollout, scene)),
+        "dropped": bool(rollout.dropped),
+        "spilled": _number(rollout.spilled),
     }
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from failbench.bounds import rotations
 from failbench.closeup import Closeup
+from failbench.execution import CHECKPOINT
 from failbench.puddle import Parcel, Puddles
 from failbench.records import ContactEvent
 from failbench.vessel import Vessel, find_vessel
@@ -22,8 +23,8 @@ from graceful_plan.array_types import Float
 
 Array = np.ndarray
 
-STRIDE = 5
-"""Steps from one sample of the container's motion to the next."""
+STRIDE = CHECKPOINT
+"""Steps from one sample of the container's motion to the next; the healthy run is sampled at its checkpoints."""
 _SLOSH = 0.03
 """Time to either side over which the acceleration is averaged [s]."""
 _WEIGHTLESS = 0.2
@@ -118,7 +119,7 @@ def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
 
     Args:
         world: Where.
-        states: MuJoCo's integration state, which begins with time, positions and velocities, every `STRIDE` steps.
+        states: MuJoCo's integration state, which begins with time, positions and velocities, at each checkpoint.
     """
     vessel = find_vessel(world)
     if vessel is None:

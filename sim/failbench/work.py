@@ -11,12 +11,12 @@ from typing import Any
 
 import graceful_plan as gp
 from failbench.chunks import Chunk, Rows
-from failbench.execution import Execution, execute
+from failbench.execution import LONGEST, Execution, execute
 from failbench.faults import Fault, from_document, load_class
 from failbench.records import Job
 from failbench.rollout import run
 from failbench.rows import contact_rows, rollout_row
-from failbench.sampling import check_whole, make_jobs
+from failbench.sampling import MOST, check_whole, make_jobs
 from failbench.world import SimSettings, World, build_world
 from graceful_plan import Scene, SettingError, Trajectory, UnknownNameError
 from graceful_plan.exceptions import FormatError
@@ -114,10 +114,10 @@ class Sweep:
             raise SettingError("motions", names, "at least one, all of different names")
         if not self.faults:
             raise SettingError("faults", self.faults, "at least one")
-        check_whole("rollouts", self.rollouts, 1)
+        check_whole("rollouts", self.rollouts, 1, MOST // (len(self.motions) * len(self.faults)))
         check_whole("seed", self.seed, 0)
-        if not self.settings.timestep <= self.horizon < float("inf"):
-            raise SettingError("horizon", self.horizon, f"a finite time >= {self.settings.timestep:g} s")
+        if not self.settings.timestep <= self.horizon <= LONGEST:
+            raise SettingError("horizon", self.horizon, f"between {self.settings.timestep:g} s and {LONGEST:g} s")
 
     @cached_property
     def chunks(self) -> tuple[Chunk, ...]:
@@ -320,6 +320,8 @@ def _motion(document: Any, source: str) -> Motion:
             raise FormatError(source, f"{key} has to be text, not {document[key]!r}")
     if plan is not None:
         _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
+    if trajectory is not None and not isinstance(trajectory, dict):  # as text it would be the name of a file
+        raise FormatError(source, f"trajectory has to be an object, not {trajectory!r}")
     return Motion(
         name=document["name"],
         scene=document["scene"],

@@ -112,6 +112,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
         for entity in scene.entities.values()
     }
     spec = scene.spec.copy()
+    _name_bodies(spec)
     _set_options(spec, scene, settings)
     pairs = _add_sensors(spec, model, strikers, entities)
     for name in scene.joints:
@@ -145,6 +146,12 @@ def _actuator_of(model: mujoco.MjModel, joint: int, name: str) -> int:
     if int(model.actuator_dyntype[found[0]]) != int(mujoco.mjtDyn.mjDYN_NONE):
         raise UnsupportedError(f"the actuator of {name!r} has dynamics of its own; FailBench drives those without")
     return int(found[0])
+
+
+def _name_bodies(spec: mujoco.MjSpec) -> None:
+    """Give bodies without a name one, since what is added refers to them by name."""
+    for i, body in enumerate(spec.bodies):
+        body.name = body.name or f"failbench/body{i}"
 
 
 def _set_options(spec: mujoco.MjSpec, scene: Scene, settings: SimSettings) -> None:
@@ -187,11 +194,12 @@ def _add_sensors(
         for root in _roots(model, bodies):
             for entity, parts in entities.items():
                 for part in parts:
-                    name = f"failbench/{model.body(root).name}/{model.body(part).name}"
+                    striking, struck = (spec.bodies[body].name for body in (root, part))
+                    name = f"failbench/{striking}/{struck}"
                     sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
                     # A subtree (XBODY) of what strikes against one body of what is struck.
-                    sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_XBODY, model.body(root).name
-                    sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, model.body(part).name
+                    sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_XBODY, striking
+                    sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, struck
                     sensor.intprm[0], sensor.intprm[1], sensor.intprm[2] = wanted, 3, 1  # 3: the net force of all
                     added.append(((component, entity), name))
     return added
@@ -217,14 +225,14 @@ def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: Sim
     weld = spec.add_equality(name="failbench/hold", type=mujoco.mjtEq.mjEQ_WELD)
     weld.objtype, weld.name1, weld.name2 = (
         mujoco.mjtObj.mjOBJ_BODY,
-        model.body(int(site.bodyid[0])).name,
+        spec.bodies[int(site.bodyid[0])].name,
         scene.carried.body,
     )
     weld.data = [0.0, 0.0, 0.0, *X_BO[:3, 3], *quat, 1.0, 0.0]  # anchor, pose, how much of the torque
     weld.solref, weld.solimp = [2.0 * settings.timestep, 1.0], _STIFF
     if settings.grasp == "weld":
         for body in gripper.bodies:
-            spec.add_exclude(bodyname1=model.body(body).name, bodyname2=scene.carried.body)
+            spec.add_exclude(bodyname1=spec.bodies[body].name, bodyname2=scene.carried.body)
     elif not len(gripper.actuators):
         raise UnsupportedError("the gripper has no position servo to hold with; use SimSettings(grasp='weld')")
 

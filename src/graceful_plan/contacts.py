@@ -90,6 +90,8 @@ def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
         UnknownNameError: If there is neither.
     """
     body = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name)
+    if body < 0 and name.startswith("#") and name[1:].isdigit() and int(name[1:]) < model.nbody:
+        body = int(name[1:])  # what `names` calls a nameless one, such as a finger that nobody named
     if body >= 0:
         return colliding_geoms(model, {0} if body == 0 else rigid_group(model, body))
     return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)

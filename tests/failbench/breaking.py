@@ -41,8 +41,8 @@ class Record:
         self.job = Job(fault=fault, onset=when * done.duration, seed=seed)
         self.robot, self.onset_step = robot, 5 * done.checkpoint(self.job.onset)
         rows = {name: [] for name in ("q", "qd", "force", "command", "tool", "object", "gain", "limit", "bias", "all")}
-        for self.model, self.data in steps(done, self.job, horizon=horizon):
-            data, model = self.data, self.model
+        for model, data in steps(done, self.job, horizon=horizon):
+            self.model, self.data = model, data
             rows["q"].append(data.qpos[robot.qpos])
             rows["qd"].append(data.qvel[robot.dofs])
             rows["force"].append(data.actuator_force.copy())

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from motions import arm, execution, world
+from motions import ARM, SERVO, arm, execution, world
 
 import graceful_plan as gp
 from failbench import ExecutionRefused, SimSettings, build_world, execute
@@ -91,7 +91,7 @@ def test_a_healthy_run_that_blows_up_is_refused_and_leaves_no_log(tmp_path, monk
 
 def test_a_motion_that_takes_too_long_is_refused(task):
     q = np.stack([task.start, task.start])
-    with pytest.raises(gp.SettingError, match="duration of the trajectory = 1000000.0, expected at most"):
+    with pytest.raises(gp.SettingError, match=r"duration of the trajectory = 1000000\.0, expected at most"):
         execute(
             gp.Trajectory(np.array([0.0, 1e6]), q, 0.0 * q, 0.0 * q, task.scene.joints),
             world("tabletop", "green_to_blue"),
@@ -117,6 +117,18 @@ def test_what_touches_anyway_is_the_baseline():
     away = execute(np.array([[0.0], [-0.2]]), build_world(scene))
     assert away.baseline == {("body", "vase")}
     assert not execution("tabletop", "green_to_blue").baseline
+
+
+def test_what_is_not_planned_stays_where_the_scene_has_it():
+    head = '<body name="head"><joint name="head"/><geom size="0.05" pos="0 0 0.3"/></body>'
+    text = ARM.format(fingers="", actuators=SERVO + '<position joint="head" kp="100" kv="10"/>')
+    text = text.replace('<body name="link">', head + '<body name="link">')
+    scene = gp.Scene.from_mjcf(
+        text, robot="base", tool="tool", velocity=[2.0], acceleration=[5.0], fingers={"head": 0.7}
+    )
+    done = execute(np.array([[0.0], [0.6]]), build_world(scene))
+    column = 1 + done.world.model.jnt_qposadr[done.world.model.joint("head").id]  # time comes first
+    assert np.abs(done.states[:, column] - 0.7).max() < 0.01
 
 
 def test_a_motion_that_stands_still():

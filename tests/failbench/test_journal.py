@@ -1,3 +1,4 @@
+import re
 import sqlite3
 import subprocess
 import sys
@@ -153,6 +154,26 @@ def test_flipped_bits_in_rows_are_noticed(begun):
             else:  # a bit of zlib's header that says nothing about the content
                 assert rows == fake_work.rows(CHUNKS[0])
                 assert place == 0
+
+
+def test_flipped_bits_anywhere_are_noticed_or_do_not_matter(begun):
+    with Journal(begun) as journal:
+        for index in range(4):
+            journal.record(done(index))
+    whole = begun.read_bytes()
+    told = 0
+    for place in [*range(0, len(whole), 97), *(m.start() for m in re.finditer(b"tabletop|mujoco|4.0.0", whole))]:
+        flipped = bytearray(whole)
+        flipped[place] ^= 0x81 if place % 2 else 0x01  # text that is no UTF-8 any more, and text that is
+        begun.write_bytes(flipped)
+        try:
+            with Journal(begun) as journal:
+                assert journal.about == ABOUT
+                for index in journal.done():
+                    assert journal.rows(CHUNKS[index]) == fake_work.rows(CHUNKS[index])
+        except FormatError as error:
+            told += "journal.sqlite" in str(error)
+    assert told > 3
 
 
 def test_kill_between_begin_and_commit_leaves_a_journal_that_was_not_begun(file):

@@ -10,6 +10,7 @@ import graceful_plan as gp
 from failbench import Job, SimSettings, run, steps
 from failbench.execution import CHECKPOINT
 from failbench.rollout import _run_group
+from failbench.rows import rollout_row
 
 FAULTS = (
     Drop(),
@@ -122,6 +123,10 @@ def test_a_simulation_that_blows_up_is_reported(done, monkeypatch):
     assert rollouts[0].poses
     assert not rollouts[1].poses
     assert not rollouts[1].events
+    row = rollout_row(rollouts[1], done)
+    assert row["status"] == "diverged"
+    assert row["observed_impact"] is row["dropped"] is None  # nobody may average it as harmless
+    assert rollout_row(rollouts[0], done)["observed_impact"] is not None
 
 
 def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):

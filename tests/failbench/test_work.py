@@ -144,9 +144,11 @@ def test_unknown_task_names_the_tasks():
         ({"motions": (PLANNED, PLANNED)}, "all of different names"),
         ({"faults": ()}, "faults"),
         ({"rollouts": 0}, "rollouts"),
+        ({"rollouts": 10**12}, "rollouts"),
         ({"seed": -1}, "seed"),
         ({"horizon": float("nan")}, "horizon"),
         ({"horizon": 0.001}, "horizon"),
+        ({"horizon": 1e9}, "horizon"),
     ],
 )
 def test_senseless_sweeps_are_refused(change, message):
@@ -173,6 +175,7 @@ def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
         (lambda d: d["settings"].update(gravity=0), "settings: unknown keys: gravity"),
         (lambda d: d["motions"][0].update(scene=3), "motion 0: scene has to be text, not 3"),
         (lambda d: d["motions"][0].update(trajectory={"t": [0.0]}), "missing keys"),
+        (lambda d: d["motions"][0].update(trajectory="t.json"), "trajectory has to be an object, not 't.json'"),
         (lambda d: d.update(motions=3), "a value of the wrong type"),
         (lambda d: d.update(horizon="long"), "a value of the wrong type"),
         (lambda d: d.update(faults=["gripper_failure"]), "a value of the wrong type"),

@@ -1,7 +1,7 @@
 import mujoco
 import numpy as np
 import pytest
-from motions import FINGERS, SERVO, arm, world
+from motions import ARM, FINGERS, SERVO, arm, world
 
 import graceful_plan as gp
 from failbench import SimSettings, build_world, execute
@@ -43,6 +43,16 @@ def test_a_contact_sensor_feels_its_pair_and_no_other():
     data.qpos[vase + 2] = 0.1
     mujoco.mj_forward(made.model, data)
     assert data.sensordata[adr] == 0.0
+
+
+def test_bodies_may_be_without_names():
+    parts = '<body pos="0 0 0.05"><geom size="0.01"/></body><body pos="0 0 0.08"><geom size="0.01"/></body></body>'
+    text = ARM.format(fingers=FINGERS, actuators=SERVO).replace('<body name="link">', "<body>")
+    text = text.replace('size="0.02 0.02 0.02"/></body>', f'size="0.02 0.02 0.02"/>{parts}')
+    scene = gp.Scene.from_mjcf(
+        text, robot="base", tool="tool", velocity=[2.0], acceleration=[5.0], entities={"block": "glass"}
+    )
+    assert build_world(scene).pairs == (("body", "block"),) * 3
 
 
 def test_a_joint_without_a_servo_is_refused():
