@@ -21,6 +21,25 @@ _P = 1e-11  # probabilities: what is left out to save time, and rounding; the ba
 SETTINGS = FootprintSettings.shipped()
 
 
+_ODD_ARM = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <geom name="ground" type="plane" size="0 0 1"/>
+  <body name="vase" pos="0.55 0.1 0.2"><geom type="cylinder" size="0.06 0.2"/></body>
+  <body name="box" pos="0.3 0.2 0.1" euler="0 0 0.4"><geom type="box" size="0.1 0.2 0.1"/></body>
+  <body name="arm" pos="0 0 0.6"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <joint name="a" axis="0.2 0.1 1" range="-2 2"/>
+    <body name="b" pos="0.2 0 0"><joint name="b" type="slide" axis="1 0.3 0.1" range="-0.3 0.3"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <body name="c" pos="0.1 0 0.1"><joint name="c" axis="0 1 0.2" pos="0 0.05 0" range="-1 1"/>
+        <joint name="d" axis="1 0 0" range="-2 2"/><geom type="sphere" size="0.01"/>
+        <site name="tool" pos="0.1 0 -0.05"/>
+  </body></body></body>
+  <body name="thing" pos="3 3 1"><freejoint/>
+    <geom type="box" size="0.03 0.04 0.05"/><geom type="capsule" size="0.01 0.04" pos="0.05 0 0.02" euler="0.4 0 0"/>
+    <geom type="sphere" size="0.02" pos="0 0 0.07"/></body>
+</worldbody></mujoco>"""
+
+
 class Generic(Footprint):
     """The same model, of which nobody can know that the core has it."""
 
@@ -144,6 +163,44 @@ def test_nothing_carried_harms_nobody():
     q0, q1 = _states(scene, 5, seed=6)[0], _states(scene, 5, seed=7)[0]
     assert objective.kernel is not None
     assert not objective.edges(q0, q1)[:, 1].any() and not objective.states(q0).any()
+
+
+# --- gradient ---------------------------------------------------------------------------------------------------------
+
+
+def _difference(f, n, h):
+    """Derivative of f [n] along each axis of its argument, to fourth order; [n nq]."""
+    steps = h * np.eye(n)
+    return np.stack([(8 * (f(d) - f(-d)) - (f(2 * d) - f(-2 * d))) / (12 * h) for d in steps], axis=1)
+
+
+def _check_gradient(kernel, q, qd, severity):
+    impact, *gradients = kernel.gradient(q, severity, qd)
+    np.testing.assert_allclose(impact, kernel.impact(q, severity, qd), atol=1e-12)
+    assert np.ptp(impact) > 0.1
+    impacts = (lambda d: kernel.impact(q + d, severity, qd), lambda d: kernel.impact(q, severity, qd + d))
+    for gradient, f in zip(gradients, impacts, strict=True):
+        # The model has kinks (edges of the parts along those of a surface); a smaller step does not cross them.
+        found = [_difference(f, q.shape[1], h) for h in (1e-5, 1e-6, 1e-7)]
+        assert np.min([np.abs(gradient - d) / (1.0 + np.abs(d)) for d in found], axis=0).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", gp.scenes())
+def test_gradient_is_the_finite_difference(name):
+    for k, task in enumerate(gp.load_scene(name).tasks.values()):
+        scene, kernel = task.scene, footprint_kernel(task.scene, SETTINGS)
+        severity = np.random.default_rng(k).uniform(size=len(scene.entities))
+        q, qd = _states(scene, 40, seed=20 + k)
+        q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
+        _check_gradient(kernel, q, qd, severity)
+
+
+def test_gradient_of_an_arm_with_slides_and_turns():
+    limits = {"velocity": [1.0] * 4, "acceleration": [1.0] * 4}
+    entities = {"vase": "glass", "box": "robust"}
+    scene = gp.Scene.from_mjcf(_ODD_ARM, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
+    kernel = footprint_kernel(scene, SETTINGS)
+    _check_gradient(kernel, *_states(scene, 100, seed=9), np.array([1.0, 0.3]))
 
 
 # --- misuse -----------------------------------------------------------------------------------------------------------

@@ -80,11 +80,7 @@ class Calibration:
 
     def to_yaml(self) -> str:
         """Return it as YAML text that `FootprintSettings.load` and its like read."""
-        text = yaml.safe_dump(self.to_document(), sort_keys=False, default_flow_style=None, width=140)
-        head = (
-            "# Written by `failbench calibrate`; do not edit. Intervals are 95 %, whole motions drawn with replacement."
-        )
-        return f"{head}\n# held_out: each scene with constants that were fitted on the others.\n{text}"
+        return to_yaml(self.to_document())
 
     def __str__(self) -> str:
         rows = [("fitted", self.fitted), *self.held_out.items()]
@@ -194,6 +190,7 @@ def calibrate(
             "motions": len(drops),
             "drops": sum(len(part) for part in drops),
             "grasps": {grasp: sum(len(part) for part in drops if part.grasp == grasp) for grasp in ("fingers", "weld")},
+            "shapes": {shape: sum(len(s.hit) for s in samples if s.shape == shape) for shape in constants},
             **(about or {}),
             "trust": trust,
             "trusts_tried": {str(x): _rounded(found["all"].log_loss) for x, found in tried.items()},
@@ -230,6 +227,18 @@ def events(
     """Return predicted probabilities and outcomes of all events that count."""
     pairs = [(p[sample.counted], sample.hit[sample.counted]) for p, sample in zip(predicted, samples, strict=True)]
     return np.concatenate([p for p, _ in pairs]), np.concatenate([hit for _, hit in pairs])
+
+
+def to_yaml(document: Mapping[str, Any]) -> str:
+    """Format a calibration's document, each constant on a line of its own."""
+    head = (
+        "# Written by `failbench calibrate`; do not edit. Intervals are 95 %, whole motions drawn with replacement.\n"
+    )
+    head += "# held_out: each scene with constants that were fitted on the others.\n"
+    about = {key: document[key] for key in ("version", "provenance")}
+    constants = {key: document[key] for key in ("shared", "classes")}
+    compact = yaml.safe_dump(about, sort_keys=False, default_flow_style=None, width=120)
+    return head + compact + yaml.safe_dump(constants, sort_keys=False, default_flow_style=False)
 
 
 def write(calibration: Calibration, file: str | FilePath) -> None:

@@ -52,6 +52,8 @@ def test_the_document_says_where_it_comes_from(calibrated: calibrate.Calibration
     assert about["scenes"].strings() == SCENES
     assert about["drops"].number() == 120
     assert about["horizon"].number() == 1.0
+    assert about["shapes"]["box"].number() == 120
+    assert about["shapes"]["ball"].number() == 0
     assert about["units"]["speed"].string() == "m/s"
     for shape in ("box", "ball"):
         for name, fitted in calibrated.constants[shape].items():

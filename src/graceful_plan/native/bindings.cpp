@@ -186,7 +186,8 @@ NB_MODULE(_native, m) {
            "core"_a, "link"_a, "centre"_a, "part_shape"_a, "part_offset"_a, "part_rotation"_a, "part_half"_a, "main"_a, "size"_a,
            "target_entity"_a, "target"_a, "level_start"_a, "n_entity"_a, "speed"_a, "constants"_a, nb::keep_alive<1, 2>())
       .def("probability", &DropModel::probability, "q"_a, "qd"_a)
-      .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a);
+      .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
+      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a);
   nb::class_<Impact>(m, "Impact").def("states", &Impact::states_array, "q"_a).def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a);
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact").def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")

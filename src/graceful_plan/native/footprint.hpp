@@ -271,15 +271,15 @@ static inline D leaves(const DropTables& drop, const Flight& flight, const Momen
 // --- steps 1 and 2 for all levels -----------------------------------------------------------------------------------
 
 struct Landing {
-  D contact[kMaxSurfaces], time[kMaxSurfaces];                      // C, tc
-  D first[kMaxSurfaces], leaving[kMaxSurfaces];                     // per level: sum of F, M
+  D overlap[kMaxSurfaces], contact[kMaxSurfaces], time[kMaxSurfaces];  // D, C, tc
+  D arrives[kMaxSurfaces], first[kMaxSurfaces], leaving[kMaxSurfaces];  // per level: A, sum of F, M
   Point2 away[kMaxSurfaces];                                        // per level: n
   D landed, total, mean_time, height, fallen;                       // sum of F, that + 1e-6, tl, zs, hs
   D x, y;                                                           // L
   D blur;                                                           // variance of the place
 };
 
-// D of a level's surfaces, left in `contact`; also the sum of D and the product of 1 - D.
+// D of a level's surfaces, their sum, and the product of 1 - D.
 static inline void meet_level(const DropTables& drop, const Flight& flight, int level, bool arrives, Passage& passage, Reaches& reaches,
                               Landing& landing, D& sum, D& missed) {
   sum = D{}, missed = D{} + 1.0;
@@ -287,8 +287,9 @@ static inline void meet_level(const DropTables& drop, const Flight& flight, int 
     const Surface& s = drop.surface[k];
     passage.move_to(drop, flight, s.top);
     landing.time[k] = passage.time;
-    landing.contact[k] = arrives ? overlap(drop, flight, s, passage, reaches) : D{};
-    sum += landing.contact[k], missed *= 1.0 - landing.contact[k];
+    const D overlaps = arrives ? overlap(drop, flight, s, passage, reaches) : D{};
+    landing.overlap[k] = landing.contact[k] = overlaps;
+    sum += overlaps, missed *= 1.0 - overlaps;
   }
 }
 
@@ -302,6 +303,7 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
     D sum, missed;
     meet_level(drop, flight, l, any(arrives > kNothing), passage, reaches, landing, sum, missed);
     const D first = arrives * (1.0 - missed), share = first * reciprocal(sum + kLeastMass);
+    landing.arrives[l] = arrives;
     landing.first[l] = landing.leaving[l] = D{}, landing.away[l] = {D{}, D{}};
     if (!any(sum > 0.0)) continue;
     const bool lands = any(first > kNothing);

@@ -100,6 +100,19 @@ class DropModel {
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), out);
     return array;
   }
+  // The impact with its derivatives with respect to q and to qd.
+  auto gradient(Reals severity, Reals q, Reals qd) const {
+    double *impact, *d_q, *d_qd;
+    auto values = make<double>({core_.rows(q)}, impact);
+    auto by_q = make<double>({q.shape(0), q.shape(1)}, d_q), by_qd = make<double>({q.shape(0), q.shape(1)}, d_qd);
+    require(severity.size() == size_t(tables_.n_entity), "severity is not [entity]");
+    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    {
+      nb::gil_scoped_release release;
+      core_.kernels().drop_gradient(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), impact, d_q, d_qd);
+    }
+    return nb::make_tuple(values, by_q, by_qd);
+  }
 
  private:
   void add_parts(const Integers& shape, const Reals& offset, const Reals& rotation, const Reals& half) {

@@ -15,6 +15,7 @@ namespace GP_ISA {
 #include "gradient.hpp"
 #include "interaction.hpp"
 #include "footprint.hpp"
+#include "footprint_gradient.hpp"
 
 static void link_poses(const Tables& tables, const double* q, size_t n, double* X_WL) {
   D qs[kMaxJoints];
@@ -163,6 +164,19 @@ static void drop_impact(const Tables& tables, const DropTables& drop, const doub
   });
 }
 
+static void drop_gradient(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
+                          double* impact, double* d_q, double* d_qd) {
+  D slope_q[kMaxJoints], slope_qd[kMaxJoints];
+  const size_t nq = size_t(tables.n_joint);
+  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+    const D value = drop_impact_gradient(tables, drop, severity, qs, rates, slope_q, slope_qd);
+    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) {
+      impact[first + size_t(i)] = value[i];
+      for (size_t j = 0; j < nq; ++j) d_q[(first + size_t(i)) * nq + j] = slope_q[j][i], d_qd[(first + size_t(i)) * nq + j] = slope_qd[j][i];
+    }
+  });
+}
+
 // The velocity is that of the edge: its slowest joint at a share of its speed, by turns the first and the second one.
 static void drop_edge_costs(const Tables& tables, const DropTables& drop, const double* severity, const double* pace, const double* q0,
                             const double* q1, size_t n, double step, double* cost) {
@@ -201,7 +215,7 @@ static void elementary(const double* x, size_t n, double* exponentials, double* 
 extern const Kernels GP_JOIN(kernels_, GP_ISA) = {GP_TEXT(GP_ISA),   GP_ISA::kLanes<float>, GP_ISA::link_poses,
                                                  GP_ISA::free_states, GP_ISA::free_edges,   GP_ISA::clearance,
                                                  GP_ISA::interaction, GP_ISA::impact,       GP_ISA::edge_costs,
-                                                 GP_ISA::drop,        GP_ISA::drop_impact,  GP_ISA::drop_edge_costs,
-                                                 GP_ISA::elementary};
+                                                 GP_ISA::drop,        GP_ISA::drop_impact,  GP_ISA::drop_gradient,
+                                                 GP_ISA::drop_edge_costs, GP_ISA::elementary};
 
 }  // namespace gp

@@ -122,6 +122,8 @@ struct Kernels {
   // The drop model; severity is [n_entity], qd null at rest.
   void (*drop)(const Tables&, const DropTables&, const double* q, const double* qd, size_t n, double* probability);
   void (*drop_impact)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n, double* impact);
+  void (*drop_gradient)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n, double* impact,
+                        double* d_q, double* d_qd);
   void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const double* q0, const double* q1,
                           size_t n, double step, double* cost);
   void (*elementary)(const double* x, size_t n, double* exponential, double* logarithm);

@@ -79,6 +79,17 @@ class FootprintKernel:
         flat, rates, batch = self._states(q, qd)
         return self.native.impact(self._severity(severity), flat, rates).reshape(batch)
 
+    def gradient(
+        self, q: ArrayLike, severity: Float[Array, " entity"], qd: ArrayLike | None = None
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
+        """Sum of P S with its derivatives with respect to q [1/rad] and to qd [s/rad].
+
+        Where two surfaces of an entity or two parts of the object are equally likely, the derivative is that of one.
+        """
+        flat, rates, batch = self._states(q, qd)
+        impact, d_q, d_qd = self.native.gradient(self._severity(severity), flat, rates)
+        return impact.reshape(batch), d_q.reshape(*batch, self.kernels.nq), d_qd.reshape(*batch, self.kernels.nq)
+
     def with_severity(self, severity: Float[Array, " entity"], paces: tuple[float, float] = (1.0, 1.0)) -> ImpactKernel:
         """Return the impact with these severities, for planners; edges are travelled at these shares of `speed`."""
         return ImpactKernel(self.kernels, _native.DropImpact(self.native, self._severity(severity), *paces))
