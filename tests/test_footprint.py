@@ -165,7 +165,7 @@ def test_speed_carries_the_object_on():
 
 
 def test_what_lies_above_catches_it():
-    low = {"low": (0.0, 0.0, 0.05, 'type="box" size="0.02 0.02 0.05"')}
+    low = {"low": (0.0, 0.0, 0.05, 'type="box" size="0.04 0.04 0.05"')}
     shelf = low | {"shelf": (0.0, 0.0, 0.3, 'type="box" size="0.4 0.4 0.01"')}
     assert drop(gantry(low), [0.0, 0.0, 0.0, 0.0]).entity[0, 0] > 0.99
     assert drop(gantry(shelf), [0.0, 0.0, 0.0, 0.0]).entity[0, 0] < 0.05

@@ -37,7 +37,7 @@ class _Prior(NamedTuple):
 
 _PRIORS: Mapping[str, _Prior] = {
     "delay": _Prior(0.03, 0.02, 0.0, 0.2, "s"),
-    "velocity_spread": _Prior(0.04, 0.8, 0.005, 0.3, "m/s"),
+    "velocity_spread": _Prior(0.04, 0.5, 0.005, 0.3, "m/s"),
     "height_spread": _Prior(0.1, 0.05, 0.0, 1.0, "m/m"),
     "carry_spread": _Prior(0.1, 0.07, 0.0, 1.0, "s"),
     "side_spread": _Prior(0.5, 0.3, 0.0, 3.0, "size"),
@@ -45,7 +45,7 @@ _PRIORS: Mapping[str, _Prior] = {
     "side_height": _Prior(0.05, 0.5, 0.005, 0.3, "m"),
     "catch": _Prior(0.7, 0.2, 0.0, 1.0),
     "leave_tilt": _Prior(1.5, 0.7, -3.0, 6.0),
-    "position_spread": _Prior(0.01, 0.8, 0.001, 0.1, "m"),
+    "position_spread": _Prior(0.01, 0.4, 0.001, 0.1, "m"),
     "size_spread": _Prior(1.0, 0.4, 0.0, 4.0, "size"),
     "tumble_reach": _Prior(1.0, 0.4, -1.0, 4.0, "size"),
     "catch_margin": _Prior(-0.4, 0.3, -2.0, 1.0, "size"),
