@@ -96,13 +96,13 @@ def run(options: suite.Options) -> str:
     parts = [
         MEASURED,
         f"{sum(dropped.values())} drops ({grasps}; {lost} diverged) along {len(drops)} motions:"
-        f" {len(events.happened)} events.",
-        *(f"No drops: {reason}." for reason in refused),
+        f" {len(events.happened)} events.\n",
+        *(f"No drops: {reason}.\n" for reason in refused),
         report.targets(_targets(events, dropped, sizes)),
         report.table(_HEADER, _rows(events, dropped)),
         "By severity of the touch, all scenes:\n",
         report.table(_HEADER, _severity_rows(events)),
-        "Reliability of `footprint`, bins of equally many predicted hits (![](../docs/images/reliability.png)):\n",
+        "![](../docs/images/reliability.png)\n\nReliability of `footprint`, bins of equally many predicted hits:\n",
         report.table(("predicted", "observed", "95 %", "events"), _curve_rows(events, sizes.resamples)),
     ]
     return "\n".join(parts)
