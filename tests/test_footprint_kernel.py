@@ -1,5 +1,7 @@
 """The drop model in the core against the one in NumPy, which is its specification."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,9 +11,10 @@ import graceful_plan as gp
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions import Footprint
+from graceful_plan.costs.interactions import footprint_kernel as footprint_kernels
 from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
 from graceful_plan.costs.interactions.footprint_kernel import CONSTANTS, FootprintKernel, footprint_kernel
-from graceful_plan.costs.interactions.footprint_tables import footprint_tables
+from graceful_plan.costs.interactions.footprint_tables import SHAPE_CLASSES, footprint_tables
 from graceful_plan.exceptions import NonFiniteError, ShapeError
 from graceful_plan.kernels import Kernels, instruction_sets
 from graceful_plan.planners.native import native_space
@@ -222,3 +225,11 @@ def test_misuse_names_the_culprit(scene, kernel):
         compiled, tables = compile_scene(scene), footprint_tables(scene)
         constants = SETTINGS.of(tables.shape_class)
         FootprintKernel(tables, constants, compiled.kernels, np.zeros(len(scene.joints)), len(scene.entities))
+
+
+def test_a_fit_that_tries_many_constants_leaves_no_tables_behind(scene):
+    shipped = FootprintSettings.shipped()
+    for delay in np.linspace(0.0, 0.02, 12):
+        constants = {name: replace(getattr(shipped, name), delay=float(delay)) for name in SHAPE_CLASSES}
+        footprint_kernel(scene, FootprintSettings(**constants))
+    assert 0 < len(footprint_kernels._made[scene]) <= footprint_kernels._KEPT

@@ -107,6 +107,8 @@ class FootprintKernel:
         return flat, _reals(rates.reshape(flat.shape)), batch
 
 
+_KEPT = 4
+"""Sets of constants for which the tables of a scene are kept."""
 _made: weakref.WeakKeyDictionary[Scene, dict[FootprintConstants, FootprintKernel]] = weakref.WeakKeyDictionary()
 
 
@@ -120,6 +122,8 @@ def footprint_kernel(scene: Scene, settings: FootprintSettings) -> FootprintKern
     constants = settings.of(tables.shape_class)
     made = _made.setdefault(scene, {})
     if constants not in made:
+        if len(made) == _KEPT:  # a fit tries many constants, one after the other
+            made.pop(next(iter(made)))
         kernels = compile_scene(scene).kernels
         made[constants] = FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities))
     return made[constants]
