@@ -278,6 +278,7 @@ def _bins_of_hits(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"
     order = np.argsort(p, kind="stable")
     reached = np.cumsum(p[order])
     cuts = np.searchsorted(reached, reached[-1] * np.arange(1, bins) / bins)
+    cuts = np.searchsorted(p[order], p[order[cuts]])  # what is predicted alike stays together
     return [part for part in np.split(order, cuts) if len(part)]
 
 

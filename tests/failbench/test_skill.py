@@ -118,7 +118,11 @@ def test_bins_of_equal_hits() -> None:
     assert np.allclose(curve.predicted * curve.events, p.sum() / 8, atol=1.5)
     assert (np.diff(curve.events) < 0).all()
     alike = skill.reliability(np.zeros(9), np.zeros(9), np.arange(9), bins=3, by_hits=True, resamples=50)
-    assert alike.events.sum() == 9
+    assert alike.events.tolist() == [9]
+    certain = skill.reliability(
+        np.append(np.full(4, 0.1), np.ones(9)), np.ones(13), np.arange(13), bins=5, by_hits=True
+    )
+    assert certain.events.tolist() == [4, 9]
 
 
 def test_bands_widen_if_events_of_a_motion_are_alike() -> None:
