@@ -19,6 +19,7 @@ from graceful_plan.exceptions import NonFiniteError, ShapeError
 from graceful_plan.kernels import Kernels, instruction_sets
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.testing import check_cost
 
 _P = 1e-11  # probabilities: what is left out to save time, and rounding; the bar is 1e-9
 SETTINGS = FootprintSettings.shipped()
@@ -196,6 +197,22 @@ def test_gradient_is_the_finite_difference(name):
         q, qd = _states(scene, 40, seed=20 + k)
         q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
         _check_gradient(kernel, q, qd, severity)
+
+
+def test_the_cost_has_the_gradient_of_its_model(scene):
+    check_cost(gp.ImpactCost(model="footprint"), scene)
+    q, qd = _states(scene, 30, seed=10)
+    speed = np.linalg.norm(qd, axis=1)
+    batch = StateBatch(scene, q, qd / speed[:, None], speed)
+    cost = gp.ImpactCost(model="footprint", components=("carried",))
+    severity = cost.severity(scene).sum(axis=0)
+    impact, by_q, _ = footprint_kernel(scene, SETTINGS).gradient(q, severity, qd)
+    np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
+    np.testing.assert_allclose(cost.gradient(batch), by_q, atol=1e-9)
+    assert gp.ImpactCost().gradient(batch) is None
+    assert gp.ImpactCost(model=Generic()).gradient(batch) is None
+    free = gp.load_scene("tabletop")
+    assert not gp.ImpactCost(model="footprint").gradient(StateBatch(free, _states(free, 3, seed=0)[0])).any()
 
 
 def test_gradient_of_an_arm_with_slides_and_turns():

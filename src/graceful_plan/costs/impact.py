@@ -61,6 +61,11 @@ class ImpactCost(Cost):
         """Expected severity given a failure at each state."""
         return np.einsum("nce,ce->n", self.interaction.probability(batch), self.severity(batch.scene))
 
+    def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
+        """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""
+        # A subclass may compute otherwise.
+        return self.interaction.gradient(batch, self.severity(batch.scene)) if type(self) is ImpactCost else None
+
     def kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
         """Return the native kernel that computes the same, None if there is none; see `InteractionModel.kernel`."""
         # A subclass may compute otherwise.

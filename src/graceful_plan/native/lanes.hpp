@@ -58,6 +58,17 @@ template <class V> static inline V absolute(V a) { return a < 0 ? -a : a; }
 template <class V> static inline V minimum(V a, V b) { return a < b ? a : b; }
 template <class V> static inline V maximum(V a, V b) { return a > b ? a : b; }
 
+#if defined(__AVX512F__)  // GCC 12 makes two instructions of each of these
+static inline Lanes<double> minimum(Lanes<double> a, Lanes<double> b) {
+  return (Lanes<double>)_mm512_maskz_min_pd(__mmask8(0xff), (__m512d)a, (__m512d)b);
+}
+static inline Lanes<double> maximum(Lanes<double> a, Lanes<double> b) {
+  return (Lanes<double>)_mm512_maskz_max_pd(__mmask8(0xff), (__m512d)a, (__m512d)b);
+}
+#endif
+static inline Lanes<double> absolute(Lanes<double> a) { return (Lanes<double>)((Mask<double>)a & 0x7fffffffffffffff); }
+static inline Lanes<double> relu(Lanes<double> a) { return maximum(a, Lanes<double>{}); }
+
 static inline F square_root(F a) {
 #if defined(__AVX512F__)
   return (F)_mm512_maskz_sqrt_ps(__mmask16(0xffff), (__m512)a);  // the plain one trips -Wmaybe-uninitialized in GCC 12

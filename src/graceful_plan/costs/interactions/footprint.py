@@ -139,8 +139,16 @@ class Footprint(InteractionModel):
             return None
         if scene.carried is None:  # P = 0
             return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
-        falling = [name in FALLING for name in scene.components]
-        return footprint_kernel(scene, self.settings).with_severity(severity[falling].sum(axis=0), paces)
+        return footprint_kernel(scene, self.settings).with_severity(_falling(scene, severity), paces)
+
+    def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
+        """Return the derivative of sums of P S; a subclass may compute otherwise."""
+        if type(self) is not Footprint:
+            return None
+        if batch.scene.carried is None:
+            return np.zeros_like(batch.q)
+        kernel = footprint_kernel(batch.scene, self.settings)
+        return kernel.gradient(batch.q, _falling(batch.scene, severity), batch.qd)[1]
 
     def drop(self, batch: StateBatch) -> Drop:
         """Return what becomes of the object, per target and per entity.
@@ -160,3 +168,8 @@ class Footprint(InteractionModel):
             if owner >= 0:
                 np.maximum(entity[:, owner], hit[:, k], out=entity[:, owner])
         return Drop(first=first, contact=contact, hit=hit, entity=entity)
+
+
+def _falling(scene: Scene, severity: Float[Array, "component entity"]) -> Float[Array, " entity"]:
+    """Severity per entity of all that falls, since it falls together."""
+    return severity[[name in FALLING for name in scene.components]].sum(axis=0)

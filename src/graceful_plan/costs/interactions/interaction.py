@@ -15,7 +15,7 @@ Array = np.ndarray
 
 
 class InteractionModel(ABC):
-    """Base of all interaction models: a frozen object with one method, and `kernel` if the core has the model too."""
+    """Base of all interaction models: a frozen object with `probability`; `kernel` and `gradient` where it can."""
 
     @abstractmethod
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
@@ -34,4 +34,9 @@ class InteractionModel(ABC):
         Law: the same as from `probability`, to rounding.
         """
         del scene, severity, paces
+        return None
+
+    def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
+        """Return the derivative of sums of P S with respect to q at constant velocity, None if the model has none."""
+        del batch, severity
         return None
