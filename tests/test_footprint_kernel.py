@@ -169,6 +169,22 @@ def test_nothing_carried_harms_nobody():
     assert not objective.edges(q0, q1)[:, 1].any() and not objective.states(q0).any()
 
 
+@pytest.mark.parametrize("vase", ["", '<body name="vase" pos="0.1 0 0.2"><geom type="box" size="0.1 0.1 0.1"/></body>'])
+def test_little_or_nothing_to_fall_on(vase):
+    text = f"""<mujoco><worldbody>{vase}
+      <body name="arm" pos="0 0 1"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tool"/>
+        <joint name="a" axis="0 1 0" limited="true" range="-1 1"/><geom type="sphere" size="0.01"/></body>
+      <body name="thing" pos="3 3 1"><freejoint/><geom type="sphere" size="0.03"/></body></worldbody></mujoco>"""
+    limits = {"velocity": [1.0], "acceleration": [1.0]}
+    entities = {"vase": "glass"} if vase else {}
+    scene = gp.Scene.from_mjcf(text, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
+    q, qd = _states(scene, 9, seed=11)
+    found = footprint_kernel(scene, SETTINGS).probability(q, qd)
+    np.testing.assert_allclose(found, _numpy(scene, q, qd), atol=_P)
+    edges = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene).edges(q[:-1], q[1:])
+    assert np.all(np.isfinite(edges)) and (edges[:, 1] > 0.0).all() == bool(vase)
+
+
 # --- gradient ---------------------------------------------------------------------------------------------------------
 
 
