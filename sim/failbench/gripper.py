@@ -9,6 +9,7 @@ import numpy as np
 
 from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
+from graceful_plan.model_parts import subtree
 
 Array = np.ndarray
 
@@ -34,8 +35,9 @@ def find_gripper(scene: Scene) -> Gripper:
     """Find the gripper: all that hangs on the tool's body. Without position servos there are no actuators in it."""
     model = scene.model
     tool = int(model.site(scene.tool).bodyid[0])
-    bodies = tuple(b for b in range(tool, model.nbody) if _is_below(model, b, tool))
-    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in _planned(scene)]
+    bodies = tuple(sorted(subtree(model, tool)))
+    planned = {int(model.joint(name).id) for name in scene.joints}
+    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in planned]
     actuators = [a for a in range(model.nu) if _acts_on(model, a, joints) and model.actuator_biasprm[a, 1] < 0.0]
     fingers = {int(model.jnt_bodyid[j]) for j in joints}
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -72,16 +74,6 @@ def _posture(scene: Scene, joints: list[int], end: int | None) -> _Posture:
     centres = data.xipos[model.jnt_bodyid[joints]]
     spread = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).sum())
     return _Posture(spread, data.actuator_length.copy())
-
-
-def _planned(scene: Scene) -> set[int]:
-    return {int(scene.model.joint(name).id) for name in scene.joints}
-
-
-def _is_below(model: mujoco.MjModel, body: int, root: int) -> bool:
-    while body > root:
-        body = int(model.body_parentid[body])
-    return body == root
 
 
 def _acts_on(model: mujoco.MjModel, actuator: int, joints: list[int]) -> bool:

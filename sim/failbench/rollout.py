@@ -61,12 +61,13 @@ def run(
     size = min(batch, -(-len(jobs) // threads))
     groups = iter([order[first : first + size] for first in range(0, len(jobs), size)])
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
+    kept = kept_volume(execution.world, execution.states)
     rollouts: dict[int, Rollout] = {}
 
     def work(simulations: Batch) -> None:
         fields = {name: simulations.expand(name) for name in names}
         for group in groups:
-            done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
+            done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps, kept)
             rollouts.update(zip(group, done, strict=True))
 
     # Made here, not in the threads, whose separate heaps would grow.
@@ -92,7 +93,12 @@ def _in_threads(work: Callable[[Batch], None], batches: Sequence[Batch], groups:
 
 
 def _run_group(
-    execution: Execution, simulations: Batch, fields: Mapping[str, Array], jobs: Sequence[Job], steps: int
+    execution: Execution,
+    simulations: Batch,
+    fields: Mapping[str, Array],
+    jobs: Sequence[Job],
+    steps: int,
+    kept: float,
 ) -> list[Rollout]:
     model = execution.world.model
     sims = np.arange(len(jobs))
@@ -101,7 +107,6 @@ def _run_group(
     checkpoints = [execution.checkpoint(job.onset) for job in jobs]
     put(simulations, sims, execution.states[checkpoints])
     qpos, qvel, active = (simulations.bind(name) for name in ("qpos", "qvel", "eq_active"))
-    kept = kept_volume(execution.world, execution.states)
     recorder = Recorder(execution.world, execution.baseline, qpos[sims].copy(), qvel[sims].copy(), kept)
     injections = [
         Injection(

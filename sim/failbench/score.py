@@ -84,7 +84,7 @@ def observed_impact(rollout: Rollout, scene: Scene) -> float:
 
     Where several components touched an entity, the worst of them counts.
     """
-    return _impact(rollout, scene, lambda category, event: 1.0)
+    return math.fsum(worst_severities(rollout, scene).values())
 
 
 def energy_impact(rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None) -> float:
@@ -96,7 +96,7 @@ def energy_impact(rollout: Rollout, scene: Scene, fragility: FragilityTable | No
         fragility: How easily things are damaged; the shipped table by default.
     """
     table = FragilityTable.shipped() if fragility is None else fragility
-    return _impact(rollout, scene, table.probability)
+    return math.fsum(worst_severities(rollout, scene, table.probability).values())
 
 
 def secondary_impact(rollout: Rollout, scene: Scene) -> float:
@@ -110,14 +110,23 @@ def secondary_impact(rollout: Rollout, scene: Scene) -> float:
     return math.fsum(scene.entities[name].severity[component] for name in knocked)
 
 
-def _impact(rollout: Rollout, scene: Scene, factor: Callable[[str, ContactEvent], float]) -> float:
+def worst_severities(
+    rollout: Rollout, scene: Scene, factor: Callable[[str, ContactEvent], float] = lambda category, event: 1.0
+) -> dict[str, float]:
+    """Return each touched entity's share in the impact: the worst that a component did to it.
+
+    Args:
+        rollout: What happened.
+        scene: Where.
+        factor: What each severity is multiplied by, of an entity's class and a contact.
+    """
     worst: dict[str, float] = {}
     for event in rollout.events:
         if not event.secondary:
             entity = scene.entities[event.entity]
             value = entity.severity[event.striker] * factor(entity.category, event)
             worst[event.entity] = max(value, worst.get(event.entity, 0.0))
-    return math.fsum(worst.values())
+    return worst
 
 
 def _fragility(row: Block, spread: float) -> Fragility:

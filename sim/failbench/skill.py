@@ -18,9 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from failbench.statistics import Estimate, check_confidence
-from graceful_plan import NonFiniteError, SettingError, ShapeError
-from graceful_plan.array_types import Bool, Float, Int
+from failbench.statistics import Estimate, check_confidence, cluster_bootstrap
+from graceful_plan import SettingError, ShapeError
+from graceful_plan.array_types import Float, Int
+from graceful_plan.path import finite_array
 
 Array = np.ndarray
 
@@ -204,7 +205,7 @@ def spearman(predicted: ArrayLike, observed: ArrayLike) -> float:
     """Return Spearman's rank correlation, ties sharing their ranks; NaN if all of either are alike."""
     from scipy.stats import rankdata
 
-    a, b = (rankdata(_finite(name, x)) for name, x in (("predicted", predicted), ("observed", observed)))
+    a, b = (rankdata(finite_array(name, x, ndim=1)) for name, x in (("predicted", predicted), ("observed", observed)))
     _check_pairs(a, b)
     a, b = a - a.mean(), b - b.mean()
     scale = math.sqrt(float(a @ a) * float(b @ b))
@@ -215,7 +216,7 @@ def kendall(predicted: ArrayLike, observed: ArrayLike) -> float:
     """Return Kendall's tau-b, which is corrected for ties; NaN if all of either are alike."""
     from scipy.stats import kendalltau
 
-    a, b = _finite("predicted", predicted), _finite("observed", observed)
+    a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
     _check_pairs(a, b)
     if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return math.nan
@@ -224,7 +225,7 @@ def kendall(predicted: ArrayLike, observed: ArrayLike) -> float:
 
 def slope(predicted: ArrayLike, observed: ArrayLike) -> float:
     """Return the slope of the least-squares line of what was observed over what was predicted; NaN if that is alike."""
-    a, b = _finite("predicted", predicted), _finite("observed", observed)
+    a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
     _check_pairs(a, b)
     a = a - a.mean()
     return float(a @ b / (a @ a)) if a.any() else math.nan
@@ -251,21 +252,16 @@ def bootstrap(
         seed: Of the draws.
         confidence: Probability that the interval covers the truth.
     """
-    check_confidence(confidence)
     a, b = np.asarray(predicted, dtype=float), np.asarray(observed, dtype=float)
     _check_pairs(a, b)
-    members = np.arange(len(a)) if clusters is None else _clusters(clusters, len(a))
-    order = np.argsort(members, kind="stable")
-    parts = np.split(order, np.cumsum(np.bincount(members))[:-1])
-    rng = np.random.default_rng(seed)
-    drawn = []
-    for _ in range(resamples):
-        chosen = np.concatenate([parts[i] for i in rng.integers(len(parts), size=len(parts))])
-        drawn.append(statistic(a[chosen], b[chosen]))
-    found = np.array(drawn)[np.isfinite(drawn)]
-    ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
-    low, high = np.quantile(found, ends) if len(found) else (math.nan, math.nan)
-    return Estimate(float(statistic(a, b)), float(low), float(high), len(parts))
+    return cluster_bootstrap(
+        np.column_stack([a, b]),
+        np.arange(len(a)) if clusters is None else clusters,
+        lambda pairs: statistic(pairs[:, 0], pairs[:, 1]),
+        resamples=resamples,
+        seed=seed,
+        confidence=confidence,
+    )
 
 
 def _bins(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"]]:
@@ -283,7 +279,7 @@ def _bins_of_hits(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"
 
 
 def _events(predicted: ArrayLike, happened: ArrayLike) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    p, y = _finite("predicted", predicted), _finite("happened", happened)
+    p, y = finite_array("predicted", predicted, ndim=1), finite_array("happened", happened, ndim=1)
     _check_pairs(p, y)
     if not len(p):
         raise ShapeError("predicted", p.shape, "at least one event")
@@ -304,13 +300,3 @@ def _clusters(clusters: ArrayLike, n: int) -> Int[Array, " n"]:
     if labels.shape != (n,):
         raise ShapeError("clusters", labels.shape, f"({n},), one for each event")
     return np.unique(labels, return_inverse=True)[1]
-
-
-def _finite(name: str, values: ArrayLike) -> Float[Array, " n"]:
-    array = np.asarray(values, dtype=float)
-    if array.ndim != 1:
-        raise ShapeError(name, array.shape, "(n,)")
-    wrong: Bool[Array, " n"] = ~np.isfinite(array)
-    if wrong.any():
-        raise NonFiniteError(name, (int(np.flatnonzero(wrong)[0]),))
-    return array

@@ -17,8 +17,9 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan import NonFiniteError, SettingError, ShapeError
+from graceful_plan import SettingError, ShapeError
 from graceful_plan.array_types import Float, Int
+from graceful_plan.path import finite_array
 
 Array = np.ndarray
 
@@ -82,8 +83,8 @@ def estimate_mean(
         The estimate; of no observations, NaN between the bounds.
     """
     check_confidence(confidence)
-    y = _finite("values", values)
-    w = np.ones(len(y)) if weights is None else _finite("weights", weights)
+    y = finite_array("values", values, ndim=1)
+    w = np.ones(len(y)) if weights is None else finite_array("weights", weights, ndim=1)
     if len(w) != len(y):
         raise ShapeError("weights", w.shape, f"({len(y)},), a weight for each value")
     if (w < 0.0).any():
@@ -102,7 +103,7 @@ def estimate_mean(
 
 def estimate_probability(hits: ArrayLike, *, weights: ArrayLike | None = None, confidence: float = 0.95) -> Estimate:
     """Estimate a probability from whether each trial was a hit: `wilson`, or `estimate_mean` if weights differ."""
-    y = _finite("hits", hits)
+    y = finite_array("hits", hits, ndim=1)
     if weights is None or len(np.unique(np.asarray(weights))) <= 1:
         return wilson(int(np.count_nonzero(y)), len(y), confidence)
     return estimate_mean(y, (0.0, 1.0), weights=weights, confidence=confidence)
@@ -125,7 +126,7 @@ def estimate_difference(
         weights: Of the pairs.
         confidence: Probability that the interval covers the truth.
     """
-    a, b = _finite("first", first), _finite("second", second)
+    a, b = finite_array("first", first, ndim=1), finite_array("second", second, ndim=1)
     if a.shape != b.shape:
         raise ShapeError("second", b.shape, f"{a.shape}: pairs")
     widest = bounds[1] - bounds[0]
@@ -134,7 +135,7 @@ def estimate_difference(
 
 def effective_sample_size(weights: ArrayLike) -> float:
     """Return how many observations of equal weight tell as much: (sum w)^2 / sum w^2."""
-    w = _finite("weights", weights)
+    w = finite_array("weights", weights, ndim=1)
     squares = float(w @ w)
     return float(w.sum()) ** 2 / squares if squares else 0.0
 
@@ -157,7 +158,7 @@ def cluster_bootstrap(
         values: Observations along the first axis.
         clusters: Which cluster each belongs to.
         statistic: Of the observations; higher axes are its business.
-        resamples: How often to draw.
+        resamples: How often to draw. Resamples where the statistic is NaN are left out.
         seed: Of the draws.
         confidence: Probability that the interval covers the truth.
     """
@@ -172,7 +173,9 @@ def cluster_bootstrap(
         float(statistic(y[np.concatenate([parts[i] for i in rng.integers(len(parts), size=len(parts))])]))
         for _ in range(resamples)
     ]
-    low, high = np.quantile(drawn, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    found = np.array(drawn)[np.isfinite(drawn)]
+    ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
+    low, high = np.quantile(found, ends) if len(found) else (math.nan, math.nan)
     return Estimate(float(statistic(y)), float(low), float(high), len(parts))
 
 
@@ -189,13 +192,3 @@ def _t_limit(values: Float[Array, " n"], confidence: float, side: float) -> floa
     n = len(values)
     t = float(stdtrit(n - 1, 0.5 + 0.5 * confidence))
     return float(values.mean() + side * t * values.std(ddof=1) / math.sqrt(n))
-
-
-def _finite(name: str, values: ArrayLike) -> Float[Array, " n"]:
-    array = np.asarray(values, dtype=float)
-    if array.ndim != 1:
-        raise ShapeError(name, array.shape, "(n,)")
-    wrong = np.flatnonzero(~np.isfinite(array))
-    if len(wrong):
-        raise NonFiniteError(name, (int(wrong[0]),))
-    return array

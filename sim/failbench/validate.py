@@ -21,7 +21,7 @@ from failbench.report import EntityReport, ValidationReport
 from failbench.rollout import run
 from failbench.sampling import MOST, check_whole, make_jobs, quantile_grid
 from failbench.scenarios import scenarios as find_scenarios
-from failbench.score import energy_impact, observed_impact, secondary_impact
+from failbench.score import energy_impact, observed_impact, secondary_impact, worst_severities
 from failbench.statistics import (
     Estimate,
     check_confidence,
@@ -257,12 +257,9 @@ def _report(
 
 
 def _severities(rollout: Rollout, scene: Scene) -> list[float]:
-    """Return each entity's share in the observed impact of a rollout: the worst that touched it."""
-    worst = dict.fromkeys(scene.entities, 0.0)
-    for event in rollout.events:
-        if not event.secondary:
-            worst[event.entity] = max(worst[event.entity], scene.entities[event.entity].severity[event.striker])
-    return list(worst.values())
+    """Return each entity's share in the observed impact of a rollout."""
+    worst = worst_severities(rollout, scene)
+    return [worst.get(name, 0.0) for name in scene.entities]
 
 
 def _touches(rollout: Rollout, entity: str) -> bool:

@@ -16,6 +16,7 @@ from failbench.gripper import Gripper, find_gripper
 from failbench.robot import Robot
 from graceful_plan import Scene, SettingError, UnsupportedError
 from graceful_plan.array_types import Float, Int
+from graceful_plan.roles import free_joint
 
 Array = np.ndarray
 
@@ -238,15 +239,8 @@ def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: Sim
 
 
 def _movable(model: mujoco.MjModel, entities: Mapping[str, tuple[int, ...]]) -> dict[str, int]:
-    free = int(mujoco.mjtJoint.mjJNT_FREE)
-    found = {}
-    for name, bodies in entities.items():
-        for body in bodies:
-            joint = int(model.body_jntadr[body])
-            if joint >= 0 and int(model.jnt_type[joint]) == free:
-                found[name] = body
-                break
-    return found
+    free = {name: [body for body in bodies if free_joint(model, body) >= 0] for name, bodies in entities.items()}
+    return {name: bodies[0] for name, bodies in free.items() if bodies}
 
 
 def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators: list[int], gripper: Gripper) -> Robot:

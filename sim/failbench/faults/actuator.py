@@ -15,7 +15,7 @@ from failbench.faults.drive import (
     add_friction,
     cut_overloaded_weld,
     scale_response,
-    scale_torque,
+    weaken,
 )
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
@@ -93,8 +93,7 @@ class PartialDegradation(Fault):
 
     def apply(self, plant: Plant, level: float) -> None:
         """Weaken the drive."""
-        scale_torque(plant, 1.0 + level * (self.amount - 1.0))
-        cut_overloaded_weld(plant)
+        weaken(plant, 1.0 + level * (self.amount - 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +110,7 @@ class GradualDegradation(Fault):
 
     def apply(self, plant: Plant, level: float) -> None:
         """Weaken the drive as far as the ramp has come."""
-        scale_torque(plant, 1.0 + level * (self.amount - 1.0))
-        cut_overloaded_weld(plant)
+        weaken(plant, 1.0 + level * (self.amount - 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)

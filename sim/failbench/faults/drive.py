@@ -72,6 +72,15 @@ def scale_torque(plant: Plant, share: float) -> None:
     plant["actuator_forcerange"][actuators(plant)] *= share
 
 
+def weaken(plant: Plant, share: float) -> None:
+    """Let the struck drives give a share of their torque; fingers that get too weak lose what a weld stands for.
+
+    Needs the fields `DRIVE` and `GRIP`.
+    """
+    scale_torque(plant, share)
+    cut_overloaded_weld(plant)
+
+
 def hold_grip(plant: Plant) -> None:
     """Leave the gripper as it was told to be at the onset, deaf to later commands."""
     grippers = plant.robot.gripper_actuators

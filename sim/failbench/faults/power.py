@@ -6,7 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from failbench.faults.drive import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, hold_grip, scale_torque
+from failbench.faults.drive import (
+    DRIVE,
+    FRICTION,
+    GRIP,
+    add_friction,
+    cut_overloaded_weld,
+    hold_grip,
+    scale_torque,
+    weaken,
+)
 from failbench.faults.fault import Fault
 from failbench.plant import Plant
 from graceful_plan import SettingError
@@ -32,8 +41,7 @@ class BatteryDegradation(Fault):
 
     def apply(self, plant: Plant, level: float) -> None:
         """Weaken all drives as far as the ramp has come."""
-        scale_torque(plant, 1.0 + level * (self.amount - 1.0))
-        cut_overloaded_weld(plant)
+        weaken(plant, 1.0 + level * (self.amount - 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +59,7 @@ class VoltageDrop(Fault):
 
     def apply(self, plant: Plant, level: float) -> None:
         """Weaken all drives."""
-        scale_torque(plant, 1.0 + level * (self.amount - 1.0))
-        cut_overloaded_weld(plant)
+        weaken(plant, 1.0 + level * (self.amount - 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
