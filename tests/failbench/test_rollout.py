@@ -202,3 +202,24 @@ def test_horizons_are_checked(done, horizon):
 def test_jobs_are_checked(wrong, message):
     with pytest.raises(gp.SettingError, match=message):
         Job(**({"fault": Drop(), "onset": 0.1, "seed": 0} | wrong))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadsHigh(Weaken):
+    """A sensor that reads too much, by the degree's amount."""
+
+    NAME = "reads_high"
+    FIELDS = ()
+
+    def apply(self, plant, level):
+        plant.misread(plant.joints, np.full((len(plant.ahead), len(plant.joints)), 0.1 * self.amount * level))
+
+
+@pytest.mark.parametrize("control", ["servo", "torque"])
+def test_a_joint_whose_sensor_reads_high_comes_to_rest_too_low(control):
+    done = execution(settings=SimSettings(control=control))
+    joint = done.world.robot.joints[3]
+    *_, (_, data) = steps(done, Job(fault=ReadsHigh(targets=(joint,)), onset=done.duration, seed=0), horizon=1.0)
+    off = data.qpos[done.world.robot.qpos] - done.trajectory.q[-1]
+    assert off[3] == pytest.approx(-0.075, abs=0.005)
+    assert np.abs(np.delete(off, 3)).max() < 0.005
