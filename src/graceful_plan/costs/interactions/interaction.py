@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -23,6 +24,10 @@ class InteractionModel(ABC):
 
         Laws: in [0, 1]; each state on its own; independent of severities.
         """
+
+    def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
+        """Return `probability` by what goes wrong; the shares add up to it. A model that does not tell has one source."""
+        return {"failure": self.probability(batch)}
 
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
