@@ -1,6 +1,6 @@
-"""Calibration of a drop model: drop things in many scenes, fit its constants, and write down where they come from.
+"""Calibration: let robots fail in many scenes, fit a model's constants, and write down where these come from.
 
-The document holds, beside each constant and its interval, what was dropped where with which versions, and how good the
+The document holds, beside each constant and its interval, what failed where with which versions, and how good the
 model is on each scene with constants that were fitted on all the others.
 """
 
@@ -17,7 +17,8 @@ import numpy as np
 import yaml
 
 import graceful_plan as gp
-from failbench.drops import DropJob, Drops, do_job, drop_jobs
+from failbench.failures import DROP, FailureJob, Failures, do_job, failure_jobs
+from failbench.faults.fault import Fault
 from failbench.fitting import Family, Fitted, Sample, fit, predictions, samples_of
 from failbench.skill import Figures, figures
 from graceful_plan import Scene, SettingError
@@ -35,7 +36,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """Constants of a drop model, and why they are what they are. Made by `calibrate`.
+    """Constants of a model, and why they are what they are. Made by `calibrate`.
 
     | field      | meaning                                                                     |
     |------------|-----------------------------------------------------------------------------|
@@ -45,7 +46,7 @@ class Calibration:
     | shared     | names of the constants that all shape classes share                         |
     | fitted     | figures on what they were fitted on                                         |
     | held_out   | figures on each scene, with constants fitted on all others; "all" of them together |
-    | provenance | scenes, drops, seed, versions                                               |
+    | provenance | scenes, failures, seed, versions                                               |
     """
 
     model: str
@@ -93,8 +94,9 @@ class Calibration:
         return "\n".join(lines)
 
 
-def generate_drops(
+def generate(
     scenes: Sequence[str],
+    faults: Sequence[Fault] = DROP,
     *,
     load: Callable[[str], Scene] = gp.load_scene,
     n: int = 30,
@@ -102,27 +104,28 @@ def generate_drops(
     seed: int = 0,
     processes: int = 1,
     progress: Progress | None = None,
-) -> tuple[list[Drops], list[str]]:
-    """Drop the object of every task of some scenes along several motions.
+) -> tuple[list[Failures], list[str]]:
+    """Let a robot fail along several motions for every task of some scenes that carries something.
 
     Args:
         scenes: Names of scenes.
+        faults: What fails.
         load: Loads a scene by name; a function of a module.
-        n: Drops along each motion.
+        n: Failures along each motion.
         repeats: Motions of each kind for each task.
         seed: Of everything random. What comes out depends on it alone, not on `processes`.
         processes: How many to work in.
         progress: Called after each motion.
 
     Returns:
-        The drops, and why some motions have none.
+        What happened, and why some motions have none.
     """
-    jobs = drop_jobs(load, scenes, n=n, seed=seed, repeats=repeats)
-    found: list[Drops] = []
+    jobs = failure_jobs(load, scenes, faults, n=n, seed=seed, repeats=repeats)
+    found: list[Failures] = []
     refused: list[str] = []
 
-    def take(outcome: Drops | str) -> None:
-        found.append(outcome) if isinstance(outcome, Drops) else refused.append(outcome)
+    def take(outcome: Failures | str) -> None:
+        found.append(outcome) if isinstance(outcome, Failures) else refused.append(outcome)
         if progress is not None:
             progress(len(found) + len(refused), len(jobs))
 
@@ -137,13 +140,13 @@ def generate_drops(
     return found, refused
 
 
-def _do(job: DropJob) -> Drops | str:
+def _do(job: FailureJob) -> Failures | str:
     return do_job(job)
 
 
 def calibrate(
     family: Family,
-    drops: Sequence[Drops],
+    failures: Sequence[Failures],
     *,
     model: str,
     load: Callable[[str], Scene] = gp.load_scene,
@@ -153,26 +156,27 @@ def calibrate(
     iterations: int = 30,
     about: Mapping[str, Any] | None = None,
 ) -> Calibration:
-    """Fit a model's constants to drops, and judge them on scenes that they were not fitted on.
+    """Fit a model's constants to failures, and judge them on scenes that they were not fitted on.
 
     Args:
         family: The model.
-        drops: What was dropped, in two scenes at least.
+        failures: What happened, in two scenes at least.
         model: Its name, for the record.
         load: Loads a scene by name.
-        shapes: Shape classes that get constants even if nothing of the kind was dropped.
+        shapes: Shape classes that get constants even if nothing of the kind was carried.
         trusts: To be tried, see `fitting.fit`; the one whose log loss on held-out scenes is least is taken.
         seed: Of the intervals.
         iterations: Of each fit, at most.
-        about: What else to put down: how the drops were made.
+        about: What else to put down: how the failures were made.
 
     Raises:
-        SettingError: If all drops are in one scene.
+        SettingError: If all failures are in one scene.
     """
-    names = sorted({part.scene for part in drops})
+    names = sorted({part.scene for part in failures})
     if len(names) < 2:
         raise SettingError("scenes", tuple(names), "at least two, to judge on each what was fitted on the others")
-    samples = samples_of(family, drops, scenes_of(drops, load))
+    failures = [part for whole in failures if len(part := whole.only(family.faults))]
+    samples = samples_of(family, failures, scenes_of(failures, load))
     every = (*shapes, *(sample.shape for sample in samples))
     tried = {trust: _held_out(family, samples, trust, iterations, every) for trust in trusts}
     trust = min(tried, key=lambda x: tried[x]["all"].log_loss)
@@ -187,9 +191,11 @@ def calibrate(
         provenance={
             "scenes": names,
             "tasks": len(samples),
-            "motions": len(drops),
-            "drops": sum(len(part) for part in drops),
-            "grasps": {grasp: sum(len(part) for part in drops if part.grasp == grasp) for grasp in ("fingers", "weld")},
+            "motions": len(failures),
+            "failures": sum(len(part) for part in failures),
+            "grasps": {
+                grasp: sum(len(part) for part in failures if part.grasp == grasp) for grasp in ("fingers", "weld")
+            },
             "shapes": {shape: sum(len(s.hit) for s in samples if s.shape == shape) for shape in constants},
             **(about or {}),
             "trust": trust,
@@ -215,10 +221,10 @@ def _held_out(
     return found
 
 
-def scenes_of(drops: Sequence[Drops], load: Callable[[str], Scene]) -> dict[tuple[str, str], Scene]:
+def scenes_of(failures: Sequence[Failures], load: Callable[[str], Scene]) -> dict[tuple[str, str], Scene]:
     """Load the scene of every scene's name and task's name, with the object attached."""
-    loaded = {name: load(name) for name in sorted({part.scene for part in drops})}
-    return {(part.scene, part.task): loaded[part.scene].tasks[part.task].scene for part in drops}
+    loaded = {name: load(name) for name in sorted({part.scene for part in failures})}
+    return {(part.scene, part.task): loaded[part.scene].tasks[part.task].scene for part in failures}
 
 
 def events(

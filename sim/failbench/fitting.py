@@ -1,4 +1,4 @@
-"""Fit the constants of a drop model to drops, by maximum likelihood, and say how sure they are.
+"""Fit the constants of a model of failures to rollouts, by maximum likelihood, and say how sure they are.
 
 A model is a `Family`: named constants, and probabilities that depend on them. Events of one motion are alike and no
 model is true, so the likelihood is tempered: a prior weighs as if `trust` events told as much as one. Intervals draw
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from failbench.drops import Drops
+from failbench.failures import Failures
 from failbench.skill import SMALLEST
 from failbench.statistics import check_confidence
 from graceful_plan import Scene, SettingError
@@ -80,10 +80,14 @@ class Constant:
 
 
 class Family(ABC):
-    """A model of drops whose constants can be fitted."""
+    """A model of failures whose constants can be fitted."""
 
     constants: tuple[Constant, ...]
     """What is fitted: once if it is shared, otherwise for each shape class."""
+    faults: tuple[str, ...] = ("gripper_failure",)
+    """Names of the faults that the model is about."""
+    components: tuple[str, ...] = ("carried",)
+    """What strikes the entities in the events that it is fitted to; any of these."""
 
     @abstractmethod
     def shape(self, scene: Scene) -> str:
@@ -95,12 +99,12 @@ class Family(ABC):
 
     @abstractmethod
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
-        """Return P(the carried object hits the entity | it is dropped) for each of the states."""
+        """Return P(one of the components hits the entity | one of the faults) for each of the states."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sample:
-    """All drops of one task, prepared.
+    """All failures of one task, prepared.
 
     | field    | meaning                                        | shape    |
     |----------|------------------------------------------------|----------|
@@ -110,7 +114,7 @@ class Sample:
     | prepared | what the family makes of the states            |          |
     | hit      | what happened                                  | n entity |
     | counted  | which of it counts                             | n entity |
-    | motion   | which motion each drop is of                   | n        |
+    | motion   | which motion each failure is of                   | n        |
     """
 
     scene: str
@@ -130,31 +134,34 @@ class Fitted(NamedTuple):
     high: float
 
 
-def samples_of(family: Family, drops: Sequence[Drops], scenes: Mapping[tuple[str, str], Scene]) -> list[Sample]:
-    """Prepare drops.
+def samples_of(family: Family, failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene]) -> list[Sample]:
+    """Prepare those failures that a family is about.
 
     Args:
         family: Whose constants are to be fitted.
-        drops: What was dropped.
+        failures: What happened.
         scenes: The scene of each scene's name and task's name, with the object attached.
     """
-    groups: dict[tuple[str, str], list[int]] = {}
-    for i, part in enumerate(drops):
-        groups.setdefault((part.scene, part.task), []).append(i)
+    groups: dict[tuple[str, str], list[tuple[int, Failures]]] = {}
+    for i, whole in enumerate(failures):
+        part = whole.only(family.faults)
+        if len(part) and not set(family.components).isdisjoint(part.components):
+            groups.setdefault((part.scene, part.task), []).append((i, part))
     found = []
     for (scene, task), members in groups.items():
         where = scenes[scene, task]
-        parts = [drops[i] for i in members]
-        q, qd, hit = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "qd", "hit"))
+        parts = [part for _, part in members]
+        q, qd = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "qd"))
+        events = [part.events([c for c in family.components if c in part.components]) for part in parts]
         found.append(
             Sample(
                 scene=scene,
                 task=task,
                 shape=family.shape(where),
                 prepared=family.prepare(where, q, qd),
-                hit=hit,
-                counted=np.concatenate([np.tile(part.counted, (len(part), 1)) for part in parts]),
-                motion=np.repeat(members, [len(part) for part in parts]),
+                hit=np.concatenate([hit for hit, _ in events]),
+                counted=np.concatenate([np.tile(counted, (len(hit), 1)) for hit, counted in events]),
+                motion=np.repeat([i for i, _ in members], [len(part) for part in parts]),
             )
         )
     return found

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import graceful_plan as gp
-from failbench.calibrate import Calibration, Progress, calibrate, generate_drops
-from failbench.drops import read_drops, write_drops
+from failbench.calibrate import Calibration, Progress, calibrate, generate
+from failbench.failures import read_failures, write_failures
 from failbench.fitting import Constant, Family, Fitted
 from failbench.sampling import MOST, check_whole
 from graceful_plan import Scene, StateBatch, UnknownNameError
@@ -123,14 +123,14 @@ def calibrate_footprint(
     about: dict[str, Any] = {"horizon": 1.0, "motions_without": []}
     file = None if drops is None else FilePath(drops)
     if file is not None and file.exists():
-        dropped = [part for part in read_drops(file) if part.scene in scenes]
+        dropped = [part for part in read_failures(file) if part.scene in scenes]
         about["drops_from"] = file.name
     else:
-        dropped, about["motions_without"] = generate_drops(
+        dropped, about["motions_without"] = generate(
             scenes, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress
         )
         if file is not None:
-            write_drops(file, dropped)
+            write_failures(file, dropped)
     family = FootprintFamily()
     return calibrate(family, dropped, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
 

@@ -1,7 +1,8 @@
-"""What is dropped, and what it hits: the events that a model of drops is fitted on and judged by.
+"""What failures do, event by event: what models of them are fitted on and judged by.
 
-For each rollout: configuration and velocity at the onset, and for every entity whether the carried object touched it.
-What entities do to each other afterwards is not counted, nor what the object touches in the healthy run.
+For each rollout: configuration and velocity at the onset, what failed, and for every entity whether the robot's body,
+the carried object or its contents touched it. What entities do to each other afterwards is not counted, nor what is
+touched in the healthy run.
 """
 
 from __future__ import annotations
@@ -19,17 +20,20 @@ import graceful_plan as gp
 from failbench.errors import ExecutionRefused
 from failbench.execution import Execution, execute
 from failbench.faults.end_effector import GripperFailure
+from failbench.faults.fault import Fault
 from failbench.records import Rollout
 from failbench.rollout import run
 from failbench.sampling import make_jobs
 from failbench.world import SimSettings, build_world
 from graceful_plan import GracefulPlanError, Path, Scene, SettingError, Task, Trajectory
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import FormatError
 
 Array = np.ndarray
 
-_SCHEMA, _VERSION = "failbench.drops", 1
+_SCHEMA, _VERSION = "failbench.failures", 1
+DROP: tuple[Fault, ...] = (GripperFailure(degree="critical"),)
+"""The gripper lets go at once."""
 _VIA_SPREAD = 0.35
 """How far via points are from the straight way [rad], standard deviation of each joint."""
 _VIA_ROOM = 0.01
@@ -39,7 +43,7 @@ _VIA_TRIES = 30
 
 @dataclass(frozen=True, kw_only=True)
 class MotionKind:
-    """How a motion for drops is made.
+    """How a motion along which things fail is made.
 
     Args:
         way: A planner, or "via": over a random configuration near the straight way.
@@ -58,38 +62,59 @@ class MotionKind:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Drops:
-    """The drops along one motion. Made by `drop_along`.
+class Failures:
+    """The failures along one motion. Made by `fail_along`.
 
-    | field      | meaning                                                                          | shape       |
-    |------------|----------------------------------------------------------------------------------|-------------|
-    | scene      | name of the scene                                                                |             |
-    | task       | name of the task, whose object is dropped                                        |             |
-    | motion     | how the motion was made, if it is known                                          |             |
-    | grasp      | what held the object: "fingers" or "weld"                                        |             |
-    | entities   | names of the entities, in the order of the scene                                 | entity      |
-    | categories | their classes                                                                    | entity      |
-    | counted    | whether the entity counts: not one that the healthy run touches, too             | entity      |
-    | q          | configuration at the onset [rad or m]                                            | n nq        |
-    | qd         | velocity there                                                                   | n nq        |
-    | hit        | whether the object touched the entity                                            | n entity    |
-    | lost       | rollouts that diverged and are left out                                          |             |
+    | field      | meaning                                                               | shape              |
+    | ---------- | --------------------------------------------------------------------- | ------------------ |
+    | scene      | name of the scene                                                     |                    |
+    | task       | name of the task, whose object is carried                             |                    |
+    | motion     | how the motion was made, if it is known                               |                    |
+    | grasp      | what held the object: "fingers" or "weld"                             |                    |
+    | components | names of the components, in the order of the scene                    | component          |
+    | entities   | names of the entities, in the order of the scene                      | entity             |
+    | categories | their classes                                                         | entity             |
+    | faults     | names of the faults                                                   | fault              |
+    | counted    | whether the pair counts: not one that touches in the healthy run, too | component entity   |
+    | fault      | what failed, as an index into `faults`                                | n                  |
+    | q          | configuration at the onset [rad or m]                                 | n nq               |
+    | qd         | velocity there                                                        | n nq               |
+    | hit        | whether the component touched the entity                              | n component entity |
+    | dropped    | whether the object left the gripper                                   | n                  |
+    | spilled    | lost part of the contents                                             | n                  |
+    | lost       | rollouts that diverged and are left out                               |                    |
     """
 
     scene: str
     task: str
     motion: str
     grasp: str
+    components: tuple[str, ...]
     entities: tuple[str, ...]
     categories: tuple[str, ...]
-    counted: Bool[Array, " entity"]
+    faults: tuple[str, ...]
+    counted: Bool[Array, "component entity"]
+    fault: Int[Array, " n"]
     q: Float[Array, "n nq"]
     qd: Float[Array, "n nq"]
-    hit: Bool[Array, "n entity"]
+    hit: Bool[Array, "n component entity"]
+    dropped: Bool[Array, " n"]
+    spilled: Float[Array, " n"]
     lost: int = 0
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def only(self, faults: Iterable[str]) -> Failures:
+        """Return those that some faults caused, by the faults' names."""
+        rows = np.isin(self.fault, [self.faults.index(name) for name in faults if name in self.faults])
+        names = ("fault", "q", "qd", "hit", "dropped", "spilled")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    def events(self, components: Sequence[str]) -> tuple[Bool[Array, "n entity"], Bool[Array, " entity"]]:
+        """Return which entities one of some components touched, and which of them count for none of these."""
+        rows = [self.components.index(name) for name in components]
+        return self.hit[:, rows].any(axis=1), self.counted[rows].all(axis=0)
 
 
 def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
@@ -142,24 +167,26 @@ def _via(scene: Scene, start: Array, goal: Array, rng: np.random.Generator) -> F
     return via if gp.clearance(scene, via) >= _VIA_ROOM else None
 
 
-def drop_along(
+def fail_along(
     motion: Trajectory,
     scene: Scene,
+    faults: Sequence[Fault] = DROP,
     *,
     n: int,
     seed: int = 0,
     task: str = "",
     horizon: float = 1.0,
     threads: int = 1,
-) -> Drops:
-    """Let the gripper fail many times along a motion, and tell what the carried object hits.
+) -> Failures:
+    """Let a robot fail many times along a motion, and tell what is hit.
 
     The object is held by the fingers where they can, otherwise by a weld.
 
     Args:
         motion: What is carried out.
-        scene: Where, with the object attached.
-        n: Number of drops.
+        scene: Where, with the object attached if there is one.
+        faults: What fails, of one kind each; by default, the gripper lets go.
+        n: Number of failures, rounded up to a multiple of the number of faults.
         seed: Of everything random.
         task: Name of the task, for the record.
         horizon: How long is simulated after the onset [s].
@@ -167,27 +194,36 @@ def drop_along(
 
     Raises:
         ExecutionRefused: If the healthy robot cannot carry the motion out in either way.
-        SettingError: If nothing is carried.
+        SettingError: If nothing is carried, and nothing fails but the gripper.
     """
-    if scene.carried is None:
+    if scene.carried is None and all(fault.NAME == GripperFailure.NAME for fault in faults):
         raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
     execution = _held(motion, scene)
-    jobs = make_jobs([GripperFailure(degree="critical")], execution.duration, n=n, seed=seed)
+    jobs = make_jobs(faults, execution.duration, n=n, seed=seed)
     rollouts = run(execution, jobs, horizon=horizon, threads=threads)
     completed = [rollout for rollout in rollouts if rollout.status == "completed"]
     # What a planner would know: where the motion is to be, not where the servos have brought the arm.
     state = motion.at(motion.t[0] + np.array([rollout.onset for rollout in completed]))
-    return Drops(
+    names = tuple(dict.fromkeys(fault.NAME for fault in faults))
+    components, entities = tuple(scene.components), tuple(scene.entities)
+    return Failures(
         scene=scene.name,
         task=task,
         motion="",
         grasp=execution.world.settings.grasp,
-        entities=tuple(scene.entities),
+        components=components,
+        entities=entities,
         categories=tuple(entity.category for entity in scene.entities.values()),
-        counted=np.array([("carried", name) not in execution.baseline for name in scene.entities], dtype=bool),
+        faults=names,
+        counted=np.array(
+            [[(part, name) not in execution.baseline for name in entities] for part in components], dtype=bool
+        ).reshape(len(components), len(entities)),
+        fault=np.array([names.index(rollout.job.fault.NAME) for rollout in completed], dtype=np.int64),
         q=state.q,
         qd=state.qd,
-        hit=_hits(completed, tuple(scene.entities)),
+        hit=_hits(completed, components, entities),
+        dropped=np.array([rollout.dropped for rollout in completed], dtype=bool),
+        spilled=np.array([rollout.spilled for rollout in completed], dtype=float),
         lost=len(rollouts) - len(completed),
     )
 
@@ -199,13 +235,15 @@ def _held(motion: Trajectory, scene: Scene) -> Execution:
         return execute(motion, build_world(scene, SimSettings(grasp="weld")))
 
 
-def _hits(rollouts: Sequence[Rollout], entities: tuple[str, ...]) -> Bool[Array, "n entity"]:
-    hit = np.zeros((len(rollouts), len(entities)), dtype=bool)
-    column = {name: i for i, name in enumerate(entities)}
-    for row, rollout in zip(hit, rollouts, strict=True):
+def _hits(
+    rollouts: Sequence[Rollout], components: tuple[str, ...], entities: tuple[str, ...]
+) -> Bool[Array, "n component entity"]:
+    hit = np.zeros((len(rollouts), len(components), len(entities)), dtype=bool)
+    row, column = ({name: i for i, name in enumerate(names)} for names in (components, entities))
+    for mine, rollout in zip(hit, rollouts, strict=True):
         for event in rollout.events:
-            if event.striker == "carried" and not event.secondary:
-                row[column[event.entity]] = True
+            if not event.secondary:
+                mine[row[event.striker], column[event.entity]] = True
     return hit
 
 
@@ -218,19 +256,20 @@ KINDS = (
     MotionKind(way="via", speed=0.7),
     MotionKind(way="via", speed=1.0),
 )
-"""Motions along which a model of drops is fitted and judged: planned with and without regard for failures, and none."""
+"""Motions along which a model of failures is fitted and judged: planned with regard for failures, without, and not."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class DropJob:
-    """The drops along one motion that is still to be made.
+class FailureJob:
+    """The failures along one motion that is still to be made.
 
     Args:
         load: Loads a scene by name; a function of a module, so that other processes find it.
         scene: Name of the scene.
         task: Name of the task.
         kind: How the motion is made.
-        n: Number of drops.
+        faults: What fails.
+        n: Number of failures.
         seed: Of everything random.
         horizon: How long is simulated after each onset [s].
     """
@@ -239,27 +278,30 @@ class DropJob:
     scene: str
     task: str
     kind: MotionKind
+    faults: tuple[Fault, ...]
     n: int
     seed: int
     horizon: float = 1.0
 
 
-def drop_jobs(
+def failure_jobs(
     load: Callable[[str], Scene],
     scenes: Sequence[str],
+    faults: Sequence[Fault] = DROP,
     *,
     n: int,
     seed: int = 0,
     kinds: Sequence[MotionKind] = KINDS,
     repeats: int = 1,
     horizon: float = 1.0,
-) -> list[DropJob]:
+) -> list[FailureJob]:
     """Return jobs for every kind of motion on every task of some scenes that carries something.
 
     Args:
         load: Loads a scene by name.
         scenes: Names of scenes.
-        n: Drops along each motion.
+        faults: What fails.
+        n: Failures along each motion.
         seed: Of everything random; each motion gets its own.
         kinds: Of motions.
         repeats: Motions of each kind.
@@ -271,44 +313,48 @@ def drop_jobs(
     todo = [(scene, task, kind) for scene, task in tasks for kind in kinds for _ in range(repeats)]
     seeds = np.random.default_rng(seed).integers(2**31, size=len(todo))
     return [
-        DropJob(load=load, scene=scene, task=task, kind=kind, n=n, seed=int(s), horizon=horizon)
+        FailureJob(
+            load=load, scene=scene, task=task, kind=kind, faults=tuple(faults), n=n, seed=int(s), horizon=horizon
+        )
         for (scene, task, kind), s in zip(todo, seeds, strict=True)
     ]
 
 
-def do_job(job: DropJob) -> Drops | str:
-    """Make the motion and drop along it; where that cannot be done, return why."""
+def do_job(job: FailureJob) -> Failures | str:
+    """Make the motion and fail along it; where that cannot be done, return why."""
     task, about = job.load(job.scene).tasks[job.task], f"{job.scene}/{job.task}, {job.kind}"
     motion = make_motion(task, job.kind, job.seed)
     if motion is None:
         return f"{about}: no motion"
     try:
-        drops = drop_along(motion, task.scene, n=job.n, seed=job.seed, task=job.task, horizon=job.horizon)
+        failures = fail_along(
+            motion, task.scene, job.faults, n=job.n, seed=job.seed, task=job.task, horizon=job.horizon
+        )
     except ExecutionRefused as error:
         return f"{about}: {error}"
-    return replace(drops, scene=job.scene, motion=str(job.kind))
+    return replace(failures, scene=job.scene, motion=str(job.kind))
 
 
 # --- files -----------------------------------------------------------------------------------------------------------
 
-_TEXTS = ("scene", "task", "motion", "grasp", "entities", "categories", "lost")
-_ARRAYS = ("counted", "q", "qd", "hit")
+_TEXTS = ("scene", "task", "motion", "grasp", "components", "entities", "categories", "faults", "lost")
+_ARRAYS = ("counted", "fault", "q", "qd", "hit", "dropped", "spilled")
 
 
-def write_drops(file: str | FilePath, drops: Iterable[Drops]) -> None:
-    """Write drops into one compressed NumPy file."""
+def write_failures(file: str | FilePath, failures: Iterable[Failures]) -> None:
+    """Write failures into one compressed NumPy file."""
     arrays: dict[str, Array] = {}
     about: list[dict[str, Any]] = []
-    for i, part in enumerate(drops):
+    for i, part in enumerate(failures):
         about.append({name: getattr(part, name) for name in _TEXTS})
         arrays |= {f"{i}.{name}": getattr(part, name) for name in _ARRAYS}
-    document = {"schema": _SCHEMA, "version": _VERSION, "drops": about}
+    document = {"schema": _SCHEMA, "version": _VERSION, "motions": about}
     with FilePath(file).open("wb") as out:
         np.savez_compressed(out, about=np.array(json.dumps(document)), **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def read_drops(file: str | FilePath) -> list[Drops]:
-    """Read what `write_drops` wrote.
+def read_failures(file: str | FilePath) -> list[Failures]:
+    """Read what `write_failures` wrote.
 
     Raises:
         FormatError: If it is something else.
@@ -319,13 +365,13 @@ def read_drops(file: str | FilePath) -> list[Drops]:
             if (document["schema"], document["version"]) != (_SCHEMA, _VERSION):
                 raise FormatError(str(file), f"not {_SCHEMA} of version {_VERSION}")
             return [
-                Drops(
+                Failures(
                     **{name: tuple(x) if isinstance(x, list) else x for name, x in about.items()},
                     **{name: data[f"{i}.{name}"] for name in _ARRAYS},
                 )
-                for i, about in enumerate(document["drops"])
+                for i, about in enumerate(document["motions"])
             ]
     except FormatError:
         raise
     except (ValueError, KeyError, TypeError, OSError, EOFError, BadZipFile) as error:
-        raise FormatError(str(file), f"no file of drops: {error}") from None
+        raise FormatError(str(file), f"no file of failures: {error}") from None
