@@ -87,6 +87,17 @@ class Objective:
         return SceneObjective(self, scene)
 
 
+@dataclass(frozen=True, eq=False)
+class ChargedStates:
+    """States at which a motion is charged for its impact: the integral is the sum of weight times density."""
+
+    batch: StateBatch
+    weight: Float[Array, " n"]
+    """Exposure that each stands for: [rad], [s], or 1 if the exposure is waypoints."""
+    place: Float[Array, " n"]
+    """Where each is, in numbers of vertices or samples of the motion from its start; fractions lie in between."""
+
+
 class SceneObjective:
     """An objective in a scene: what planners see (`BoundObjective`), and the breakdown of whole paths."""
 
@@ -129,21 +140,33 @@ class SceneObjective:
 
     def breakdown(self, path: Path | Trajectory) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from."""
+        charged = self.charged_states(path)
+        samples = self._samples(path.path if isinstance(path, Trajectory) else path)
+        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
+        motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
+        return self._breakdown(float(motion), charged.batch, charged.weight)
+
+    def charged_states(self, path: Path | Trajectory) -> ChargedStates:
+        """Return the states at which a path, or a trajectory, is charged for its impact: sums over them are integrals.
+
+        Raises:
+            ShapeError: If the path does not fit the scene.
+        """
         points = path.path if isinstance(path, Trajectory) else path
         if points.q.shape[1] != len(self.scene.joints):
             raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
+        vertices = np.arange(len(points), dtype=np.float64)
         if isinstance(path, Trajectory) and self.objective.exposure == "time":
-            batch, weight = _timed_batch(self.scene, path)
-            motion = self.edges(points.q[:-1], points.q[1:])[:, 0].sum()
-        elif self.objective.exposure == "waypoints":
-            batch, weight = StateBatch(self.scene, points.q), np.ones(len(points))
-            motion = self.edges(points.q[:-1], points.q[1:])[:, 0].sum()
-        else:
-            samples = _Samples(points.q[:-1], points.q[1:], self.scene.limits.velocity, self.objective.paces)
-            batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
-            motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
-            weight = samples.weights(samples.length if self.objective.exposure == "length" else samples.duration)
-        return self._breakdown(float(motion), batch, weight)
+            return ChargedStates(*_timed_batch(self.scene, path), place=vertices)
+        if self.objective.exposure == "waypoints":
+            return ChargedStates(StateBatch(self.scene, points.q), np.ones(len(points)), place=vertices)
+        samples = self._samples(points)
+        measure = samples.length if self.objective.exposure == "length" else samples.duration
+        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
+        return ChargedStates(batch, samples.weights(measure), place=samples.place)
+
+    def _samples(self, points: Path) -> _Samples:
+        return _Samples(points.q[:-1], points.q[1:], self.scene.limits.velocity, self.objective.paces)
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
         impact = self.objective.impact
@@ -183,6 +206,7 @@ class _Samples:
         self._piece = np.arange(len(self.edge)) - self.first[self.edge]
         self._pieces = pieces
         s = self._piece / pieces[self.edge]
+        self.place = self.edge + s
         self.q = q0[self.edge] + s[:, None] * delta[self.edge]
         safe = np.where(self.length > 0, self.length, 1.0)
         self.direction = (delta / safe[:, None])[self.edge]
