@@ -26,8 +26,12 @@ class InteractionModel(ABC):
         """
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
-        """Return `probability` by what goes wrong; the shares add up to it. A model that does not tell has one source."""
+        """Return `probability` by what goes wrong; the shares add up to it. A model need not tell sources apart."""
         return {"failure": self.probability(batch)}
+
+    def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
+        """Return which faults are behind each of the `sources`, with their weights; a model need not know any."""
+        return {}
 
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
