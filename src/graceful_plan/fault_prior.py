@@ -1,0 +1,239 @@
+r"""Which failures to fear: how often each fault happens, and what the robot does then.
+
+A fault (a dead motor, a weak grip) is described by its rate. Interaction models know only a few *generators*, ways in
+which a failure goes on. A table of effects says with which probability a fault acts like which generator:
+
+.. math:: P = \sum_g w_g P_g, \qquad w_g = \sum_f \frac{r_f}{\sum r} \, \mathrm{effect}_{f, g}
+
+Rates of the presets are in `faults.yaml`, effects in `fault_effects.yaml`; both say where they come from. The faults
+have the names that FailBench gives them; a fault of one's own needs a row of effects of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.yaml_file import Block, read_yaml
+
+GENERATORS = ("drop", "spill", "collapse", "joint", "stuck", "stray")
+"""What can happen: the gripper lets go; the contents get out of a container that is held; no joint is powered; one
+joint is not powered; one joint is frozen while the others go on; the arm goes off its path."""
+DEGREES = ("minor", "moderate", "severe", "critical")
+"""How bad a fault can be, as in FailBench."""
+
+_RATES = Path(__file__).parent / "faults.yaml"
+_EFFECTS = Path(__file__).parent / "fault_effects.yaml"
+_ROUNDING = 1e-9
+
+_Table = Mapping[str, Mapping[str, float]]
+
+
+def shipped_effects(degree: str = "severe") -> _Table:
+    """Return the shipped effects of faults of some degree: by fault, then by generator.
+
+    Raises:
+        UnknownNameError: If the table does not have this degree.
+    """
+    return _of_degree(_shipped_effects(), degree)
+
+
+@dataclass(frozen=True)
+class FaultPrior:
+    """How often each fault happens, and what comes of it.
+
+    Args:
+        rates: Rate of each fault [1/h]; those that are left out never happen. Only their ratios matter for what
+            happens given that something does.
+        effects: By fault, then by generator: the probability that the fault acts like it. The rest up to 1 is
+            harmless. Faults that it does not name are unknown. The shipped ones for severe faults by default.
+        name: What to call it.
+
+    Raises:
+        UnknownNameError: If a fault or a generator does not exist.
+        SettingError: If a rate is negative or not finite, no fault ever happens, or effects are no probabilities.
+
+    Example:
+        >>> prior = FaultPrior({"weak_grip": 0.5, "power_loss": 0.05})
+        >>> sum(prior.weights().values()) <= 1.0
+        True
+    """
+
+    rates: Mapping[str, float]
+    effects: _Table = field(default_factory=shipped_effects, repr=False)
+    name: str = "own"
+
+    def __post_init__(self) -> None:
+        for fault, row in self.effects.items():
+            _check_effects(fault, row)
+        for fault, rate in self.rates.items():
+            if fault not in self.effects:
+                raise UnknownNameError("fault", fault, self.effects)
+            if not _is_number(rate) or not 0.0 <= rate < math.inf:
+                raise SettingError(f"rate of {fault}", rate, "a finite number of at least 0 [1/h]")
+        if not 0.0 < sum(self.rates.values()) < math.inf:
+            raise SettingError("rates", dict(self.rates), "a positive one at least, and a finite sum [1/h]")
+        rates = {fault: float(self.rates[fault]) for fault in self.effects if fault in self.rates}
+        effects = {fault: MappingProxyType(dict(row)) for fault, row in self.effects.items()}
+        object.__setattr__(self, "rates", MappingProxyType(rates))
+        object.__setattr__(self, "effects", MappingProxyType(effects))
+
+    def __hash__(self) -> int:
+        effects = tuple((fault, tuple(sorted(row.items()))) for fault, row in sorted(self.effects.items()))
+        return hash((tuple(sorted(self.rates.items())), effects, self.name))
+
+    def __reduce__(self) -> tuple[type[FaultPrior], tuple[object, ...]]:
+        # Read-only mappings cannot be pickled.
+        return FaultPrior, (dict(self.rates), {fault: dict(row) for fault, row in self.effects.items()}, self.name)
+
+    @classmethod
+    def preset(cls, name: str, *, degree: str = "severe") -> FaultPrior:
+        """Return a prior that comes with the library: "drop_only", "arm" or "service_robot".
+
+        Args:
+            name: Which.
+            degree: How bad the faults are when they happen.
+
+        Raises:
+            UnknownNameError: If there is no such preset, or no effects for the degree.
+        """
+        presets = _shipped_rates()
+        if name not in presets:
+            raise UnknownNameError("fault prior", name, presets)
+        return cls(presets[name], shipped_effects(degree), name)
+
+    @classmethod
+    def load(cls, file: str | Path, name: str | None = None, *, degree: str = "severe") -> FaultPrior:
+        """Read a prior from a YAML file laid out like `faults.yaml`.
+
+        It may also have `effects`, as in `fault_effects.yaml`; its rows replace shipped ones or add to them.
+
+        Args:
+            file: The file.
+            name: Which of its presets; None if there is only one.
+            degree: How bad the faults are when they happen.
+
+        Raises:
+            SceneError: If the file is broken or has a wrong value, with the line.
+            UnknownNameError: If it has no such preset, or no effects for the degree.
+            SettingError: If it has several presets, and none is named.
+        """
+        root = _versioned(read_yaml(Path(file)), "presets", "effects")
+        own, shipped = root.get("effects"), _shipped_effects()
+        tables = {} if own is None else _read_effects(own)
+        known = {key: {**shipped.get(key, {}), **tables.get(key, {})} for key in {*shipped, *tables}}
+        effects = _of_degree(known, degree)
+        presets = {key: _read_rates(rates, effects) for key, rates in root["presets"].items()}
+        if name is None:
+            if len(presets) != 1:
+                raise SettingError("name", name, f"one of the presets of {file}: {', '.join(presets)}")
+            name = next(iter(presets))
+        if name not in presets:
+            raise UnknownNameError("fault prior", name, presets)
+        return cls(presets[name], effects, name)
+
+    @property
+    def rate(self) -> float:
+        """Rate of all faults together [1/h]."""
+        return math.fsum(self.rates.values())
+
+    def probabilities(self) -> Mapping[str, float]:
+        """Return the probability of each fault, given that one happens; they sum to 1."""
+        total = self.rate
+        return MappingProxyType({fault: rate / total for fault, rate in self.rates.items()})
+
+    def weights(self) -> Mapping[str, float]:
+        """Return the probability of each generator, given that a fault happens; the rest up to 1 is harmless."""
+        shares = self.fault_shares()
+        return MappingProxyType({generator: math.fsum(shares[generator].values()) for generator in GENERATORS})
+
+    def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
+        """Return what each fault contributes to the weight of each generator: by generator, then by fault.
+
+        Faults that contribute nothing are left out.
+        """
+        probability = self.probabilities()
+        found: dict[str, Mapping[str, float]] = {}
+        for generator in GENERATORS:
+            parts = {fault: p * self.effects[fault].get(generator, 0.0) for fault, p in probability.items()}
+            found[generator] = MappingProxyType({fault: part for fault, part in parts.items() if part > 0.0})
+        return MappingProxyType(found)
+
+
+def presets() -> tuple[str, ...]:
+    """Return the names of the priors that come with the library."""
+    return tuple(_shipped_rates())
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _check_effects(fault: str, row: Mapping[str, float]) -> None:
+    for generator, share in row.items():
+        if generator not in GENERATORS:
+            raise UnknownNameError("generator", generator, GENERATORS)
+        if not _is_number(share) or not 0.0 <= share <= 1.0:
+            raise SettingError(f"effect of {fault} like {generator}", share, "a probability")
+    if math.fsum(row.values()) > 1.0 + _ROUNDING:
+        raise SettingError(f"effects of {fault}", dict(row), "a sum of at most 1")
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _shipped_rates() -> Mapping[str, Mapping[str, float]]:
+    root = _versioned(read_yaml(_RATES), "presets")
+    return {name: _read_rates(rates, shipped_effects()) for name, rates in root["presets"].items()}
+
+
+@cache
+def _shipped_effects() -> Mapping[str, _Table]:
+    return _read_effects(_versioned(read_yaml(_EFFECTS), "provenance", "effects")["effects"])
+
+
+def _versioned(root: Block, *keys: str) -> Block:
+    root.only("version", *keys)
+    if root["version"].number() != 1:
+        raise root["version"].error("only version 1 of fault priors is known")
+    return root
+
+
+def _read_rates(block: Block, faults: Mapping[str, object]) -> Mapping[str, float]:
+    block.only(*faults)
+    rates = {fault: rate.number() for fault, rate in block.items()}
+    for fault, rate in block.items():
+        if rates[fault] < 0.0:
+            raise rate.error(f"the rate of {fault} is below 0")
+    if not sum(rates.values()) > 0.0:
+        raise block.error(f"{block.name} needs a positive rate")
+    return rates
+
+
+def _read_effects(block: Block) -> Mapping[str, _Table]:
+    block.only(*DEGREES)
+    tables: dict[str, _Table] = {}
+    for degree, table in block.items():
+        found: dict[str, Mapping[str, float]] = {}
+        for fault, row in table.items():
+            row.only(*GENERATORS)
+            shares = {generator: share.number() for generator, share in row.items()}
+            try:
+                _check_effects(fault, shares)
+            except SettingError as error:
+                raise row.error(str(error)) from None
+            found[fault] = MappingProxyType(shares)
+        tables[degree] = MappingProxyType(found)
+    return tables
+
+
+def _of_degree(tables: Mapping[str, _Table], degree: str) -> _Table:
+    if degree not in tables:
+        raise UnknownNameError("degree with effects", degree, tables)
+    return tables[degree]
