@@ -42,6 +42,9 @@ objects:
     fingers: {panda/finger_joint1: 0.03, panda/finger_joint2: 0.03}
     contents: {kind: water, volume: 0.2, temperature: 85, geoms: [tea]}
   vase: {}
+moving:
+  cat: {class: pet, size: [0.2, 0.1, 0.1], t: [0, 2], position: [[1, 0, 0.1], [1, 1, 0.1]], yaw: [0, 1.5], growth: 0.1}
+  ball: {class: robust, size: [0.1, 0.1], t: [1], position: [[1, 0, 0.1]], spread: 0.2, severity: {carried: 0.5}}
 keyframes:
   a: [0, 0, 0, -2, 0, 2, 0]
   b: [0.5, 0, 0, -2, 0, 2, 0]
@@ -81,6 +84,16 @@ def test_everything_in_a_file_arrives(shelf: Scene) -> None:
     base = shelf.data_at(shelf.keyframes["a"]).body("panda/link0")
     np.testing.assert_allclose(base.xpos, [0, 0, 0.1])
     np.testing.assert_allclose(base.xmat.reshape(3, 3), np.diag([-1, -1, 1]), atol=1e-12)
+
+
+def test_what_moves(shelf: Scene) -> None:
+    cat, ball = shelf.moving["cat"], shelf.moving["ball"]
+    assert (cat.category, cat.is_round, cat.growth, ball.is_round, ball.spread) == ("pet", False, 0.1, True, 0.2)
+    np.testing.assert_allclose(cat.at(1.0).position, [1.0, 0.5, 0.1])
+    np.testing.assert_allclose(cat.at(1.0).yaw, 0.75)
+    held = shelf.attach("vase")
+    assert held.moving_severity["ball"]["carried"] == 0.5
+    assert held.moving_severity["cat"]["body"] == 30.0
 
 
 def test_tasks(shelf: Scene) -> None:
@@ -199,6 +212,10 @@ _BROKEN = {  # what to replace, by what, where the complaint points, its words
     "goal outside": ("goal: [1, 0, 0, -2,", "goal: [1, 9, 0, -2,", "joint 1 of configuration = 9.0"),
     "contact of nothing": ("{first: vase,", "{first: vose,", "unknown body or geom 'vose'"),
     "contact at times": ("second: panda/link7}", "second: panda/link7, when: often}", "when is 'often'"),
+    "moving back in time": ("t: [0, 2]", "t: [2, 0]", r"moving.cat: t\[1\] of cat = 0.0, expected more than"),
+    "moving nowhere": ("position: [[1, 0, 0.1], [1, 1, 0.1]]", "position: []", r"position of cat has shape \(0, 3\)"),
+    "moving ghost": ("class: pet", "class: ghost", "unknown entity class 'ghost'"),
+    "moving shelf": ("  cat: {class: pet", "  shelf: {class: pet", "name of the moving entity 'shelf' is taken"),
     "alias": ("  shelf: table", "  shelf: &a table", "anchors and aliases"),
 }
 

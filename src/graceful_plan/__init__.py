@@ -21,6 +21,9 @@ from graceful_plan.exceptions import (
     UnknownNameError,
     UnsupportedError,
 )
+from graceful_plan.explain import Contribution, Explanation, explain
+from graceful_plan.fault_prior import FaultPrior
+from graceful_plan.moving import MovingEntity
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
@@ -40,6 +43,7 @@ from graceful_plan.planners import (
 from graceful_plan.pose_goal import PoseGoal
 from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
+from graceful_plan.risk import Risk, RiskMeasure, risk
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.severity import SeverityTable
@@ -57,11 +61,14 @@ __all__ = [
     "BiTRRT",
     "BoxOverlap",
     "Check",
+    "Contribution",
     "Cost",
     "CostBreakdown",
     "CostError",
     "Dry",
     "EntityNote",
+    "Explanation",
+    "FaultPrior",
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",
@@ -70,6 +77,7 @@ __all__ = [
     "JointLength",
     "Limits",
     "Liquid",
+    "MovingEntity",
     "NonFiniteError",
     "Objective",
     "PRMStar",
@@ -81,6 +89,8 @@ __all__ = [
     "PoseGoal",
     "RRTConnect",
     "RRTStar",
+    "Risk",
+    "RiskMeasure",
     "RobotArrays",
     "RobotDynamics",
     "Scene",
@@ -99,10 +109,12 @@ __all__ = [
     "__version__",
     "clearance",
     "evaluate",
+    "explain",
     "interaction_probability",
     "load_scene",
     "plan",
     "retime",
+    "risk",
     "scenes",
     "verify",
 ]

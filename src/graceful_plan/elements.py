@@ -18,6 +18,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
+from graceful_plan.moving import MovingEntity
 from graceful_plan.severity import SeverityTable
 
 if TYPE_CHECKING:
@@ -222,6 +223,7 @@ class Notes:
     keyframes: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
     tasks: Mapping[str, TaskNote] = field(default_factory=lambda: MappingProxyType({}))
     allowed: tuple[AllowedContact, ...] = ()
+    moving: Mapping[str, MovingEntity] = field(default_factory=lambda: MappingProxyType({}))
     held: ObjectNote | None = None
     """The object in the gripper, with nothing left to default."""
     support: tuple[str, ...] = ()

@@ -25,8 +25,9 @@ from graceful_plan.elements import (
 )
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.model_parts import colliding_geoms, find, names, subtree
+from graceful_plan.moving import MovingEntity
 from graceful_plan.path import finite_array
-from graceful_plan.severity import check_severity
+from graceful_plan.severity import SeverityTable, check_severity
 
 Array = np.ndarray
 
@@ -120,13 +121,47 @@ def find_entities(
             geoms = colliding_geoms(model, inside.difference(held, *others))
             if not geoms:
                 raise SceneError(f"the entity {name!r} has no geoms that collide")
-            own = _by_component(name, note.severity) | _by_component(name, by_entity.get(name))
-            severity = {
-                c.name: own[c.name] if c.name in own else table.severity(note.category, c.component_class)
-                for c in components.values()
-            }
-            entities[name] = Entity(name=name, category=note.category, geoms=geoms, severity=MappingProxyType(severity))
+            severity = _severity_against(name, note, by_entity, table, components)
+            entities[name] = Entity(name=name, category=note.category, geoms=geoms, severity=severity)
     return MappingProxyType(entities)
+
+
+def moving_severities(
+    model: mujoco.MjModel, notes: Notes, components: Mapping[str, Component]
+) -> Mapping[str, Mapping[str, float]]:
+    """Return the severity of each component against each moving entity.
+
+    Raises:
+        SceneError: If the name of one is that of a body or an entity, or a severity is not defined.
+        UnknownNameError: If a class does not exist.
+    """
+    by_entity, by_class = _split_overrides(notes)
+    table = notes.severity.with_overrides(by_class)
+    found = {}
+    for name, entity in notes.moving.items():
+        with notes.about(f"moving.{name}"):
+            if name in notes.entities or mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name) >= 0:
+                raise SceneError(f"the name of the moving entity {name!r} is taken by a body of the scene")
+            found[name] = _severity_against(name, entity, by_entity, table, components)
+    return MappingProxyType(found)
+
+
+def _severity_against(
+    name: str,
+    entity: EntityNote | MovingEntity,
+    by_entity: Mapping[str, _Severity],
+    table: SeverityTable,
+    components: Mapping[str, Component],
+) -> Mapping[str, float]:
+    """Return the severity of each component: what was declared for the entity, else what the table says."""
+    table.check_class(entity.category)
+    own = _by_component(name, entity.severity) | _by_component(name, by_entity.get(name))
+    return MappingProxyType(
+        {
+            c.name: own[c.name] if c.name in own else table.severity(entity.category, c.component_class)
+            for c in components.values()
+        }
+    )
 
 
 def _split_overrides(notes: Notes) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -134,14 +169,16 @@ def _split_overrides(notes: Notes) -> tuple[dict[str, Any], dict[str, Any]]:
     by_class: dict[str, Any] = {}
     for name, value in notes.overrides.items():
         with notes.about(f"severity.{name}"):
-            if name in notes.entities:
+            if name in notes.entities or name in notes.moving:
                 _by_component(name, value)
                 by_entity[name] = value
             elif name in notes.severity.classes:
                 notes.severity.with_overrides({name: value})
                 by_class[name] = value
             else:
-                raise UnknownNameError("entity or entity class", name, {*notes.entities, *notes.severity.classes})
+                raise UnknownNameError(
+                    "entity or entity class", name, {*notes.entities, *notes.moving, *notes.severity.classes}
+                )
     return by_entity, by_class
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -41,6 +42,7 @@ from graceful_plan.model_parts import (
     planned_joints,
     robot_bodies,
 )
+from graceful_plan.moving import MovingEntity
 from graceful_plan.path import finite_array
 from graceful_plan.scene_edit import add_hull, add_primitive
 from graceful_plan.scene_summary import summary
@@ -65,7 +67,8 @@ class Scene:
     | limits           | what the planned joints can do                                                  |
     | home_qpos        | qpos of everything: fingers as they are held, entities at their initial poses   |
     | components       | by name: "body" (the links that move), "carried", "contents"                    |
-    | entities         | by name: what can be harmed                                                     |
+    | entities         | by name: what can be harmed and stays where it is                               |
+    | moving_severity  | by name of a moving entity, then by component                                   |
     | unlabelled       | bodies that are obstacles and nothing else, since nobody said what they are     |
     | keyframes        | configurations by name                                                          |
     | allowed_contacts | what may touch                                                                  |
@@ -81,6 +84,7 @@ class Scene:
     home_qpos: Float[Array, " model_nq"]
     components: Mapping[str, Component]
     entities: Mapping[str, Entity]
+    moving_severity: Mapping[str, Mapping[str, float]]
     unlabelled: tuple[str, ...]
     keyframes: Mapping[str, Float[Array, " nq"]]
     allowed_contacts: tuple[AllowedContact, ...]
@@ -195,6 +199,7 @@ class Scene:
             home_qpos=home,
             components=components,
             entities=roles.find_entities(model, notes, robot, components),
+            moving_severity=roles.moving_severities(model, notes, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
             keyframes=find_keyframes(notes, len(joints)),
             allowed_contacts=declared_contacts(model, notes, tool_body),
@@ -232,6 +237,11 @@ class Scene:
     def contents(self) -> Contents | None:
         """What is inside of the object in the gripper, if anything."""
         return None if self.notes.held is None else self.notes.held.contents
+
+    @property
+    def moving(self) -> Mapping[str, MovingEntity]:
+        """Entities that move, by name: hazards that planners weigh, not obstacles that anything collides with."""
+        return self.notes.moving
 
     @cached_property
     def tasks(self) -> Mapping[str, Task]:
@@ -364,6 +374,21 @@ class Scene:
         table, overrides = _severity(severity)
         table = table if isinstance(severity, SeverityTable) else self.notes.severity
         notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
+        return Scene.build(self.spec, notes, self.model)
+
+    def with_moving(self, *entities: MovingEntity) -> Scene:
+        """Return this scene with more entities that move; a prediction replaces an earlier one of the same name.
+
+        They are hazards, not obstacles: collision checks and `verify` do not look at them.
+
+        Raises:
+            SceneError: If a name is given twice or is that of a body of the scene.
+            UnknownNameError: If the severity table does not have a class.
+        """
+        given = {entity.name: entity for entity in entities}
+        if len(given) < len(entities):
+            raise SceneError(f"two of these moving entities have one name: {', '.join(e.name for e in entities)}")
+        notes = replace(self.notes, moving=MappingProxyType({**self.notes.moving, **given}))
         return Scene.build(self.spec, notes, self.model)
 
     def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:

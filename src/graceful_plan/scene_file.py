@@ -25,6 +25,14 @@ objects:                         # what can be carried: defaults of attach() and
     grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame
     fingers: 0.035
     contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
+moving:                          # what can be harmed and moves: hazards, not obstacles; see MovingEntity
+  person:
+    class: adult
+    size: [0.25, 0.85]           # of an upright cylinder: radius and half height; of a box: three half sizes
+    t: [0, 3]
+    position: [[1, -2, 0.85], [1, 2, 0.85]]    # of the centre at these times; yaw: [...] likewise, for boxes
+    spread: 0.05                 # standard deviation of the place at the first time, 0 by default
+    growth: 0.1                  # standard deviation of the velocity, 0 by default; severity: as for entities
 keyframes:
   ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
 tasks:
@@ -51,6 +59,7 @@ import numpy as np
 from graceful_plan import roles, screening
 from graceful_plan.elements import AllowedContact, Contents, Dry, EntityNote, Liquid, Notes, ObjectNote, TaskNote
 from graceful_plan.exceptions import GracefulPlanError, SceneError
+from graceful_plan.moving import MovingEntity
 from graceful_plan.robots import robot_file, robots
 from graceful_plan.scene import Scene
 from graceful_plan.severity import SeverityTable
@@ -69,7 +78,7 @@ def read_scene(file: Path) -> Scene:
     """
     root = read_yaml(file)
     root.only("version", "name", "description", "world", "robot", "tool", "fingers", "entities", "severity", "objects",
-              "keyframes", "tasks", "allowed_contacts")  # fmt: skip
+              "moving", "keyframes", "tasks", "allowed_contacts")  # fmt: skip
     if root["version"].number() != 1:
         raise root["version"].error("only version 1 of scene files is known")
     notes = _notes(root, file)
@@ -131,6 +140,7 @@ def _notes(root: Block, file: Path) -> Notes:
         severity=SeverityTable.shipped(),
         overrides=lines.table(root, "severity", lambda _, block: _number_or_numbers(block)),
         objects=lines.table(root, "objects", _object),
+        moving=lines.table(root, "moving", _moving),
         keyframes=lines.table(root, "keyframes", lambda _, block: block.numbers()),
         tasks=lines.table(root, "tasks", _task),
         allowed=tuple(_allowed(block) for block in allowed.entries()) if allowed else (),
@@ -187,6 +197,22 @@ def _entity(_name: str, block: Block) -> EntityNote:
     block.only("class", "severity")
     severity = block.get("severity")
     return EntityNote(category=block["class"].string(), severity=_number_or_numbers(severity) if severity else None)
+
+
+def _moving(name: str, block: Block) -> MovingEntity:
+    block.only("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
+    yaw, spread, growth, severity = (block.get(key) for key in ("yaw", "spread", "growth", "severity"))
+    return MovingEntity(
+        name,
+        block["class"].string(),
+        size=np.array(block["size"].numbers()),
+        t=np.array(block["t"].numbers()),
+        position=np.array([row.numbers(3) for row in block["position"].entries()]).reshape(-1, 3),
+        yaw=np.array(yaw.numbers()) if yaw else None,
+        spread=spread.number() if spread else 0.0,
+        growth=growth.number() if growth else 0.0,
+        severity=_number_or_numbers(severity) if severity else None,
+    )
 
 
 def _object(name: str, block: Block) -> ObjectNote:

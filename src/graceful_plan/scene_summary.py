@@ -23,6 +23,12 @@ def summary(scene: Scene) -> str:
             f"  {e.name:<20} {e.category:<11} " + "  ".join(f"{e.severity[c]:5g}" for c in columns)
             for e in scene.entities.values()
         ),
+        *(
+            f"  {name:<20} {entity.category:<11} "
+            + "  ".join(f"{scene.moving_severity[name][c]:5g}" for c in columns)
+            + f"  moves from {entity.t[0]:g} to {entity.t[-1]:g} s"
+            for name, entity in scene.moving.items()
+        ),
         "obstacles only: " + (", ".join(scene.unlabelled) or "none"),
         "may touch:",
         *(f"  {a.first} - {a.second} ({a.when})" for a in scene.allowed_contacts),

@@ -1,0 +1,167 @@
+"""Entities that move: somebody or something that can be harmed, with a predicted path over time.
+
+They are hazards and not obstacles: planners charge for harm to them, nothing checks for collisions with them. What can
+happen to them is told in `costs/interactions/moving_footprint.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SceneError, SettingError, ShapeError
+from graceful_plan.path import finite_array
+
+Array = np.ndarray
+
+
+class Whereabouts(NamedTuple):
+    """Where a moving entity is expected at some times."""
+
+    position: Float[Array, "*batch 3"]
+    """Its centre in W [m]."""
+    yaw: Float[Array, " *batch"]
+    """How far it is turned about the vertical [rad]."""
+    spread: Float[Array, " *batch"]
+    """Standard deviation of its place along x and along y [m]."""
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class MovingEntity:
+    """An upright box or cylinder that can be harmed and whose path over time is predicted.
+
+    It moves evenly from each place to the next and stands still before the first and after the last time. Times are on
+    the clock of the trajectories that are evaluated: t = 0 is the start of what `plan` returns.
+
+    Args:
+        name: What it is called; no entity and no body of the scene has this name.
+        category: Its class in the severity table, e.g. "adult" or "pet".
+        size: Three half sizes of a box, or radius and half height of a cylinder [m].
+        t: Times of the prediction [s], increasing.
+        position: Its centre in W at these times [m].
+        yaw: How far a box is turned about the vertical at these times [rad]; from one to the next it turns the shorter
+            way. Default: not at all.
+        spread: Standard deviation of its place, along x and along y, at the first time and before [m].
+        growth: Standard deviation of its velocity [m/s]: after the first time, `(growth (t - t[0]))^2` adds to the
+            variance of its place, also after the last time.
+        severity: Severities that replace the table's: one for all components, or by component.
+
+    Raises:
+        ShapeError: If the arrays do not fit together.
+        NonFiniteError: If a number is NaN or infinite.
+        SettingError: If times do not increase, a size is not above 0 or a spread or growth is below 0.
+        SceneError: If the name is empty.
+    """
+
+    name: str
+    category: str
+    size: Float[Array, " size"]
+    t: Float[Array, " k"]
+    position: Float[Array, "k 3"]
+    yaw: Float[Array, " k"]
+    spread: float
+    growth: float
+    severity: float | Mapping[str, float] | None
+
+    def __init__(
+        self,
+        name: str,
+        category: str,
+        *,
+        size: ArrayLike,
+        t: ArrayLike,
+        position: ArrayLike,
+        yaw: ArrayLike | None = None,
+        spread: float = 0.0,
+        growth: float = 0.0,
+        severity: float | Mapping[str, float] | None = None,
+    ) -> None:
+        if not name:
+            raise SceneError("a moving entity needs a name")
+        times, places = finite_array(f"t of {name}", t, ndim=1), finite_array(f"position of {name}", position, ndim=2)
+        turns = np.zeros(len(times)) if yaw is None else finite_array(f"yaw of {name}", yaw, ndim=1)
+        for what, given, shape in (("position", places, (len(times), 3)), ("yaw", turns, (len(times),))):
+            if given.shape != shape:
+                raise ShapeError(f"{what} of {name}", given.shape, f"{shape}, one row for each time")
+        _check_times(name, times)
+        for what, value in (("spread", spread), ("growth", growth)):
+            if isinstance(value, bool) or not (math.isfinite(value) and value >= 0.0):
+                raise SettingError(f"{what} of {name}", value, "a finite number of at least 0")
+        values = {
+            "name": name,
+            "category": category,
+            "size": _frozen(_checked_size(name, size)),
+            "t": _frozen(times),
+            "position": _frozen(places),
+            "yaw": _frozen(np.unwrap(turns)),
+            "spread": float(spread),
+            "growth": float(growth),
+            "severity": severity,
+        }
+        for field, value in values.items():
+            object.__setattr__(self, field, value)
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is a cylinder."""
+        return len(self.size) == 2
+
+    @property
+    def half_size(self) -> Float[Array, " 3"]:
+        """Half sizes of the upright box around it [m]."""
+        return self.size[[0, 0, 1]] if self.is_round else self.size
+
+    def at(self, t: ArrayLike | float) -> Whereabouts:
+        """Return where it is expected at one or more times [s]."""
+        times = finite_array("t", np.asarray(t))
+        position = np.stack([np.interp(times, self.t, axis) for axis in self.position.T], axis=-1)
+        known_for = np.maximum(times - self.t[0], 0.0)
+        spread = np.hypot(self.spread, self.growth * known_for)
+        return Whereabouts(position, np.asarray(np.interp(times, self.t, self.yaw)), np.asarray(spread))
+
+    def later(self, seconds: float) -> MovingEntity:
+        """Return the same prediction, `seconds` later; with a negative number, earlier.
+
+        For a prediction made on another clock, such as one with t = 0 some time before the robot starts.
+        """
+        return MovingEntity(
+            self.name,
+            self.category,
+            size=self.size,
+            t=self.t + finite_array("seconds", np.asarray(seconds), ndim=0),
+            position=self.position,
+            yaw=self.yaw,
+            spread=self.spread,
+            growth=self.growth,
+            severity=self.severity,
+        )
+
+
+def _checked_size(name: str, size: ArrayLike) -> Float[Array, " size"]:
+    array = finite_array(f"size of {name}", size, ndim=1)
+    if len(array) not in (2, 3):
+        raise ShapeError(f"size of {name}", array.shape, "(3,) for a box or (2,) for a cylinder")
+    if (array <= 0.0).any():
+        raise SettingError(f"size of {name}", array.tolist(), "lengths above 0")
+    return array
+
+
+def _check_times(name: str, t: Float[Array, " k"]) -> None:
+    if not len(t):
+        raise ShapeError(f"t of {name}", t.shape, "(k >= 1,)")
+    backwards = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(backwards):
+        i = int(backwards[0]) + 1
+        raise SettingError(f"t[{i}] of {name}", float(t[i]), f"more than t[{i - 1}] = {t[i - 1]}: time must increase")
+
+
+def _frozen(array: Array) -> Array:
+    array = np.array(array)
+    array.flags.writeable = False
+    return array
