@@ -12,7 +12,7 @@ import graceful_plan as gp
 from benchmarks import landing, report, suite, variants
 from failbench import skill
 from failbench.calibrate import scenes_of
-from failbench.drops import KINDS, DropJob, Drops, do_job, drop_jobs
+from failbench.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
 from graceful_plan.costs.interactions.footprint import Footprint
 
 Array = np.ndarray
@@ -108,26 +108,26 @@ def run(options: suite.Options) -> str:
     return "\n".join(parts)
 
 
-def drop_all(sizes: Sizes, options: suite.Options) -> tuple[list[Drops], list[str]]:
+def drop_all(sizes: Sizes, options: suite.Options) -> tuple[list[Failures], list[str]]:
     """Drop things in all variants; return the drops in the order of their jobs, and why some motions have none."""
     names = list(variants.VARIANTS)[: sizes.scenes]
-    jobs: list[tuple[int, DropJob]] = []
+    jobs: list[tuple[int, FailureJob]] = []
     for k, name in enumerate(names):
         kinds = KINDS[: sizes.kinds]
         motions = len(variants.load(name).tasks) * len(kinds)
         n = -(-sizes.drops // motions) + (0 if options.quick else 2)  # some diverge, now and then
-        found = drop_jobs(variants.load, [name], n=n, seed=SEED + k, kinds=kinds)
+        found = failure_jobs(variants.load, [name], n=n, seed=SEED + k, kinds=kinds)
         jobs += list(enumerate(found, start=len(jobs)))
     outcomes = dict(suite.spread(_numbered, jobs, options.processes, "motions"))
     ordered = [outcomes[i] for i in range(len(jobs))]
-    return [x for x in ordered if isinstance(x, Drops)], [x for x in ordered if isinstance(x, str)]
+    return [x for x in ordered if isinstance(x, Failures)], [x for x in ordered if isinstance(x, str)]
 
 
-def _numbered(job: tuple[int, DropJob]) -> tuple[int, Drops | str]:
+def _numbered(job: tuple[int, FailureJob]) -> tuple[int, Failures | str]:
     return job[0], do_job(job[1])
 
 
-def events_of(drops: Sequence[Drops], models: Mapping[str, Callable[..., Array]] = MODELS) -> Events:
+def events_of(drops: Sequence[Failures], models: Mapping[str, Callable[..., Array]] = MODELS) -> Events:
     """Predict the events of drops with every model."""
     scenes = scenes_of(drops, variants.load)
     columns: dict[str, list[Array]] = {name: [] for name in ("scene", "motion", "severity", "happened")}
@@ -135,11 +135,12 @@ def events_of(drops: Sequence[Drops], models: Mapping[str, Callable[..., Array]]
     for i, part in enumerate(drops):
         scene = scenes[part.scene, part.task]
         severity = np.array([entity.severity["carried"] for entity in scene.entities.values()])
-        counted = np.broadcast_to(part.counted, part.hit.shape)
+        hit, counting = part.events(["carried"])
+        counted = np.broadcast_to(counting, hit.shape)
         columns["scene"].append(np.full(counted.sum(), part.scene))
         columns["motion"].append(np.full(counted.sum(), i))
-        columns["severity"].append(np.broadcast_to(severity, part.hit.shape)[counted])
-        columns["happened"].append(part.hit[counted])
+        columns["severity"].append(np.broadcast_to(severity, hit.shape)[counted])
+        columns["happened"].append(hit[counted])
         for name, model in models.items():
             predicted[name].append(model(scene, part.q, part.qd)[counted])
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}

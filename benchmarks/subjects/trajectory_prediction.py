@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks import report, suite, variants
 from benchmarks.subjects.drop_prediction import MODELS
 from failbench import skill
-from failbench.drops import KINDS, DropJob, do_job, drop_jobs
+from failbench.failures import KINDS, FailureJob, do_job, failure_jobs
 
 Array = np.ndarray
 
@@ -92,15 +92,15 @@ def run(options: suite.Options) -> str:
     )
 
 
-def jobs_of(name: str, sizes: Sizes) -> list[DropJob]:
+def jobs_of(name: str, sizes: Sizes) -> list[FailureJob]:
     """Return the jobs of a scene, kinds and tasks in turn."""
     tasks = len(variants.load(name).tasks)
     repeats = -(-sizes.motions // (tasks * len(KINDS)))
     number = list(variants.VARIANTS).index(name)
-    return drop_jobs(variants.load, [name], n=sizes.drops, seed=SEED + number, repeats=repeats)
+    return failure_jobs(variants.load, [name], n=sizes.drops, seed=SEED + number, repeats=repeats)
 
 
-def go_on(file: Path, jobs: Sequence[DropJob], options: suite.Options, until: float) -> None:
+def go_on(file: Path, jobs: Sequence[FailureJob], options: suite.Options, until: float) -> None:
     """Do jobs that are not in a file yet, and add them to it, until a time of the monotonic clock [s]."""
     found = list(read(file))
     have = {x.number for x in found}
@@ -137,14 +137,15 @@ def read(file: Path) -> Iterator[Done]:
             yield Done(**(document | {"halves": tuple(document["halves"])}))
 
 
-def _do(job: tuple[int, DropJob]) -> Done | None:
+def _do(job: tuple[int, FailureJob]) -> Done | None:
     number, what = job
     drops = do_job(what)
     if isinstance(drops, str):
         return None
     scene = what.load(what.scene).tasks[what.task].scene
-    severity = np.array([entity.severity["carried"] for entity in scene.entities.values()]) * drops.counted
-    impact = drops.hit @ severity
+    hit, counted = drops.events(["carried"])
+    severity = np.array([entity.severity["carried"] for entity in scene.entities.values()]) * counted
+    impact = hit @ severity
     return Done(
         number=number,
         label=f"{what.task}, {what.kind}",

@@ -7,27 +7,27 @@ import pytest
 from gaussian_family import GaussianFamily
 
 import graceful_plan as gp
-from failbench import calibrate, drops
-from failbench.drops import Drops
+from failbench import calibrate, failures
+from failbench.failures import Failures
 from graceful_plan.yaml_file import read_yaml
 
 SCENES = ("tabletop", "tabletop_l1")
 
 
 @pytest.fixture(scope="module")
-def dropped() -> list[Drops]:
-    kinds = drops.KINDS[:1]
-    jobs = [job for name in SCENES for job in drops.drop_jobs(gp.load_scene, [name], n=30, kinds=kinds)[:2]]
-    found = [drops.do_job(job) for job in jobs]
-    return [part for part in found if isinstance(part, Drops)]
+def dropped() -> list[Failures]:
+    kinds = failures.KINDS[:1]
+    jobs = [job for name in SCENES for job in failures.failure_jobs(gp.load_scene, [name], n=30, kinds=kinds)[:2]]
+    found = [failures.do_job(job) for job in jobs]
+    return [part for part in found if isinstance(part, Failures)]
 
 
 @pytest.fixture(scope="module")
-def calibrated(dropped: list[Drops]) -> calibrate.Calibration:
+def calibrated(dropped: list[Failures]) -> calibrate.Calibration:
     return calibrate.calibrate(GaussianFamily(), dropped, model="gaussian", shapes=("ball",), about={"horizon": 1.0})
 
 
-def test_fitting_helps(dropped: list[Drops], calibrated: calibrate.Calibration) -> None:
+def test_fitting_helps(dropped: list[Failures], calibrated: calibrate.Calibration) -> None:
     assert len(dropped) == 4
     assert calibrated.fitted.brier_skill > 0.0
     samples = calibrate.samples_of(GaussianFamily(), dropped, calibrate.scenes_of(dropped, gp.load_scene))
@@ -50,7 +50,7 @@ def test_the_document_says_where_it_comes_from(calibrated: calibrate.Calibration
     about = root["provenance"]
     assert (root["version"].number(), about["model"].string()) == (1, "gaussian")
     assert about["scenes"].strings() == SCENES
-    assert about["drops"].number() == 120
+    assert about["failures"].number() == 120
     assert about["horizon"].number() == 1.0
     assert about["shapes"]["box"].number() == 120
     assert about["shapes"]["ball"].number() == 0
@@ -64,20 +64,20 @@ def test_the_document_says_where_it_comes_from(calibrated: calibrate.Calibration
     assert "tabletop_l1" in str(calibrated)
 
 
-def test_one_scene_is_not_enough(dropped: list[Drops]) -> None:
+def test_one_scene_is_not_enough(dropped: list[Failures]) -> None:
     with pytest.raises(gp.SettingError, match="at least two"):
         calibrate.calibrate(GaussianFamily(), dropped[:2], model="gaussian")
 
 
 def test_drops_do_not_depend_on_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[int, int]] = []
-    kinds = drops.KINDS[:1]
-    monkeypatch.setattr(drops, "KINDS", kinds)
+    kinds = failures.KINDS[:1]
+    monkeypatch.setattr(failures, "KINDS", kinds)
     monkeypatch.setattr(
-        calibrate, "drop_jobs", lambda *a, **k: drops.drop_jobs(*a, **{**k, "repeats": 1}, kinds=kinds)[:2]
+        calibrate, "failure_jobs", lambda *a, **k: failures.failure_jobs(*a, **{**k, "repeats": 1}, kinds=kinds)[:2]
     )
-    first, refused = calibrate.generate_drops(["tabletop_l1"], n=4, progress=lambda *x: told.append(x))
-    second, _ = calibrate.generate_drops(["tabletop_l1"], n=4, processes=2)
+    first, refused = calibrate.generate(["tabletop_l1"], n=4, progress=lambda *x: told.append(x))
+    second, _ = calibrate.generate(["tabletop_l1"], n=4, processes=2)
     assert not refused
     assert told == [(1, 2), (2, 2)]
     for a, b in zip(first, second, strict=True):

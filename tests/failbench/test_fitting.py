@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 import graceful_plan as gp
 from failbench import fitting
-from failbench.drops import Drops
+from failbench.failures import Failures
 from failbench.fitting import Constant, Sample
 
 Array = np.ndarray
@@ -168,17 +168,22 @@ def test_drops_of_a_task_are_put_together() -> None:
     counted = np.ones(len(entities), dtype=bool)
     counted[-1] = False
     parts = [
-        Drops(
+        Failures(
             scene="tabletop_l1",
             task="green_to_blue",
             motion="",
             grasp="weld",
+            components=("carried",),
             entities=entities,
             categories=entities,
-            counted=counted,
+            faults=("gripper_failure",),
+            counted=counted[None],
+            fault=np.zeros(3, dtype=np.int64),
             q=np.tile(task.start, (3, 1)),
             qd=np.zeros((3, len(task.start))),
-            hit=hit,
+            hit=hit[:, None],
+            dropped=np.ones(3, dtype=bool),
+            spilled=np.zeros(3),
         )
     ] * 2
     (sample,) = fitting.samples_of(GaussianFamily(), parts, {("tabletop_l1", "green_to_blue"): task.scene})

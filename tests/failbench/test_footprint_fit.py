@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench import calibrate, drops, footprint_fit
+from failbench import calibrate, failures, footprint_fit
 from failbench.cli import DONE, MISUSE, main
-from failbench.drops import Drops
+from failbench.failures import Failures
 from failbench.footprint_fit import FootprintFamily, settings_of
 from graceful_plan.costs.interactions.footprint import Footprint
 from graceful_plan.costs.interactions.footprint_constants import FootprintConstants, FootprintSettings
@@ -45,8 +45,10 @@ def test_it_predicts_what_the_model_does() -> None:
 
 @pytest.fixture(scope="module")
 def calibrated() -> calibrate.Calibration:
-    jobs = [drops.drop_jobs(gp.load_scene, [name], n=20, kinds=drops.KINDS[:1])[0] for name in ("tabletop", "desk")]
-    parts = [part for part in map(drops.do_job, jobs) if isinstance(part, Drops)]
+    jobs = [
+        failures.failure_jobs(gp.load_scene, [name], n=20, kinds=failures.KINDS[:1])[0] for name in ("tabletop", "desk")
+    ]
+    parts = [part for part in map(failures.do_job, jobs) if isinstance(part, Failures)]
     return calibrate.calibrate(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
 
 
@@ -62,7 +64,9 @@ def test_the_command_keeps_its_drops_and_takes_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        calibrate, "drop_jobs", lambda *a, **k: drops.drop_jobs(*a, **{**k, "repeats": 1}, kinds=drops.KINDS[:1])[::4]
+        calibrate,
+        "failure_jobs",
+        lambda *a, **k: failures.failure_jobs(*a, **{**k, "repeats": 1}, kinds=failures.KINDS[:1])[::4],
     )
     monkeypatch.setattr(footprint_fit, "calibrate", partial(calibrate.calibrate, iterations=1, trusts=(25.0,)))
     kept, first, second = (tmp_path / name for name in ("drops.npz", "first.yaml", "second.yaml"))
@@ -81,7 +85,7 @@ def test_the_command_keeps_its_drops_and_takes_them_again(
 def test_misuse_is_told(
     options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(footprint_fit, "generate_drops", lambda *_, **__: ([], []))
+    monkeypatch.setattr(footprint_fit, "generate", lambda *_, **__: ([], []))
     assert main(["calibrate", str(tmp_path / "out.yaml"), *options]) == MISUSE
     assert text in capsys.readouterr().err
     assert not (tmp_path / "out.yaml").exists()
