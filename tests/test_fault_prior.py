@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import graceful_plan as gp
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.fault_prior import GENERATORS, FaultPrior, presets, shipped_effects
 

@@ -10,7 +10,7 @@ was not seen. Onsets are stratified, which these intervals ignore: the truth is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -166,17 +166,26 @@ def cluster_bootstrap(
     y, labels = np.asarray(values, dtype=float), np.asarray(clusters)
     if labels.shape != y.shape[:1] or not len(y):
         raise ShapeError("clusters", labels.shape, f"({len(y)},), a cluster for each of at least one value")
-    names, members = np.unique(labels, return_inverse=True)
-    parts: list[Int[Array, " n"]] = [np.flatnonzero(members == i) for i in range(len(names))]
-    rng = np.random.default_rng(seed)
-    drawn = [
-        float(statistic(y[np.concatenate([parts[i] for i in rng.integers(len(parts), size=len(parts))])]))
-        for _ in range(resamples)
-    ]
+    drawn = [float(statistic(y[rows])) for rows in cluster_draws(labels, resamples, seed)]
     found = np.array(drawn)[np.isfinite(drawn)]
     ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
     low, high = np.quantile(found, ends) if len(found) else (math.nan, math.nan)
-    return Estimate(float(statistic(y)), float(low), float(high), len(parts))
+    return Estimate(float(statistic(y)), float(low), float(high), len(np.unique(labels)))
+
+
+def cluster_draws(clusters: ArrayLike, resamples: int, seed: int) -> Iterator[Int[Array, " n"]]:
+    """Yield rows of resamples in which whole clusters are drawn with replacement.
+
+    Args:
+        clusters: Which cluster each row belongs to.
+        resamples: How often to draw.
+        seed: Of the draws.
+    """
+    names, members = np.unique(np.asarray(clusters), return_inverse=True)
+    parts: list[Int[Array, " n"]] = [np.flatnonzero(members == i) for i in range(len(names))]
+    rng = np.random.default_rng(seed)
+    for _ in range(resamples):
+        yield np.concatenate([parts[i] for i in rng.integers(len(parts), size=len(parts))])
 
 
 def check_confidence(confidence: float) -> None:
