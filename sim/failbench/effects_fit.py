@@ -167,8 +167,8 @@ def most_likely(
     """
     w = np.ones(len(happened)) if weight is None else weight
     # What nobody expects and did not happen says nothing; a generator that never says anything has no share.
-    telling: Array = (w > 0.0) & (happened | (probability > _NOTHING).any(axis=1))
-    speaks: Array = (probability[telling] > _NOTHING).any(axis=0)
+    telling = (w > 0.0) & (happened | (probability > _NOTHING).any(axis=1))
+    speaks = np.asarray((probability[telling] > _NOTHING).any(axis=0))
     p, y, w = probability[telling][:, speaks], happened[telling].astype(float), w[telling]
     p = np.column_stack([p, np.zeros(len(p))])  # the last one is harmless
     theta = np.full(p.shape[1], 1.0 / p.shape[1])

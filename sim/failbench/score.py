@@ -3,80 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
-from types import MappingProxyType
+from collections.abc import Callable
 
 from failbench.records import ContactEvent, Rollout
-from graceful_plan import Scene, SettingError
-from graceful_plan.yaml_file import Block, read_yaml
-
-_SHIPPED = Path(__file__).parent / "fragility.yaml"
-
-
-@dataclass(frozen=True)
-class Fragility:
-    """How easily an entity of some class is damaged.
-
-    Args:
-        median: Kinetic energy at which half of them are damaged [J].
-        wetted: Probability that contents that reach it do harm.
-        spread: Standard deviation of the logarithm of the energy.
-    """
-
-    median: float
-    wetted: float
-    spread: float
-
-    def __post_init__(self) -> None:
-        for name, value, valid in (
-            ("median", self.median, 0.0 < self.median < math.inf),
-            ("spread", self.spread, 0.0 < self.spread < math.inf),
-            ("wetted", self.wetted, 0.0 <= self.wetted <= 1.0),
-        ):
-            if not valid:
-                raise SettingError(name, value, "in [0, 1]" if name == "wetted" else "finite and above 0")
-
-    def probability(self, energy: float) -> float:
-        """Return the probability of damage by a touch with some kinetic energy [J]; 0 without any."""
-        if energy <= 0.0:
-            return 0.0
-        return 0.5 * math.erfc((math.log(self.median) - math.log(energy)) / (self.spread * math.sqrt(2.0)))
-
-
-@dataclass(frozen=True)
-class FragilityTable:
-    """The fragility of each entity class, and that of all classes that are not listed."""
-
-    rows: Mapping[str, Fragility]
-    other: Fragility
-
-    @classmethod
-    def load(cls, file: str | Path) -> FragilityTable:
-        """Read a table laid out like the shipped one.
-
-        Raises:
-            SceneError: If the file is broken, with the line.
-        """
-        root = read_yaml(Path(file))
-        root.only("version", "spread", "entities", "other")
-        if root["version"].number() != 1:
-            raise root["version"].error("only version 1 of fragility tables is known")
-        spread = root["spread"].number()
-        rows = {category: _fragility(row, spread) for category, row in root["entities"].items()}
-        return cls(MappingProxyType(rows), _fragility(root["other"], spread))
-
-    @classmethod
-    def shipped(cls) -> FragilityTable:
-        """Return the table that comes with FailBench."""
-        return _shipped()
-
-    def probability(self, category: str, event: ContactEvent) -> float:
-        """Return the probability that an event damaged an entity of some class."""
-        row = self.rows.get(category, self.other)
-        return row.wetted if event.striker == "contents" else row.probability(event.energy)
+from graceful_plan import FragilityTable, Scene
 
 
 def observed_impact(rollout: Rollout, scene: Scene) -> float:
@@ -96,7 +26,11 @@ def energy_impact(rollout: Rollout, scene: Scene, fragility: FragilityTable | No
         fragility: How easily things are damaged; the shipped table by default.
     """
     table = FragilityTable.shipped() if fragility is None else fragility
-    return math.fsum(worst_severities(rollout, scene, table.probability).values())
+
+    def damage(category: str, event: ContactEvent) -> float:
+        return table.probability(category, event.striker, event.energy)
+
+    return math.fsum(worst_severities(rollout, scene, damage).values())
 
 
 def secondary_impact(rollout: Rollout, scene: Scene) -> float:
@@ -127,16 +61,3 @@ def worst_severities(
             value = entity.severity[event.striker] * factor(entity.category, event)
             worst[event.entity] = max(value, worst.get(event.entity, 0.0))
     return worst
-
-
-def _fragility(row: Block, spread: float) -> Fragility:
-    row.only("median", "wetted")
-    try:
-        return Fragility(row["median"].number(), row["wetted"].number(), spread)
-    except SettingError as error:
-        raise row.error(str(error)) from None
-
-
-@cache
-def _shipped() -> FragilityTable:
-    return FragilityTable.load(_SHIPPED)

@@ -23,6 +23,7 @@ from graceful_plan.exceptions import (
 )
 from graceful_plan.explain import Contribution, Explanation, explain
 from graceful_plan.fault_prior import FaultPrior
+from graceful_plan.fragility import FragilityTable
 from graceful_plan.moving import MovingEntity
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
@@ -69,6 +70,7 @@ __all__ = [
     "EntityNote",
     "Explanation",
     "FaultPrior",
+    "FragilityTable",
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",

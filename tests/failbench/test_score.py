@@ -1,7 +1,4 @@
-"""Scores by hand, and the table of fragilities."""
-
-from pathlib import Path
-from typing import Any
+"""Scores by hand."""
 
 import pytest
 from hypothesis import given
@@ -10,8 +7,8 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from failbench.faults import faults
 from failbench.records import ContactEvent, Job, Rollout
-from failbench.score import Fragility, FragilityTable, energy_impact, observed_impact, secondary_impact
-from graceful_plan import SceneError, SettingError, SeverityTable
+from failbench.score import energy_impact, observed_impact, secondary_impact
+from graceful_plan import FragilityTable
 
 _JOB = Job(fault=faults()["complete_shutdown"](), onset=0.0, seed=0)
 
@@ -84,43 +81,3 @@ def test_energy_weighs(scene: gp.Scene) -> None:
 def test_energy_weighted_never_exceeds_observed(scene: gp.Scene, events: list[tuple[str, str, float]]) -> None:
     rollout = _rollout(*(_event(*event) for event in events))
     assert 0.0 <= energy_impact(rollout, scene) <= observed_impact(rollout, scene) + 1e-9
-
-
-@given(st.floats(1e-3, 1e3), st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))
-def test_fragility_is_a_distribution(median: float, a: float, b: float) -> None:
-    row = Fragility(median, 0.5, 0.7)
-    low, high = sorted((a, b))
-    assert 0.0 <= row.probability(low) <= row.probability(high) <= 1.0
-    assert row.probability(median) == pytest.approx(0.5)
-    assert row.probability(0.0) == 0.0
-    assert row.probability(median * 2.718281828459045**0.7) == pytest.approx(0.8413447, abs=1e-6)
-
-
-def test_every_shipped_class_has_a_fragility() -> None:
-    assert set(FragilityTable.shipped().rows) == set(SeverityTable.shipped().classes)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("median: 0.55", "median: -1"), "median = -1.0, expected finite and above 0"),
-        (("wetted: 0.5", "wetted: 2"), r"wetted = 2.0, expected in \[0, 1\]"),
-        (("version: 1", "version: 2"), "only version 1"),
-        (("other: ", "others: "), "unknown key 'others'"),
-        (("median: 0.25", "mean: 0.25"), "unknown key 'mean'"),
-    ],
-)
-def test_broken_tables_are_refused(change: tuple[str, str], message: str, tmp_path: Path) -> None:
-    import failbench.score
-
-    text = (Path(failbench.score.__file__).parent / "fragility.yaml").read_text(encoding="utf-8")
-    file = tmp_path / "fragility.yaml"
-    file.write_text(text.replace(*change), encoding="utf-8")
-    with pytest.raises(SceneError, match=message):
-        FragilityTable.load(file)
-
-
-@pytest.mark.parametrize("values", [{"median": 0.0}, {"spread": float("inf")}, {"wetted": -0.1}])
-def test_fragility_out_of_range(values: dict[str, Any]) -> None:
-    with pytest.raises(SettingError, match=next(iter(values))):
-        Fragility(**({"median": 1.0, "wetted": 1.0, "spread": 0.7} | values))
