@@ -9,20 +9,16 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions.footprint_constants import FootprintConstants
+from graceful_plan.costs.interactions.footprint_functions import box, fall_time, part_reach, positive, step
 from graceful_plan.costs.interactions.footprint_tables import BALL, ROUND, FootprintTables
 
 Array = np.ndarray
 
-GRAVITY = 9.81
-BETA = np.sqrt(3.0) / np.pi
-"""Scale of a logistic distribution with standard deviation 1."""
-_EXPONENT = 300.0
-_SOFT = 0.01  # over which heights and margins at zero are rounded off [m]
 _TOUCH = 0.008  # how sharply a part passes the height of a top [m]
 _LOWEST = 0.012  # parts whose bottoms are this near to the lowest one stand on the ground with it [m]
 _LEAST_AREA = 1e-6  # [m2]
 _LEAST_MOMENT = 1e-5  # [m2]
-_LEAST_MASS = 1e-6
+LEAST_MASS = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,39 +81,7 @@ def release(batch: StateBatch, tables: FootprintTables, rows: slice = slice(None
     )
 
 
-# --- functions ------------------------------------------------------------------------------------------------------
-
-
-def _step(u: Array) -> Array:
-    """S: distribution function of a logistic variable with standard deviation 1."""
-    return 1.0 / (1.0 + np.exp(np.clip(-u / BETA, -_EXPONENT, _EXPONENT)))
-
-
-def _box(x: Array, A: Array, s: Array | float) -> Array:
-    """P(|x + noise| < A) for logistic noise with standard deviation s."""
-    A, b = np.maximum(A, 1e-4), s * BETA
-    f = np.exp(np.clip((x - A) / b, -_EXPONENT, _EXPONENT))
-    h = np.exp(np.clip(-(x + A) / b, -_EXPONENT, _EXPONENT))
-    return (1.0 - f * h) / ((1.0 + f) * (1.0 + h))
-
-
-def _positive(x: Array) -> Array:
-    return 0.5 * (x + np.sqrt(x * x + _SOFT**2))
-
-
-def _fall(vz: Array, h: Array) -> Array:
-    return (vz + np.sqrt(vz * vz + 2.0 * GRAVITY * _positive(h))) / GRAVITY
-
-
-def _reach(axes: Array, half: Array, kind: int, u: Array) -> Array:
-    """How far a part (axes [n 3 3]) reaches in unit directions u [target 3] of W: [n target]."""
-    if kind == BALL:
-        return np.full((len(axes), len(u)), half[0])
-    along = np.einsum("nij,ki->nkj", axes, u)
-    if kind == ROUND:
-        z = along[..., 2]
-        return np.abs(z) * half[2] + half[0] * np.sqrt(np.maximum(1e-12, 1.0 - z * z))
-    return np.abs(along) @ half
+# --- the targets' axes ------------------------------------------------------------------------------------------------
 
 
 class _Frames:
@@ -162,7 +126,9 @@ def _shape(tables: FootprintTables, state: Release, frames: _Frames) -> _Shape:
 
     def reach(u: Array) -> Array:
         each = zip(tables.part_half, tables.part_kind, strict=True)
-        return np.stack([_reach(state.axes[:, p], half, int(kind), u) for p, (half, kind) in enumerate(each)], axis=1)
+        return np.stack(
+            [part_reach(state.axes[:, p], half, int(kind), u) for p, (half, kind) in enumerate(each)], axis=1
+        )
 
     z, height = reach(up)[..., 0], state.c[:, None, 2] + state.offset[..., 2]
     m = state.axes[:, tables.main, 2] ** 2
@@ -189,15 +155,15 @@ def _overlap(
     D = np.zeros((len(state.c), len(top)))
     for p in range(state.offset.shape[1]):
         h = shape.bottom[:, p, None] - top
-        t = _fall(state.v[:, 2:], h)
+        t = fall_time(state.v[:, 2:], h)
         s = np.sqrt(constants.position_spread**2 + (constants.velocity_spread * t) ** 2)
         x, y = frames.place(state.c + state.offset[:, p])
         vx, vy = frames.turn(state.v + np.cross(state.w, state.offset[:, p]))
         x, y = x + vx * (t + constants.delay), y + vy * (t + constants.delay)
-        upright = _box(x, a + shape.x[:, p], s) * _box(y, b + shape.y[:, p], s)
-        turned = _box((x + y) / np.sqrt(2.0), d + shape.diagonal[0][:, p], s)
-        turned *= _box((y - x) / np.sqrt(2.0), d + shape.diagonal[1][:, p], s)
-        np.maximum(D, upright * turned * _step(h / _TOUCH + 1.0), out=D)
+        upright = box(x, a + shape.x[:, p], s) * box(y, b + shape.y[:, p], s)
+        turned = box((x + y) / np.sqrt(2.0), d + shape.diagonal[0][:, p], s)
+        turned *= box((y - x) / np.sqrt(2.0), d + shape.diagonal[1][:, p], s)
+        np.maximum(D, upright * turned * step(h / _TOUCH + 1.0), out=D)
     return D
 
 
@@ -221,7 +187,7 @@ def _first(D: Array, levels: _Levels) -> tuple[Array, Array]:
     """C and F."""
     missed = levels.product(1.0 - D)
     arrives = np.cumprod(np.concatenate([np.ones((len(D), 1)), missed[:, :-1]], axis=1), axis=1)
-    share = D / (levels.spread(levels.sum(D)) + _LEAST_MASS)
+    share = D / (levels.spread(levels.sum(D)) + LEAST_MASS)
     return levels.spread(arrives) * D, levels.spread(arrives * (1.0 - missed)) * share
 
 
@@ -261,50 +227,78 @@ def _support(
     leaves = k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * speed + 2.0 * k.leave_tilt * shape.tilt
     leaves += 0.5 * k.leave_narrow * np.log((height * height + 1e-6) / (3.0 * narrow))
     away = -off / np.sqrt(Ex * Ex + Ey * Ey + 1e-6)
-    return _step(leaves), np.stack([away * Ex, away * Ey], axis=-1)
+    return step(leaves), np.stack([away * Ex, away * Ey], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Landing:
-    """The first impact as a whole: where (in W), how high, and what leaves."""
+class Landing:
+    """The first impact as a whole, where and how high, and what leaves it again; W frame.
 
-    point: Array  # L [n 2]
-    total: Array  # [n 1] from here on
-    height: Array
-    fallen: Array
-    blur: Array  # variance of the place [m2]
-    leaving: Array  # M per level [n level]
+    | field       | meaning                                                              | unit | shape       |
+    |-------------|----------------------------------------------------------------------|------|-------------|
+    | point       | L: where it comes down, on average                                   | m    | n 2         |
+    | total       | probability that it comes down on anything                           |      | n 1         |
+    | height      | of what it comes down on, on average                                 | m    | n 1         |
+    | time        | until it comes down, with the delay, on average                      | s    | n 1         |
+    | blur        | variance of the place                                                | m2   | n 1         |
+    | fall_spread | sd: standard deviation of where it comes down after it has fallen off | m    | n 1         |
+    | velocity    | of its centre of mass at release                                     | m/s  | n 2         |
+    | mass        | probability that it comes down on each level                         |      | n level     |
+    | times       | until it is down at the first top of each level, with the delay      | s    | n level     |
+    | leaving     | M: probability that it comes down on each level and leaves it        |      | n level     |
+    | away        | whereto it leaves each level: direction, times at most 1             |      | n level 2   |
+    """
+
+    point: Float[Array, "n 2"]
+    total: Float[Array, "n 1"]
+    height: Float[Array, "n 1"]
+    time: Float[Array, "n 1"]
+    blur: Float[Array, "n 1"]
+    fall_spread: Float[Array, "n 1"]
+    velocity: Float[Array, "n 2"]
+    mass: Float[Array, "n level"]
+    times: Float[Array, "n level"]
+    leaving: Float[Array, "n level"]
+    away: Float[Array, "n level 2"]
+
+    def falls_to(
+        self, constants: FootprintConstants, size: float, B: Float[Array, "n *level 1"], N: Float[Array, "n *level 2"]
+    ) -> Float[Array, "n *level 2"]:
+        """Where it comes down if it has left a support: B has, in the directions N."""
+        start = self.point + constants.carry * self.velocity
+        start = start[:, None] if N.ndim == 3 else start
+        return start + constants.drift * size * N / (B + LEAST_MASS)
+
+
+def loose(
+    tables: FootprintTables, constants: FootprintConstants, landing: Landing
+) -> tuple[Float[Array, "n levels"], Float[Array, "n levels 2"]]:
+    """Return B [n level+1] and N [n level+1 2]: what has left the levels above each one and was not caught; and all."""
+    k, size, frames = constants, tables.size, _Frames(tables)
+    a_top, b_top = tables.target_carries.T
+    B, N = [np.zeros((len(landing.point), 1))], [np.zeros((len(landing.point), 2))]
+    for level, (first, last) in enumerate(zip(tables.level_start[:-1], tables.level_start[1:], strict=True)):
+        here = slice(first, last)
+        x, y = (value[:, here] for value in frames.place(landing.falls_to(k, size, B[-1], N[-1])))
+        inside = box(x, positive(a_top[here] + k.catch_margin * size), landing.fall_spread)
+        inside *= box(y, positive(b_top[here] + k.catch_margin * size), landing.fall_spread)
+        keep = np.prod(1.0 - k.catch * inside, axis=1, keepdims=True)
+        M = landing.leaving[:, level, None]
+        B.append(B[-1] * keep + M)
+        N.append(N[-1] * keep + M * landing.away[:, level])
+    return np.concatenate(B, axis=1), np.stack(N, axis=1)
 
 
 def _falls(
-    tables: FootprintTables,
-    constants: FootprintConstants,
-    state: Release,
-    frames: _Frames,
-    levels: _Levels,
-    landing: _Landing,
-    away: Array,
+    tables: FootprintTables, constants: FootprintConstants, frames: _Frames, levels: _Levels, landing: Landing
 ) -> Array:
     """G: P that it is hit by what has left something higher."""
-    k, size = constants, tables.size
-    variance = landing.blur + (k.size_spread * size) ** 2
-    variance = variance + k.carry_spread**2 * (state.v[:, :2] ** 2).sum(axis=1, keepdims=True)
-    sd = np.sqrt(variance)
-    (a, b), (a_top, b_top) = tables.target_half.T, tables.target_carries.T
-    G = np.zeros((len(state.c), len(a)))
-    B, N = np.zeros((len(G), 1)), np.zeros((len(G), 2))
-    for level, (first, last) in enumerate(zip(tables.level_start[:-1], tables.level_start[1:], strict=True)):
-        here = slice(first, last)
-        point = landing.point + k.carry * state.v[:, :2] + k.drift * size * N / (B + _LEAST_MASS)
-        x, y = (value[:, here] for value in frames.place(point))
-        reach = k.tumble_reach * size
-        G[:, here] = B * _box(x, a[here] + reach, sd) * _box(y, b[here] + reach, sd)
-        inside = _box(x, _positive(a_top[here] + k.catch_margin * size), sd)
-        inside *= _box(y, _positive(b_top[here] + k.catch_margin * size), sd)
-        keep = np.prod(1.0 - k.catch * inside, axis=1, keepdims=True)
-        M = landing.leaving[:, level, None]
-        B, N = B * keep + M, N * keep + M * away[:, level]
-    return G
+    a, b = tables.target_half.T
+    B, N = loose(tables, constants, landing)
+    point = landing.falls_to(constants, tables.size, B[..., None], N)
+    x, y = frames.place(point[:, levels.of])
+    reach = constants.tumble_reach * tables.size
+    return B[:, levels.of] * box(x, a + reach, landing.fall_spread) * box(y, b + reach, landing.fall_spread)
 
 
 def _sides(
@@ -313,54 +307,81 @@ def _sides(
     state: Release,
     shape: _Shape,
     frames: _Frames,
-    landing: _Landing,
-    away: Array,
+    landing: Landing,
     place: tuple[Array, Array],
     below: Array,
 ) -> Array:
     """H: P that it is swept from the side; `below` is P that the object comes down beside it."""
     k, size = constants, tables.size
     leaves = landing.leaving.sum(axis=1, keepdims=True) / landing.total
-    drift = np.einsum("nl,nli->ni", landing.leaving, away) / landing.total
+    drift = np.einsum("nl,nli->ni", landing.leaving, landing.away) / landing.total
     x, y = frames.place(landing.point + k.slide * state.v[:, :2] + k.drift * size * drift)
     sd = np.sqrt(landing.blur + (k.side_spread * size) ** 2 + (k.size_spread * size * leaves) ** 2)
     reach = (k.side_reach + k.topple_reach * leaves) * size
     (a, b), bottom = tables.target_half.T, tables.target_height[:, 0]
-    H = _step((landing.height + shape.high - shape.low - bottom) / k.side_height) * below
-    H *= _box(0.5 * (place[0] + x), a + 0.5 * np.sqrt((x - place[0]) ** 2 + 1e-6) + reach, sd)
-    H *= _box(0.5 * (place[1] + y), b + 0.5 * np.sqrt((y - place[1]) ** 2 + 1e-6) + reach, sd)
+    H = step((landing.height + shape.high - shape.low - bottom) / k.side_height) * below
+    H *= box(0.5 * (place[0] + x), a + 0.5 * np.sqrt((x - place[0]) ** 2 + 1e-6) + reach, sd)
+    H *= box(0.5 * (place[1] + y), b + 0.5 * np.sqrt((y - place[1]) ** 2 + 1e-6) + reach, sd)
     return H
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Flight:
+    """What leads to a landing."""
+
+    frames: _Frames
+    levels: _Levels
+    shape: _Shape
+    C: Array
+    F: Array
+    place: tuple[Array, Array]  # c at the first contact, in the targets' axes
+
+
+def _fly(tables: FootprintTables, constants: FootprintConstants, state: Release) -> tuple[_Flight, Landing]:
+    frames, levels, top = _Frames(tables), _Levels(tables.level_start), tables.target_height[:, 1]
+    shape = _shape(tables, state, frames)
+    C, F = _first(_overlap(tables, constants, state, shape, frames), levels)
+    fallen = shape.low - top
+    times = fall_time(state.v[:, 2:], fallen) + constants.delay
+    x, y = frames.place(state.c)
+    vx, vy = frames.turn(state.v)
+    place = (x + vx * times, y + vy * times)
+    T, away = _support(tables, constants, state, shape, frames, levels, place)
+    total = F.sum(axis=1, keepdims=True) + LEAST_MASS
+    time = (F * times).sum(axis=1, keepdims=True) / total
+    height_fallen = (F * np.maximum(fallen, 0.0)).sum(axis=1, keepdims=True) / total
+    k, mass = constants, levels.sum(F)
+    blur = k.position_spread**2 + (k.velocity_spread * time) ** 2 + (k.height_spread * height_fallen) ** 2
+    speed2 = (state.v[:, :2] ** 2).sum(axis=1, keepdims=True)
+    landing = Landing(
+        point=state.c[:, :2] + state.v[:, :2] * time,
+        total=total,
+        height=(F * top).sum(axis=1, keepdims=True) / total,
+        time=time,
+        blur=blur,
+        fall_spread=np.sqrt(blur + (k.size_spread * tables.size) ** 2 + k.carry_spread**2 * speed2),
+        velocity=state.v[:, :2],
+        mass=mass,
+        times=times[:, tables.level_start[:-1]],
+        leaving=mass * T,
+        away=away,
+    )
+    return _Flight(frames=frames, levels=levels, shape=shape, C=C, F=F, place=place), landing
+
+
+def land(tables: FootprintTables, constants: FootprintConstants, state: Release) -> Landing:
+    """Return where the object comes down in each state; there has to be a target."""
+    return _fly(tables, constants, state)[1]
 
 
 def simulate(tables: FootprintTables, constants: FootprintConstants, state: Release) -> Drop:
     """Return what becomes of the object in each state; `entity` is left empty."""
-    n, top = len(state.c), tables.target_height[:, 1]
-    none = np.zeros((n, 0))
-    if not len(top):
+    none = np.zeros((len(state.c), 0))
+    if not len(tables.target_height):
         return Drop(first=none, contact=none, hit=none, entity=none)
-    frames, levels = _Frames(tables), _Levels(tables.level_start)
-    shape = _shape(tables, state, frames)
-    C, F = _first(_overlap(tables, constants, state, shape, frames), levels)
-    fallen = shape.low - top
-    time = _fall(state.v[:, 2:], fallen) + constants.delay
-    x, y = frames.place(state.c)
-    vx, vy = frames.turn(state.v)
-    place = (x + vx * time, y + vy * time)
-    T, away = _support(tables, constants, state, shape, frames, levels, place)
-    total = F.sum(axis=1, keepdims=True) + _LEAST_MASS
-    mean_time = (F * time).sum(axis=1, keepdims=True) / total
-    height_fallen = (F * np.maximum(fallen, 0.0)).sum(axis=1, keepdims=True) / total
-    k = constants
-    landing = _Landing(
-        point=state.c[:, :2] + state.v[:, :2] * mean_time,
-        total=total,
-        height=(F * top).sum(axis=1, keepdims=True) / total,
-        fallen=height_fallen,
-        blur=k.position_spread**2 + (k.velocity_spread * mean_time) ** 2 + (k.height_spread * height_fallen) ** 2,
-        leaving=levels.sum(F) * T,
-    )
-    G = _falls(tables, constants, state, frames, levels, landing, away)
-    mass = levels.sum(F)
-    below = np.maximum(levels.spread(np.cumsum(mass[:, ::-1], axis=1)[:, ::-1]) - C, 0.0)
-    H = _sides(tables, constants, state, shape, frames, landing, away, place, below)
-    return Drop(first=F, contact=C, hit=1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H), entity=none)
+    flight, landing = _fly(tables, constants, state)
+    levels, C = flight.levels, flight.C
+    G = _falls(tables, constants, flight.frames, levels, landing)
+    below = np.maximum(levels.spread(np.cumsum(landing.mass[:, ::-1], axis=1)[:, ::-1]) - C, 0.0)
+    H = _sides(tables, constants, state, flight.shape, flight.frames, landing, flight.place, below)
+    return Drop(first=flight.F, contact=C, hit=1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H), entity=none)
