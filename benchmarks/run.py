@@ -33,12 +33,13 @@ SUBJECTS = (
     "drop_physics",
     "drop_prediction",
     "trajectory_prediction",
+    "prevention",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "trajectory_prediction"})
+ON_REQUEST = frozenset({"best_known", "trajectory_prediction", "prevention"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
