@@ -266,3 +266,20 @@ def test_a_fit_that_tries_many_constants_leaves_no_tables_behind(scene):
         constants = {name: replace(getattr(shipped, name), delay=float(delay)) for name in SHAPE_CLASSES}
         footprint_kernel(scene, FootprintSettings(**constants))
     assert 0 < len(footprint_kernels._made[scene]) <= footprint_kernels._KEPT
+
+
+def test_impacts_of_one_scene_add_up() -> None:
+    scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
+    rng = np.random.default_rng(0)
+    q0, q1 = (rng.uniform(*scene.limits.position.T, size=(40, len(scene.joints))) for _ in range(2))
+    first, second = (gp.ImpactCost(model=model).kernel(scene, (0.3, 0.7)) for model in ("aabb", "footprint"))
+    assert first is not None and second is not None
+    both = first + second
+    assert np.allclose(both.states(q0), first.states(q0) + second.states(q0), rtol=1e-12)
+    edges = both.edges(q0, q1)
+    assert np.array_equal(edges[:, 0], first.edges(q0, q1)[:, 0])
+    assert np.allclose(edges[:, 1], first.edges(q0, q1)[:, 1] + second.edges(q0, q1)[:, 1], rtol=1e-12)
+    other = gp.ImpactCost().kernel(gp.load_scene("tabletop_l1"), (0.3, 0.7))
+    assert other is not None
+    with pytest.raises(ValueError, match="different scenes"):
+        first + other

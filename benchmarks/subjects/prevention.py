@@ -29,9 +29,10 @@ MEASURED = """\
 Every task of every bundled scene, planned in 1 s at half of the velocity limits: with w = 0, with Algorithm 1 and with
 the default model, both at w = 1. Then the robot fails: "drops", the gripper lets go; "mixed", each of the 19 faults,
 severe, equally often. All motions of a task have the same faults at the same fractions of their time, with the same
-random numbers. Impact: sum of the severities of what is touched within 1 s, each entity once. "Motion": joint length, relative
-to w = 0. "Reduction": impact at w = 0 over that of the model. "Rises": tasks with more impact than at w = 0, beyond the
-95 % interval of the paired difference. Constants were fitted on rollouts in these scenes, along other motions.
+random numbers. Impact: sum of the severities of what is touched within 1 s, each entity once. "Motion": joint length,
+relative to w = 0. "Reduction": impact at w = 0 over that of the model. "Rises": tasks with more impact than at w = 0,
+beyond the 95 % interval of the paired difference. Constants were fitted on rollouts in these scenes, along other
+motions.
 """
 STORE = Path(__file__).resolve().parents[1] / "prevented"
 """A line for each task that is done; an interrupted run goes on where it was."""

@@ -188,6 +188,10 @@ class ImpactKernel:
     def __init__(self, kernels: Kernels, native: _native.Impact) -> None:
         self.kernels, self.native = kernels, native
 
+    def __add__(self, other: ImpactKernel) -> ImpactKernel:
+        """Return both models of one scene added up."""
+        return ImpactKernel(self.kernels, _native.SumImpact(self.native, other.native))
+
     def states(self, q: ArrayLike) -> Float[Array, "*batch"]:
         """Expected severity given a failure at q, at rest."""
         flat, batch = self.kernels.rows("q", q)

@@ -192,6 +192,8 @@ NB_MODULE(_native, m) {
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact").def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")
       .def(nb::init<const DropModel&, Reals, double, double>(), "model"_a, "severity"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>());
+  nb::class_<SumImpact, Impact>(m, "SumImpact")
+      .def(nb::init<const Impact&, const Impact&>(), "first"_a, "second"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
   nb::class_<Space>(m, "Space");
   nb::class_<SceneSpace, Space>(m, "SceneSpace")
       .def(nb::init<const Core&, const Impact&, Reals, Reals, double, double, double, double, double>(), "core"_a, "impact"_a, "lower"_a,

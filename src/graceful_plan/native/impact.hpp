@@ -13,6 +13,7 @@ class Impact {
   virtual ~Impact() = default;
   virtual void states(const double* q, size_t n, double* impact) const = 0;
   virtual void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const = 0;
+  const Core& core() const { return core_; }
 
   auto states_array(Reals q) const {
     double* out;
@@ -31,6 +32,7 @@ class Impact {
   }
 
  protected:
+  explicit Impact(const Core& core) : core_(core) {}
   Impact(const Core& core, const Reals& severity) : core_(core), severity_(point(severity)) {}
 
   const Core& core_;
@@ -188,6 +190,27 @@ class DropImpact final : public Impact {
  private:
   const DropModel& model_;
   const double pace_[2];  // shares of the joints' speeds
+};
+
+// Two models added up.
+class SumImpact final : public Impact {
+ public:
+  SumImpact(const Impact& first, const Impact& second) : Impact(first.core()), first_(first), second_(second) {
+    require(&first.core() == &second.core(), "impacts of different scenes");
+  }
+  void states(const double* q, size_t n, double* impact) const override {
+    Point other(n);
+    first_.states(q, n, impact), second_.states(q, n, other.data());
+    for (size_t i = 0; i < n; ++i) impact[i] += other[i];
+  }
+  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
+    Point other(2 * n);
+    first_.edges(q0, q1, n, step, cost), second_.edges(q0, q1, n, step, other.data());
+    for (size_t i = 0; i < n; ++i) cost[2 * i + 1] += other[2 * i + 1];  // the length is the same
+  }
+
+ private:
+  const Impact &first_, &second_;
 };
 
 }  // namespace
