@@ -302,7 +302,7 @@ def test_a_stopped_search_is_not_taken_up_again(task):
 @pytest.mark.parametrize("iterations", [10.5, True, "9", -1])
 def test_iterations_that_would_never_end_are_refused(iterations):
     with pytest.raises(SettingError, match="iterations"):
-        checked_time_limit(None, iterations, 1.0)
+        checked_time_limit(None, iterations)
 
 
 @pytest.mark.parametrize("time_limit", ["1", float("nan"), -1.0, True])

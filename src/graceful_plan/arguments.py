@@ -9,7 +9,10 @@ import numpy as np
 from graceful_plan.costs.objective import MEAN_PACE, Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
+from graceful_plan.risk import MEASURES, RiskMeasure
 
+FAILURE_AWARE = "failure_aware"
+"""The speed that is slower where that makes failures less harmful."""
 DEFAULT_TIME_LIMIT = 1.0
 """Seconds that a call may take when neither a time limit nor a number of iterations is given."""
 
@@ -25,6 +28,26 @@ def checked_planner(planner: object) -> Planner:
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
     return PLANNERS[planner]()
+
+
+def checked_speed(speed: object) -> float:
+    """Return the share of the velocity limits to use: all of it where `failure_aware` timing decides."""
+    if isinstance(speed, str):
+        if speed != FAILURE_AWARE:
+            raise UnknownNameError("speed", speed, (FAILURE_AWARE, "a fraction in (0, 1]"))
+        return 1.0
+    if not (_is_real(speed) and 0.0 < speed <= 1.0):  # type: ignore[operator]
+        raise SettingError("speed", speed, f"a fraction in (0, 1], or {FAILURE_AWARE!r}")
+    return float(speed)  # type: ignore[arg-type]
+
+
+def checked_risk(risk: object) -> RiskMeasure:
+    """Return a risk measure, looked up by its name if need be."""
+    if isinstance(risk, RiskMeasure):
+        return risk
+    if not isinstance(risk, str):
+        raise SettingError("risk", risk, f"a RiskMeasure or one of {', '.join(MEASURES)}")
+    return RiskMeasure(risk)
 
 
 def checked_objective(objective: object, w: object, speed: float) -> Objective:
@@ -45,15 +68,13 @@ def checked_seed(seed: object) -> np.random.Generator:
     return np.random.default_rng(int(seed))
 
 
-def checked_time_limit(time_limit: object, iterations: object, speed: object) -> float:
+def checked_time_limit(time_limit: object, iterations: object) -> float:
     """Return how many seconds the call may take; infinite if iterations alone limit it."""
     whole = isinstance(iterations, numbers.Integral) and not isinstance(iterations, bool)
     if iterations is not None and not (whole and int(iterations) >= 0):  # type: ignore[call-overload]
         raise SettingError("iterations", iterations, "a whole number, at least 0")
     if time_limit is not None and not (_is_real(time_limit) and time_limit >= 0.0):  # type: ignore[operator]
         raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
-    if not (_is_real(speed) and 0.0 < speed <= 1.0):  # type: ignore[operator]
-        raise SettingError("speed", speed, "a fraction in (0, 1]")
     if time_limit is None:
         return DEFAULT_TIME_LIMIT if iterations is None else np.inf
     return float(time_limit)  # type: ignore[arg-type]

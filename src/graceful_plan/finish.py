@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from graceful_plan.arguments import FAILURE_AWARE, checked_speed
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
@@ -37,7 +38,7 @@ def finish(
     scene: Scene,
     objective: SceneObjective,
     goal: PoseGoal | None = None,
-    speed: float = 1.0,
+    speed: float | str = 1.0,
     in_the_clear: bool = True,
 ) -> Finished:
     """Time and judge a path.
@@ -47,19 +48,23 @@ def finish(
         scene: The scene.
         objective: What it was planned for.
         goal: The pose to be reached, if that was the goal.
-        speed: In (0, 1]: fraction of the velocity limits to use.
+        speed: In (0, 1]: fraction of the velocity limits to use; or "failure_aware".
         in_the_clear: Whether the fast checker calls the whole path free, so that it can tell which corners not to cut.
     """
     cost = objective.breakdown(path)
     verdict, problem, trajectory = Verdict(), "", None
     for deviation in DEVIATIONS:
         try:
-            timed = retime(path, scene.limits, scene.joints, deviation=deviation, speed=speed)
+            timed = retime(path, scene.limits, scene.joints, deviation=deviation, speed=checked_speed(speed))
         except RetimingError as error:
             problem = str(error)
             continue
         if in_the_clear and deviation > 0.0 and not _keeps_clear(timed, objective):
             continue
+        if speed == FAILURE_AWARE:  # the same curve, so what was timed before can be timed now
+            timed = retime(
+                path, scene.limits, scene.joints, deviation=deviation, impact=objective.states, w=objective.w
+            )
         trajectory = timed
         if objective.objective.exposure == "time":
             cost = objective.breakdown(trajectory)

@@ -7,7 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.arguments import checked_objective, checked_planner, checked_seed, checked_time_limit
+from graceful_plan.arguments import (
+    FAILURE_AWARE,
+    checked_objective,
+    checked_planner,
+    checked_risk,
+    checked_seed,
+    checked_speed,
+    checked_time_limit,
+)
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective
@@ -20,7 +28,9 @@ from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.pose_goal import PoseGoal
+from graceful_plan.prefer import Preference
 from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.risk import RiskMeasure
 from graceful_plan.scene import Scene
 from graceful_plan.search import Callback, Search, search
 
@@ -30,6 +40,8 @@ _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
 _RESERVE = 0.12
 """Seconds kept for timing and verification, at most a third of the time limit."""
+_AWARE_RESERVE = 0.15
+"""Seconds kept besides for failure-aware timing."""
 
 
 def plan(
@@ -43,7 +55,8 @@ def plan(
     time_limit: float | None = None,
     iterations: int | None = None,
     seed: int = 0,
-    speed: float = 1.0,
+    speed: float | str = 1.0,
+    risk: str | RiskMeasure = "expectation",
     callback: Callback | None = None,
 ) -> PlanResult:
     """Plan a motion that costs little and along which a failure at any moment does little harm.
@@ -58,7 +71,11 @@ def plan(
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
         iterations: Planner iterations; with these alone, the result depends on the seed only.
         seed: Of all random numbers.
-        speed: In (0, 1]: fraction of the velocity limits to use.
+        speed: In (0, 1]: fraction of the velocity limits to use; or "failure_aware": as fast as the limits allow, but
+            slower where that lowers the integral of 1 + w times impact over time (see `retime`).
+        risk: What of the distribution of impact counts: "expectation", "cvar" (the mean of the worst tenth; another
+            share with a `RiskMeasure`) or "worst". Searching is by expectation in any case, since only that adds up
+            along a path; of the paths found the best by the measure is taken and refined by it (see `prefer`).
         callback: Called with every improvement; returning True ends the search.
 
     Returns:
@@ -69,8 +86,9 @@ def plan(
     """
     started = time.perf_counter()
     solver, rng = checked_planner(planner), checked_seed(seed)
-    limit = checked_time_limit(time_limit, iterations, speed)
-    bound = checked_objective(objective, w, speed).bind(scene)
+    limit, measure = checked_time_limit(time_limit, iterations), checked_risk(risk)
+    bound = checked_objective(objective, w, checked_speed(speed)).bind(scene)
+    preference = None if measure.kind == "expectation" else Preference(measure, bound)
     resolved_start = resolve_start(start, scene)
     if not len(resolved_start.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=resolved_start.detail)
@@ -82,7 +100,7 @@ def plan(
         return ends
     try:
         result = _search_and_finish(
-            ends, solver, bound, Budget(limit, iterations, started=started), rng, callback, goal, speed
+            ends, solver, bound, Budget(limit, iterations, started=started), rng, callback, goal, speed, preference
         )
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
@@ -100,10 +118,12 @@ def _search_and_finish(
     rng: np.random.Generator,
     callback: Callback | None,
     goal: Goal,
-    speed: float,
+    speed: float | str,
+    preference: Preference | None,
 ) -> PlanResult:
     """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
-    budget.time_limit -= min(_RESERVE, budget.time_limit / 3.0)
+    reserve = _RESERVE + (_AWARE_RESERVE if speed == FAILURE_AWARE else 0.0)
+    budget.time_limit -= min(reserve, budget.time_limit / 3.0)
     pose = goal if isinstance(goal, PoseGoal) else None
     found, refused = Search(), None
     stats: dict[str, float] = {}
@@ -115,7 +135,10 @@ def _search_and_finish(
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
-        found = search(planner, problem, objective, budget, rng, callback)
+        if preference is None:
+            found = search(planner, problem, objective, budget, rng, callback)
+        else:
+            found = preference.search(planner, problem, budget, rng, callback)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         for path in reversed(found.paths):
             whole, index = ends.joined(path)

@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float, Int
 from graceful_plan.costs.cost import Cost, NonFiniteCostError, StateBatch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import MEAN_PACE, Objective
+from graceful_plan.costs.objective import MEAN_PACE, Objective, moving_batch
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.kernels import COST_STEP
@@ -52,6 +52,8 @@ MEASURES = ("expectation", "cvar", "worst")
 """Words for what to make of a distribution of impact."""
 _MOST_SUMS = 1024
 """Different sums of severities up to which distributions are exact; also the number of grid points beyond."""
+_IMPOSSIBLE = 1e-9
+"""Probabilities of harm to an entity that do not count."""
 _MOMENTS = (100, 4000)
 """Least and greatest number of moments at which a trajectory may fail."""
 _CHUNK = 256  # states that are worked on at once
@@ -230,21 +232,24 @@ def _moments(trajectory: Trajectory, scene: Scene) -> tuple[StateBatch, Float[Ar
     least, most = _MOMENTS
     n = int(np.clip(np.ceil(trajectory.path.length / COST_STEP), least, most))
     state = trajectory.at(trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration)
-    speed = np.linalg.norm(state.qd, axis=1)
-    direction = state.qd / np.where(speed > 0.0, speed, 1.0)[:, None]
-    return StateBatch(scene, state.q, direction, speed), np.full(n, 1.0 / n)
+    return moving_batch(scene, state.q, state.qd), np.full(n, 1.0 / n)
 
 
 class _Move(NamedTuple):
     """Part of what adding a severity to a sum does: a share of the mass at some values goes to others, each its own."""
 
-    origin: Int[Array, " k"]
-    target: Int[Array, " k"]
+    origin: Int[Array, " k"] | slice
+    target: Int[Array, " k"] | slice
     share: float
 
 
 class HarmLaw:
     """Distributions of the impact at states, in one scene.
+
+    Args:
+        cost: The impact cost; only interaction models tell whom a failure hits.
+        scene: The scene.
+        most_sums: Different sums of severities up to which distributions are exact, and grid points beyond.
 
     Attributes:
         value: Impacts that are possible, increasing from 0.
@@ -252,7 +257,7 @@ class HarmLaw:
         exact: Whether all sums of severities are among the values.
     """
 
-    def __init__(self, cost: Cost, scene: Scene) -> None:
+    def __init__(self, cost: Cost, scene: Scene, most_sums: int | None = None) -> None:
         if type(cost) is not ImpactCost:  # a subclass may compute otherwise
             raise SettingError("impact", cost, "an ImpactCost, which knows whom a failure hits")
         self._interaction = cost.interaction
@@ -261,7 +266,7 @@ class HarmLaw:
         self._severity = severity[:, self._entities]
         self._levels = [np.unique(column[column > 0.0]) for column in self._severity.T]
         self.worst = np.array([levels[-1] for levels in self._levels])
-        self.value, self.exact = _sums(self._levels)
+        self.value, self.exact = _sums(self._levels, _MOST_SUMS if most_sums is None else most_sums)
         self._moves = {s: _moves(self.value, s, self.exact) for levels in self._levels for s in levels.tolist()}
 
     def states(self, batch: StateBatch) -> Float[Array, "n atom"]:
@@ -298,26 +303,30 @@ class HarmLaw:
         mass = np.zeros((n, len(self.value)))
         mass[:, 0] = 1.0
         for levels, reached in zip(self._levels, at_least, strict=True):
-            if not reached.any():
+            # Most states are out of reach of most entities.
+            rows = np.flatnonzero(reached[:, 0] > _IMPOSSIBLE)
+            if not len(rows):
                 continue
-            exactly = -np.diff(reached, axis=1, append=0.0)
-            before, mass = mass, mass * (1.0 - reached[:, :1])
+            exactly = -np.diff(reached[rows], axis=1, append=0.0)
+            before = mass[rows]
+            after = before * (1.0 - reached[rows, :1])
             for k, s in enumerate(levels.tolist()):
                 for move in self._moves[s]:
-                    mass[:, move.target] += exactly[:, k : k + 1] * before[:, move.origin] * move.share
+                    after[:, move.target] += (move.share * exactly[:, k : k + 1]) * before[:, move.origin]
+            mass[rows] = after
         return mass
 
 
-def _sums(levels: Sequence[Float[Array, " level"]]) -> tuple[Float[Array, " atom"], bool]:
+def _sums(levels: Sequence[Float[Array, " level"]], most: int) -> tuple[Float[Array, " atom"], bool]:
     """Return all sums of one severity, or none, of each entity; an even grid over their range if they are too many."""
     value = np.zeros(1)
     for severities in levels:
         sums = np.add.outer(np.append(0.0, severities), value).ravel()
         value = np.unique(np.round(sums, 9))
-        if len(value) > _MOST_SUMS:
-            step = sum(float(column.max()) for column in levels) / (_MOST_SUMS - 1)
+        if len(value) > most:
+            step = sum(float(column.max()) for column in levels) / (most - 1)
             # Splitting may lift a sum by a step for each entity.
-            return step * np.arange(_MOST_SUMS + len(levels)), False
+            return step * np.arange(most + len(levels)), False
     return value, True
 
 
@@ -332,4 +341,4 @@ def _moves(value: Float[Array, " atom"], s: float, exact: bool) -> list[_Move]:
     whole = int(np.floor(s / step))
     above = s / step - whole
     parts = ((whole, 1.0 - above), (whole + 1, above))
-    return [_Move(np.arange(len(value) - k), np.arange(k, len(value)), share) for k, share in parts if share > 0.0]
+    return [_Move(slice(len(value) - k), slice(k, None), share) for k, share in parts if share > 0.0]

@@ -16,6 +16,8 @@ from graceful_plan.result import TracePoint
 
 KEPT = 3
 """Improvements that are kept for the judge to choose from."""
+ALL = 10_000
+"""Keeps them all, to choose by something other than what was searched for."""
 _SAME = 1e-9
 """Largest difference between two configurations that are the same [rad or m]."""
 
@@ -43,8 +45,9 @@ def search(
     budget: Budget,
     rng: np.random.Generator,
     callback: Callback | None = None,
+    kept: int = KEPT,
 ) -> Search:
-    """Let the planner work until the budget ends, it stops, or the callback says so."""
+    """Let the planner work until the budget ends, it stops, or the callback says so; keep the last improvements."""
     found = Search()
     best = np.inf
     for path in planner.solve(problem, objective, budget, rng):
@@ -57,7 +60,7 @@ def search(
         if found.paths and total >= best:
             continue
         best = total
-        found.paths = [*found.paths[1 - KEPT :], path]
+        found.paths = [*found.paths[1 - kept :], path]
         found.trace.append(TracePoint(time=budget.elapsed, total=total, motion=motion, impact=impact))
         if callback is not None and callback(found.trace[-1]):
             found.stopped = True

@@ -122,15 +122,15 @@ class SceneObjective:
         by_length = self.motion_is_length and self.objective.exposure == "length"
         return impact.kernel(self.scene, self.objective.paces) if by_length and isinstance(impact, ImpactCost) else None
 
-    def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
-        """Impact given a failure at each state, at rest."""
-        return checked_state(self.objective.impact, StateBatch(self.scene, q))
+    def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
+        """Impact given a failure at each state, at rest without joint velocities [rad/s or m/s]."""
+        return checked_state(self.objective.impact, moving_batch(self.scene, q, qd))
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
         """V and S of straight edges from `q0` to `q1`."""
         if self.kernel is not None:
             return self.kernel.edges(q0, q1)
-        samples = _Samples(q0, q1, self.scene.limits.velocity, self.objective.paces)
+        samples = EdgeSamples(q0, q1, self.scene.limits.velocity, self.objective.paces)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)
         if self.objective.exposure == "waypoints":
@@ -165,8 +165,8 @@ class SceneObjective:
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         return ChargedStates(batch, samples.weights(measure), place=samples.place)
 
-    def _samples(self, points: Path) -> _Samples:
-        return _Samples(points.q[:-1], points.q[1:], self.scene.limits.velocity, self.objective.paces)
+    def _samples(self, points: Path) -> EdgeSamples:
+        return EdgeSamples(points.q[:-1], points.q[1:], self.scene.limits.velocity, self.objective.paces)
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
         impact = self.objective.impact
@@ -184,7 +184,7 @@ class SceneObjective:
         )
 
 
-class _Samples:
+class EdgeSamples:
     """Evenly spaced samples of many edges in one batch, both ends of each included, with trapezoid weights.
 
     Their speeds are by turns the first and the second of `paces`, times that of the slowest joint at its limit.
@@ -225,14 +225,20 @@ class _Samples:
         return np.add.reduceat(values * self.weights(measure), self.first)
 
 
+def moving_batch(scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None) -> StateBatch:
+    """Return states with these joint velocities, at rest without any."""
+    if qd is None:
+        return StateBatch(scene, q)
+    speed = np.linalg.norm(qd, axis=1)
+    return StateBatch(scene, q, qd / np.where(speed > 0, speed, 1.0)[:, None], speed)
+
+
 def _timed_batch(scene: Scene, trajectory: Trajectory) -> tuple[StateBatch, Float[Array, " n"]]:
-    speed = np.linalg.norm(trajectory.qd, axis=1)
-    direction = trajectory.qd / np.where(speed > 0, speed, 1.0)[:, None]
     gaps = np.diff(trajectory.t)
     weight = np.zeros(len(trajectory.t))
     weight[:-1] += 0.5 * gaps
     weight[1:] += 0.5 * gaps
-    return StateBatch(scene, trajectory.q, direction, speed), weight
+    return moving_batch(scene, trajectory.q, trajectory.qd), weight
 
 
 def evaluate(path: Path | Trajectory | Array, scene: Scene, objective: Objective | None = None) -> CostBreakdown:
