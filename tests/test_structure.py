@@ -24,9 +24,9 @@ HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
-    {"costs", "checks"},
+    {"costs", "checks", "explain", "risk"},
     {"planners"},
-    {"plan", "search", "finish", "ends", "escape", "arguments", "problems", "testing"},
+    {"plan", "prefer", "search", "finish", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},
     {"cli", "demo", "doctor", "viz"},
 )

@@ -8,11 +8,12 @@ from hypothesis.extra import numpy as hnp
 
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.interactions.footprint import FALLING
 from graceful_plan.path import Path
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene
 from graceful_plan.viz import figures, render
-from graceful_plan.viz.drop import FALLING, drop_impact
+from graceful_plan.viz.drop import drop_impact
 from graceful_plan.viz.footprints import entity_outlines, object_positions, outline, surface_points
 
 _TOLERANCE = 1e-9  # the same kernel in double precision, with the poses of two different robots

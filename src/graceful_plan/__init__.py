@@ -24,6 +24,7 @@ from graceful_plan.exceptions import (
 from graceful_plan.explain import Contribution, Explanation, explain
 from graceful_plan.fault_prior import FaultPrior
 from graceful_plan.fragility import FragilityTable
+from graceful_plan.impact_map import ImpactMap, impact_map
 from graceful_plan.moving import MovingEntity
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
@@ -74,6 +75,7 @@ __all__ = [
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",
+    "ImpactMap",
     "InformedRRTStar",
     "InteractionModel",
     "JointLength",
@@ -112,6 +114,7 @@ __all__ = [
     "clearance",
     "evaluate",
     "explain",
+    "impact_map",
     "interaction_probability",
     "load_scene",
     "plan",

@@ -66,6 +66,34 @@ def _parser() -> argparse.ArgumentParser:
     _add_scene(evaluate)
     evaluate.add_argument("--w", type=float, default=1.0, help="safety weight of the total (default 1)")
 
+    explain = _command(commands, "explain", _explain, "say where the impact of a path or trajectory comes from")
+    explain.add_argument("motion", type=FilePath, help="JSON file with a path, a trajectory or the result of `plan`")
+    _add_scene(explain)
+    _add_model(explain, gp.ImpactCost().model)
+    explain.add_argument(
+        "--exposure", default="length", help="what the impact is integrated over: length, time, waypoints"
+    )
+    explain.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
+
+    impact_map = _command(commands, "map", _map, "map what it would do to let the carried object go")
+    _add_scene(impact_map)
+    _add_model(impact_map, "footprint")
+    impact_map.add_argument("--height", type=float, required=True, metavar="M", help="of its lowest point [m]")
+    impact_map.add_argument("--speed", type=float, default=0.0, help="horizontal [m/s] (default 0)")
+    impact_map.add_argument(
+        "--direction", type=float, metavar="RAD", help="of the speed, from x towards y; default: all"
+    )
+    impact_map.add_argument(
+        "--at", nargs="+", metavar="Q", help="configuration that says how it is turned; default: upright"
+    )
+    impact_map.add_argument(
+        "--surface", type=float, metavar="Z", help="that the height counts from; default: the table's top"
+    )
+    impact_map.add_argument(
+        "--resolution", type=float, default=0.02, metavar="M", help="width of a cell (default 0.02)"
+    )
+    impact_map.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
+
     _command(commands, "scenes", _scenes, "list the bundled scenes and their tasks")
     _command(commands, "planners", _planners, "list the planners and their settings")
     _command(commands, "doctor", _doctor, "versions, instruction set in use, self-test")
@@ -82,6 +110,10 @@ def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int],
 def _add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     parser.add_argument("--task", help="task of the scene; default: its first, unless start and goal are given")
+
+
+def _add_model(parser: argparse.ArgumentParser, default: Any) -> None:
+    parser.add_argument("--model", default=default, help=f"interaction model (default {default})")
 
 
 def _add_budget(parser: argparse.ArgumentParser) -> None:
@@ -157,6 +189,44 @@ def _evaluate(args: argparse.Namespace) -> int:
     text = [documents.cost_table({f"w = {args.w:g}": cost}), ""]
     _print(args, document, "\n".join([*text, documents.table(["check", "", "worst", ""], rows)]))
     return DONE if verdict.passed else FAILED
+
+
+def _explain(args: argparse.Namespace) -> int:
+    _check_picture(args)
+    motion, scene = documents.read_motion(args.motion), _task(args)[0]
+    objective = gp.Objective(impact=gp.ImpactCost(model=args.model), exposure=args.exposure)
+    explanation = gp.explain(motion, scene, objective)
+    text = str(explanation)
+    if args.output is not None:
+        from graceful_plan.viz.explanation import draw_explanation
+
+        draw_explanation(explanation, args.output)
+        text += f"\n\nwrote {args.output}"
+    _print(args, explanation.to_document(), text)
+    return DONE
+
+
+def _map(args: argparse.Namespace) -> int:
+    _check_picture(args)
+    scene = _task(args)[0]
+    found = gp.impact_map(
+        scene,
+        gp.ImpactCost(model=args.model),
+        height=args.height,
+        speed=args.speed,
+        direction=args.direction,
+        q=None if args.at is None else _joint_values(scene, "--at", args.at),
+        surface=args.surface,
+        resolution=args.resolution,
+    )
+    text = str(found)
+    if args.output is not None:
+        from graceful_plan.viz.impact_map import draw_impact_map
+
+        draw_impact_map(found, scene, args.output)
+        text += f"\n\nwrote {args.output}"
+    _print(args, found.to_document(), text)
+    return DONE
 
 
 def _scenes(args: argparse.Namespace) -> int:
@@ -249,6 +319,19 @@ def _configuration(option: str, words: Sequence[str]) -> str | list[float]:
         if len(words) == 1:
             return words[0]
         raise SettingError(option, " ".join(words), "the name of a keyframe, or numbers only") from None
+
+
+def _joint_values(scene: Scene, option: str, words: Sequence[str]) -> Any:
+    """Read a configuration; a keyframe is looked up in the scene."""
+    given = _configuration(option, words)
+    if isinstance(given, str) and given not in scene.keyframes:
+        raise UnknownNameError("keyframe", given, scene.keyframes)
+    return scene.keyframes[given] if isinstance(given, str) else given
+
+
+def _check_picture(args: argparse.Namespace) -> None:
+    if args.output is not None and args.output.suffix not in (".png", ".pdf", ".svg"):
+        raise SettingError("--output", str(args.output), "a file name that ends in .png, .pdf or .svg")
 
 
 def _sentence(result: gp.PlanResult) -> str:

@@ -35,7 +35,8 @@ Array = np.ndarray
 DIRECTIONS = 8
 """Directions of motion over which a map is averaged if none is given."""
 MAX_CELLS = 1_000_000
-_MARGIN = 0.1  # around entities [m]
+_MARGIN = 0.2  # around entities [m]
+_FAR_BELOW = 0.3  # the surface; what is lower does not widen the map [m]
 _OVERLAP = 0.001  # of the object with something, from which a cell is blocked [m]
 _STANDS = 0.01  # a bottom so near to a top stands on it [m]
 _CHUNK = 20_000  # states that are asked about at once
@@ -139,8 +140,8 @@ def impact_map(
         direction: Of that speed [rad], from x towards y; the mean over `DIRECTIONS` directions if None.
         q: Configuration that says how the object is turned; if None, as it stands in the scene.
         surface: Height in W [m] above which `height` counts; if None, the top on which most things stand.
-        bounds: Least x, greatest x, least y and greatest y of the map [m]; if None, around all entities, as far as the
-            arm can reach.
+        bounds: Least x, greatest x, least y and greatest y of the map [m]; if None, around the entities that are not
+            far below the surface, as far as the arm can reach.
         resolution: Width of a cell [m], at least approximately.
 
     Raises:
@@ -161,7 +162,7 @@ def impact_map(
     gantry = gantry_scene(scene, rotation)
     tables = footprint_tables(gantry)
     base = _surface(tables) if surface is None else float(finite_array("surface", surface, ndim=0))
-    x, y = _cells(_bounds(scene, tables) if bounds is None else bounds, resolution)
+    x, y = _cells(_bounds(scene, tables, base) if bounds is None else bounds, resolution)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     places = np.column_stack([grid, np.full(len(grid), base + height - _lowest(gantry))])
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS if direction is None else np.array([direction])
@@ -239,14 +240,13 @@ def _extent(tables: FootprintTables) -> Float[Array, "target 2"]:
     return np.stack([c * a + s * b, s * a + c * b], axis=1)
 
 
-def _bounds(scene: Scene, tables: FootprintTables) -> tuple[float, float, float, float]:
-    mine = tables.target_entity >= 0
+def _bounds(scene: Scene, tables: FootprintTables, surface: float) -> tuple[float, float, float, float]:
+    mine = (tables.target_entity >= 0) & (tables.target_height[:, 1] > surface - _FAR_BELOW)
     if not mine.any():
-        raise SettingError("bounds", None, "least and greatest x, least and greatest y [m]: the scene has no entities")
+        raise SettingError("bounds", None, "least and greatest x, least and greatest y [m]: no entities are so high")
     extent = _extent(tables)[mine] + _MARGIN
     low, high = (tables.target_centre[mine] - extent).min(axis=0), (tables.target_centre[mine] + extent).max(axis=0)
-    slides = compile_scene(scene).robot.slide.any()
-    if not slides:
+    if not compile_scene(scene).robot.slide.any():  # the reach of slides says nothing about x and y
         model = scene.model
         base = scene.data_at(model.qpos0[scene.qpos_adr]).xanchor[model.joint(scene.joints[0]).id, :2]
         low, high = np.maximum(low, base - reach(scene)[0]), np.minimum(high, base + reach(scene)[0])

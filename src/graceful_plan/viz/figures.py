@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -10,27 +10,18 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.interactions.footprint import FALLING
 from graceful_plan.costs.objective import Objective
 from graceful_plan.path import Path
 from graceful_plan.scene import Scene
-from graceful_plan.viz.drop import FALLING, drop_impact
-from graceful_plan.viz.footprints import entity_outlines, object_positions, outline, surface_points
-from graceful_plan.viz.style import PATH_COLOURS
+from graceful_plan.viz.drop import drop_impact
+from graceful_plan.viz.footprints import object_positions, outline, surface_points
+from graceful_plan.viz.outlines import draw_entities
+from graceful_plan.viz.style import HALO, PATH_COLOURS, STYLE, heat_map
 
 Array = np.ndarray
 
 _LINE_STYLES = ((0, (5, 2)), "-", (0, (1, 1)), (0, (6, 2, 1, 2)))
-_HEAT = ("#ffffff", "#fff3c4", "#fed976", "#fd8d3c", "#e31a1c", "#8c0d26")
-"""White where nothing is at stake, darker with the impact."""
-_STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "svg.fonttype": "none",
-}
 _GRID = 0.005
 _MARGIN = 0.14
 _STEP = 0.02
@@ -53,7 +44,7 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath)
     dense = {label: path.resampled(_STEP) for label, path in paths.items()}
     positions = {label: object_positions(scene, path) for label, path in dense.items()}
     falling = Objective(impact=ImpactCost(components=FALLING)).bind(scene)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 4.7), dpi=200, layout="constrained")
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(2, 2, width_ratios=(1.75, 1.0))
@@ -74,8 +65,6 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath)
 def _draw_from_above(
     axes: Any, scene: Scene, paths: Mapping[str, Path], positions: Mapping[str, Float[Array, "n 3"]]
 ) -> Any:
-    from matplotlib.colors import LinearSegmentedColormap
-
     x, y = _window(positions)
     label = list(paths)[-1]
     reference = paths[label].q[np.argsort(positions[label][:, 2])[len(positions[label]) // 2]]
@@ -84,13 +73,13 @@ def _draw_from_above(
         heat,
         extent=(x[0] - _GRID / 2, x[-1] + _GRID / 2, y[0] - _GRID / 2, y[-1] + _GRID / 2),
         origin="lower",
-        cmap=LinearSegmentedColormap.from_list("impact", _HEAT),
+        cmap=heat_map(),
         vmin=0.0,
         vmax=max(float(heat.max()), 1e-9),
         alpha=0.85,
         interpolation="bilinear",
     )
-    _draw_entities(axes, scene)
+    draw_entities(axes, scene)
     for i, (label, position) in enumerate(positions.items()):
         _draw_path(axes, i, label, position)
         _draw_object(axes, scene, paths[label], i)
@@ -103,7 +92,7 @@ def _draw_from_above(
             textcoords="offset points",
             ha="center",
             weight="bold",
-            bbox=_halo_box(),
+            bbox=HALO,
             zorder=9,
         )
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal", xlabel="x [m]", ylabel="y [m]")
@@ -120,48 +109,6 @@ def _window(positions: Mapping[str, Float[Array, "n 3"]]) -> tuple[Float[Array, 
     missing = np.maximum(0.0, wanted - (high - low))
     low, high = low - missing / 2, high + missing / 2
     return np.arange(low[0], high[0], _GRID), np.arange(low[1], high[1], _GRID)
-
-
-def _draw_entities(axes: Any, scene: Scene) -> None:
-    """Outline every entity with the severity of whatever falls on it."""
-    from matplotlib.patches import Polygon
-
-    falling = [name for name in FALLING if name in scene.components]
-    shapes = {name: _visible(parts) for name, parts in entity_outlines(scene, list(scene.entities)).items()}
-    middles = {name: np.concatenate(parts).mean(axis=0) for name, parts in shapes.items() if parts}
-    sizes = {name: float(np.prod(np.subtract(*_extent(shapes[name])))) for name in middles}
-    for name, middle in middles.items():
-        for polygon in shapes[name]:
-            axes.add_patch(Polygon(polygon, closed=True, fill=False, edgecolor="#444444", linewidth=0.8))
-        severity = sum(scene.entities[name].severity[component] for component in falling)
-        low, high = _extent(shapes[name])
-        others = [m for other, m in middles.items() if sizes[other] < sizes[name]]
-        crowded = any(np.all((m > low) & (m < high)) for m in others)
-        place = low + 0.012 if crowded else middle
-        axes.text(
-            *place, f"{severity:g}", ha="center", va="center", fontsize=7, color="#222222", clip_on=True, zorder=3.5
-        )
-
-
-def _extent(polygons: Sequence[Float[Array, "corner 2"]]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
-    points = np.concatenate(polygons)
-    return points.min(axis=0), points.max(axis=0)
-
-
-def _visible(polygons: Sequence[Float[Array, "corner 2"]]) -> list[Float[Array, "corner 2"]]:
-    """Leave out outlines inside of the extent of another one, such as the legs of a table."""
-    extents = [_extent([polygon]) for polygon in polygons]
-    return [
-        polygon
-        for i, polygon in enumerate(polygons)
-        if not any(
-            i != j
-            and np.all(low <= extents[i][0])
-            and np.all(extents[i][1] <= high)
-            and not np.array_equal(polygon, polygons[j])
-            for j, (low, high) in enumerate(extents)
-        )
-    ]
 
 
 def _draw_path(axes: Any, index: int, label: str, position: Float[Array, "n 3"]) -> None:
@@ -191,7 +138,3 @@ def _draw_along(axes: Any, paths: Mapping[str, Path], values: Mapping[str, Float
         length = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
         axes.plot(length, values[label], color=PATH_COLOURS[i], linestyle=_LINE_STYLES[i], linewidth=1.8, label=label)
     axes.margins(x=0.01)
-
-
-def _halo_box() -> dict[str, Any]:
-    return {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
