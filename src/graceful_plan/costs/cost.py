@@ -28,6 +28,7 @@ class StateBatch:
         q: Configurations [rad or m].
         direction: Unit direction of motion in joint space; zero where the robot is at rest.
         speed: Joint-space speed along `direction` [rad/s]; zero by default.
+        time: When the robot is there, on the clock of the scene's predictions [s]; None if that is not known.
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class StateBatch:
         q: Float[Array, "n nq"],
         direction: Float[Array, "n nq"] | None = None,
         speed: Float[Array, " n"] | None = None,
+        time: Float[Array, " n"] | None = None,
     ) -> None:
         if q.ndim != 2 or q.shape[1] != len(scene.joints):
             raise ShapeError("q", q.shape, f"(n, {len(scene.joints)})")
@@ -43,6 +45,9 @@ class StateBatch:
         self.q = q
         self.direction = np.zeros_like(q) if direction is None else direction
         self.speed = np.zeros(len(q)) if speed is None else speed
+        if time is not None and time.shape != (len(q),):
+            raise ShapeError("time", time.shape, f"({len(q)},)")
+        self.time = time
 
     def __len__(self) -> int:
         return len(self.q)

@@ -39,10 +39,10 @@ def fall_time(vz: Array, h: Array) -> Array:
 
 
 def part_reach(axes: Array, half: Array, kind: int, u: Array) -> Array:
-    """How far a part (axes [n 3 3]) reaches in unit directions u [target 3] of W: [n target]."""
+    """How far a part (axes [n 3 3]) reaches in unit directions u [target 3] or [n target 3] of W: [n target]."""
     if kind == BALL:
-        return np.full((len(axes), len(u)), half[0])
-    along = np.einsum("nij,ki->nkj", axes, u)
+        return np.full((len(axes), u.shape[-2]), half[0])
+    along = u @ axes
     if kind == ROUND:
         z = along[..., 2]
         return np.abs(z) * half[2] + half[0] * np.sqrt(np.maximum(1e-12, 1.0 - z * z))
