@@ -24,7 +24,7 @@ HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
-    {"costs", "checks", "explain", "risk"},
+    {"costs", "checks", "explain", "impact_map", "risk"},
     {"planners"},
     {"plan", "prefer", "search", "finish", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},
