@@ -32,6 +32,7 @@ SUBJECTS = (
     "paper_table",
     "drop_physics",
     "drop_prediction",
+    "failure_prediction",
     "trajectory_prediction",
     "prevention",
     "failbench_speed",

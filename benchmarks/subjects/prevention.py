@@ -341,10 +341,13 @@ def _times(value: float) -> str:
 
 def draw(done: Sequence[Done], file: Path) -> None:
     """Draw observed impact against path length over w, a panel for each scene, a line for each task."""
-    import matplotlib.pyplot as plt
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
     scenes = list(dict.fromkeys(x.task.split("/")[0] for x in done if not x.refused))
-    figure, axes = plt.subplots(2, -(-len(scenes) // 2), figsize=(12, 7), squeeze=False, layout="constrained")
+    figure = Figure(figsize=(12, 7), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, -(-len(scenes) // 2), squeeze=False)
     for axis, scene in zip(axes.flat, scenes, strict=False):
         for x in done:
             if x.refused or x.task.split("/")[0] != scene or x.planned[NONE].drops is None:
@@ -362,5 +365,4 @@ def draw(done: Sequence[Done], file: Path) -> None:
     for axis in axes.flat[len(scenes) :]:
         axis.set_visible(False)
     figure.suptitle("Observed impact of drops over w = 0, 0.03 ... 10 (crosses: Algorithm 1 at w = 1)")
-    figure.savefig(file, dpi=110)
-    plt.close(figure)
+    figure.savefig(file)
