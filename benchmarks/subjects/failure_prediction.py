@@ -1,4 +1,4 @@
-"""Spills, collapsing and stuck arms: is what the model predicts what happens? Event by event, in scenes it never saw."""
+"""Spills, collapsing and stuck arms: is what the model predicts what happens, in scenes that it never saw?"""
 
 from __future__ import annotations
 
