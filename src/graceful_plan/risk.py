@@ -231,8 +231,9 @@ def _moments(trajectory: Trajectory, scene: Scene) -> tuple[StateBatch, Float[Ar
     """Return states in the middle of even steps of time."""
     least, most = _MOMENTS
     n = int(np.clip(np.ceil(trajectory.path.length / COST_STEP), least, most))
-    state = trajectory.at(trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration)
-    return moving_batch(scene, state.q, state.qd), np.full(n, 1.0 / n)
+    times = trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration
+    state = trajectory.at(times)
+    return moving_batch(scene, state.q, state.qd, times), np.full(n, 1.0 / n)
 
 
 class _Move(NamedTuple):
@@ -260,8 +261,8 @@ class HarmLaw:
     def __init__(self, cost: Cost, scene: Scene, most_sums: int | None = None) -> None:
         if type(cost) is not ImpactCost:  # a subclass may compute otherwise
             raise SettingError("impact", cost, "an ImpactCost, which knows whom a failure hits")
-        self._interaction = cost.interaction
-        severity = cost.severity(scene)
+        self._cost = cost
+        severity = cost.hazard_severity(scene)
         self._entities = np.flatnonzero(severity.max(axis=0, initial=0.0) > 0.0)
         self._severity = severity[:, self._entities]
         self._levels = [np.unique(column[column > 0.0]) for column in self._severity.T]
@@ -286,9 +287,9 @@ class HarmLaw:
 
     def _at_least(self, batch: StateBatch) -> list[Float[Array, "n level"]]:
         """Return P(L >= s) for each entity that can be harmed and each of its severities s, increasing."""
-        shares = [np.asarray(share)[:, :, self._entities] for share in self._interaction.sources(batch).values()]
+        shares = [np.asarray(share)[:, :, self._entities] for share in self._cost.sources(batch).values()]
         if not all(np.all(np.isfinite(share)) for share in shares):
-            raise NonFiniteCostError(self._interaction, "probability() returned a NaN or an infinity")
+            raise NonFiniteCostError(self._cost, "probability() returned a NaN or an infinity")
         found = []
         for e, levels in enumerate(self._levels):
             reached = np.zeros((len(batch), len(levels)))

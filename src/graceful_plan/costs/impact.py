@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class ImpactCost(Cost):
-    """I(q) = sum over components and entities of P S.
+    """I(q) = sum over components and entities, also those that move, of P S.
 
     Args:
         model: An interaction model, or the word for one of `costs.interactions.MODELS`.
@@ -57,19 +58,51 @@ class ImpactCost(Cost):
         ]
         return np.array(rows, dtype=np.float64).reshape(len(scene.components), len(scene.entities))
 
+    def hazard_severity(self, scene: Scene) -> Float[Array, "component hazard"]:
+        """S of each component against each entity and, after these, each moving entity: see `Scene.hazards`."""
+        moving = [
+            [severity[name] if name in self.components else 0.0 for severity in scene.moving_severity.values()]
+            for name in scene.components
+        ]
+        shape = len(scene.components), len(scene.moving)
+        return np.concatenate([self.severity(scene), np.array(moving, dtype=np.float64).reshape(shape)], axis=1)
+
+    def probability(self, batch: StateBatch) -> Float[Array, "n component hazard"]:
+        """P of each component against each entity and each moving entity, given a failure at each state."""
+        still = self.interaction.probability(batch)
+        if not batch.scene.moving:
+            return still
+        moving = sum(self.interaction.moving_sources(batch, self.components).values())
+        return np.concatenate([still, np.asarray(moving)], axis=2)
+
+    def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component hazard"]]:
+        """Return `probability` by what goes wrong."""
+        still, scene = self.interaction.sources(batch), batch.scene
+        if not scene.moving:
+            return still
+        moving = self.interaction.moving_sources(batch, self.components)
+        rows = len(batch), len(scene.components)
+        none, none_moving = np.zeros((*rows, len(scene.entities))), np.zeros((*rows, len(scene.moving)))
+        return {
+            name: np.concatenate([still.get(name, none), moving.get(name, none_moving)], axis=2)
+            for name in dict.fromkeys([*still, *moving])
+        }
+
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Expected severity given a failure at each state."""
-        return np.einsum("nce,ce->n", self.interaction.probability(batch), self.severity(batch.scene))
+        return np.einsum("nce,ce->n", self.probability(batch), self.hazard_severity(batch.scene))
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
         """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""
-        # A subclass may compute otherwise.
-        return self.interaction.gradient(batch, self.severity(batch.scene)) if type(self) is ImpactCost else None
+        if type(self) is not ImpactCost or batch.scene.moving:  # a subclass may compute otherwise
+            return None
+        return self.interaction.gradient(batch, self.severity(batch.scene))
 
     def kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
         """Return the native kernel that computes the same, None if there is none; see `InteractionModel.kernel`."""
-        # A subclass may compute otherwise.
-        return self.interaction.kernel(scene, self.severity(scene), paces) if type(self) is ImpactCost else None
+        if type(self) is not ImpactCost or scene.moving:  # a subclass may compute otherwise
+            return None
+        return self.interaction.kernel(scene, self.severity(scene), paces)
 
     def is_published(self) -> bool:
         """Whether this is the published model, Algorithm 1, which a verdict can recompute on its own."""
