@@ -1,7 +1,8 @@
 """Where it would do how much harm if the carried object were let go: the impact of a drop over the workspace.
 
 The robot is not in it, neither as an obstacle nor as something that falls: the object is put everywhere at the same
-height and turned the same way (`gantry_scene`), and the interaction model says what it hits from there.
+height and turned the same way (`gantry_scene`), and the interaction model says what it hits from there. Entities that
+move are not in it either.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interactions import InteractionModel
 from graceful_plan.costs.interactions.footprint import FALLING
 from graceful_plan.costs.interactions.footprint_drop import release
-from graceful_plan.costs.interactions.footprint_tables import BALL, ROUND, FootprintTables, footprint_tables
+from graceful_plan.costs.interactions.footprint_functions import part_reach
+from graceful_plan.costs.interactions.footprint_tables import FootprintTables, footprint_tables
 from graceful_plan.exact import Judge
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.gantry import gantry_scene
@@ -208,10 +210,9 @@ def _lowest(gantry: Scene) -> float:
     """Height of the object's lowest point above its centre of mass [m], negative."""
     tables = footprint_tables(gantry)
     state = release(StateBatch(gantry, np.zeros((1, 3))), tables)
-    z, half = state.axes[0, :, 2], tables.part_half
-    flat = (np.abs(z) * half).sum(axis=1)
-    turned = np.abs(z[:, 2]) * half[:, 2] + half[:, 0] * np.sqrt(np.maximum(0.0, 1.0 - z[:, 2] ** 2))
-    down = np.where(tables.part_kind == BALL, half[:, 0], np.where(tables.part_kind == ROUND, turned, flat))
+    up = np.array([[0.0, 0.0, 1.0]])
+    each = zip(tables.part_half, tables.part_kind, strict=True)
+    down = [part_reach(state.axes[:, p], half, int(kind), up)[0, 0] for p, (half, kind) in enumerate(each)]
     return float((state.offset[0, :, 2] - down).min())
 
 
