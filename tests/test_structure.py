@@ -26,7 +26,7 @@ LAYERS = (
     {"kernels", "compile"},
     {"costs", "checks", "explain", "impact_map", "risk"},
     {"planners"},
-    {"plan", "prefer", "search", "finish", "ends", "escape", "arguments", "problems", "testing"},
+    {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},
     {"cli", "demo", "doctor", "viz"},
 )
