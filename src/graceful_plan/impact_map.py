@@ -8,6 +8,7 @@ move are not in it either.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,7 +129,7 @@ def impact_map(
     direction: float | None = None,
     q: ArrayLike | None = None,
     surface: float | None = None,
-    bounds: tuple[float, float, float, float] | None = None,
+    bounds: Sequence[float] | None = None,
     resolution: float = 0.02,
 ) -> ImpactMap:
     """Compute what it would do to let the carried object go, at many places.
@@ -158,12 +159,13 @@ def impact_map(
     for name, value in (("height", height), ("speed", speed)):
         if not 0.0 <= value < np.inf:
             raise SettingError(name, value, "a finite number of at least 0")
-    if direction is not None and not np.isfinite(direction):
-        raise SettingError("direction", direction, "a finite angle [rad], or None")
+    for name, value, unit in (("direction", direction, "an angle [rad]"), ("surface", surface, "a height in W [m]")):
+        if value is not None and not np.isfinite(value):
+            raise SettingError(name, value, f"{unit}, finite, or None")
     rotation = _rotation(scene, q)
     gantry = gantry_scene(scene, rotation)
     tables = footprint_tables(gantry)
-    base = _surface(tables) if surface is None else float(finite_array("surface", surface, ndim=0))
+    base = _surface(tables) if surface is None else float(surface)
     x, y = _cells(_bounds(scene, tables, base) if bounds is None else bounds, resolution)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     places = np.column_stack([grid, np.full(len(grid), base + height - _lowest(gantry))])
@@ -256,10 +258,8 @@ def _bounds(scene: Scene, tables: FootprintTables, surface: float) -> tuple[floa
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _cells(
-    bounds: tuple[float, float, float, float], resolution: float
-) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
-    box = finite_array("bounds", bounds, ndim=1, last=4).reshape(2, 2)
+def _cells(bounds: Sequence[float], resolution: float) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
+    box = finite_array("bounds", np.array(bounds), ndim=1, last=4).reshape(2, 2)
     if not 0.0 < resolution < np.inf:
         raise SettingError("resolution", resolution, "a finite width of cells above 0 [m]")
     if not np.all(box[:, 0] < box[:, 1]):
