@@ -94,7 +94,8 @@ def _judge(
 ) -> Verdict:
     impact = objective.objective.impact
     # The judge knows how to recompute the published model over the joint length; other costs it takes as they are.
-    recomputable = objective.kernel is not None and isinstance(impact, ImpactCost) and impact.is_published()
+    still = not scene.moving and objective.kernel is not None
+    recomputable = still and isinstance(impact, ImpactCost) and impact.is_published()
     return verify(
         trajectory,
         scene,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -117,10 +119,18 @@ class ImpactCost(Cost):
         return self.interaction.gradient(batch, self.severity(batch.scene))
 
     def kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
-        """Return the native kernel that computes the same, None if there is none; see `InteractionModel.kernel`."""
-        if type(self) is not ImpactCost or scene.moving:  # a subclass may compute otherwise
+        """Return the native kernel that computes the same, None if there is none; see `InteractionModel.kernel`.
+
+        Of entities that move it is only close: see `InteractionModel.moving_kernels`.
+        """
+        if type(self) is not ImpactCost:  # a subclass may compute otherwise
             return None
-        return self.interaction.kernel(scene, self.severity(scene), paces)
+        still = self.interaction.kernel(scene, self.severity(scene), paces)
+        if still is None or not scene.moving:
+            return still
+        severity = self.hazard_severity(scene)[:, len(scene.entities) :]
+        moving = self.interaction.moving_kernels(scene, severity, paces)
+        return None if moving is None else reduce(add, moving, still)
 
     def is_published(self) -> bool:
         """Whether this is the published model, Algorithm 1, which a verdict can recompute on its own."""
