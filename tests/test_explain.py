@@ -175,6 +175,25 @@ def test_rows_that_are_not_shown_are_counted(task, result):
     assert last == f"and {len(found.contributions) - 12} others: {left:.1%}"
 
 
+def test_who_moves_is_met_where_it_is_then(task, result):
+    # It sits beside the way of the mug until half a second, and is then gone.
+    q, trajectory = result.trajectory.at([0.3]).q[0], result.trajectory
+    below = task.scene.data_at(q).body("mug").xpos - [0.0, 0.0, 0.3]
+    away = below + [9.0, 0.0, 0.0]
+    cat = gp.MovingEntity("tom", "pet", size=[0.1, 0.1], t=[0.0, 0.5, 0.51], position=[below, below, away])
+    scene = task.scene.with_moving(cat)
+    found = gp.explain(trajectory, scene, _OBJECTIVES["footprint-time"])
+    assert sum(row.impact for row in found.contributions) == pytest.approx(found.cost.impact, rel=_ROUNDING)
+    mine = [row for row in found.contributions if row.entity == "tom"]
+    assert sum(row.impact for row in mine) == pytest.approx(found.cost.impact_by_entity["tom"], rel=_ROUNDING)
+    assert {row.component for row in mine} == {"carried", "contents"}
+    assert max(row.end_time for row in mine) < 0.6
+    later = gp.explain(trajectory, scene, _OBJECTIVES["footprint-time"], start_time=1.0)
+    assert later.cost.impact_by_entity["tom"] < 1e-3 * found.cost.impact_by_entity["tom"]
+    with pytest.raises(gp.SettingError, match="start_time = nan"):
+        gp.explain(trajectory, scene, start_time=np.nan)
+
+
 # --- documents and pictures -----------------------------------------------------------------------------------------
 
 

@@ -134,7 +134,13 @@ class Explanation:
         return text + (f"\nand {len(rest)} others: {left:.1%}" if rest else "")
 
 
-def explain(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Objective | None = None) -> Explanation:
+def explain(
+    motion: Path | Trajectory | PlanResult,
+    scene: Scene,
+    objective: Objective | None = None,
+    *,
+    start_time: float = 0.0,
+) -> Explanation:
     """Take the impact of a motion apart.
 
     Args:
@@ -142,23 +148,27 @@ def explain(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Obj
             the exposure is time or something moves.
         scene: The scene, with what is carried attached.
         objective: What charges it; the default `Objective()` if None.
+        start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
 
     Raises:
         PlanningFailed: If the result of a plan has no path.
-        SettingError: If the objective's impact is not an `ImpactCost`, which alone tells entities and components.
+        SettingError: If the objective's impact is not an `ImpactCost`, which alone tells entities and components, or
+            the start time is not finite.
         ShapeError: If the motion does not fit the scene.
     """
     objective = objective or Objective()
     if type(objective.impact) is not ImpactCost:
         raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
+    if not np.isfinite(start_time):
+        raise SettingError("start_time", start_time, "a finite time [s]")
     motion = _charged(motion, scene, objective)
     bound = objective.bind(scene)
-    charged = bound.charged_states(motion)
+    charged = bound.charged_states(motion, start_time)
     along = _Along(charged, motion)
     sources = objective.impact.sources(charged.batch)
     severity = objective.impact.hazard_severity(scene)
     return Explanation(
-        cost=bound.breakdown(motion),
+        cost=bound.breakdown(motion, start_time),
         exposure=objective.exposure,
         entities=scene.hazards,
         place=along.place,
