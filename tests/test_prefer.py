@@ -85,7 +85,7 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
 def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
     better = 0
-    for path in ways(problem, 3):
+    for path in ways(problem, 2):
         refined = preference.refined(path, problem, Budget(), np.random.default_rng(0))
         np.testing.assert_array_equal(refined.q[[0, -1]], path.q[[0, -1]])
         assert preference.total(refined) <= preference.total(path) * (1.0 + 1e-9)
@@ -111,7 +111,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
-    given = {"objective": objective, "iterations": 2000, "seed": 4}
+    given = {"objective": objective, "iterations": 500, "seed": 4}
     plain = gp.plan(task.start, task.goal, task.scene, **given)
     chosen, again = (gp.plan(task.start, task.goal, task.scene, risk=kind, **given) for _ in range(2))
     assert chosen.status is gp.PlanStatus.SOLVED and chosen.verdict.passed

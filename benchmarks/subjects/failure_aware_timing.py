@@ -93,17 +93,19 @@ def measure(job: tuple[str, float, Sizes]) -> Case:
         duration=(plain.duration, aware.duration),
         observed=(reports[0].observed.mean, reports[1].observed.mean),
         predicted=(_mean_impact(plain, states), _mean_impact(aware, states)),
-        difference=failbench.compare(*reports),
+        difference=failbench.compare(reports[0], reports[1]),
     )
 
 
 def timings(path: gp.Path, scene: gp.Scene, states: ImpactOfStates) -> tuple[gp.Trajectory, gp.Trajectory]:
     """Time a path plainly and failure-aware, cutting its corners as far as that stays free of collisions."""
-    for deviation in DEVIATIONS:
-        plain = gp.retime(path, scene.limits, scene.joints, deviation=deviation)
-        if gp.verify(plain, scene).passed:
-            break
-    return plain, gp.retime(path, scene.limits, scene.joints, deviation=deviation, impact=states, w=AT)
+
+    def plainly(deviation: float) -> gp.Trajectory:
+        return gp.retime(path, scene.limits, scene.joints, deviation=deviation)
+
+    clear = (deviation for deviation in DEVIATIONS if gp.verify(plainly(deviation), scene).passed)
+    deviation = next(clear, DEVIATIONS[-1])
+    return plainly(deviation), gp.retime(path, scene.limits, scene.joints, deviation=deviation, impact=states, w=AT)
 
 
 def _mean_impact(trajectory: gp.Trajectory, states: ImpactOfStates) -> float:
