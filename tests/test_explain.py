@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -215,6 +216,13 @@ def test_a_picture_is_drawn(task, result, name, tmp_path):
     from matplotlib.image import imread
 
     assert np.ptp(imread(tmp_path / "picture.png")[..., :3], axis=(0, 1)).max() > 0.5
+
+
+@pytest.mark.parametrize("section", ["A motion, explained", "A scene, mapped"])
+def test_the_guide_runs(section, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parents[1] / "docs" / "explain.md").read_text().partition(f"## {section}")[2]
+    exec(compile(text.partition("```python\n")[2].partition("```")[0], "explain.md", "exec"), {})
 
 
 # --- unhappy paths --------------------------------------------------------------------------------------------------
