@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -48,9 +49,17 @@ class StateBatch:
         if time is not None and time.shape != (len(q),):
             raise ShapeError("time", time.shape, f"({len(q)},)")
         self.time = time
+        self.kept: dict[Any, Any] = {}
+        """What costs compute once for these states whatever the time, by keys of their own."""
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def at(self, time: Float[Array, " n"]) -> StateBatch:
+        """Return the same states at other times [s]; they share `kept`."""
+        other = StateBatch(self.scene, self.q, self.direction, self.speed, time)
+        other.kept = self.kept
+        return other
 
     @cached_property
     def compiled(self) -> CompiledScene:

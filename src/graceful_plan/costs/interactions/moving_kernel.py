@@ -112,8 +112,10 @@ def _with_target(tables: FootprintTables, entity: MovingEntity) -> FootprintTabl
         "target_height": [where.position[2] - h, where.position[2] + h],
     }
     others = {name: getattr(tables, name) for name in row} | {"target_entity": np.full(len(tables.target_entity), -1)}
-    found = {name: np.concatenate([others[name], np.array([value])]) for name, value in row.items()}
+    found: dict[str, Any] = {name: np.concatenate([others[name], np.array([value])]) for name, value in row.items()}
     order = np.argsort(-found["target_height"][:, 1], kind="stable")
     found = {name: value[order] for name, value in found.items()}
-    rest = {field.name: getattr(tables, field.name) for field in fields(tables)}
-    return FootprintTables(**(rest | found | {"level_start": levels(found["target_height"][:, 1])}))
+    kept: dict[str, Any] = {field.name: getattr(tables, field.name) for field in fields(tables)}
+    kept |= found
+    kept["level_start"] = levels(found["target_height"][:, 1])
+    return FootprintTables(**kept)
