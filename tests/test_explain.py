@@ -47,6 +47,16 @@ class TwoFaults(gp.InteractionModel):
         return {"drop": {"slip": 0.1, "opened": 0.2, "never": 0.0}}
 
 
+class HalfTold(TwoFaults):
+    """Its sources leave out half of what happens."""
+
+    def probability(self, batch):
+        return np.minimum(1.0, 2.0 * super().probability(batch))
+
+    def sources(self, batch):
+        return {"drop": 0.25 * np.ones((len(batch), len(batch.scene.components), len(batch.scene.entities)))}
+
+
 @dataclasses.dataclass(frozen=True)
 class Own(gp.Cost):
     def state(self, batch):
@@ -246,6 +256,11 @@ def test_standing_still_costs_nothing_but_a_waypoint_does(task):
 def test_other_costs_do_not_tell_who_is_hit(task, result):
     with pytest.raises(gp.SettingError, match=r"objective.impact = Own\(\).* who is hit"):
         gp.explain(result, task.scene, gp.Objective(impact=Own()))
+
+
+def test_sources_that_do_not_add_up(task, result):
+    with pytest.raises(gp.CostError, match=r"HalfTold: sources\(\) add up to .*, probability\(\) to"):
+        gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=HalfTold())))
 
 
 def test_no_path_no_explanation(task):
