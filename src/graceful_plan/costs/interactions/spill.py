@@ -19,8 +19,8 @@ first target; Z_l: its top. Constants, for each use: `SpillConstants`. Tables: `
 .. code-block:: text
 
     Contents
-      o = R mouth;  m = c + o;  vm = v + w x o;  sm2 = vmx^2 + vmy^2;  z = (R axis)_z, held between 0.05 and 1
-      lean = max(0, sqrt(1 - z^2 + 1e-6)/z - repose) + kv sqrt(sm2 + 1e-4);  x = r lean/H
+      o = R mouth;  m = c + o;  vm = v + w x o;  sm2 = vmx^2 + vmy^2;  z = (R axis)_z;  p = (z + sqrt(z^2 + 0.01))/2
+      lean = max(0, sqrt(1.0051 - p^2)/p - repose) + kv sqrt(sm2 + 1e-4);  x = r lean/H
       fill = (1 + x + x^2 + 1.7 x^3)/full        what it could hold at this tilt is 1/fill of what was in it
       rho = R (1 + fill^4)^(-power/4)            radius of a puddle of what is in it
       s = sqrt(s0^2 + (cr r)^2 + cv^2 sm2 + (ch hs)^2)
@@ -32,7 +32,8 @@ first target; Z_l: its top. Constants, for each use: `SpillConstants`. Tables: `
       i_k = visible box(x, a' + ko rho, s) box(y, b' + ko rho, s)    at o/(O + 1e-6) - (X, Y);  B_k = O i_k
       g = product over the level of 1 - i_k
       U_l = a + O (1 - g);  W_l = a L + O (1 - g) o/(O + 1e-6)
-      j_k = box(x, a' - ke R, s) box(y, b' - ke R, s)                at W_l/(U_l + 1e-6) - (X, Y); 0 unless a', b' > ke R
+      j_k = box(x, a' - ke R, s) box(y, b' - ke R, s)                at W_l/(U_l + 1e-6) - (X, Y); 0 unless
+                                                                     a' and b' exceed ke R
       h = product over the level of 1 - j_k;  O <- O g + U_l h;  o <- o g + W_l h
 
     What stands in the puddle
@@ -104,7 +105,7 @@ def spread_out(
     tables: FootprintTables, spill: SpillTables, constants: SpillConstants, poured: Poured
 ) -> Float[Array, "n target"]:
     """Return P that contents reach each target."""
-    k, place = constants, _places(tables)
+    k, place = constants, _Places(tables)
     speed2 = (poured.velocity[:, :2] ** 2).sum(axis=1, keepdims=True)
     rho = _radius(spill, k, poured.up, speed2)
     s = k.position_spread**2 + (k.rim_spread * spill.rim) ** 2 + k.speed_spread**2 * speed2
@@ -112,31 +113,31 @@ def spread_out(
     arrives, L = _arrivals(tables, k, poured)
     n, (a, b) = len(L), tables.target_half.T
     A, B = np.zeros((n, len(a))), np.zeros((n, len(a)))
-    O, o, U, W = np.zeros((n, 1)), np.zeros((n, 2)), [], []
+    mass, o, U, W = np.zeros((n, 1)), np.zeros((n, 2)), [], []  # mass: O
     inner = spill.radius * k.edge
     for level, (first, last) in enumerate(zip(tables.level_start[:-1], tables.level_start[1:], strict=True)):
         here, come = slice(first, last), arrives[:, level, None]
         x, y = place(L[:, level, None], here)
         A[:, here] = come * box(x, a[here] + k.margin, s) * box(y, b[here] + k.margin, s)
-        flows = o / (O + LEAST_MASS)
+        flows = o / (mass + LEAST_MASS)
         x, y = place(flows[:, None], here)
         onto = spill.visible[here] * box(x, a[here] + k.run_off * rho, s) * box(y, b[here] + k.run_off * rho, s)
-        B[:, here] = O * onto
+        B[:, here] = mass * onto
         past = np.prod(1.0 - onto, axis=1, keepdims=True)
-        U.append(come + O * (1.0 - past))
-        W.append(come * L[:, level] + O * (1.0 - past) * flows)
+        U.append(come + mass * (1.0 - past))
+        W.append(come * L[:, level] + mass * (1.0 - past) * flows)
         x, y = place((W[-1] / (U[-1] + LEAST_MASS))[:, None], here)
         wide = np.minimum(a[here], b[here]) > inner
         over = np.prod(1.0 - wide * box(x, a[here] - inner, s) * box(y, b[here] - inner, s), axis=1, keepdims=True)
-        O, o = O * past + U[-1] * over, o * past + W[-1] * over
+        mass, o = mass * past + U[-1] * over, o * past + W[-1] * over
     D = _standing(tables, spill, np.concatenate(U, axis=1), np.stack(W, axis=1), k.reach * rho, s)
     return 1.0 - (1.0 - A) * (1.0 - B) * (1.0 - D)
 
 
 def _radius(spill: SpillTables, k: SpillConstants, up: Array, speed2: Array) -> Float[Array, "n 1"]:
     """Rho: the radius of a puddle of what is in the container."""
-    up = np.clip(up, 0.05, 1.0)
-    lean = np.maximum(np.sqrt(1.0 - up * up + 1e-6) / up - spill.repose, 0.0) + k.slosh * np.sqrt(speed2 + 1e-4)
+    up = 0.5 * (up + np.sqrt(up * up + 0.01))  # above 0, and below the root of 1.0051
+    lean = np.maximum(np.sqrt(1.0051 - up * up) / up - spill.repose, 0.0) + k.slosh * np.sqrt(speed2 + 1e-4)
     x = spill.rim * lean / spill.depth
     fill = (1.0 + x + x * x + 1.7 * x**3) / spill.full
     return spill.radius * (1.0 + fill**4) ** (-0.25 * spill.power)
@@ -161,12 +162,12 @@ def _standing(
     weighed = np.cumsum(np.concatenate([np.zeros((len(W), 1, 2)), W], axis=1), axis=1)
     first, end = spill.stands.T
     U, W = sums[:, end] - sums[:, first], weighed[:, end] - weighed[:, first]
-    x, y = _places(tables)(W / (U + LEAST_MASS)[..., None], slice(None))
+    x, y = _Places(tables)(W / (U + LEAST_MASS)[..., None], slice(None))
     a, b = tables.target_half.T
     return np.minimum(U, 1.0) * box(x, a + reach, s) * box(y, b + reach, s)
 
 
-class _places:  # noqa: N801  a function with tables
+class _Places:
     """Puts points of W [n target 2] or [n 1 2] into the axes of some targets, seen from above."""
 
     def __init__(self, tables: FootprintTables) -> None:
