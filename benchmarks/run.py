@@ -35,6 +35,7 @@ SUBJECTS = (
     "failure_prediction",
     "trajectory_prediction",
     "prevention",
+    "failure_aware_timing",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",

@@ -87,6 +87,12 @@ def test_failure_has_its_own_exit_code(run):
         (("plan", "--output", "trajectory.txt"), "ends in .json or .csv"),
         (("plan", "--iterations", "1", "--output", "no/such/folder/t.json"), "No such file or directory"),
         (("evaluate", "nowhere.json"), "nowhere.json: cannot be read"),
+        (("explain", "nowhere.json"), "nowhere.json: cannot be read"),
+        (("explain", "nowhere.json", "--output", "picture.gif"), "ends in .png, .pdf or .svg"),
+        (("map", "--height", "-1"), "height = -1.0"),
+        (("map", "--height", "0.1", "--model", "crystal_ball"), "unknown interaction model 'crystal_ball'"),
+        (("map", "--height", "0.1", "--at", "nowhere"), "unknown keyframe 'nowhere'"),
+        (("map", "--height", "0.1", "--task", "juggle"), "unknown task 'juggle'"),
     ],
 )
 def test_misuse_is_one_line_without_a_traceback(run, argv, message):
@@ -124,6 +130,33 @@ def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
     code, out, _ = run("evaluate", str(file))
     assert code == cli.FAILED
     assert "FAILED" in out
+
+
+def test_explain_says_where_the_impact_comes_from(run, motion, tmp_path):
+    picture = tmp_path / "explanation.png"
+    code, out, _ = run("explain", str(motion), "--model", "footprint", "--exposure", "time", "--output", str(picture))
+    assert code == cli.DONE
+    assert out.startswith("impact ")
+    assert " onto " in out
+    assert f"wrote {picture}" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    document = json.loads(run("explain", str(motion), "--json")[1])
+    evaluated = json.loads(run("evaluate", str(motion), "--json")[1])
+    assert document["cost"]["impact_by_entity"] == evaluated["cost"]["impact_by_entity"]
+    assert sum(row["share"] for row in document["contributions"]) == pytest.approx(1.0)
+
+
+def test_map_says_where_a_drop_is_worst(run, tmp_path):
+    picture = tmp_path / "map.svg"
+    code, out, _ = run("map", "--height", "0.2", "--speed", "0.5", "--resolution", "0.05", "--output", str(picture))
+    assert code == cli.DONE
+    assert "everything" in out
+    assert picture.read_text().startswith("<?xml")
+    argv = ("map", "--height", "0.2", "--at", "ready", "--resolution", "0.05", "--json")
+    document = json.loads(run(*argv)[1])
+    scene = next(iter(gp.load_scene("tabletop").tasks.values())).scene
+    found = gp.impact_map(scene, height=0.2, q=scene.keyframes["ready"], resolution=0.05)
+    np.testing.assert_array_equal(np.array(document["impact"], dtype=float), found.impact)
 
 
 def test_scenes_lists_all_with_their_tasks(run):

@@ -308,7 +308,7 @@ def test_iterations_that_would_never_end_are_refused(iterations):
 @pytest.mark.parametrize("time_limit", ["1", float("nan"), -1.0, True])
 def test_time_limits_that_puzzle_are_refused(time_limit):
     with pytest.raises(SettingError, match="time_limit"):
-        checked_time_limit(time_limit, None, 1.0)
+        checked_time_limit(time_limit, None)
 
 
 def test_other_arguments_that_puzzle_are_refused():

@@ -28,12 +28,16 @@ class Given(InteractionModel):
     """Hits with the same probabilities wherever the robot is, by generator."""
 
     shares: tuple[Array, ...]
+    weights: tuple[float, ...] = ()
 
     def probability(self, batch: StateBatch) -> Array:
         return sum(self.sources(batch).values())  # type: ignore[return-value]
 
     def sources(self, batch: StateBatch) -> Mapping[str, Array]:
         return {str(i): np.broadcast_to(P, (len(batch), *P.shape)).copy() for i, P in enumerate(self.shares)}
+
+    def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
+        return {str(i): {"one": 0.25 * w, "other": 0.75 * w} for i, w in enumerate(self.weights)}
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,9 @@ def scene() -> Scene:
     return gp.load_scene("tabletop_l1").tasks["green_to_blue"].scene
 
 
-def cost(scene: Scene, carried: Mapping[int, float], *others: Mapping[int, float]) -> gp.ImpactCost:
+def cost(
+    scene: Scene, carried: Mapping[int, float], *others: Mapping[int, float], weights: tuple[float, ...] = ()
+) -> gp.ImpactCost:
     """Let the carried object hit entities by number with these probabilities; more mappings are more generators."""
     shares = []
     for hits in (carried, *others):
@@ -59,7 +65,7 @@ def cost(scene: Scene, carried: Mapping[int, float], *others: Mapping[int, float
         for entity, p in hits.items():
             P[list(scene.components).index("carried"), entity] = p
         shares.append(P)
-    return gp.ImpactCost(model=Given(tuple(shares)))
+    return gp.ImpactCost(model=Given(tuple(shares), weights))
 
 
 def severities(scene: Scene) -> list[float]:
@@ -101,6 +107,22 @@ def test_two_entities_are_two_coins(scene: Scene) -> None:
 def test_causes_exclude_each_other(scene: Scene) -> None:
     found = risk(still(scene), scene, cost(scene, {0: 0.3}, {0: 0.2}))
     assert found.no_harm == pytest.approx(0.5)
+
+
+def test_entities_are_independent_given_the_kind_of_failure(scene: Scene) -> None:
+    """The first kind, one failure in ten, always hits both; the second, one in two, hits one, half of the time."""
+    a, b = severities(scene)[:2]
+    kinds = {0: 0.1, 1: 0.1}, {1: 0.25}
+    found = risk(still(scene), scene, cost(scene, *kinds, weights=(0.1, 0.5)))
+    assert found.no_harm == pytest.approx(0.4 + 0.25)
+    assert found.exceeding(a + b - 1e-3) == pytest.approx(0.1)
+    assert found.expected == pytest.approx(0.1 * (a + b) + 0.25 * b)
+    unweighted = risk(still(scene), scene, cost(scene, *kinds))
+    assert unweighted.expected == pytest.approx(found.expected)
+    assert unweighted.exceeding(a + b - 1e-3) == pytest.approx(0.1 * 0.35)
+    assert unweighted.cvar < found.cvar
+    states = HarmLaw(cost(scene, *kinds, weights=(0.1, 0.5)), scene).states(StateBatch(scene, still(scene)))
+    np.testing.assert_allclose(states.sum(axis=1), 1.0)
 
 
 def test_the_worst_component_counts() -> None:
@@ -189,6 +211,21 @@ def test_a_trajectory_fails_at_the_velocity_that_it_has() -> None:
     assert risk(slower, task.scene, impact).expected != pytest.approx(found.expected, rel=0.02)
 
 
+def test_entities_that_move_count_at_the_times_of_a_trajectory() -> None:
+    task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
+    impact = gp.ImpactCost(model="footprint")
+    motion = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500).unwrap()
+    below = gp.StateBatch(task.scene, motion.q).object_poses[:, :3, 3].mean(axis=0) - [0.0, 0.0, 0.2]
+    away = np.array([5.0, 5.0, 0.1])
+    passing = gp.MovingEntity(
+        "cat", "pet", size=[0.2, 0.2, 0.1], t=[0.0, 9.0, 10.0, 20.0], position=np.stack([away, away, below, below])
+    )
+    scene = task.scene.with_moving(passing)
+    now, later = (risk(motion, scene, impact, start_time=start) for start in (0.0, 15.0))
+    assert now.expected == pytest.approx(risk(motion, task.scene, impact).expected)
+    assert later.expected > 1.1 * now.expected
+
+
 def test_many_different_severities_go_on_a_grid(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     P = np.random.default_rng(0).uniform(size=len(scene.entities))
     exact = risk(still(scene), scene, cost(scene, dict(enumerate(P))))
@@ -243,6 +280,8 @@ def test_misuse_is_refused(scene: Scene) -> None:
         risk(still(scene) + np.nan, scene)
     with pytest.raises(SettingError, match="an ImpactCost"):
         HarmLaw(gp.JointLength(), scene)
+    with pytest.raises(SettingError, match="start_time"):
+        risk(still(scene), scene, start_time=np.inf)
     with pytest.raises(SettingError, match="impact"):
         risk(still(scene), scene, cost(scene, {0: 0.1})).exceeding(np.nan)
     broken = cost(scene, {0: np.nan})

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from failbench import execution, plant, robot, world
-from graceful_plan import arrays, elements
+from graceful_plan import Explanation, ImpactMap, arrays, elements
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = ROOT / "src" / "graceful_plan"
@@ -24,9 +24,9 @@ HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
-    {"costs", "checks", "explain", "impact_map", "risk"},
+    {"costs", "checks", "explain", "impact_map", "risk", "sensitivity"},
     {"planners"},
-    {"plan", "prefer", "search", "finish", "ends", "escape", "arguments", "problems", "testing"},
+    {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},
     {"cli", "demo", "doctor", "viz"},
 )
@@ -133,6 +133,7 @@ print(*[name for name in {HEAVY} if name in sys.modules])
 def field_tables() -> list[type]:
     modules = (arrays, elements, robot, plant, world, execution)
     classes = [cls for module in modules for _, cls in inspect.getmembers(module, dataclasses.is_dataclass)]
+    classes += [Explanation, ImpactMap]  # their modules have the names of functions of the package
     return list(dict.fromkeys(cls for cls in classes if "| field" in (cls.__doc__ or "")))
 
 

@@ -192,7 +192,7 @@ def predicted_impact(
 ) -> Float[Array, "n entity"]:
     """Predict the impact of a failure at some times after the start of a trajectory [s], by entity of the scene."""
     state = trajectory.at(trajectory.t[0] + times)
-    probability = gp.interaction_probability(scene, state.q, cost.model, state.qd)
+    probability = gp.interaction_probability(scene, state.q, cost.interaction, state.qd)
     return np.einsum("nce,ce->ne", probability, cost.severity(scene))
 
 

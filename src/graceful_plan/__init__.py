@@ -48,6 +48,7 @@ from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
+from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
 from graceful_plan.severity import SeverityTable
 from graceful_plan.trajectory import Trajectory
 from graceful_plan.verify import verify
@@ -100,6 +101,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "SettingError",
+    "SeveritySensitivity",
     "SeverityTable",
     "ShapeError",
     "StateBatch",
@@ -121,5 +123,6 @@ __all__ = [
     "retime",
     "risk",
     "scenes",
+    "severity_sensitivity",
     "verify",
 ]

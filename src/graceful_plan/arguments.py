@@ -10,6 +10,7 @@ from graceful_plan.costs.objective import MEAN_PACE, Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
 from graceful_plan.risk import MEASURES, RiskMeasure
+from graceful_plan.scene import Scene
 
 FAILURE_AWARE = "failure_aware"
 """The speed that is slower where that makes failures less harmful."""
@@ -59,6 +60,15 @@ def checked_objective(objective: object, w: object, speed: float) -> Objective:
     if not isinstance(objective, Objective):
         raise SettingError("objective", objective, "an Objective, such as Objective(motion=..., impact=...)")
     return objective if w is None else objective.with_weight(float(w))  # type: ignore[arg-type]
+
+
+def checked_wait(max_wait: object, scene: Scene) -> float:
+    """Return how long the robot may wait before it goes [s]; waiting is for those who move."""
+    if not (_is_real(max_wait) and 0.0 <= max_wait < np.inf):  # type: ignore[operator]
+        raise SettingError("max_wait", max_wait, "a finite time of at least 0 s")
+    if max_wait and not scene.moving:
+        raise SettingError("max_wait", max_wait, "0 in a scene where nothing moves; see Scene.with_moving")
+    return float(max_wait)  # type: ignore[arg-type]
 
 
 def checked_seed(seed: object) -> np.random.Generator:

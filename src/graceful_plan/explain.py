@@ -134,33 +134,43 @@ class Explanation:
         return text + (f"\nand {len(rest)} others: {left:.1%}" if rest else "")
 
 
-def explain(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Objective | None = None) -> Explanation:
+def explain(
+    motion: Path | Trajectory | PlanResult,
+    scene: Scene,
+    objective: Objective | None = None,
+    *,
+    start_time: float = 0.0,
+) -> Explanation:
     """Take the impact of a motion apart.
 
     Args:
         motion: What to explain; of the result of a plan, what its cost is charged for: the path, or the trajectory if
-            the exposure is time.
+            the exposure is time or something moves.
         scene: The scene, with what is carried attached.
         objective: What charges it; the default `Objective()` if None.
+        start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
 
     Raises:
         PlanningFailed: If the result of a plan has no path.
-        SettingError: If the objective's impact is not an `ImpactCost`, which alone tells entities and components.
+        SettingError: If the objective's impact is not an `ImpactCost`, which alone tells entities and components, or
+            the start time is not finite.
         ShapeError: If the motion does not fit the scene.
     """
     objective = objective or Objective()
     if type(objective.impact) is not ImpactCost:
         raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
-    motion = _charged(motion, objective)
+    if not np.isfinite(start_time):
+        raise SettingError("start_time", start_time, "a finite time [s]")
+    motion = _charged(motion, scene, objective)
     bound = objective.bind(scene)
-    charged = bound.charged_states(motion)
+    charged = bound.charged_states(motion, start_time)
     along = _Along(charged, motion)
-    sources = objective.impact.interaction.sources(charged.batch)
-    severity = objective.impact.severity(scene)
+    sources = objective.impact.sources(charged.batch)
+    severity = objective.impact.hazard_severity(scene)
     return Explanation(
-        cost=bound.breakdown(motion),
+        cost=bound.breakdown(motion, start_time),
         exposure=objective.exposure,
-        entities=tuple(scene.entities),
+        entities=scene.hazards,
         place=along.place,
         time=along.time,
         weight=charged.weight,
@@ -169,10 +179,10 @@ def explain(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Obj
     )
 
 
-def _charged(motion: Path | Trajectory | PlanResult, objective: Objective) -> Path | Trajectory:
+def _charged(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Objective) -> Path | Trajectory:
     if not isinstance(motion, PlanResult):
         return motion
-    found = motion.trajectory if objective.exposure == "time" else motion.path
+    found = motion.trajectory if objective.exposure == "time" or scene.moving else motion.path
     if found is None:
         raise PlanningFailed(motion)
     return found
@@ -204,7 +214,7 @@ def _contributions(
     scene: Scene, along: _Along, objective: ImpactCost, sources: Mapping[str, Float[Array, "n component entity"]]
 ) -> tuple[Contribution, ...]:
     """Return the parts of the impact by source, component and entity, the largest first."""
-    severity, faults = objective.severity(scene), objective.interaction.fault_shares()
+    severity, faults = objective.hazard_severity(scene), objective.interaction.fault_shares()
     parts = {name: np.tensordot(along.weight, P, axes=1) * severity for name, P in sources.items()}
     total = math.fsum(float(part.sum()) for part in parts.values())
     rows = [
@@ -225,7 +235,7 @@ def _contribution(
     severity: float,
     total: float,
 ) -> Contribution:
-    component, entity = tuple(scene.components)[index[0]], tuple(scene.entities)[index[1]]
+    component, entity = tuple(scene.components)[index[0]], scene.hazards[index[1]]
     mass = along.weight * probability * severity
     first, last = shortest_stretch(along.place, mass, STRETCH)
     worst = int(np.argmax(probability))

@@ -9,6 +9,7 @@ import numpy as np
 from graceful_plan.arguments import FAILURE_AWARE, checked_speed
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.departure import best_departure
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.pose_goal import PoseGoal
@@ -40,6 +41,7 @@ def finish(
     goal: PoseGoal | None = None,
     speed: float | str = 1.0,
     in_the_clear: bool = True,
+    max_wait: float = 0.0,
 ) -> Finished:
     """Time and judge a path.
 
@@ -50,6 +52,7 @@ def finish(
         goal: The pose to be reached, if that was the goal.
         speed: In (0, 1]: fraction of the velocity limits to use; or "failure_aware".
         in_the_clear: Whether the fast checker calls the whole path free, so that it can tell which corners not to cut.
+        max_wait: Longest wait at the start if something moves [s].
     """
     cost = objective.breakdown(path)
     verdict, problem, trajectory = Verdict(), "", None
@@ -66,7 +69,9 @@ def finish(
                 path, scene.limits, scene.joints, deviation=deviation, impact=objective.states, w=objective.w
             )
         trajectory = timed
-        if objective.objective.exposure == "time":
+        if scene.moving:
+            trajectory, cost = best_departure(timed, objective, max_wait)
+        elif objective.objective.exposure == "time":
             cost = objective.breakdown(trajectory)
         verdict = _judge(trajectory, path, scene, objective, cost, goal)
         if verdict.passed or "collision" not in verdict.failures:
@@ -89,7 +94,8 @@ def _judge(
 ) -> Verdict:
     impact = objective.objective.impact
     # The judge knows how to recompute the published model over the joint length; other costs it takes as they are.
-    recomputable = objective.kernel is not None and isinstance(impact, ImpactCost) and impact.is_published()
+    still = not scene.moving and objective.kernel is not None
+    recomputable = still and isinstance(impact, ImpactCost) and impact.is_published()
     return verify(
         trajectory,
         scene,

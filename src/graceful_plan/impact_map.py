@@ -1,12 +1,14 @@
 """Where it would do how much harm if the carried object were let go: the impact of a drop over the workspace.
 
 The robot is not in it, neither as an obstacle nor as something that falls: the object is put everywhere at the same
-height and turned the same way (`gantry_scene`), and the interaction model says what it hits from there.
+height and turned the same way (`gantry_scene`), and the interaction model says what it hits from there. Entities that
+move are not in it either.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +24,8 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interactions import InteractionModel
 from graceful_plan.costs.interactions.footprint import FALLING
 from graceful_plan.costs.interactions.footprint_drop import release
-from graceful_plan.costs.interactions.footprint_tables import BALL, ROUND, FootprintTables, footprint_tables
+from graceful_plan.costs.interactions.footprint_functions import part_reach
+from graceful_plan.costs.interactions.footprint_tables import FootprintTables, footprint_tables
 from graceful_plan.exact import Judge
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.gantry import gantry_scene
@@ -126,7 +129,7 @@ def impact_map(
     direction: float | None = None,
     q: ArrayLike | None = None,
     surface: float | None = None,
-    bounds: tuple[float, float, float, float] | None = None,
+    bounds: Sequence[float] | None = None,
     resolution: float = 0.02,
 ) -> ImpactMap:
     """Compute what it would do to let the carried object go, at many places.
@@ -156,12 +159,13 @@ def impact_map(
     for name, value in (("height", height), ("speed", speed)):
         if not 0.0 <= value < np.inf:
             raise SettingError(name, value, "a finite number of at least 0")
-    if direction is not None and not np.isfinite(direction):
-        raise SettingError("direction", direction, "a finite angle [rad], or None")
+    for name, value, unit in (("direction", direction, "an angle [rad]"), ("surface", surface, "a height in W [m]")):
+        if value is not None and not np.isfinite(value):
+            raise SettingError(name, value, f"{unit}, finite, or None")
     rotation = _rotation(scene, q)
     gantry = gantry_scene(scene, rotation)
     tables = footprint_tables(gantry)
-    base = _surface(tables) if surface is None else float(finite_array("surface", surface, ndim=0))
+    base = _surface(tables) if surface is None else float(surface)
     x, y = _cells(_bounds(scene, tables, base) if bounds is None else bounds, resolution)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     places = np.column_stack([grid, np.full(len(grid), base + height - _lowest(gantry))])
@@ -208,10 +212,9 @@ def _lowest(gantry: Scene) -> float:
     """Height of the object's lowest point above its centre of mass [m], negative."""
     tables = footprint_tables(gantry)
     state = release(StateBatch(gantry, np.zeros((1, 3))), tables)
-    z, half = state.axes[0, :, 2], tables.part_half
-    flat = (np.abs(z) * half).sum(axis=1)
-    turned = np.abs(z[:, 2]) * half[:, 2] + half[:, 0] * np.sqrt(np.maximum(0.0, 1.0 - z[:, 2] ** 2))
-    down = np.where(tables.part_kind == BALL, half[:, 0], np.where(tables.part_kind == ROUND, turned, flat))
+    up = np.array([[0.0, 0.0, 1.0]])
+    each = zip(tables.part_half, tables.part_kind, strict=True)
+    down = [part_reach(state.axes[:, p], half, int(kind), up)[0, 0] for p, (half, kind) in enumerate(each)]
     return float((state.offset[0, :, 2] - down).min())
 
 
@@ -255,10 +258,8 @@ def _bounds(scene: Scene, tables: FootprintTables, surface: float) -> tuple[floa
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _cells(
-    bounds: tuple[float, float, float, float], resolution: float
-) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
-    box = finite_array("bounds", bounds, ndim=1, last=4).reshape(2, 2)
+def _cells(bounds: Sequence[float], resolution: float) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
+    box = finite_array("bounds", np.array(bounds), ndim=1, last=4).reshape(2, 2)
     if not 0.0 < resolution < np.inf:
         raise SettingError("resolution", resolution, "a finite width of cells above 0 [m]")
     if not np.all(box[:, 0] < box[:, 1]):

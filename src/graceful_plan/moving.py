@@ -117,6 +117,17 @@ class MovingEntity:
         """Half sizes of the upright box around it [m]."""
         return self.size[[0, 0, 1]] if self.is_round else self.size
 
+    @property
+    def lowest(self) -> float:
+        """Height of its bottom where the path is lowest [m]."""
+        return float(self.position[:, 2].min() - self.half_size[2])
+
+    @property
+    def top_speed(self) -> float:
+        """Greatest speed along the path [m/s]."""
+        steps = np.linalg.norm(np.diff(self.position, axis=0), axis=1)
+        return float(np.max(steps / np.diff(self.t), initial=0.0))
+
     def at(self, t: ArrayLike | float) -> Whereabouts:
         """Return where it is expected at one or more times [s]."""
         times = finite_array("t", np.asarray(t))

@@ -15,10 +15,12 @@ from graceful_plan.arguments import (
     checked_seed,
     checked_speed,
     checked_time_limit,
+    checked_wait,
 )
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective
+from graceful_plan.departure import by_timed_cost
 from graceful_plan.ends import Ends, ways_out
 from graceful_plan.finish import Finished, finish
 from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
@@ -32,7 +34,7 @@ from graceful_plan.prefer import Preference
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.risk import RiskMeasure
 from graceful_plan.scene import Scene
-from graceful_plan.search import Callback, Search, search
+from graceful_plan.search import ALL, KEPT, Callback, Search, search
 
 Array = np.ndarray
 
@@ -42,6 +44,8 @@ _RESERVE = 0.12
 """Seconds kept for timing and verification, at most a third of the time limit."""
 _AWARE_RESERVE = 0.15
 """Seconds kept besides for failure-aware timing."""
+_TIMING_RESERVE = 0.25
+"""Seconds kept besides to time candidates if something moves."""
 
 
 def plan(
@@ -57,6 +61,7 @@ def plan(
     seed: int = 0,
     speed: float | str = 1.0,
     risk: str | RiskMeasure = "expectation",
+    max_wait: float = 0.0,
     callback: Callback | None = None,
 ) -> PlanResult:
     """Plan a motion that costs little and along which a failure at any moment does little harm.
@@ -76,6 +81,8 @@ def plan(
         risk: What of the distribution of impact counts: "expectation", "cvar" (the mean of the worst tenth; another
             share with a `RiskMeasure`) or "worst". Searching is by expectation in any case, since only that adds up
             along a path; of the paths found the best by the measure is taken and refined by it (see `prefer`).
+        max_wait: How long the robot may wait before it goes [s], in a scene where something moves (see `departure`);
+            the trajectory then begins with a stretch at rest.
         callback: Called with every improvement; returning True ends the search.
 
     Returns:
@@ -86,6 +93,7 @@ def plan(
     """
     started = time.perf_counter()
     solver, rng = checked_planner(planner), checked_seed(seed)
+    wait = checked_wait(max_wait, scene)
     limit, measure = checked_time_limit(time_limit, iterations), checked_risk(risk)
     bound = checked_objective(objective, w, checked_speed(speed)).bind(scene)
     preference = None if measure.kind == "expectation" else Preference(measure, bound)
@@ -100,7 +108,16 @@ def plan(
         return ends
     try:
         result = _search_and_finish(
-            ends, solver, bound, Budget(limit, iterations, started=started), rng, callback, goal, speed, preference
+            ends,
+            solver,
+            bound,
+            Budget(limit, iterations, started=started),
+            rng,
+            callback,
+            goal,
+            speed,
+            preference,
+            wait,
         )
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
@@ -120,9 +137,11 @@ def _search_and_finish(
     goal: Goal,
     speed: float | str,
     preference: Preference | None,
+    max_wait: float,
 ) -> PlanResult:
     """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
-    reserve = _RESERVE + (_AWARE_RESERVE if speed == FAILURE_AWARE else 0.0)
+    moving = objective.scene.moving
+    reserve = _RESERVE + (_AWARE_RESERVE if speed == FAILURE_AWARE else 0.0) + (_TIMING_RESERVE if moving else 0.0)
     budget.time_limit -= min(reserve, budget.time_limit / 3.0)
     pose = goal if isinstance(goal, PoseGoal) else None
     found, refused = Search(), None
@@ -136,13 +155,14 @@ def _search_and_finish(
             check_step=check_step,
         )
         if preference is None:
-            found = search(planner, problem, objective, budget, rng, callback)
+            found = search(planner, problem, objective, budget, rng, callback, kept=ALL if moving else KEPT)
+            found.paths = by_timed_cost(found.paths, ends, objective, speed, max_wait) if moving else found.paths
         else:
             found = preference.search(planner, problem, budget, rng, callback)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         for path in reversed(found.paths):
             whole, index = ends.joined(path)
-            done = finish(whole, objective.scene, objective, pose, speed, ends.in_the_clear(index))
+            done = finish(whole, objective.scene, objective, pose, speed, ends.in_the_clear(index), max_wait)
             if done.verdict.passed:
                 return _solved(whole, done, found, ends.goal_index[index], stats)
             refused = refused or done

@@ -3,14 +3,16 @@ r"""Risk: how bad the consequences of a failure can be, not only how bad they ar
 Given that the robot fails once, at a moment that is uniform over a motion, the impact is a random number: the sum over
 entities of the severity of what happens to each. `risk` computes its distribution from an interaction model:
 
-* Given the state, entities are hit independently of one another. That is an assumption: an object that breaks the
-  first glass may well break the next.
+* The failure is of one kind (the gripper lets go, a motor dies): `InteractionModel.sources`, weighted as its
+  `fault_shares` say. A model without weights has one kind, of which its sources exclude each other.
+* Given the state and the kind, entities are hit independently of one another. That is an assumption: an object that
+  breaks the first glass may well break the next, or be stopped by it.
 * To an entity that several components hit, the worst of them counts, as FailBench counts. What has one cause happens
-  together (a mug falls with its coffee); what has different causes never does (see `InteractionModel.sources`):
+  together, a mug falls with its coffee:
 
-  .. math:: P(L_e \ge s) = \sum_g \max_{c:\ S_{ce} \ge s} P_{gce}
+  .. math:: P(L_e \ge s) = \max_{c:\ S_{ce} \ge s} P_{ce}
 
-* The impact at a state is the sum of these, by convolution; over the motion, the mixture of its states.
+* The impact at a state is the sum of these, by convolution, mixed over kinds; over the motion, mixed over its states.
 
 The distribution is exact for the states that are looked at if there are few sums of severities. Otherwise it is on a
 grid, where a value between two grid points is split between them: that keeps the mean, and errs towards more spread.
@@ -155,7 +157,7 @@ class Risk:
         if np.any(np.isnan(limit)):
             raise SettingError("impact", impact, "numbers")
         at_most = np.append(0.0, np.cumsum(self.probability))
-        return np.clip(1.0 - at_most[np.searchsorted(self.value, limit, side="right")], 0.0, 1.0)
+        return np.asarray(np.clip(1.0 - at_most[np.searchsorted(self.value, limit, side="right")], 0.0, 1.0))
 
     def __str__(self) -> str:
         tail = f"{100.0 * (1.0 - self.level):.3g} %"
@@ -187,6 +189,7 @@ def risk(
     *,
     level: float = 0.9,
     pace: float = MEAN_PACE,
+    start_time: float = 0.0,
 ) -> Risk:
     """Compute the distribution of impact, given that the robot fails once along a motion.
 
@@ -197,19 +200,22 @@ def risk(
         impact: Interaction model and components; those of plain `Objective()` if None.
         level: Of VaR and CVaR, in [0, 1): 0.9 is for the worst tenth.
         pace: How fast a path is travelled; see `Objective.pace`.
+        start_time: What to add to a trajectory's times to have those of entities that move [s]; see `evaluate`.
 
     Raises:
         ShapeError: If the motion does not fit the scene.
         SettingError: If a setting makes no sense, or `impact` has no interaction model.
     """
     check_level(level)
+    if not np.isfinite(start_time):
+        raise SettingError("start_time", start_time, "a finite time [s]")
     cost = Objective().impact if impact is None else impact
     law = HarmLaw(cost, scene)
     objective = Objective(impact=cost, pace=pace).bind(scene)
     points = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
     charged = objective.charged_states(points)  # also refuses what does not fit the scene
     if isinstance(points, Trajectory):
-        batch, weight = _moments(points, scene)
+        batch, weight = _moments(points, scene, start_time)
     elif charged.weight.sum() > 0.0:
         batch, weight = charged.batch, charged.weight
     else:  # a path without length
@@ -227,12 +233,13 @@ def check_level(level: object) -> None:
         raise SettingError("level", level, "a share in [0, 1), such as 0.9 for the worst tenth")
 
 
-def _moments(trajectory: Trajectory, scene: Scene) -> tuple[StateBatch, Float[Array, " n"]]:
+def _moments(trajectory: Trajectory, scene: Scene, start_time: float) -> tuple[StateBatch, Float[Array, " n"]]:
     """Return states in the middle of even steps of time."""
     least, most = _MOMENTS
     n = int(np.clip(np.ceil(trajectory.path.length / COST_STEP), least, most))
-    state = trajectory.at(trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration)
-    return moving_batch(scene, state.q, state.qd), np.full(n, 1.0 / n)
+    times = trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration
+    state = trajectory.at(times)
+    return moving_batch(scene, state.q, state.qd, start_time + times), np.full(n, 1.0 / n)
 
 
 class _Move(NamedTuple):
@@ -241,6 +248,13 @@ class _Move(NamedTuple):
     origin: Int[Array, " k"] | slice
     target: Int[Array, " k"] | slice
     share: float
+
+
+class _Kind(NamedTuple):
+    """A kind of failure: its probability, given a failure, and P(L >= s) given this kind, by entity."""
+
+    weight: float
+    at_least: list[Float[Array, "n level"]]
 
 
 class HarmLaw:
@@ -260,8 +274,8 @@ class HarmLaw:
     def __init__(self, cost: Cost, scene: Scene, most_sums: int | None = None) -> None:
         if type(cost) is not ImpactCost:  # a subclass may compute otherwise
             raise SettingError("impact", cost, "an ImpactCost, which knows whom a failure hits")
-        self._interaction = cost.interaction
-        severity = cost.severity(scene)
+        self._cost = cost
+        severity = cost.hazard_severity(scene)
         self._entities = np.flatnonzero(severity.max(axis=0, initial=0.0) > 0.0)
         self._severity = severity[:, self._entities]
         self._levels = [np.unique(column[column > 0.0]) for column in self._severity.T]
@@ -271,27 +285,51 @@ class HarmLaw:
 
     def states(self, batch: StateBatch) -> Float[Array, "n atom"]:
         """Probability of each value, given a failure at each state."""
-        return self._convolved(self._at_least(batch), len(batch))
+        kinds = self._kinds(batch)
+        mass = np.tile(self._harmless(kinds), (len(batch), 1))
+        for weight, at_least in kinds:
+            mass += weight * self._convolved(at_least, len(batch))
+        return mass
 
     def mixture(
         self, batch: StateBatch, weight: Float[Array, " n"]
     ) -> tuple[Float[Array, " atom"], Float[Array, " entity"]]:
         """Weighted sum of the distributions at states, and which entities have any chance of being harmed (0 or 1)."""
-        at_least = self._at_least(batch)
-        mass = np.zeros(len(self.value))
-        for first in range(0, len(batch), _CHUNK):
-            rows = slice(first, first + _CHUNK)
-            mass += weight[rows] @ self._convolved([reached[rows] for reached in at_least], len(weight[rows]))
-        return mass, np.array([float(reached.any()) for reached in at_least])
+        kinds = self._kinds(batch)
+        mass = self._harmless(kinds) * weight.sum()
+        possible = np.zeros(len(self._entities))
+        for share, at_least in kinds:
+            for first in range(0, len(batch), _CHUNK):
+                rows = slice(first, first + _CHUNK)
+                part = self._convolved([reached[rows] for reached in at_least], len(weight[rows]))
+                mass = mass + share * (weight[rows] @ part)
+            possible = np.maximum(possible, [float(reached.any()) for reached in at_least])
+        return mass, possible
 
-    def _at_least(self, batch: StateBatch) -> list[Float[Array, "n level"]]:
-        """Return P(L >= s) for each entity that can be harmed and each of its severities s, increasing."""
-        shares = [np.asarray(share)[:, :, self._entities] for share in self._interaction.sources(batch).values()]
-        if not all(np.all(np.isfinite(share)) for share in shares):
-            raise NonFiniteCostError(self._interaction, "probability() returned a NaN or an infinity")
+    def _harmless(self, kinds: Sequence[_Kind]) -> Float[Array, " atom"]:
+        """What is left of the probability of a failure when it is none of these kinds."""
+        return (1.0 - sum(kind.weight for kind in kinds)) * (self.value == 0.0)
+
+    def _kinds(self, batch: StateBatch) -> list[_Kind]:
+        """Return the kinds of failure that the model tells apart, or one for all."""
+        shares = {name: np.asarray(share)[:, :, self._entities] for name, share in self._cost.sources(batch).items()}
+        if not all(np.all(np.isfinite(share)) for share in shares.values()):
+            raise NonFiniteCostError(self._cost, "probability() returned a NaN or an infinity")
+        weights = {name: sum(faults.values()) for name, faults in self._cost.interaction.fault_shares().items()}
+        shares = {name: share for name, share in shares.items() if share.any()}
+        if all(weights.get(name, 0.0) > 0.0 for name in shares):
+            return [_Kind(weights[name], self._at_least([share / weights[name]])) for name, share in shares.items()]
+        return [_Kind(1.0, self._at_least(list(shares.values())))] if shares else []
+
+    def _at_least(self, shares: Sequence[Float[Array, "n component entity"]]) -> list[Float[Array, "n level"]]:
+        """Return P(L >= s) for each entity that can be harmed and each of its severities s, increasing.
+
+        Args:
+            shares: Probabilities of causes that exclude each other; at least one.
+        """
         found = []
         for e, levels in enumerate(self._levels):
-            reached = np.zeros((len(batch), len(levels)))
+            reached = np.zeros((len(shares[0]), len(levels)))
             for share in shares:
                 for k, s in enumerate(levels):
                     reached[:, k] += share[:, self._severity[:, e] >= s, e].max(axis=1)

@@ -243,6 +243,11 @@ class Scene:
         """Entities that move, by name: hazards that planners weigh, not obstacles that anything collides with."""
         return self.notes.moving
 
+    @property
+    def hazards(self) -> tuple[str, ...]:
+        """Names of all that can be harmed: entities, then entities that move."""
+        return (*self.entities, *self.moving)
+
     @cached_property
     def tasks(self) -> Mapping[str, Task]:
         """What to plan in this scene, by name."""

@@ -24,6 +24,9 @@ _SCHEMA = "graceful_plan.trajectory"
 _VERSION = 1
 _UNITS = {"t": "s", "q": "rad or m", "qd": "rad/s or m/s", "qdd": "rad/s^2 or m/s^2"}
 
+_REST = 1e-6
+"""Greatest speed of a joint at rest [rad/s or m/s]."""
+
 
 class State(NamedTuple):
     """Position, velocity and acceleration of the joints at one or more times."""
@@ -122,6 +125,23 @@ class Trajectory:
         mean = np.diff(self.q, axis=0) / h
         v0, v1 = self.qd[:-1], self.qd[1:]
         return (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (-6.0 * mean + 2.0 * v0 + 4.0 * v1) / h
+
+    def delayed(self, seconds: float) -> Trajectory:
+        """Return the same motion after a wait at its start [s]: a first stretch at rest. It has to start at rest.
+
+        Raises:
+            SettingError: If the wait is not a time of at least 0, or the motion does not start at rest.
+        """
+        if not (np.isfinite(seconds) and seconds >= 0.0):
+            raise SettingError("seconds", seconds, "a finite time of at least 0 s")
+        if np.any(np.abs(self.qd[0]) > _REST):
+            raise SettingError("qd[0]", self.qd[0].tolist(), "rest: a moving robot cannot wait")
+        if seconds == 0.0:
+            return self
+        t = np.append(self.t[0], self.t + seconds)
+        q, qd, qdd = (x[np.maximum(np.arange(len(self) + 1) - 1, 0)] for x in (self.q, self.qd, self.qdd))
+        qd[0] = qdd[0] = 0.0
+        return Trajectory(t, q, qd, qdd, self.joints)
 
     def sample(self, dt: float) -> Trajectory:
         """Sample evenly, every `dt` [s]; the last sample is exactly the end, so the last piece may be shorter.

@@ -138,16 +138,18 @@ class SceneObjective:
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         return np.stack([motion, samples.integral(checked_state(self.objective.impact, batch), measure)], axis=1)
 
-    def breakdown(self, path: Path | Trajectory) -> CostBreakdown:
-        """Cost of a whole path, or of a trajectory, with where its impact comes from."""
-        charged = self.charged_states(path)
+    def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
+        """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
+        charged = self.charged_states(path, start_time)
         samples = self._samples(path.path if isinstance(path, Trajectory) else path)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
         return self._breakdown(float(motion), charged.batch, charged.weight)
 
-    def charged_states(self, path: Path | Trajectory) -> ChargedStates:
+    def charged_states(self, path: Path | Trajectory, start_time: float = 0.0) -> ChargedStates:
         """Return the states at which a path, or a trajectory, is charged for its impact: sums over them are integrals.
+
+        Only a trajectory's states have times, whatever the exposure: those of its samples plus `start_time` [s].
 
         Raises:
             ShapeError: If the path does not fit the scene.
@@ -156,13 +158,16 @@ class SceneObjective:
         if points.q.shape[1] != len(self.scene.joints):
             raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
         vertices = np.arange(len(points), dtype=np.float64)
+        times = start_time + path.t if isinstance(path, Trajectory) else None
         if isinstance(path, Trajectory) and self.objective.exposure == "time":
-            return ChargedStates(*_timed_batch(self.scene, path), place=vertices)
+            return ChargedStates(*_timed_batch(self.scene, path, times), place=vertices)
         if self.objective.exposure == "waypoints":
-            return ChargedStates(StateBatch(self.scene, points.q), np.ones(len(points)), place=vertices)
+            return ChargedStates(StateBatch(self.scene, points.q, time=times), np.ones(len(points)), place=vertices)
         samples = self._samples(points)
         measure = samples.length if self.objective.exposure == "length" else samples.duration
-        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
+        if times is not None:
+            times = np.interp(samples.place, vertices, times)
+        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed, times)
         return ChargedStates(batch, samples.weights(measure), place=samples.place)
 
     def _samples(self, points: Path) -> EdgeSamples:
@@ -173,13 +178,13 @@ class SceneObjective:
         if type(impact) is not ImpactCost:  # also a subclass, whose state() may be its own
             total = float(weight @ checked_state(impact, batch))
             return CostBreakdown(motion=motion, impact=total, w=self.w)
-        exposure = np.tensordot(weight, impact.interaction.probability(batch), axes=1)
-        parts = exposure * impact.severity(self.scene)
+        exposure = np.tensordot(weight, impact.probability(batch), axes=1)
+        parts = exposure * impact.hazard_severity(self.scene)
         return CostBreakdown(
             motion=motion,
             impact=float(parts.sum()),
             w=self.w,
-            impact_by_entity=dict(zip(self.scene.entities, parts.sum(axis=0).tolist(), strict=True)),
+            impact_by_entity=dict(zip(self.scene.hazards, parts.sum(axis=0).tolist(), strict=True)),
             impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
         )
 
@@ -225,33 +230,49 @@ class EdgeSamples:
         return np.add.reduceat(values * self.weights(measure), self.first)
 
 
-def moving_batch(scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None) -> StateBatch:
-    """Return states with these joint velocities, at rest without any."""
+def moving_batch(
+    scene: Scene,
+    q: Float[Array, "n nq"],
+    qd: Float[Array, "n nq"] | None,
+    times: Float[Array, " n"] | None = None,
+) -> StateBatch:
+    """Return states with these joint velocities, at rest without any, at these times [s] if they are known."""
     if qd is None:
-        return StateBatch(scene, q)
+        return StateBatch(scene, q, time=times)
     speed = np.linalg.norm(qd, axis=1)
-    return StateBatch(scene, q, qd / np.where(speed > 0, speed, 1.0)[:, None], speed)
+    return StateBatch(scene, q, qd / np.where(speed > 0, speed, 1.0)[:, None], speed, times)
 
 
-def _timed_batch(scene: Scene, trajectory: Trajectory) -> tuple[StateBatch, Float[Array, " n"]]:
+def _timed_batch(
+    scene: Scene, trajectory: Trajectory, times: Float[Array, " n"] | None
+) -> tuple[StateBatch, Float[Array, " n"]]:
     gaps = np.diff(trajectory.t)
     weight = np.zeros(len(trajectory.t))
     weight[:-1] += 0.5 * gaps
     weight[1:] += 0.5 * gaps
-    return moving_batch(scene, trajectory.q, trajectory.qd), weight
+    return moving_batch(scene, trajectory.q, trajectory.qd, times), weight
 
 
-def evaluate(path: Path | Trajectory | Array, scene: Scene, objective: Objective | None = None) -> CostBreakdown:
+def evaluate(
+    path: Path | Trajectory | Array, scene: Scene, objective: Objective | None = None, *, start_time: float = 0.0
+) -> CostBreakdown:
     """Compute the cost of any path, from any planner.
+
+    Entities that move are met where they are at the times of a trajectory, whatever the exposure; a path without times
+    meets them anywhere along their predicted paths.
 
     Args:
         path: A path, a trajectory, or an array of configurations [n, nq].
         scene: The scene, with what is carried attached.
         objective: What to compute; the default `Objective()` if None.
+        start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
 
     Raises:
         ShapeError: If the path does not fit the scene.
         CostError: If a cost breaks its contract.
+        SettingError: If the start time is not finite.
     """
+    if not np.isfinite(start_time):
+        raise SettingError("start_time", start_time, "a finite time [s]")
     points = path if isinstance(path, Path | Trajectory) else Path(path)
-    return (objective or Objective()).bind(scene).breakdown(points)
+    return (objective or Objective()).bind(scene).breakdown(points, start_time)

@@ -108,6 +108,6 @@ def _draw_stretches(
         axes.plot([begin, end], [k, k], color=colour, linewidth=5.0, solid_capstyle="butt")
         axes.plot([worst], [k], marker="|", color="#111111", markersize=8.0)
     axes.set_yticks(range(len(rows)), [f"{row.event} {row.share:.0%}" for row in rows], fontsize=7.5)
-    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.set_ylim(max(len(rows), 1) - 0.5, -0.5)
     axes.set(xlabel=_LABELS[explanation.exposure if by_time else "length"][0])
     axes.set_title(f"Where {STRETCH:.0%} of the largest parts accrues; line: where it is most likely")

@@ -13,7 +13,7 @@ from graceful_plan.viz.outlines import draw_entities
 from graceful_plan.viz.style import STYLE, heat_map
 
 _BLOCKED = "#b8bdc4"
-_ARROW = 0.08  # length of the arrow for a direction, of the width of the map
+_ARROW = 0.12  # length of the arrow for a direction, of the width of the map
 
 
 def draw_impact_map(impact_map: ImpactMap, scene: Scene, file: str | FilePath) -> None:
@@ -37,21 +37,20 @@ def draw_impact_map(impact_map: ImpactMap, scene: Scene, file: str | FilePath) -
         figure.set_layout_engine("constrained")
         FigureCanvasAgg(figure)
         axes = figure.add_subplot()
-        colours = heat_map()
-        colours.set_bad(_BLOCKED)
+        axes.set_facecolor(_BLOCKED)  # shows through where the map has no value
         highest = 1e-9 if impact_map.blocked.all() else max(float(np.nanmax(impact)), 1e-9)
         image = axes.imshow(
             np.ma.masked_invalid(impact),
             extent=(edges[0][0], edges[0][-1], edges[1][0], edges[1][-1]),
             origin="lower",
-            cmap=colours,
+            cmap=heat_map(),
             vmin=0.0,
             vmax=highest,
             interpolation="nearest",
         )
         draw_entities(axes, scene)
         if impact_map.direction is not None and impact_map.speed > 0.0:
-            _draw_arrow(axes, impact_map.direction)
+            _draw_arrow(axes, np.array([edge[0] for edge in edges]), width, impact_map.direction)
         axes.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]], aspect="equal", xlabel="x [m]", ylabel="y [m]")
         axes.set_title(_title(impact_map))
         figure.colorbar(image, ax=axes, shrink=0.8, aspect=30, pad=0.02, label="expected impact if it is let go here")
@@ -64,12 +63,11 @@ def _edges(centres: np.ndarray) -> np.ndarray:
     return np.append(centres - 0.5 * step, centres[-1] + 0.5 * step)
 
 
-def _draw_arrow(axes: Any, direction: float) -> None:
-    start = np.array([0.1, 0.08])
-    tip = start + _ARROW * np.array([np.cos(direction), np.sin(direction)])
-    axes.annotate(
-        "", xy=tip, xytext=start, xycoords="axes fraction", arrowprops={"arrowstyle": "-|>", "color": "#0b62c4"}
-    )
+def _draw_arrow(axes: Any, low: np.ndarray, width: float, direction: float) -> None:
+    """Draw where it flies, in the lower left corner; in metres, so that the angle is right."""
+    middle = low + 1.2 * _ARROW * width
+    half = 0.5 * _ARROW * width * np.array([np.cos(direction), np.sin(direction)])
+    axes.annotate("", xy=middle + half, xytext=middle - half, arrowprops={"arrowstyle": "-|>", "color": "#0b62c4"})
 
 
 def _title(impact_map: ImpactMap) -> str:

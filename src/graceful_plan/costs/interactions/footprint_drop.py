@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Float, Int
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions.footprint_constants import FootprintConstants
 from graceful_plan.costs.interactions.footprint_functions import box, fall_time, part_reach, positive, step
@@ -60,6 +60,10 @@ class Release:
     w: Float[Array, "n 3"]
     offset: Float[Array, "n part 3"]
     axes: Float[Array, "n part 3 3"]
+
+    def only(self, rows: Int[Array, " m"]) -> Release:
+        """Return some of the states."""
+        return Release(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
 def release(batch: StateBatch, tables: FootprintTables, rows: slice = slice(None)) -> Release:

@@ -24,6 +24,8 @@ SHAPE_CLASSES = ("box", "cylinder", "plate", "ball")
 """Classes of carried objects, each with constants of its own."""
 LEVEL = 0.006
 """Tops that differ by less [m] are met at the same time."""
+DISC = 0.9
+"""Share of the square around a disc that carries."""
 FLAT, ROUND, BALL = 0, 1, 2
 """Kinds of parts: box, cylinder or capsule, sphere."""
 
@@ -31,7 +33,6 @@ _GEOM = mujoco.mjtGeom
 _PLATE = 0.35  # least over middle half size below which an object lies flat
 _UPRIGHT = 0.9  # cosine above which a round target counts as standing
 _DOME = 0.2  # share of a rounded top that carries
-_DISC = 0.9  # the same for the square around a disc
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -203,11 +204,12 @@ def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
         "target_diagonal": boxes[:, 6],
         "target_carries": boxes[:, 7:9],
         "target_height": boxes[:, 9:11],
-        "level_start": _levels(boxes[:, 10]),
+        "level_start": levels(boxes[:, 10]),
     }
 
 
-def _levels(top: Float[Array, " target"]) -> Int[Array, " level_end"]:
+def levels(top: Float[Array, " target"]) -> Int[Array, " level_end"]:
+    """Return the first target of each level, and the number of targets; tops are sorted, highest first."""
     start: list[int] = []
     for k, height in enumerate(top):
         if not start or height < top[start[-1]] - LEVEL:
@@ -234,7 +236,7 @@ def _turned_box(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Float[
     carries = np.array([a, b])
     if kind == _GEOM.mjGEOM_SPHERE or (standing and kind in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)):
         a = b = diagonal = half[0]
-        carries = np.full(2, a * (_DISC if kind == _GEOM.mjGEOM_CYLINDER else _DOME))
+        carries = np.full(2, a * (DISC if kind == _GEOM.mjGEOM_CYLINDER else _DOME))
     elif kind == _GEOM.mjGEOM_ELLIPSOID:
         carries = _DOME * carries
     elif kind in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE):  # lying: its ridge carries

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
+from graceful_plan.costs.interactions.moving_footprint import moving_probability
+from graceful_plan.costs.interactions.moving_kernel import moving_kernels
+from graceful_plan.elements import COMPONENTS
 from graceful_plan.kernels import ImpactKernel
 from graceful_plan.scene import Scene
 
@@ -28,6 +32,35 @@ class InteractionModel(ABC):
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
         """Return `probability` by what goes wrong; the shares add up to it. A model need not tell sources apart."""
         return {"failure": self.probability(batch)}
+
+    def moving_sources(
+        self, batch: StateBatch, components: Collection[str] = COMPONENTS
+    ) -> Mapping[str, Float[Array, "n component moving"]]:
+        """Return P(component hits moving entity | failure) by what goes wrong, for `Scene.moving`.
+
+        Unless a model knows better, the drop model with the shipped constants (`moving_footprint.py`), and as if each
+        failure were one of both kinds.
+
+        Args:
+            batch: States; without times, P is the mean over each entity's predicted path.
+            components: Which to compute; the others may be 0.
+        """
+        P = moving_probability(batch, FootprintSettings.shipped(), components)
+        falls = np.array([name != "body" for name in batch.scene.components])[:, None]
+        return {"drop": P * falls, "collapse": P * ~falls}
+
+    def moving_kernels(
+        self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
+    ) -> list[ImpactKernel] | None:
+        """Return native kernels that together guide a search around moving entities, None if there are none.
+
+        Law: close to sums of P S from `moving_sources` without times; they need not be the same.
+        """
+        falls = np.array([name != "body" for name in scene.components])
+        own = type(self).moving_sources is not InteractionModel.moving_sources  # a model that computes otherwise
+        if own or (severity[~falls] > 0.0).any():
+            return None
+        return moving_kernels(scene, FootprintSettings.shipped(), severity[falls].sum(axis=0), paces)
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the `sources`, with their weights; a model need not know any."""

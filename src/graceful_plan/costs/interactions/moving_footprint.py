@@ -150,49 +150,56 @@ class _Outline:
 
 
 class _Drops:
-    """Drops from the states of a batch, with what becomes of them among what is static."""
+    """Drops from the states of a batch."""
 
     def __init__(self, batch: StateBatch, settings: FootprintSettings) -> None:
         self.tables = footprint_tables(batch.scene)
         self.constants = settings.of(self.tables.shape_class)
         self.state = release(batch, self.tables)
-        self.landing, self.B, self.N = _landing(self.tables, self.constants, self.state)
-        self.level = self.tables.target_height[self.tables.level_start[:-1], 1]
-        self.bottom, self.top = self._heights()
-        self.low, self.high = self.bottom.min(axis=1), self.top.max(axis=1)
-
-    def _heights(self) -> tuple[Float[Array, "n part"], Float[Array, "n part"]]:
-        up, centre = np.array([[0.0, 0.0, 1.0]]), self.state.c[:, None, 2] + self.state.offset[..., 2]
-        parts = enumerate(zip(self.tables.part_half, self.tables.part_kind, strict=True))
-        reach = [part_reach(self.state.axes[:, p], half, int(kind), up)[:, 0] for p, (half, kind) in parts]
-        return centre - np.stack(reach, axis=1), centre + np.stack(reach, axis=1)
 
     def hit(
         self, entity: MovingEntity, state: Int[Array, " pair"], time: Float[Array, " pair"]
     ) -> Float[Array, " pair"]:
         """P that an entity is hit, for pairs of a state and the time of the drop."""
         found = np.zeros(len(state))
-        near = self._near(entity, state, time)
-        if near.any():
-            found[near] = self._hit(entity, state[near], time[near])
+        near = np.flatnonzero(self._near(entity, state, time))
+        if len(near):
+            asked, index = np.unique(state[near], return_inverse=True)
+            found[near] = _Fallen(self.tables, self.constants, self.state.only(asked)).hit(entity, index, time[near])
         return found
 
     def _near(self, entity: MovingEntity, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Array:
-        """Tell for which pairs P is more than some 1e-6."""
-        k, L, there = self.constants, self.landing, entity.at(time)
-        late = np.diff(entity.t)
-        pace = np.max(np.linalg.norm(np.diff(entity.position, axis=0), axis=1) / late, initial=0.0)
-        after = L.time[state, 0] + 2.0 * ROAM_TIME
-        blur = (
-            L.fall_spread[state, 0] ** 2 + (k.side_spread * self.tables.size) ** 2 + entity.at(time + after).spread ** 2
-        )
-        reach = np.linalg.norm(entity.half_size[:2]) + 4.0 * self.tables.size + _FAR * np.sqrt(blur)
-        reach = reach + (pace + np.linalg.norm(self.state.v[state, :2], axis=1)) * after
-        return np.linalg.norm(self.state.c[state, :2] - there.position[:, :2], axis=1) < reach
+        """Tell for which pairs P may be more than some 1e-6."""
+        k, release, size = self.constants, self.state, self.tables.size
+        lowest = min(self.tables.target_height[:, 1].min(initial=np.inf), entity.lowest)
+        height = np.maximum(release.c[:, 2] - lowest, 0.0)
+        duration = fall_time(release.v[:, 2], height) + k.delay + 2.0 * ROAM_TIME
+        speed = np.linalg.norm(release.v[:, :2], axis=1)
+        blur = k.position_spread**2 + (k.velocity_spread * duration) ** 2 + (k.height_spread * height) ** 2
+        blur = blur + (k.carry_spread * speed) ** 2 + (k.size_spread**2 + k.side_spread**2) * size**2
+        blur = blur[state] + entity.at(time + duration[state]).spread ** 2
+        reach = np.linalg.norm(entity.half_size[:2]) + 4.0 * size + _FAR * np.sqrt(blur)
+        reach = reach + ((entity.top_speed + speed) * duration)[state]
+        return np.linalg.norm(release.c[state, :2] - entity.at(time).position[:, :2], axis=1) < reach
 
-    def _hit(
+
+class _Fallen:
+    """What becomes of drops among what is static, and of those who walk into them."""
+
+    def __init__(self, tables: FootprintTables, constants: FootprintConstants, state: Release) -> None:
+        self.tables, self.constants, self.state = tables, constants, state
+        self.landing, self.B, self.N = _landing(tables, constants, state)
+        self.level = tables.target_height[tables.level_start[:-1], 1]
+        up, centre = np.array([[0.0, 0.0, 1.0]]), state.c[:, None, 2] + state.offset[..., 2]
+        parts = enumerate(zip(tables.part_half, tables.part_kind, strict=True))
+        reach = [part_reach(state.axes[:, p], half, int(kind), up)[:, 0] for p, (half, kind) in parts]
+        self.bottom, self.top = centre - np.stack(reach, axis=1), centre + np.stack(reach, axis=1)
+        self.low, self.high = self.bottom.min(axis=1), self.top.max(axis=1)
+
+    def hit(
         self, entity: MovingEntity, state: Int[Array, " pair"], time: Float[Array, " pair"]
     ) -> Float[Array, " pair"]:
+        """P that an entity is hit, for pairs of a state and the time of the drop."""
         there = entity.at(time)
         outline, Z = _Outline(entity, there.yaw), there.position[:, 2] + entity.half_size[2]
         lower = self.landing.mass[state] * step((Z[:, None] - self.level) / _LEVEL_SOFT + 2.0)
