@@ -27,6 +27,10 @@ from graceful_plan.array_types import Bool, Float
 Array = np.ndarray
 
 VERSION = 1
+HEAD = """\
+# Written by `failbench calibrate`; do not edit. Intervals are 95 %, whole motions drawn with replacement.
+# held_out: each scene with constants that were fitted on the others.
+"""
 _DIGITS = 5
 """Significant digits of what is written."""
 
@@ -237,14 +241,10 @@ def events(
 
 def to_yaml(document: Mapping[str, Any]) -> str:
     """Format a calibration's document, each constant on a line of its own."""
-    head = (
-        "# Written by `failbench calibrate`; do not edit. Intervals are 95 %, whole motions drawn with replacement.\n"
-    )
-    head += "# held_out: each scene with constants that were fitted on the others.\n"
     about = {key: document[key] for key in ("version", "provenance")}
     constants = {key: document[key] for key in ("shared", "classes")}
     compact = yaml.safe_dump(about, sort_keys=False, default_flow_style=None, width=120)
-    return head + compact + yaml.safe_dump(constants, sort_keys=False, default_flow_style=False)
+    return HEAD + compact + yaml.safe_dump(constants, sort_keys=False, default_flow_style=False)
 
 
 def write(calibration: Calibration, file: str | FilePath) -> None:

@@ -10,13 +10,13 @@ import dataclasses
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
 from failbench import summary
-from failbench.calibrate import write
+from failbench.calibrate import Calibration
 from failbench.chunks import Rows
 from failbench.errors import SweepFailed
 from failbench.executors import Executor, LocalExecutor
@@ -24,6 +24,7 @@ from failbench.faults import to_document
 from failbench.footprint_fit import calibrate_footprint
 from failbench.replay import replay
 from failbench.scenarios import scenarios, usual_grasp
+from failbench.spill_fit import SpillCalibration, calibrate_spill
 from failbench.sweep import JOURNAL, Generated, Progress, generate, read_sweep, resume, sweep_of
 from failbench.validate import validate
 from failbench.work import Motion, PlanSettings, Sweep, execution_of, jobs_of, run_chunk, scene_of
@@ -91,8 +92,9 @@ def _parser() -> argparse.ArgumentParser:
     again.add_argument("folder", type=FilePath, help="where it was begun")
     _add_executor(again)
 
-    fit = _command(commands, "calibrate", _calibrate, "fit the drop model's constants to drops in bundled scenes")
+    fit = _command(commands, "calibrate", _calibrate, "fit a model's constants to failures in bundled scenes")
     fit.add_argument("output", type=FilePath, help="YAML file for the constants, with where they come from")
+    fit.add_argument("--model", choices=tuple(_CALIBRATIONS), default="footprint", help="which (default footprint)")
     fit.add_argument("--scenes", nargs="+", metavar="SCENE", help="bundled scenes, two or more (default: all)")
     fit.add_argument("-n", type=int, default=30, help="drops along each motion (default 30)")
     fit.add_argument("--repeats", type=int, default=2, help="motions of each kind for each task (default 2)")
@@ -220,9 +222,15 @@ def _made(args: argparse.Namespace, made: Generated) -> int:
     return DONE
 
 
+_CALIBRATIONS: Mapping[str, Callable[..., Calibration | SpillCalibration]] = {
+    "footprint": calibrate_footprint,
+    "spill": calibrate_spill,
+}
+
+
 def _calibrate(args: argparse.Namespace) -> int:
     with _Bar(args, "motions") as bar:
-        found = calibrate_footprint(
+        found = _CALIBRATIONS[args.model](
             args.scenes or gp.scenes(),
             n=args.n,
             repeats=args.repeats,
@@ -231,7 +239,7 @@ def _calibrate(args: argparse.Namespace) -> int:
             drops=args.drops,
             progress=bar.show,
         )
-    write(found, args.output)
+    args.output.write_text(found.to_yaml(), encoding="utf-8")
     _print(args, found.to_document(), str(found))
     return DONE
 

@@ -165,6 +165,7 @@ NB_MODULE(_native, m) {
     return limits;
   });
   m.def("drop_constants", [] { return std::vector<std::string>(std::begin(kDropConstants), std::end(kDropConstants)); });
+  m.def("spill_constants", [] { return std::vector<std::string>(std::begin(kSpillConstants), std::end(kSpillConstants)); });
   nb::class_<Core>(m, "Core")
       .def(nb::init<Integers, Integers, Integers, Reals, int, Integers, Reals, Reals, Integers, Integers, Reals, Reals, Reals,
                     nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>, Integers, Reals, Integers, Integers, Reals, Integers, Reals,
@@ -185,6 +186,7 @@ NB_MODULE(_native, m) {
       .def(nb::init<const Core&, int, Reals, Integers, Reals, Reals, Reals, int, double, Integers, Reals, Integers, int, Reals, Reals>(),
            "core"_a, "link"_a, "centre"_a, "part_shape"_a, "part_offset"_a, "part_rotation"_a, "part_half"_a, "main"_a, "size"_a,
            "target_entity"_a, "target"_a, "level_start"_a, "n_entity"_a, "speed"_a, "constants"_a, nb::keep_alive<1, 2>())
+      .def("add_contents", &DropModel::add_contents, "container"_a, "stands"_a, "visible"_a, "constants"_a)
       .def("probability", &DropModel::probability, "q"_a, "qd"_a)
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
       .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a);

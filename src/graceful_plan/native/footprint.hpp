@@ -407,39 +407,3 @@ struct Sweep {
     return beside * chance.value();
   }
 };
-
-// --- together -------------------------------------------------------------------------------------------------------
-
-// P of every entity; those without severity are left at zero, if severities are given.
-static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd, D* P) {
-  Frame<D> X_W[kMaxLinks];
-  Flight flight;
-  Landing landing;
-  forward_kinematics<double>(tables, q, X_W);
-  release(tables, drop, X_W, qd, flight);
-  land(drop, flight, landing);
-  Tumble tumble(drop, flight, landing);
-  const Sweep sweep(drop, flight, landing);
-  D lower = landing.landed;  // sum of F over this level and those below it
-  for (int e = 0; e < drop.n_entity; ++e) P[e] = D{};
-  for (int l = 0; l < drop.n_level; ++l) {
-    const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
-    for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
-      const Surface& s = drop.surface[k];
-      const bool wanted = s.entity >= 0 && !(severity && severity[s.entity] == 0.0);
-      const D G = tumbles ? tumble.hit(drop, s, wanted) : D{}, C = landing.contact[k];
-      if (!wanted) continue;
-      const D H = sweeps ? sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)) : D{};
-      P[s.entity] = maximum(P[s.entity], 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H));
-    }
-    tumble.leave(landing.leaving[l], landing.away[l]);
-    lower -= landing.first[l];
-  }
-}
-
-static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd) {
-  D P[kMaxEntities], impact = {};
-  drop_probability(tables, drop, severity, q, qd, P);
-  for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e];
-  return impact;
-}

@@ -59,7 +59,11 @@ constexpr const char* kDropConstants[] = {  // in the order of DropConstants
     "leave_offset", "leave_narrow",   "leave_speed",   "drift",        "carry",        "slide",       "topple_reach"};
 static_assert(sizeof(DropConstants) == sizeof(kDropConstants) / sizeof(kDropConstants[0]) * sizeof(double));
 
-// The drop model of what is carried.
+constexpr const char* kSpillConstants[] = {  // in the order of SpillConstants
+    "position_spread", "rim_spread", "speed_spread", "height_spread", "carry", "margin", "reach", "run_off", "edge", "slosh", "soft_speed", "soft_spread"};
+static_assert(sizeof(SpillConstants) == sizeof(kSpillConstants) / sizeof(kSpillConstants[0]) * sizeof(double));
+
+// The drop model of what is carried, and the spill model of its contents if `add_contents` gives it some.
 class DropModel {
  public:
   // target: centre (2), axis (2), half sizes (2), diagonal, carrying half sizes (2), bottom, top
@@ -82,12 +86,32 @@ class DropModel {
   }
   DropModel(const DropModel&) = delete;
 
+  // container: mouth (3), axis (3), rim, depth, full, radius, power, repose; constants: dropped, held
+  void add_contents(Reals container, Integers stands, Reals visible, Reals constants) {
+    const size_t n = surface_.size();
+    require(spill_.empty() && container.size() == 12 && stands.size() == 2 * n && visible.size() == n, "tables of the spill model");
+    require(constants.size() * sizeof(double) == sizeof(tables_.spill.use), "constants of the spill model");
+    const double* c = container.data();
+    SpillTables& spill = tables_.spill;
+    std::copy(c, c + 3, spill.mouth), std::copy(c + 3, c + 6, spill.axis);
+    spill.rim = c[6], spill.depth = c[7], spill.full = c[8], spill.radius = c[9], spill.power = c[10], spill.repose = c[11];
+    require(spill.rim > 0 && spill.depth > 0 && spill.full > 0 && spill.radius > 0, "container");
+    for (size_t k = 0; k < n; ++k) {
+      const SpillSurface s{stands.data()[2 * k], stands.data()[2 * k + 1], visible.data()[k]};
+      require(s.first >= 0 && s.first <= s.end && s.end <= tables_.n_level, "levels that a surface stands on");
+      spill_.push_back(s);
+    }
+    for (int use = 0; use < kDropRows - 1; ++use)
+      std::copy_n(constants.data() + use * int(std::size(kSpillConstants)), std::size(kSpillConstants), &spill.use[use].position_spread);
+    spill.surface = spill_.data();  // null if there is nothing to land on
+  }
+
   const Core& core() const { return core_; }
   const DropTables& tables() const { return tables_; }
 
   auto probability(Reals q, Reals qd) const {
     double* out;
-    auto array = make<double>({core_.rows(q), size_t(tables_.n_entity)}, out);
+    auto array = make<double>({core_.rows(q), size_t(kDropRows), size_t(tables_.n_entity)}, out);
     require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
     nb::gil_scoped_release release;
     core_.kernels().drop(core_.tables(), tables_, q.data(), qd.data(), q.shape(0), out);
@@ -96,7 +120,7 @@ class DropModel {
   auto impact(Reals severity, Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
-    require(severity.size() == size_t(tables_.n_entity), "severity is not [entity]");
+    require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
     require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
     nb::gil_scoped_release release;
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), out);
@@ -107,7 +131,7 @@ class DropModel {
     double *impact, *d_q, *d_qd;
     auto values = make<double>({core_.rows(q)}, impact);
     auto by_q = make<double>({q.shape(0), q.shape(1)}, d_q), by_qd = make<double>({q.shape(0), q.shape(1)}, d_qd);
-    require(severity.size() == size_t(tables_.n_entity), "severity is not [entity]");
+    require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
     require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
     {
       nb::gil_scoped_release release;
@@ -168,16 +192,17 @@ class DropModel {
   DropTables tables_{};
   std::vector<DropPart> part_;
   std::vector<Surface> surface_;
+  std::vector<SpillSurface> spill_;
   std::vector<int32_t> level_start_;
   Point speed_;
 };
 
-// The drop model with a severity per entity; along edges at their speed.
+// The drop and spill models with a severity per row and entity; along edges at their speed.
 class DropImpact final : public Impact {
  public:
   DropImpact(const DropModel& model, Reals severity, double slow, double fast)
       : Impact(model.core(), severity), model_(model), pace_{slow, fast} {
-    require(severity.size() == size_t(model.tables().n_entity), "severity is not [entity]");
+    require(severity.size() == size_t(kDropRows * model.tables().n_entity), "severity is not [row, entity]");
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
   }
   void states(const double* q, size_t n, double* impact) const override {

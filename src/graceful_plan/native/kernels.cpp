@@ -16,6 +16,9 @@ namespace GP_ISA {
 #include "interaction.hpp"
 #include "footprint.hpp"
 #include "footprint_gradient.hpp"
+#include "spill.hpp"
+#include "spill_gradient.hpp"
+#include "impact_of_drop.hpp"
 
 static void link_poses(const Tables& tables, const double* q, size_t n, double* X_WL) {
   D qs[kMaxJoints];
@@ -148,11 +151,12 @@ template <class Visit> static inline void for_each_release(const Tables& tables,
 }
 
 static void drop(const Tables& tables, const DropTables& drop, const double* q, const double* qd, size_t n, double* probability) {
-  D P[kMaxEntities];
+  D P[kDropRows * kMaxEntities];
+  const size_t count = size_t(kDropRows * drop.n_entity);
   for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
     drop_probability(tables, drop, nullptr, qs, rates, P);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
-      for (int e = 0; e < drop.n_entity; ++e) probability[(first + size_t(i)) * size_t(drop.n_entity) + size_t(e)] = P[e][i];
+      for (size_t e = 0; e < count; ++e) probability[(first + size_t(i)) * count + e] = P[e][i];
   });
 }
 

@@ -98,6 +98,26 @@ struct DropConstants {
   double drift, carry, slide, topple_reach;
 };
 
+// --- the spill model: costs/interactions/spill.py ---------------------------------------------------------------------
+
+constexpr int kDropRows = 3;  // of severities: carried object; contents after a drop; contents that get out in the gripper
+
+struct SpillConstants {
+  double position_spread, rim_spread, speed_spread, height_spread, carry, margin, reach, run_off, edge, slosh, soft_speed, soft_spread;
+};
+
+struct SpillSurface {
+  int32_t first, end;  // levels that it stands on or beside
+  double visible;
+};
+
+struct SpillTables {
+  double mouth[3], axis[3];  // in the axes of the link; from the centre of mass
+  double rim, depth, full, radius, power, repose;
+  const SpillSurface* surface;  // null without contents
+  SpillConstants use[kDropRows - 1];
+};
+
 struct DropTables {
   int32_t n_part, n_surface, n_level, n_entity, link, frame, main;
   double centre[3], size, radius;  // radius: of a ball around the centre of mass that holds all parts
@@ -106,6 +126,7 @@ struct DropTables {
   const int32_t* level_start;   // first surface of each level, and their number at the end
   const double* speed;          // per joint: how fast it is along an edge whose slowest joint it is
   DropConstants constants;
+  SpillTables spill;
 };
 
 // One instruction set's kernels. q is row-major [n, n_joint]; severity is [n_component, n_entity].
@@ -119,7 +140,7 @@ struct Kernels {
   void (*interaction)(const Tables&, const double* q, size_t n, double* probability);
   void (*impact)(const Tables&, const double* severity, const double* q, size_t n, double* impact);
   void (*edge_costs)(const Tables&, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost);
-  // The drop model; severity is [n_entity], qd null at rest.
+  // The drop and spill models; severity and probability are [kDropRows, n_entity], qd null at rest.
   void (*drop)(const Tables&, const DropTables&, const double* q, const double* qd, size_t n, double* probability);
   void (*drop_impact)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n, double* impact);
   void (*drop_gradient)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n, double* impact,

@@ -11,8 +11,8 @@ A drop is told in four steps, each with smooth formulas of its own, so that the 
    lower; wide tops under its path catch it, the rest goes on.
 4. *Side contacts.* On its way to rest it sweeps into what stands beside the place where it comes down.
 
-"carried" is this. "contents" uses the same probabilities as a stand-in until there is a spill model. "body" is zero
-until there is a model of a collapsing arm.
+"carried" is this. "contents" is what gets out of a container that is dropped, see `spill.py`. "body" is zero until
+there is a model of a collapsing arm.
 
 Specification
 -------------
@@ -96,9 +96,10 @@ from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
 from graceful_plan.costs.interactions.footprint_drop import Drop, release, simulate
-from graceful_plan.costs.interactions.footprint_kernel import footprint_kernel
+from graceful_plan.costs.interactions.footprint_kernel import ROWS, footprint_kernel
 from graceful_plan.costs.interactions.footprint_tables import footprint_tables
 from graceful_plan.costs.interactions.interaction import InteractionModel
+from graceful_plan.costs.interactions.spill_constants import SpillSettings
 from graceful_plan.kernels import ImpactKernel
 from graceful_plan.scene import Scene
 
@@ -106,6 +107,8 @@ Array = np.ndarray
 
 FALLING = ("carried", "contents")
 """Components that fall when the gripper lets go."""
+_ROW = {"carried": ROWS.index("carried"), "contents": ROWS.index("dropped")}
+"""Their rows in the kernel."""
 _CHUNK = 200_000  # states times targets that are worked on at once
 
 
@@ -114,10 +117,12 @@ class Footprint(InteractionModel):
     """The drop model: probabilities from the native kernel, details (`drop`) from NumPy.
 
     Args:
-        settings: Constants; the shipped ones by default.
+        settings: Constants of the drop model; the shipped ones by default.
+        spill: Constants of the spill model; the shipped ones by default.
     """
 
     settings: FootprintSettings = field(default_factory=FootprintSettings.shipped)
+    spill: SpillSettings = field(default_factory=SpillSettings.shipped)
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P that the dropped object hits each entity; zero for the robot's body."""
@@ -125,10 +130,10 @@ class Footprint(InteractionModel):
         P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
         if scene.carried is None or not len(batch):
             return P
-        drop = footprint_kernel(scene, self.settings).probability(batch.q, batch.qd)
+        found = footprint_kernel(scene, self.settings, self.spill).probability(batch.q, batch.qd)
         for row, name in enumerate(scene.components):
             if name in FALLING:
-                P[:, row] = drop
+                P[:, row] = found[:, _ROW[name]]
         return P
 
     def kernel(
@@ -139,7 +144,7 @@ class Footprint(InteractionModel):
             return None
         if scene.carried is None:  # P = 0
             return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
-        return footprint_kernel(scene, self.settings).with_severity(_falling(scene, severity), paces)
+        return footprint_kernel(scene, self.settings, self.spill).with_severity(_falling(scene, severity), paces)
 
     def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
         """Return the derivative of sums of P S; a subclass may compute otherwise."""
@@ -147,7 +152,7 @@ class Footprint(InteractionModel):
             return None
         if batch.scene.carried is None:
             return np.zeros_like(batch.q)
-        kernel = footprint_kernel(batch.scene, self.settings)
+        kernel = footprint_kernel(batch.scene, self.settings, self.spill)
         return kernel.gradient(batch.q, _falling(batch.scene, severity), batch.qd)[1]
 
     def drop(self, batch: StateBatch) -> Drop:
@@ -170,6 +175,10 @@ class Footprint(InteractionModel):
         return Drop(first=first, contact=contact, hit=hit, entity=entity)
 
 
-def _falling(scene: Scene, severity: Float[Array, "component entity"]) -> Float[Array, " entity"]:
-    """Severity per entity of all that falls, since it falls together."""
-    return severity[[name in FALLING for name in scene.components]].sum(axis=0)
+def _falling(scene: Scene, severity: Float[Array, "component entity"]) -> Float[Array, "row entity"]:
+    """Severities in the rows of the kernel."""
+    rows = np.zeros((len(ROWS), severity.shape[1]))
+    for own, name in zip(severity, scene.components, strict=True):
+        if name in FALLING:
+            rows[_ROW[name]] = own
+    return rows

@@ -242,6 +242,8 @@ class Landing:
     |-------------|----------------------------------------------------------------------|------|-------------|
     | point       | L: where it comes down, on average                                   | m    | n 2         |
     | total       | probability that it comes down on anything                           |      | n 1         |
+    | low         | height of its lowest point at release                                | m    | n 1         |
+    | fallen      | hs: height of fall, on average                                       | m    | n 1         |
     | height      | of what it comes down on, on average                                 | m    | n 1         |
     | time        | until it comes down, with the delay, on average                      | s    | n 1         |
     | blur        | variance of the place                                                | m2   | n 1         |
@@ -255,6 +257,8 @@ class Landing:
 
     point: Float[Array, "n 2"]
     total: Float[Array, "n 1"]
+    low: Float[Array, "n 1"]
+    fallen: Float[Array, "n 1"]
     height: Float[Array, "n 1"]
     time: Float[Array, "n 1"]
     blur: Float[Array, "n 1"]
@@ -360,6 +364,8 @@ def _fly(tables: FootprintTables, constants: FootprintConstants, state: Release)
     landing = Landing(
         point=state.c[:, :2] + state.v[:, :2] * time,
         total=total,
+        low=shape.low,
+        fallen=height_fallen,
         height=(F * top).sum(axis=1, keepdims=True) / total,
         time=time,
         blur=blur,

@@ -1,4 +1,4 @@
-"""The drop model in the native core: the same as `footprint_drop.py`, which it is tested against."""
+"""The drop and spill models in the native core: `footprint_drop.py` and `spill.py`, which they are tested against."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from graceful_plan.array_types import Float
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.interactions.footprint_constants import FootprintConstants, FootprintSettings
 from graceful_plan.costs.interactions.footprint_tables import FootprintTables, footprint_tables
+from graceful_plan.costs.interactions.spill_constants import USES, SpillSettings
+from graceful_plan.costs.interactions.spill_tables import SpillTables, spill_tables
 from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.kernels import CAPACITY, ImpactKernel, Kernels
 from graceful_plan.path import finite_array
@@ -21,10 +23,17 @@ Array = np.ndarray
 
 CONSTANTS: tuple[str, ...] = tuple(_native.drop_constants())
 """Names of the constants in the order in which the core takes them."""
+SPILL_CONSTANTS: tuple[str, ...] = tuple(_native.spill_constants())
+"""The same for the spill model."""
+ROWS = ("carried", *USES)
+"""Rows of probabilities and severities: the object after a drop; contents after a drop; contents that get out while the
+gripper holds."""
 
 
 class FootprintKernel:
-    """The drop model of one scene in which something is carried.
+    """The drop model of one scene in which something is carried, and the spill model if it has contents.
+
+    Probabilities have the rows `ROWS`; without contents, theirs are zero. Rows without severity cost no time.
 
     Args:
         tables: Those of the scene.
@@ -32,6 +41,7 @@ class FootprintKernel:
         kernels: Those of the scene.
         speed: Joint velocities [rad/s], one of which is reached along an edge.
         n_entity: How many entities the scene has.
+        contents: Tables and constants of the spill model if there are contents.
 
     Raises:
         UnsupportedError: If there is more of something than the core holds.
@@ -44,6 +54,7 @@ class FootprintKernel:
         kernels: Kernels,
         speed: Float[Array, " nq"],
         n_entity: int,
+        contents: tuple[SpillTables, SpillSettings] | None = None,
     ) -> None:
         for what, count in (("carried parts", len(tables.part_half)), ("surfaces", len(tables.target_entity))):
             if count > CAPACITY[what]:
@@ -66,21 +77,32 @@ class FootprintKernel:
             speed=_reals(speed),
             constants=np.array([getattr(constants, name) for name in CONSTANTS]),
         )
+        if contents is not None:
+            self._add_contents(*contents)
 
-    def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch entity"]:
-        """P that the object hits each entity if it is let go at q with joint velocities qd [rad/s], at rest if None."""
+    def _add_contents(self, tables: SpillTables, settings: SpillSettings) -> None:
+        numbers = (tables.rim, tables.depth, tables.full, tables.radius, tables.power, tables.repose)
+        self.native.add_contents(
+            container=np.array([*tables.mouth, *tables.axis, *numbers]),
+            stands=np.ascontiguousarray(tables.stands, dtype=np.int32),
+            visible=_reals(tables.visible),
+            constants=np.array([getattr(settings.of(use), name) for use in USES for name in SPILL_CONSTANTS]),
+        )
+
+    def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch row entity"]:
+        """P that the object or contents reach each entity, at q with joint velocities qd [rad/s], at rest if None."""
         flat, rates, batch = self._states(q, qd)
-        return self.native.probability(flat, rates).reshape(*batch, self.n_entity)
+        return self.native.probability(flat, rates).reshape(*batch, len(ROWS), self.n_entity)
 
     def impact(
-        self, q: ArrayLike, severity: Float[Array, " entity"], qd: ArrayLike | None = None
+        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None
     ) -> Float[Array, "*batch"]:
-        """Sum of P S over the entities."""
+        """Sum of P S over rows and entities; weights of what goes wrong belong into the severities."""
         flat, rates, batch = self._states(q, qd)
         return self.native.impact(self._severity(severity), flat, rates).reshape(batch)
 
     def gradient(
-        self, q: ArrayLike, severity: Float[Array, " entity"], qd: ArrayLike | None = None
+        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
         """Sum of P S with its derivatives with respect to q [1/rad] and to qd [s/rad].
 
@@ -90,13 +112,15 @@ class FootprintKernel:
         impact, d_q, d_qd = self.native.gradient(self._severity(severity), flat, rates)
         return impact.reshape(batch), d_q.reshape(*batch, self.kernels.nq), d_qd.reshape(*batch, self.kernels.nq)
 
-    def with_severity(self, severity: Float[Array, " entity"], paces: tuple[float, float] = (1.0, 1.0)) -> ImpactKernel:
+    def with_severity(
+        self, severity: Float[Array, "row entity"], paces: tuple[float, float] = (1.0, 1.0)
+    ) -> ImpactKernel:
         """Return the impact with these severities, for planners; edges are travelled at these shares of `speed`."""
         return ImpactKernel(self.kernels, _native.DropImpact(self.native, self._severity(severity), *paces))
 
-    def _severity(self, severity: Array) -> Float[Array, " entity"]:
-        if np.shape(severity) != (self.n_entity,):
-            raise ShapeError("severity", np.shape(severity), f"({self.n_entity},)")
+    def _severity(self, severity: Array) -> Float[Array, "row entity"]:
+        if np.shape(severity) != (len(ROWS), self.n_entity):
+            raise ShapeError("severity", np.shape(severity), f"({len(ROWS)}, {self.n_entity})")
         return _reals(finite_array("severity", severity))
 
     def _states(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Array, Array, tuple[int, ...]]:
@@ -109,24 +133,32 @@ class FootprintKernel:
 
 _KEPT = 4
 """Sets of constants for which the tables of a scene are kept."""
-_made: weakref.WeakKeyDictionary[Scene, dict[FootprintConstants, FootprintKernel]] = weakref.WeakKeyDictionary()
+_Key = tuple[FootprintConstants, SpillSettings]
+_made: weakref.WeakKeyDictionary[Scene, dict[_Key, FootprintKernel]] = weakref.WeakKeyDictionary()
 
 
-def footprint_kernel(scene: Scene, settings: FootprintSettings) -> FootprintKernel:
-    """Return the drop model of a scene in which something is carried; it is made once per set of constants.
+def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSettings | None = None) -> FootprintKernel:
+    """Return both models of a scene in which something is carried; they are made once per set of constants.
+
+    Args:
+        scene: Where.
+        settings: Of the drop model.
+        spill: Of the spill model; the shipped ones by default.
 
     Raises:
         UnsupportedError: If the core cannot represent it.
     """
     tables = footprint_tables(scene)
-    constants = settings.of(tables.shape_class)
-    made = _made.setdefault(scene, {})
-    if constants not in made:
+    constants, spill = settings.of(tables.shape_class), SpillSettings.shipped() if spill is None else spill
+    made, key = _made.setdefault(scene, {}), (constants, spill)
+    if key not in made:
         if len(made) == _KEPT:  # a fit tries many constants, one after the other
             made.pop(next(iter(made)))
         kernels = compile_scene(scene).kernels
-        made[constants] = FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities))
-    return made[constants]
+        contents = None if scene.contents is None else (spill_tables(scene), spill)
+        speed, n_entity = scene.limits.velocity, len(scene.entities)
+        made[key] = FootprintKernel(tables, constants, kernels, speed, n_entity, contents)
+    return made[key]
 
 
 def _targets(tables: FootprintTables) -> Float[Array, "target 11"]:

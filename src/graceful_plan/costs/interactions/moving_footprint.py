@@ -305,6 +305,8 @@ def _landing(
     landing = Landing(
         point=state.c[:, :2],
         total=none + LEAST_MASS,
+        low=none,
+        fallen=none,
         height=none,
         time=none,
         blur=spread**2,

@@ -50,7 +50,7 @@ def moving_kernels(
         return []
     constants = settings.of(footprint_tables(scene).shape_class)
     return [
-        model.with_severity(np.array([share * weight]), paces)
+        model.with_severity(np.array([[share * weight], [0.0], [0.0]]), paces)  # all falls together
         for entity, weight in zip(scene.moving.values(), severity.tolist(), strict=True)
         if weight > 0.0
         for model, share in _standing(scene, entity, constants)

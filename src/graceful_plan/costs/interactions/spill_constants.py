@@ -1,0 +1,106 @@
+"""Constants of the spill model: what they are, and how to read them from YAML.
+
+The shipped ones are `spill.yaml`; its head says what they were fitted to.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+
+from graceful_plan.exceptions import SettingError
+from graceful_plan.yaml_file import Block, read_yaml
+
+_SHIPPED = Path(__file__).parent / "spill.yaml"
+
+USES = ("dropped", "held")
+"""How contents get out: their container falls and lands; it is jolted or tipped in the gripper."""
+_POSITIVE = ("position_spread", "soft_spread")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpillConstants:
+    """Constants for one of `USES`; lengths in units of the puddle are shares of its radius if all runs out.
+
+    Raises:
+        SettingError: If one is not finite or out of its range.
+    """
+
+    position_spread: float
+    """s0: standard deviation of where contents land [m]."""
+    rim_spread: float
+    """cr: the same per radius of the rim."""
+    speed_spread: float
+    """cv: the same per speed [s]."""
+    height_spread: float
+    """ch: the same per height of fall [m/m]."""
+    carry: float
+    """kt: how much later than the container contents are down [s]."""
+    margin: float
+    """km: how far beside their place contents wet what they fall on [m]."""
+    reach: float
+    """kr: how far a puddle reaches along each axis [puddle]."""
+    run_off: float
+    """ko: the same for what runs over an edge [puddle]."""
+    edge: float
+    """ke: how far from all edges nothing runs over them [puddle]."""
+    slosh: float
+    """kv: how much of a tilt speed is worth, since what is fast also accelerates [s/m]."""
+    soft_speed: float
+    """u0: speed of landing from which on contents get out [m/s]; far below 0 if they are out before."""
+    soft_spread: float
+    """us: how uncertain that is [m/s]."""
+
+    def __post_init__(self) -> None:
+        for constant in fields(self):
+            value = getattr(self, constant.name)
+            if not math.isfinite(value):
+                raise SettingError(constant.name, value, "a finite number")
+            if constant.name in _POSITIVE and value <= 0.0:
+                raise SettingError(constant.name, value, "a positive number")
+            if constant.name != "soft_speed" and value < 0.0:
+                raise SettingError(constant.name, value, "at least 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpillSettings:
+    """Constants of the spill model by use, see `USES`."""
+
+    dropped: SpillConstants
+    held: SpillConstants
+
+    @classmethod
+    def shipped(cls) -> SpillSettings:
+        """Return the constants that come with the library."""
+        return _shipped()
+
+    @classmethod
+    def load(cls, file: str | Path) -> SpillSettings:
+        """Read constants from a YAML file laid out like the shipped one.
+
+        Raises:
+            SceneError: If the file is broken, with the line.
+            SettingError: If a constant is out of its range.
+        """
+        root = read_yaml(Path(file))
+        root.only("version", "provenance", *USES)
+        if root["version"].number() != 1:
+            raise root["version"].error("only version 1 is known")
+        return cls(**{use: _constants(root[use]) for use in USES})
+
+    def of(self, use: str) -> SpillConstants:
+        """Return the constants of one of `USES`."""
+        return getattr(self, use)
+
+
+def _constants(block: Block) -> SpillConstants:
+    names = tuple(constant.name for constant in fields(SpillConstants))
+    block.only(*names)
+    return SpillConstants(**{name: block[name].number() for name in names})
+
+
+@cache
+def _shipped() -> SpillSettings:
+    return SpillSettings.load(_SHIPPED)

@@ -1,0 +1,148 @@
+// The drop model and the spill model together: probabilities and impact, with its gradient.
+
+// --- values ---------------------------------------------------------------------------------------------------------
+
+static inline bool matters(const DropTables& drop, const double* severity) {
+  for (int e = 0; e < drop.n_entity; ++e)
+    if (severity[e] != 0.0) return true;
+  return false;
+}
+
+static inline void carried_probability(const DropTables& drop, const Flight& flight, const Landing& landing, const double* severity, D* P) {
+  Tumble tumble(drop, flight, landing);
+  const Sweep sweep(drop, flight, landing);
+  D lower = landing.landed;  // sum of F over this level and those below it
+  for (int l = 0; l < drop.n_level; ++l) {
+    const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
+    for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
+      const Surface& s = drop.surface[k];
+      const bool wanted = s.entity >= 0 && !(severity && severity[s.entity] == 0.0);
+      const D G = tumbles ? tumble.hit(drop, s, wanted) : D{}, C = landing.contact[k];
+      if (!wanted) continue;
+      const D H = sweeps ? sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)) : D{};
+      P[s.entity] = maximum(P[s.entity], 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H));
+    }
+    tumble.leave(landing.leaving[l], landing.away[l]);
+    lower -= landing.first[l];
+  }
+}
+
+// P [kDropRows, n_entity] of every entity; those without severity are left at zero, if severities are given.
+static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd, D* P) {
+  Frame<D> X_W[kMaxLinks];
+  Flight flight;
+  Landing landing;
+  forward_kinematics<double>(tables, q, X_W);
+  release(tables, drop, X_W, qd, flight);
+  land(drop, flight, landing);
+  for (int e = 0; e < kDropRows * drop.n_entity; ++e) P[e] = D{};
+  if (!severity || matters(drop, severity)) carried_probability(drop, flight, landing, severity, P);
+  if (!drop.spill.surface) return;
+  Mouth mouth;
+  pour(drop.spill, X_W[drop.frame], flight, mouth);
+  for (int row = 1; row < kDropRows; ++row) {
+    const double* own = severity ? severity + row * drop.n_entity : nullptr;
+    if (own && !matters(drop, own)) continue;
+    Spill spill(drop.spill.use[row - 1]);
+    spill.run(drop, flight, landing, mouth, own);
+    D* reached = P + row * drop.n_entity;
+    for (int i = 0; i < drop.n_surface; ++i)
+      if (Spill::wanted(drop, i, own)) reached[drop.surface[i].entity] = maximum(reached[drop.surface[i].entity], spill.probability(i));
+  }
+}
+
+static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd) {
+  D P[kDropRows * kMaxEntities], impact = {};
+  drop_probability(tables, drop, severity, q, qd, P);
+  for (int e = 0; e < kDropRows * drop.n_entity; ++e) impact += P[e] * severity[e];
+  return impact;
+}
+
+// --- gradient -------------------------------------------------------------------------------------------------------
+
+// Adds what contents do to the impact and to derivatives; returns that with respect to a small turn of the object.
+static inline Vec<D> back_contents(const DropTables& drop, const Frame<D>& X, const Flight& flight, const Landing& landing, const double* severity,
+                                   D& impact, LandingSlope& d_landing, FlightSlope& d_flight) {
+  Vec<D> d_turn = {D{}, D{}, D{}};
+  if (!drop.spill.surface) return d_turn;
+  Mouth mouth;
+  MouthSlope d_mouth;
+  pour(drop.spill, X, flight, mouth);
+  for (int row = 1; row < kDropRows; ++row) {
+    const double* own = severity + row * drop.n_entity;
+    if (matters(drop, own)) impact += back_spill(drop, flight, landing, mouth, drop.spill.use[row - 1], own, d_mouth, d_landing, d_flight);
+  }
+  return back_pour(flight, mouth, d_mouth, d_flight);
+}
+
+static inline D drop_impact_gradient(const Tables& tables, const DropTables& drop, const double* severities, const D* q, const D* qd, D* d_q,
+                                     D* d_qd) {
+  const double* severity = severities;
+  Frame<D> X_W[kMaxLinks];
+  Flight flight;
+  Landing landing;
+  forward_kinematics<double>(tables, q, X_W);
+  release(tables, drop, X_W, qd, flight);
+  land(drop, flight, landing);
+  // Forwards, as in drop_probability, with a record.
+  Tumble tumble(drop, flight, landing);
+  const Sweep sweep(drop, flight, landing);
+  D G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities];
+  Point2 drift[kMaxSurfaces];
+  D left = landing.landed, impact = {};
+  for (int e = 0; e < drop.n_entity; ++e) P[e] = D{};
+  for (int l = 0; l < drop.n_level; ++l) {
+    mass[l] = tumble.mass, drift[l] = tumble.drift, lower[l] = left;
+    const bool tumbles = tumble.enter(drop);
+    for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
+      const Surface& s = drop.surface[k];
+      const D C = landing.contact[k];
+      G[k] = tumbles ? tumble.hit(drop, s, true) : D{};
+      H[k] = sweep.hit(drop, flight, s, landing.time[k], relu(left - C));
+      hit[k] = 1.0 - (1.0 - C) * (1.0 - G[k]) * (1.0 - H[k]);
+      if (s.entity >= 0) P[s.entity] = maximum(P[s.entity], hit[k]);
+    }
+    tumble.leave(landing.leaving[l], landing.away[l]);
+    left -= landing.first[l];
+  }
+  // Backwards.
+  FlightSlope d_flight;
+  LandingSlope d_landing(drop);
+  TumbleSlope d_tumble;
+  SweepSlope d_sweep;
+  D open[kMaxEntities], d_G[kMaxSurfaces], d_lower = {};  // open: severities of entities whose greatest P is not yet found
+  for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = D{} + severity[e];
+  D d_lowers[kMaxSurfaces];
+  for (int l = 0; l < drop.n_level; ++l) {
+    d_lowers[l] = D{};
+    for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
+      const Surface& s = drop.surface[k];
+      d_G[k] = D{};
+      if (s.entity < 0) continue;
+      const auto greatest = hit[k] == P[s.entity];
+      const D d = greatest ? open[s.entity] : D{}, C = landing.contact[k];
+      open[s.entity] = greatest ? D{} : open[s.entity];
+      d_landing.contact[k] += d * (1.0 - G[k]) * (1.0 - H[k]);
+      d_G[k] = d * (1.0 - C) * (1.0 - H[k]);
+      if (!any(H[k] > 0.0)) continue;
+      D d_beside = {};
+      back_sweep_hit(drop, flight, sweep, s, landing.time[k], relu(lower[l] - C), d * (1.0 - C) * (1.0 - G[k]), d_sweep, d_flight, d_landing.time[k],
+                     d_beside);
+      d_beside = lower[l] > C ? d_beside : D{};
+      d_landing.contact[k] -= d_beside, d_lowers[l] += d_beside;
+    }
+  }
+  for (int l = 0; l < drop.n_level; ++l) d_lower += d_lowers[l], d_landing.first[l] += d_lower;
+  for (int l = drop.n_level; l-- > 0;) {
+    tumble.mass = mass[l], tumble.drift = drift[l];
+    back_tumble_level(drop, tumble, l, d_G, landing, d_tumble, d_landing);
+  }
+  back_tumble(drop, flight, tumble, d_tumble, d_flight, d_landing);
+  back_sweep(drop, landing, sweep, d_sweep, d_flight, d_landing);
+  const Vec<D> d_pour = back_contents(drop, X_W[drop.frame], flight, landing, severities, impact, d_landing, d_flight);
+  back_land(drop, flight, landing, d_landing, d_flight);
+  Vec<D> d_turn = back_release(drop, flight, d_flight);
+  d_turn = {d_turn.x + d_pour.x, d_turn.y + d_pour.y, d_turn.z + d_pour.z};
+  back_joints(tables, drop.link, X_W, qd, flight, d_flight, d_turn, d_q, d_qd);
+  return impact;
+}
