@@ -36,6 +36,7 @@ SUBJECTS = (
     "trajectory_prediction",
     "prevention",
     "failure_aware_timing",
+    "moving_entities",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
