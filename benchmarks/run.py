@@ -35,6 +35,7 @@ SUBJECTS = (
     "failure_prediction",
     "trajectory_prediction",
     "prevention",
+    "damage_energy",
     "failure_aware_timing",
     "moving_entities",
     "failbench_speed",
