@@ -228,7 +228,8 @@ def to_yaml(effects: Mapping[str, FaultEffect], *, degree: str, seed: int, about
         "# Written by failbench; do not edit. Intervals are 95 %, whole motions drawn with replacement.\n"
         "# held_out: each scene with effects that were fitted on the others.\n"
     )
-    compact = yaml.safe_dump({"version": 1, "provenance": provenance}, sort_keys=False, width=120)
+    about_it = {"version": 1, "provenance": provenance}
+    compact = yaml.safe_dump(about_it, sort_keys=False, default_flow_style=None, width=120)
     table = yaml.safe_dump({"effects": {degree: shares}}, sort_keys=False, default_flow_style=None, width=120)
     return head + compact + table
 
