@@ -51,7 +51,7 @@ BODY_REACH, BODY_SPREAD = 0.15, 0.1
 """How far from the links a collapsing arm reaches somebody, and how uncertain that is [m]."""
 MOST_SAMPLES = 64
 """Places that stand for a predicted path."""
-_SAMPLE_STEP = 0.1  # distance between those places [m]
+_SAMPLE_STEP = 0.025, 0.1  # least and greatest distance between those places [m]
 _LEVEL_SOFT = 0.01  # how sharply a level counts as no higher than the entity [m]
 _SIDE_SOFT = 0.02  # how sharply the object passes above or below it [m]
 _STANDS_ON = 0.1  # what is less than this above an entity's bottom is what it stands on [m]
@@ -92,7 +92,8 @@ def _times(entity: MovingEntity) -> Float[Array, "1 k"]:
     duration = entity.t[-1] - entity.t[0]
     length = np.linalg.norm(np.diff(entity.position, axis=0), axis=1).sum() + entity.growth * duration
     length += np.abs(np.diff(entity.yaw)).sum() * np.linalg.norm(entity.half_size[:2])
-    count = int(np.clip(np.ceil(length / _SAMPLE_STEP), 1, MOST_SAMPLES))
+    step = np.clip(0.5 * entity.half_size[:2].min(), *_SAMPLE_STEP)
+    count = int(np.clip(np.ceil(length / step), 1, MOST_SAMPLES))
     return entity.t[:1, None] + duration * (np.arange(count)[None] + 0.5) / count
 
 
