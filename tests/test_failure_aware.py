@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -113,15 +113,15 @@ def test_limits_hold_and_it_is_never_worse_than_plain(seed: int, n: int, size: f
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=10, deadline=None)
-def test_more_weight_is_never_more_harm_in_all(seed: int) -> None:
-    """Of two minimisers of T + w X, the one for the greater w has the smaller X; up to the lattice."""
-    path, impact = _zigzag(seed, 5, 0.3), _bumps(seed)
-    exposure = [
-        timed_cost(trajectory, impact, 1.0) - trajectory.duration
-        for trajectory in (retime(path, _PANDA, impact=impact, w=w) for w in (0.0, 0.1, 1.0, 10.0))
-    ]
-    assert all(after <= before * 1.01 for before, after in pairwise(exposure))
+@settings(max_examples=6, deadline=None)
+def test_no_other_weight_gives_a_better_timing(seed: int) -> None:
+    """Up to the lattice: what is best at one weight is not beaten by what is best at another."""
+    path, impact = _zigzag(seed, 4, 0.3), _bumps(seed)
+    weights = (0.0, 0.3, 3.0)
+    timings = [retime(path, _PANDA, impact=impact, w=w) for w in weights]
+    for w, best in zip(weights, timings, strict=True):
+        least = min(timed_cost(other, impact, w) for other in timings)
+        assert timed_cost(best, impact, w) <= 1.01 * least
 
 
 def test_the_same_input_gives_the_same_timing() -> None:
@@ -173,18 +173,26 @@ def test_broken_impacts_are_refused() -> None:
 # --- in plan ----------------------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Energy(gp.Cost):
+    """Impact in proportion to the square of the speed."""
+
+    def state(self, batch: gp.StateBatch) -> np.ndarray:
+        return batch.speed**2
+
+
 @pytest.fixture(scope="module")
 def task() -> gp.Task:
-    return gp.load_scene("desk").tasks["bring_coffee"]
+    return gp.load_scene("tabletop").tasks["green_to_blue"]
 
 
 @pytest.fixture(scope="module")
 def objective() -> gp.Objective:
-    return gp.Objective(impact=gp.ImpactCost(model="footprint"))
+    return gp.Objective(impact=Energy())
 
 
 def test_plans_are_timed_so_that_failing_does_less_harm(task: gp.Task, objective: gp.Objective) -> None:
-    given = {"objective": objective, "iterations": 3000, "seed": 1}
+    given = {"objective": objective, "iterations": 200, "seed": 1, "planner": "rrt_connect"}
     plain = gp.plan(task.start, task.goal, task.scene, **given)
     aware, again = (gp.plan(task.start, task.goal, task.scene, speed="failure_aware", **given) for _ in range(2))
     np.testing.assert_array_equal(aware.path.q, plain.path.q)
@@ -201,6 +209,19 @@ def test_plans_without_weight_are_timed_plainly(task: gp.Task, objective: gp.Obj
         for speed in (1.0, "failure_aware")
     )
     np.testing.assert_array_equal(plain.unwrap().t, aware.unwrap().t)
+
+
+def test_the_drop_model_makes_plans_slower_where_it_pays() -> None:
+    """Over all tasks of a scene; on some paths the fastest timing is the best."""
+    scene = gp.load_scene("tabletop_l3")
+    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"), w=1.0)
+    gains = []
+    for task in scene.tasks.values():
+        states = objective.bind(task.scene).states
+        path = gp.Path(np.stack([task.start, np.atleast_2d(task.goal)[0]]))
+        plain, aware = (retime(path, task.scene.limits, impact=given) for given in (None, states))
+        gains.append(timed_cost(plain, states, 1.0) - timed_cost(aware, states, 1.0))
+    assert min(gains) >= 0.0 and max(gains) > 0.01
 
 
 def test_unknown_speeds_are_refused(task: gp.Task) -> None:

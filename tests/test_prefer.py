@@ -111,7 +111,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
-    given = {"objective": objective, "iterations": 500, "seed": 4}
+    given = {"objective": objective, "iterations": 300, "seed": 4}
     plain = gp.plan(task.start, task.goal, task.scene, **given)
     chosen, again = (gp.plan(task.start, task.goal, task.scene, risk=kind, **given) for _ in range(2))
     assert chosen.status is gp.PlanStatus.SOLVED and chosen.verdict.passed
