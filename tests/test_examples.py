@@ -31,3 +31,15 @@ def test_every_planner_takes_the_custom_cost(planner):
     assert result.status in (gp.PlanStatus.SOLVED, gp.PlanStatus.TIMEOUT)
     if result.status is gp.PlanStatus.SOLVED:
         assert result.cost.impact == pytest.approx(gp.evaluate(result.path, task.scene, objective).impact)
+
+
+def test_a_patient_robot_spares_the_walking_person(capsys):
+    example = _load("walking_person")
+    results = example.main(time_limit=1.5)
+    scene = gp.load_scene("tabletop").tasks["right_to_left"].scene.with_moving(example.walking_person())
+    spared, alone = (
+        gp.evaluate(results[name].unwrap(), scene, example.OBJECTIVE).impact_by_entity["person"]
+        for name in ("patient", "alone")
+    )
+    assert spared < 0.1 * alone
+    assert "patient: waits" in capsys.readouterr().out

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,6 +45,16 @@ class TwoFaults(gp.InteractionModel):
 
     def fault_shares(self):
         return {"drop": {"slip": 0.1, "opened": 0.2, "never": 0.0}}
+
+
+class HalfTold(TwoFaults):
+    """Its sources leave out half of what happens."""
+
+    def probability(self, batch):
+        return np.minimum(1.0, 2.0 * super().probability(batch))
+
+    def sources(self, batch):
+        return {"drop": 0.25 * np.ones((len(batch), len(batch.scene.components), len(batch.scene.entities)))}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,6 +228,13 @@ def test_a_picture_is_drawn(task, result, name, tmp_path):
     assert np.ptp(imread(tmp_path / "picture.png")[..., :3], axis=(0, 1)).max() > 0.5
 
 
+@pytest.mark.parametrize("section", ["A motion, explained", "A scene, mapped"])
+def test_the_guide_runs(section, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parents[1] / "docs" / "explain.md").read_text().partition(f"## {section}")[2]
+    exec(compile(text.partition("```python\n")[2].partition("```")[0], "explain.md", "exec"), {})
+
+
 # --- unhappy paths --------------------------------------------------------------------------------------------------
 
 
@@ -238,6 +256,11 @@ def test_standing_still_costs_nothing_but_a_waypoint_does(task):
 def test_other_costs_do_not_tell_who_is_hit(task, result):
     with pytest.raises(gp.SettingError, match=r"objective.impact = Own\(\).* who is hit"):
         gp.explain(result, task.scene, gp.Objective(impact=Own()))
+
+
+def test_sources_that_do_not_add_up(task, result):
+    with pytest.raises(gp.CostError, match=r"HalfTold: sources\(\) add up to .*, probability\(\) to"):
+        gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=HalfTold())))
 
 
 def test_no_path_no_explanation(task):

@@ -193,10 +193,14 @@ def test_entities_add_up_and_the_ground_is_not_one():
 
 
 def test_only_what_falls_and_counts_is_in_it():
-    found = gp.impact_map(
-        boxes((0.0, 0.0)), gp.ImpactCost(model="footprint", components=("body",)), height=0.3, resolution=0.1
+    scene, settings = boxes((0.0, 0.0)), {"height": 0.3, "resolution": 0.1}
+    body, all_parts, carried = (
+        gp.impact_map(scene, gp.ImpactCost(model="aabb", components=components), **settings).impact
+        for components in (("body",), ("body", "carried", "contents"), ("carried",))
     )
-    assert not found.impact.any()
+    assert not body.any()
+    assert carried.any()
+    np.testing.assert_array_equal(all_parts, carried)
 
 
 def test_other_failures_are_left_out():

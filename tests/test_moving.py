@@ -8,6 +8,9 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, SceneError, SettingError, ShapeError, UnknownNameError
 
+_LIMITS = gp.Limits(
+    position=np.array([[-3.0, 3.0]] * 2), velocity=np.ones(2), acceleration=np.ones(2) * 4.0, torque=np.full(2, np.inf)
+)
 PERSON = {"size": [0.25, 0.85], "t": [0.0, 2.0], "position": [[1.0, -1.0, 0.85], [1.0, 1.0, 0.85]]}
 
 
@@ -140,3 +143,36 @@ def test_unknown_classes_are_refused(scene):
         scene.with_moving(gp.MovingEntity("boo", "ghost", **PERSON))
     with pytest.raises(UnknownNameError, match="unknown component 'arm'"):
         scene.with_moving(person(severity={"arm": 1.0}))
+
+
+# --- waiting ----------------------------------------------------------------------------------------------------------
+
+
+def _motion() -> gp.Trajectory:
+    return gp.retime(gp.Path(np.array([[0.0, 0.0], [0.5, -0.3], [1.0, 0.0]])), _LIMITS)
+
+
+def test_a_delayed_motion_is_the_same_after_a_rest():
+    motion = _motion()
+    late = motion.delayed(1.5)
+    assert late.duration == pytest.approx(motion.duration + 1.5)
+    for t in np.linspace(0.0, motion.duration, 23):
+        for now, then in zip(motion.at(np.array(t)), late.at(np.array(t + 1.5)), strict=True):
+            np.testing.assert_allclose(now, then, atol=1e-9)
+    waiting = late.at(np.linspace(0.0, 1.49, 7))
+    np.testing.assert_allclose(waiting.q, np.repeat(motion.q[:1], 7, axis=0), atol=1e-9)
+    assert not waiting.qd.any()
+    assert motion.delayed(0.0) is motion
+
+
+@pytest.mark.parametrize("seconds", [-0.1, np.nan, np.inf])
+def test_waits_are_checked(seconds):
+    with pytest.raises(SettingError, match="seconds"):
+        _motion().delayed(seconds)
+
+
+def test_a_moving_robot_cannot_wait():
+    motion = _motion()
+    middle = motion.at(np.array([0.4, 0.5]))
+    with pytest.raises(SettingError, match="a moving robot cannot wait"):
+        gp.Trajectory(np.array([0.4, 0.5]), *middle, joints=motion.joints).delayed(1.0)

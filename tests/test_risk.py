@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -287,3 +289,12 @@ def test_misuse_is_refused(scene: Scene) -> None:
     broken = cost(scene, {0: np.nan})
     with pytest.raises(gp.CostError, match="NaN"):
         risk(still(scene), scene, broken)
+
+
+def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (Path(__file__).parents[1] / "docs" / "risk.md").read_text()
+    snippets = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    assert len(snippets) == 3
+    monkeypatch.chdir(tmp_path)
+    exec(compile("\n".join(snippets), "risk.md", "exec"), {})
+    assert "CVaR 0.9" in capsys.readouterr().out

@@ -144,8 +144,7 @@ def events_of(failures: Sequence[Failures], kind: Kind) -> Events:
         columns["scene"].append(np.full(counted.sum(), part.scene))
         columns["motion"].append(np.full(counted.sum(), i))
         columns["happened"].append(hit[counted])
-        speed = np.linalg.norm(part.qd, axis=1)
-        batch = gp.StateBatch(scene, part.q, part.qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+        batch = part.states(scene)
         rows = [list(scene.components).index(name) for name in strikers]
         for name, model in models.items():
             each = np.clip(model(batch)[:, rows], 0.0, 1.0)

@@ -36,8 +36,8 @@ from graceful_plan.fault_prior import GENERATORS
 
 Array = np.ndarray
 
-GeneratorModel = Callable[[Scene, Float[Array, "n nq"], Float[Array, "n nq"]], Mapping[str, Float[Array, "n c e"]]]
-"""P(component hits entity) by generator, for a failure at configurations q at velocities qd, if it is of that kind."""
+GeneratorModel = Callable[[Scene, Failures], Mapping[str, Float[Array, "n c e"]]]
+"""P(component hits entity) by generator, for the states in which something failed, if that acts like the generator."""
 
 _GAP = 1e-4  # how much of the logarithm of the likelihood may be missing [nat]
 _STEPS = 100
@@ -116,7 +116,7 @@ def fault_events(
     """
     found: dict[str, list[FaultEvents]] = {}
     for motion, part in enumerate(failures):
-        said = model(scenes[part.scene, part.task], part.q, part.qd)
+        said = model(scenes[part.scene, part.task], part)
         nothing = np.zeros(part.hit.shape)
         P = np.stack([said.get(generator, nothing) for generator in GENERATORS], axis=-1)[:, part.counted]
         hit = part.hit[:, part.counted]
@@ -228,7 +228,8 @@ def to_yaml(effects: Mapping[str, FaultEffect], *, degree: str, seed: int, about
         "# Written by failbench; do not edit. Intervals are 95 %, whole motions drawn with replacement.\n"
         "# held_out: each scene with effects that were fitted on the others.\n"
     )
-    compact = yaml.safe_dump({"version": 1, "provenance": provenance}, sort_keys=False, width=120)
+    about_it = {"version": 1, "provenance": provenance}
+    compact = yaml.safe_dump(about_it, sort_keys=False, default_flow_style=None, width=120)
     table = yaml.safe_dump({"effects": {degree: shares}}, sort_keys=False, default_flow_style=None, width=120)
     return head + compact + table
 

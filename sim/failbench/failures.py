@@ -25,8 +25,10 @@ from failbench.records import Rollout
 from failbench.rollout import run
 from failbench.sampling import make_jobs
 from failbench.world import SimSettings, build_world
-from graceful_plan import GracefulPlanError, Path, Scene, SettingError, Task, Trajectory
+from graceful_plan import GracefulPlanError, Path, Scene, SettingError, StateBatch, Task, Trajectory
 from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.costs.cost import AHEAD
+from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import FormatError
 
 Array = np.ndarray
@@ -79,6 +81,7 @@ class Failures:
     | fault      | what failed, as an index into `faults`                                | n                  |
     | q          | configuration at the onset [rad or m]                                 | n nq               |
     | qd         | velocity there                                                        | n nq               |
+    | ahead      | where the robot was to be `AHEAD` later [rad or m]                    | n step nq          |
     | hit        | whether the component touched the entity                              | n component entity |
     | dropped    | whether the object left the gripper                                   | n                  |
     | spilled    | lost part of the contents                                             | n                  |
@@ -97,6 +100,7 @@ class Failures:
     fault: Int[Array, " n"]
     q: Float[Array, "n nq"]
     qd: Float[Array, "n nq"]
+    ahead: Float[Array, "n step nq"]
     hit: Bool[Array, "n component entity"]
     dropped: Bool[Array, " n"]
     spilled: Float[Array, " n"]
@@ -105,10 +109,15 @@ class Failures:
     def __len__(self) -> int:
         return len(self.q)
 
+    def states(self, scene: Scene) -> StateBatch:
+        """Return the states in which the robot failed, in the scene that it failed in."""
+        found = moving_batch(scene, self.q, self.qd)
+        return StateBatch(scene, self.q, found.direction, found.speed, ahead=self.ahead)
+
     def only(self, faults: Iterable[str]) -> Failures:
         """Return those that some faults caused, by the faults' names."""
         rows = np.isin(self.fault, [self.faults.index(name) for name in faults if name in self.faults])
-        names = ("fault", "q", "qd", "hit", "dropped", "spilled")
+        names = ("fault", "q", "qd", "ahead", "hit", "dropped", "spilled")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def events(self, components: Sequence[str]) -> tuple[Bool[Array, "n entity"], Bool[Array, " entity"]]:
@@ -203,7 +212,8 @@ def fail_along(
     rollouts = run(execution, jobs, horizon=horizon, threads=threads)
     completed = [rollout for rollout in rollouts if rollout.status == "completed"]
     # What a planner would know: where the motion is to be, not where the servos have brought the arm.
-    state = motion.at(motion.t[0] + np.array([rollout.onset for rollout in completed]))
+    onset = motion.t[0] + np.array([rollout.onset for rollout in completed])
+    state = motion.at(onset)
     names = tuple(dict.fromkeys(fault.NAME for fault in faults))
     components, entities = tuple(scene.components), tuple(scene.entities)
     return Failures(
@@ -221,6 +231,7 @@ def fail_along(
         fault=np.array([names.index(rollout.job.fault.NAME) for rollout in completed], dtype=np.int64),
         q=state.q,
         qd=state.qd,
+        ahead=motion.at(onset[:, None] + AHEAD).q,
         hit=_hits(completed, components, entities),
         dropped=np.array([rollout.dropped for rollout in completed], dtype=bool),
         spilled=np.array([rollout.spilled for rollout in completed], dtype=float),
@@ -338,7 +349,7 @@ def do_job(job: FailureJob) -> Failures | str:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 _TEXTS = ("scene", "task", "motion", "grasp", "components", "entities", "categories", "faults", "lost")
-_ARRAYS = ("counted", "fault", "q", "qd", "hit", "dropped", "spilled")
+_ARRAYS = ("counted", "fault", "q", "qd", "ahead", "hit", "dropped", "spilled")
 
 
 def write_failures(file: str | FilePath, failures: Iterable[Failures]) -> None:

@@ -33,6 +33,7 @@ from failbench.statistics import (
 from failbench.world import SimSettings, build_world
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, SettingError, Trajectory
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.costs.objective import trajectory_batch
 
 Array = np.ndarray
 
@@ -191,8 +192,8 @@ def predicted_impact(
     trajectory: Trajectory, scene: Scene, times: Float[Array, " n"], cost: ImpactCost
 ) -> Float[Array, "n entity"]:
     """Predict the impact of a failure at some times after the start of a trajectory [s], by entity of the scene."""
-    state = trajectory.at(trajectory.t[0] + times)
-    probability = gp.interaction_probability(scene, state.q, cost.interaction, state.qd)
+    batch = trajectory_batch(scene, trajectory, trajectory.t[0] + times)
+    probability = cost.interaction.probability(batch)
     return np.einsum("nce,ce->ne", probability, cost.severity(scene))
 
 

@@ -18,7 +18,7 @@ from graceful_plan import documents
 from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import ChargedStates, Objective
-from graceful_plan.exceptions import PlanningFailed, SettingError
+from graceful_plan.exceptions import CostError, PlanningFailed, SettingError
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown, PlanResult
 from graceful_plan.scene import Scene
@@ -33,6 +33,8 @@ _MEASURES = {
     "time": "severity expected at a failure, times seconds of motion",
     "waypoints": "severity expected at a failure, summed over waypoints",
 }
+_ROUNDING = 1e-9
+"""Relative difference up to which two sums are the same."""
 _SHOWN = 12
 """Rows in the text; the others are added up in the last one."""
 _FAULTS_SHOWN = 2
@@ -151,6 +153,7 @@ def explain(
         start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
 
     Raises:
+        CostError: If the sources of the interaction model do not add up to its probability.
         PlanningFailed: If the result of a plan has no path.
         SettingError: If the objective's impact is not an `ImpactCost`, which alone tells entities and components, or
             the start time is not finite.
@@ -167,14 +170,20 @@ def explain(
     along = _Along(charged, motion)
     sources = objective.impact.sources(charged.batch)
     severity = objective.impact.hazard_severity(scene)
+    cost = bound.breakdown(motion, start_time)
+    by_entity = np.sum([np.einsum("nce,ce->ne", P, severity) for P in sources.values()], axis=0)
+    found = float(charged.weight @ by_entity.sum(axis=1))
+    if abs(found - cost.impact) > _ROUNDING * cost.impact:
+        problem = f"sources() add up to an impact of {found:.6g}, probability() to {cost.impact:.6g}"
+        raise CostError(objective.impact.interaction, problem)
     return Explanation(
-        cost=bound.breakdown(motion, start_time),
+        cost=cost,
         exposure=objective.exposure,
         entities=scene.hazards,
         place=along.place,
         time=along.time,
         weight=charged.weight,
-        by_entity=np.sum([np.einsum("nce,ce->ne", P, severity) for P in sources.values()], axis=0),
+        by_entity=by_entity,
         contributions=_contributions(scene, along, objective.impact, sources),
     )
 

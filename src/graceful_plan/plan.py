@@ -20,7 +20,7 @@ from graceful_plan.arguments import (
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective
-from graceful_plan.departure import by_timed_cost
+from graceful_plan.departure import RESERVE, search_among_moving
 from graceful_plan.ends import Ends, ways_out
 from graceful_plan.finish import Finished, finish
 from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
@@ -34,7 +34,7 @@ from graceful_plan.prefer import Preference
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.risk import RiskMeasure
 from graceful_plan.scene import Scene
-from graceful_plan.search import ALL, KEPT, Callback, Search, search
+from graceful_plan.search import Callback, Search, search
 
 Array = np.ndarray
 
@@ -44,8 +44,8 @@ _RESERVE = 0.12
 """Seconds kept for timing and verification, at most a third of the time limit."""
 _AWARE_RESERVE = 0.15
 """Seconds kept besides for failure-aware timing."""
-_TIMING_RESERVE = 0.25
-"""Seconds kept besides to time candidates if something moves."""
+_TIMING_RESERVE = RESERVE + 0.2
+"""Seconds kept besides to time candidates and to evaluate the chosen one if something moves."""
 
 
 def plan(
@@ -154,9 +154,10 @@ def _search_and_finish(
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
-        if preference is None:
-            found = search(planner, problem, objective, budget, rng, callback, kept=ALL if moving else KEPT)
-            found.paths = by_timed_cost(found.paths, ends, objective, speed, max_wait) if moving else found.paths
+        if preference is None and moving:
+            found = search_among_moving(planner, problem, ends, objective, budget, rng, callback, speed, max_wait)
+        elif preference is None:
+            found = search(planner, problem, objective, budget, rng, callback)
         else:
             found = preference.search(planner, problem, budget, rng, callback)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}

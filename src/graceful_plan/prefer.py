@@ -26,7 +26,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import EdgeSamples, SceneObjective
-from graceful_plan.kernels import FINE_STEP
+from graceful_plan.kernels import COST_STEP, FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -36,11 +36,13 @@ from graceful_plan.search import ALL, Callback, Search, search
 
 Array = np.ndarray
 
-_SEARCH = 0.6
+_SEARCH = 0.8
 """Share of the time for searching; the rest is for refinement."""
-_ROUNDS = 60
+_STEP = 4.0 * COST_STEP
+"""Largest distance between samples during refinement [rad]."""
+_ROUNDS = 100
 """Most rounds of refinement, each with one move."""
-_PATIENCE = 18
+_PATIENCE = 24
 """Refinement ends after so many rounds without success."""
 _PROPOSALS = 12
 """Replacements proposed in a round."""
@@ -81,10 +83,10 @@ class Preference:
         parts = self.edges(path.q[:-1], path.q[1:])
         return float(self.totals(*(part.sum(axis=0, keepdims=True) for part in parts))[0])
 
-    def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgeRisk:
-        """Evaluate straight edges from `q0` to `q1`."""
+    def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeRisk:
+        """Evaluate straight edges from `q0` to `q1`, at samples no farther apart than `step` [rad]."""
         objective, scene = self.objective.objective, self.objective.scene
-        samples = EdgeSamples(q0, q1, scene.limits.velocity, objective.paces)
+        samples = EdgeSamples(q0, q1, scene.limits.velocity, objective.paces, step)
         batch = StateBatch(scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(objective.motion, batch), samples.length)
         if objective.exposure == "waypoints":
@@ -126,7 +128,8 @@ class Preference:
             proposals = MOVES[round_ % len(MOVES)](line.line, _PROPOSALS, reach, rng)
             idle = 0 if line.take_best(proposals, problem) else idle + 1
             round_ += 1
-        return Path(line.line.q)
+        refined = Path(line.line.q)
+        return refined if self.total(refined) < self.total(path) else path  # at the finer step
 
     def totals(
         self, motion: Float[Array, " n"], exposure: Float[Array, " n"], mass: Float[Array, "n atom"]
@@ -147,7 +150,7 @@ class _Refined:
 
     def _set(self, q: Float[Array, "vertex nq"]) -> None:
         self.line = Line(q, np.zeros(len(q) - 1))
-        parts = self.preference.edges(q[:-1], q[1:])
+        parts = self.preference.edges(q[:-1], q[1:], _STEP)
         self.sums = [np.concatenate([np.zeros_like(part[:1]), np.cumsum(part, axis=0)]) for part in parts]
         self.total = float(self.preference.totals(*(total[-1:] for total in self.sums))[0])
 
@@ -159,7 +162,7 @@ class _Refined:
         q0, q1 = np.concatenate([p.q[:-1] for p in proposals]), np.concatenate([p.q[1:] for p in proposals])
         begin = np.cumsum([0] + [len(p.q) - 1 for p in proposals])
         first, last = np.array([p.first for p in proposals]), np.array([p.last for p in proposals])
-        parts = self.preference.edges(q0, q1)
+        parts = self.preference.edges(q0, q1, _STEP)
         after = [
             total[-1] - (total[last] - total[first]) + np.add.reduceat(part, begin[:-1])
             for total, part in zip(self.sums, parts, strict=True)

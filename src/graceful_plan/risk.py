@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float, Int
 from graceful_plan.costs.cost import Cost, NonFiniteCostError, StateBatch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import MEAN_PACE, Objective, moving_batch
+from graceful_plan.costs.objective import MEAN_PACE, Objective, trajectory_batch
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.kernels import COST_STEP
@@ -238,8 +238,7 @@ def _moments(trajectory: Trajectory, scene: Scene, start_time: float) -> tuple[S
     least, most = _MOMENTS
     n = int(np.clip(np.ceil(trajectory.path.length / COST_STEP), least, most))
     times = trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration
-    state = trajectory.at(times)
-    return moving_batch(scene, state.q, state.qd, start_time + times), np.full(n, 1.0 / n)
+    return trajectory_batch(scene, trajectory, times, start_time + times), np.full(n, 1.0 / n)
 
 
 class _Move(NamedTuple):

@@ -396,6 +396,10 @@ class Scene:
         notes = replace(self.notes, moving=MappingProxyType({**self.notes.moving, **given}))
         return Scene.build(self.spec, notes, self.model)
 
+    def without_moving(self) -> Scene:
+        """Return this scene without entities that move."""
+        return Scene.build(self.spec, replace(self.notes, moving=MappingProxyType({})), self.model)
+
     def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with a box that does not move.
 

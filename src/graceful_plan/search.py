@@ -51,7 +51,7 @@ def search(
     found = Search()
     best = np.inf
     for path in planner.solve(problem, objective, budget, rng):
-        if not _is_solution(path, problem):
+        if not is_solution(path, problem):
             found.refused += 1
             continue
         edges = objective.edges(path.q[:-1], path.q[1:])
@@ -68,7 +68,7 @@ def search(
     return found
 
 
-def _is_solution(path: Path, problem: SceneProblem) -> bool:
+def is_solution(path: Path, problem: SceneProblem) -> bool:
     """Check a planner's word: from the start to one of the goals, on edges that are free at a fine step."""
     ends = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
     if max(ends) > _SAME:

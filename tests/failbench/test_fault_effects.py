@@ -154,12 +154,14 @@ def test_failures_become_events():
         fault=np.array([0, 1, 1, 0]),
         q=np.zeros((4, 7)),
         qd=np.zeros((4, 7)),
+        ahead=np.zeros((4, 2, 7)),
         hit=hit,
         dropped=np.zeros(4, bool),
         spilled=np.zeros(4),
     )
 
-    def model(scene, q, qd):
+    def model(scene, failures):
+        assert failures is part
         return {"stray": np.arange(24.0).reshape(4, 2, 3) / 24.0}
 
     found = fault_events([part, part], {("desk", "t"): load_scene("desk")}, model)

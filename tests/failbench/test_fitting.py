@@ -181,6 +181,7 @@ def test_drops_of_a_task_are_put_together() -> None:
             fault=np.zeros(3, dtype=np.int64),
             q=np.tile(task.start, (3, 1)),
             qd=np.zeros((3, len(task.start))),
+            ahead=np.tile(task.start, (3, 10, 1)),
             hit=hit[:, None],
             dropped=np.ones(3, dtype=bool),
             spilled=np.zeros(3),

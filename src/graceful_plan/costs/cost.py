@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from graceful_plan.exceptions import CostError, ShapeError
 from graceful_plan.scene import Scene
 
 Array = np.ndarray
+
+AHEAD = 0.1 * np.arange(1, 11)
+"""Times after a state at which the motion to come is told [s]."""
 
 
 class StateBatch:
@@ -29,6 +33,7 @@ class StateBatch:
         direction: Unit direction of motion in joint space; zero where the robot is at rest.
         speed: Joint-space speed along `direction` [rad/s]; zero by default.
         time: When the robot is there, on the clock of the scene's predictions [s]; None if that is not known.
+        ahead: Where the robot will be `AHEAD` later [rad or m], if it does not fail; None if that is not known.
     """
 
     def __init__(
@@ -38,6 +43,7 @@ class StateBatch:
         direction: Float[Array, "n nq"] | None = None,
         speed: Float[Array, " n"] | None = None,
         time: Float[Array, " n"] | None = None,
+        ahead: Float[Array, "n step nq"] | None = None,
     ) -> None:
         if q.ndim != 2 or q.shape[1] != len(scene.joints):
             raise ShapeError("q", q.shape, f"(n, {len(scene.joints)})")
@@ -47,10 +53,20 @@ class StateBatch:
         self.speed = np.zeros(len(q)) if speed is None else speed
         if time is not None and time.shape != (len(q),):
             raise ShapeError("time", time.shape, f"({len(q)},)")
-        self.time = time
+        if ahead is not None and ahead.shape != (len(q), len(AHEAD), q.shape[1]):
+            raise ShapeError("ahead", ahead.shape, f"({len(q)}, {len(AHEAD)}, {q.shape[1]})")
+        self.time, self.ahead = time, ahead
+        self.kept: dict[Any, Any] = {}
+        """What costs compute once for these states whatever the time, by keys of their own."""
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def at(self, time: Float[Array, " n"]) -> StateBatch:
+        """Return the same states at other times [s]; they share `kept`."""
+        other = StateBatch(self.scene, self.q, self.direction, self.speed, time, self.ahead)
+        other.kept = self.kept
+        return other
 
     @cached_property
     def compiled(self) -> CompiledScene:

@@ -15,7 +15,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.compile import compile_scene
-from graceful_plan.costs.cost import Cost, StateBatch, checked_state
+from graceful_plan.costs.cost import AHEAD, Cost, StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.exceptions import SettingError, ShapeError
@@ -201,11 +201,12 @@ class EdgeSamples:
         q1: Float[Array, "n nq"],
         velocity: Float[Array, " nq"],
         paces: tuple[float, float],
+        step: float = COST_STEP,
     ) -> None:
         delta = q1 - q0
         self.length = np.linalg.norm(delta, axis=1)
         self.duration = np.max(np.abs(delta) / velocity, axis=1, initial=0.0)
-        pieces = np.maximum(1, np.ceil(self.length / COST_STEP)).astype(int)
+        pieces = np.maximum(1, np.ceil(self.length / step)).astype(int)
         self.first = np.cumsum(pieces + 1) - (pieces + 1)
         self.edge = np.repeat(np.arange(len(q0)), pieces + 1)
         self._piece = np.arange(len(self.edge)) - self.first[self.edge]
@@ -243,6 +244,22 @@ def moving_batch(
     return StateBatch(scene, q, qd / np.where(speed > 0, speed, 1.0)[:, None], speed, times)
 
 
+def trajectory_batch(
+    scene: Scene, trajectory: Trajectory, t: Float[Array, " n"], times: Float[Array, " n"] | None = None
+) -> StateBatch:
+    """Return the states of a trajectory at some of its times [s], with the motion to come.
+
+    Args:
+        scene: The scene.
+        trajectory: The trajectory.
+        t: On its own clock.
+        times: The same on the clock of the scene's predictions, if they are known.
+    """
+    state = trajectory.at(t)
+    found = moving_batch(scene, state.q, state.qd, times)
+    return StateBatch(scene, found.q, found.direction, found.speed, times, trajectory.at(t[:, None] + AHEAD).q)
+
+
 def _timed_batch(
     scene: Scene, trajectory: Trajectory, times: Float[Array, " n"] | None
 ) -> tuple[StateBatch, Float[Array, " n"]]:
@@ -250,7 +267,7 @@ def _timed_batch(
     weight = np.zeros(len(trajectory.t))
     weight[:-1] += 0.5 * gaps
     weight[1:] += 0.5 * gaps
-    return moving_batch(scene, trajectory.q, trajectory.qd, times), weight
+    return trajectory_batch(scene, trajectory, trajectory.t, times), weight
 
 
 def evaluate(

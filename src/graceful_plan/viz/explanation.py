@@ -19,9 +19,9 @@ _ROWS = 8
 _LEAST = 0.005
 """Share of the impact from which an entity has a colour of its own."""
 _LABELS = {
-    "length": ("length of the path so far [rad]", "impact per rad"),
-    "time": ("time [s]", "impact per s"),
-    "waypoints": ("length of the path so far [rad]", "impact at the waypoint"),
+    "length": ("length of the path so far [rad]", "impact if it fails here"),
+    "time": ("time [s]", "impact if it fails then"),
+    "waypoints": ("length of the path so far [rad]", "impact if it fails here"),
 }
 
 
@@ -80,7 +80,9 @@ def _draw_along(axes: Any, explanation: Explanation, names: list[str], colours: 
         apart = np.diff(at) > 0.0
         middle = [0.5 * (layer[1:] + layer[:-1])[apart] for layer in stack]
         axes.stackplot(0.5 * (at[1:] + at[:-1])[apart], middle, labels=labels, colors=paint, linewidth=0.0)
-    axes.set(title=f"Impact along the motion: {explanation.cost.impact:.4g}", ylabel=_LABELS[explanation.exposure][1])
+    axes.set(
+        title=f"Impact along the motion, {explanation.cost.impact:.4g} in all", ylabel=_LABELS[explanation.exposure][1]
+    )
     axes.set_ylim(0.0, None)
     axes.margins(x=0.0)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), reverse=True)

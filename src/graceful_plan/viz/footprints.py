@@ -73,7 +73,7 @@ def object_positions(scene: Scene, path: Path) -> Float[Array, "n 3"]:
     return np.array(positions)
 
 
-def entity_outlines(scene: Scene, names: Sequence[str]) -> Mapping[str, list[Float[Array, "corner 2"]]]:
+def entity_outlines(scene: Scene, names: Sequence[str]) -> Mapping[str, list[Float[Array, "_ 2"]]]:
     """Return the outline of each geom of each named entity, seen from above."""
     data = scene.data_at(np.zeros(len(scene.joints)))
     points = {name: [surface_points(scene, data, geom) for geom in scene.entities[name].geoms] for name in names}

@@ -36,12 +36,12 @@ def draw_entities(axes: Any, scene: Scene) -> None:
         )
 
 
-def _extent(polygons: Sequence[Float[Array, "corner 2"]]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+def _extent(polygons: Sequence[Float[Array, "_ 2"]]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
     points = np.concatenate(polygons)
     return points.min(axis=0), points.max(axis=0)
 
 
-def _visible(polygons: Sequence[Float[Array, "corner 2"]]) -> list[Float[Array, "corner 2"]]:
+def _visible(polygons: Sequence[Float[Array, "_ 2"]]) -> list[Float[Array, "_ 2"]]:
     """Leave out outlines inside of the extent of another one, such as the legs of a table."""
     extents = [_extent([polygon]) for polygon in polygons]
     return [

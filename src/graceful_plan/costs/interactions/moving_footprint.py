@@ -51,11 +51,12 @@ BODY_REACH, BODY_SPREAD = 0.15, 0.1
 """How far from the links a collapsing arm reaches somebody, and how uncertain that is [m]."""
 MOST_SAMPLES = 64
 """Places that stand for a predicted path."""
-_SAMPLE_STEP = 0.1  # distance between those places [m]
+_SAMPLE_STEP = 0.025, 0.1  # least and greatest distance between those places [m]
 _LEVEL_SOFT = 0.01  # how sharply a level counts as no higher than the entity [m]
 _SIDE_SOFT = 0.02  # how sharply the object passes above or below it [m]
 _STANDS_ON = 0.1  # what is less than this above an entity's bottom is what it stands on [m]
 _FAR = 8.0  # standard deviations beyond which nothing is hit
+_STATES = 20_000  # states times targets that are worked on at once
 _CHUNK = 50_000  # pairs of states and times that are worked on at once
 
 
@@ -75,7 +76,7 @@ def moving_probability(
         return P
     rows = {name: row for row, name in enumerate(scene.components) if name in components}
     falling = [row for name, row in rows.items() if name != "body"]
-    drops = _Drops(batch, settings) if falling and scene.carried is not None else None
+    drops = _drops(batch, settings) if falling and scene.carried is not None else None
     for column, entity in enumerate(scene.moving.values()):
         times = _times(entity) if batch.time is None else batch.time[:, None]
         times = np.broadcast_to(times, (len(batch), times.shape[-1]))
@@ -91,7 +92,8 @@ def _times(entity: MovingEntity) -> Float[Array, "1 k"]:
     duration = entity.t[-1] - entity.t[0]
     length = np.linalg.norm(np.diff(entity.position, axis=0), axis=1).sum() + entity.growth * duration
     length += np.abs(np.diff(entity.yaw)).sum() * np.linalg.norm(entity.half_size[:2])
-    count = int(np.clip(np.ceil(length / _SAMPLE_STEP), 1, MOST_SAMPLES))
+    step = np.clip(0.5 * entity.half_size[:2].min(), *_SAMPLE_STEP)
+    count = int(np.clip(np.ceil(length / step), 1, MOST_SAMPLES))
     return entity.t[:1, None] + duration * (np.arange(count)[None] + 0.5) / count
 
 
@@ -149,13 +151,22 @@ class _Outline:
 # --- the object -------------------------------------------------------------------------------------------------------
 
 
+def _drops(batch: StateBatch, settings: FootprintSettings) -> _Drops:
+    key = _Drops, settings
+    if key not in batch.kept:
+        batch.kept[key] = _Drops(batch, settings)
+    return batch.kept[key]
+
+
 class _Drops:
-    """Drops from the states of a batch."""
+    """Drops from the states of a batch; what does not depend on who moves is computed once, where it is needed."""
 
     def __init__(self, batch: StateBatch, settings: FootprintSettings) -> None:
         self.tables = footprint_tables(batch.scene)
         self.constants = settings.of(self.tables.shape_class)
         self.state = release(batch, self.tables)
+        self.size = max(1, _STATES // max(1, len(self.tables.target_entity)))
+        self.fallen: dict[int, _Fallen] = {}
 
     def hit(
         self, entity: MovingEntity, state: Int[Array, " pair"], time: Float[Array, " pair"]
@@ -163,9 +174,13 @@ class _Drops:
         """P that an entity is hit, for pairs of a state and the time of the drop."""
         found = np.zeros(len(state))
         near = np.flatnonzero(self._near(entity, state, time))
-        if len(near):
-            asked, index = np.unique(state[near], return_inverse=True)
-            found[near] = _Fallen(self.tables, self.constants, self.state.only(asked)).hit(entity, index, time[near])
+        block = state[near] // self.size
+        for b in np.unique(block).tolist():
+            if b not in self.fallen:
+                rows = np.arange(b * self.size, min((b + 1) * self.size, len(self.state.c)))
+                self.fallen[b] = _Fallen(self.tables, self.constants, self.state.only(rows))
+            pairs = near[block == b]
+            found[pairs] = self.fallen[b].hit(entity, state[pairs] - b * self.size, time[pairs])
         return found
 
     def _near(self, entity: MovingEntity, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Array:

@@ -27,7 +27,7 @@ Array = np.ndarray
 
 MOST_PLACES = 16
 """Places that stand for a predicted path."""
-_SPACING = 0.25  # of places [m]
+_SPACING = 0.1, 0.25  # least and greatest distance between places [m]
 _ASKED = 512  # states that tell whether an entity can be hit at a place
 _NEGLIGIBLE = 1e-4  # probability there below which it cannot
 
@@ -72,7 +72,8 @@ def _places(entity: MovingEntity) -> list[tuple[MovingEntity, float]]:
     """Return the entity at rest in the middles of equal intervals of time, and how uncertain each place is [m]."""
     duration = float(entity.t[-1] - entity.t[0])
     length = float(np.linalg.norm(np.diff(entity.position, axis=0), axis=1).sum())
-    count = int(np.clip(np.ceil(length / _SPACING), 1, MOST_PLACES))
+    spacing = float(np.clip(2.0 * entity.half_size[:2].min(), *_SPACING))
+    count = int(np.clip(np.ceil(length / spacing), 1, MOST_PLACES))
     edges = entity.at(entity.t[0] + duration * np.arange(count + 1) / count)
     middle = entity.at(entity.t[0] + duration * (np.arange(count) + 0.5) / count)
     step = np.linalg.norm(np.diff(edges.position[:, :2], axis=0), axis=1)
@@ -112,8 +113,10 @@ def _with_target(tables: FootprintTables, entity: MovingEntity) -> FootprintTabl
         "target_height": [where.position[2] - h, where.position[2] + h],
     }
     others = {name: getattr(tables, name) for name in row} | {"target_entity": np.full(len(tables.target_entity), -1)}
-    found = {name: np.concatenate([others[name], np.array([value])]) for name, value in row.items()}
+    found: dict[str, Any] = {name: np.concatenate([others[name], np.array([value])]) for name, value in row.items()}
     order = np.argsort(-found["target_height"][:, 1], kind="stable")
     found = {name: value[order] for name, value in found.items()}
-    rest = {field.name: getattr(tables, field.name) for field in fields(tables)}
-    return FootprintTables(**(rest | found | {"level_start": levels(found["target_height"][:, 1])}))
+    kept: dict[str, Any] = {field.name: getattr(tables, field.name) for field in fields(tables)}
+    kept |= found
+    kept["level_start"] = levels(found["target_height"][:, 1])
+    return FootprintTables(**kept)
