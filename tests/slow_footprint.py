@@ -122,6 +122,11 @@ def release(scene, q, qd):
 
 def slow_drop(scene, settings, q, qd):
     """Return first-impact probabilities by target, and the probability that each entity is hit."""
+    return slow_details(scene, settings, q, qd)[:2]
+
+
+def slow_details(scene, settings, q, qd):
+    """The same, and what else a spill depends on."""
     k = constants(settings, scene)
     c, v, w, data = release(scene, q, qd)
     model, held = scene.model, scene.model.body(scene.carried.body).id
@@ -239,4 +244,5 @@ def slow_drop(scene, settings, q, qd):
         H *= box(0.5 * (y0 + y1), t["b"] + 0.5 * math.sqrt((y1 - y0) ** 2 + 1e-6) + r, sl)
         if t["owner"] >= 0:
             P[t["owner"]] = max(P[t["owner"]], 1.0 - (1.0 - t["C"]) * (1.0 - t["G"]) * (1.0 - H))
-    return np.array([t["F"] for t in T]), P
+    details = dict(levels=levels, mass=mass, leaving=leaving, low=low, hs=hs, c=c, v=v, w=w, data=data)
+    return np.array([t["F"] for t in T]), P, details

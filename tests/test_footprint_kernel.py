@@ -80,8 +80,8 @@ def test_the_kernel_is_the_specification(name):
         q[-50:] = np.linspace(task.start, task.goal[0], 50)
         qd[-25:] = 0.0
         found = footprint_kernel(task.scene, SETTINGS).probability(q, qd)
-        np.testing.assert_allclose(found, _numpy(task.scene, q, qd), atol=_P)
-        assert found.max() > 0.5
+        np.testing.assert_allclose(found[:, 0], _numpy(task.scene, q, qd), atol=_P)
+        assert found[:, 0].max() > 0.5
 
 
 @given(seed=st.integers(0, 10_000), scale=st.floats(0.2, 4.0), fastest=st.floats(0.0, 20.0))
@@ -98,7 +98,7 @@ def test_constants_of_all_sizes(scene, seed, scale, fastest):
     twin = Footprint(FootprintSettings(box=constants, cylinder=constants, plate=constants, ball=constants))
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
-    np.testing.assert_allclose(found.probability(q, qd), twin.drop(batch).entity, atol=1e-9)
+    np.testing.assert_allclose(found.probability(q, qd)[:, 0], twin.drop(batch).entity, atol=1e-9)
 
 
 @pytest.mark.parametrize("isa", instruction_sets())
@@ -108,7 +108,7 @@ def test_instruction_sets_agree(scene, kernel, isa):
     constants = SETTINGS.of(tables.shape_class)
     other = FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities))
     q, qd = _states(scene, 301, seed=1)
-    np.testing.assert_allclose(other.probability(q, qd), kernel.probability(q, qd), atol=_P)
+    np.testing.assert_allclose(other.probability(q, qd)[:, 0], kernel.probability(q, qd)[:, 0], atol=_P)
     x = np.concatenate([np.linspace(-700.0, 700.0, 4001), np.linspace(-1.0, 1.0, 999), [0.0, 5e-324, -5e-324]])
     exponential, logarithm = kernels.core.elementary(x)
     np.testing.assert_allclose(exponential, np.exp(x), rtol=1e-13)
@@ -123,7 +123,7 @@ def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
     shaped = kernel.probability(q.reshape(3, 7, -1), qd.reshape(3, 7, -1))
     assert np.array_equal(shaped.reshape(whole.shape), whole)
     assert np.array_equal(kernel.probability(q), kernel.probability(q, np.zeros_like(q)))
-    assert kernel.probability(q[:0]).shape == (0, len(scene.entities))
+    assert kernel.probability(q[:0]).shape == (0, 3, len(scene.entities))
 
 
 # --- what planners are charged ----------------------------------------------------------------------------------------
@@ -131,9 +131,11 @@ def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
 
 def test_impact_is_the_sum_over_entities(scene, kernel):
     q, qd = _states(scene, 40, seed=3)
-    severity = np.random.default_rng(0).uniform(size=len(scene.entities)) * (np.arange(len(scene.entities)) % 3 > 0)
-    np.testing.assert_allclose(kernel.impact(q, severity, qd), kernel.probability(q, qd) @ severity, atol=1e-12)
-    np.testing.assert_allclose(kernel.with_severity(severity).states(q), kernel.probability(q) @ severity, atol=1e-12)
+    count = len(scene.entities)
+    severity = np.random.default_rng(0).uniform(size=(3, count)) * (np.arange(count) % 3 > 0)
+    moving, still = (np.einsum("nre,re->n", kernel.probability(q, rates), severity) for rates in (qd, None))
+    np.testing.assert_allclose(kernel.impact(q, severity, qd), moving, atol=1e-12)
+    np.testing.assert_allclose(kernel.with_severity(severity).states(q), still, atol=1e-12)
 
 
 def test_edges_are_charged_at_their_speed(scene):
@@ -180,7 +182,7 @@ def test_little_or_nothing_to_fall_on(vase):
     scene = gp.Scene.from_mjcf(text, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
     q, qd = _states(scene, 9, seed=11)
     found = footprint_kernel(scene, SETTINGS).probability(q, qd)
-    np.testing.assert_allclose(found, _numpy(scene, q, qd), atol=_P)
+    np.testing.assert_allclose(found[:, 0], _numpy(scene, q, qd), atol=_P)
     edges = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene).edges(q[:-1], q[1:])
     assert np.all(np.isfinite(edges)) and (edges[:, 1] > 0.0).all() == bool(vase)
 
@@ -209,7 +211,7 @@ def _check_gradient(kernel, q, qd, severity):
 def test_gradient_is_the_finite_difference(name):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         scene, kernel = task.scene, footprint_kernel(task.scene, SETTINGS)
-        severity = np.random.default_rng(k).uniform(size=len(scene.entities))
+        severity = np.random.default_rng(k).uniform(size=(3, len(scene.entities)))
         q, qd = _states(scene, 40, seed=20 + k)
         q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
         _check_gradient(kernel, q, qd, severity)
@@ -221,7 +223,8 @@ def test_the_cost_has_the_gradient_of_its_model(scene):
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(scene, q, qd / speed[:, None], speed)
     cost = gp.ImpactCost(model="footprint", components=("carried",))
-    severity = cost.severity(scene).sum(axis=0)
+    severity = np.zeros((3, len(scene.entities)))
+    severity[0] = cost.severity(scene).sum(axis=0)
     impact, by_q, _ = footprint_kernel(scene, SETTINGS).gradient(q, severity, qd)
     np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
     np.testing.assert_allclose(cost.gradient(batch), by_q, atol=1e-9)
@@ -236,7 +239,7 @@ def test_gradient_of_an_arm_with_slides_and_turns():
     entities = {"vase": "glass", "box": "robust"}
     scene = gp.Scene.from_mjcf(_ODD_ARM, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
     kernel = footprint_kernel(scene, SETTINGS)
-    _check_gradient(kernel, *_states(scene, 100, seed=9), np.array([1.0, 0.3]))
+    _check_gradient(kernel, *_states(scene, 100, seed=9), np.array([[1.0, 0.3], [0.0, 0.0], [0.0, 0.0]]))
 
 
 # --- misuse -----------------------------------------------------------------------------------------------------------
@@ -251,9 +254,9 @@ def test_misuse_names_the_culprit(scene, kernel):
     with pytest.raises(NonFiniteError, match="qd"):
         kernel.probability(q, np.full_like(qd, np.inf))
     with pytest.raises(ShapeError, match="severity"):
-        kernel.impact(q, np.ones(2))
+        kernel.impact(q, np.ones((2, len(scene.entities))))
     with pytest.raises(ShapeError, match="severity"):
-        kernel.with_severity(np.ones(len(scene.entities) + 1))
+        kernel.with_severity(np.ones((3, len(scene.entities) + 1)))
     with pytest.raises(ValueError, match="speed"):
         compiled, tables = compile_scene(scene), footprint_tables(scene)
         constants = SETTINGS.of(tables.shape_class)

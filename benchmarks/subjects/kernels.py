@@ -13,7 +13,7 @@ from benchmarks import report, suite
 from graceful_plan.compile import CompiledScene, compile_scene
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
-from graceful_plan.costs.interactions.footprint_kernel import FootprintKernel
+from graceful_plan.costs.interactions.footprint_kernel import ROWS, FootprintKernel
 from graceful_plan.costs.interactions.footprint_tables import footprint_tables
 from graceful_plan.kernels import CHECK_STEP, COST_STEP, Kernels, instruction_sets
 from graceful_plan.robots import robot_file
@@ -182,7 +182,7 @@ def _drop_rates(scene: Scene, isa: str, q: Array, edges: tuple[Array, Array], si
     drop = FootprintKernel(tables, constants, _kernels(scene, isa), limit, len(scene.entities))
     heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
     rates = limit * np.random.default_rng(2).uniform(-1.0, 1.0, heavy.shape)
-    charged = drop.with_severity(np.ones(len(scene.entities)))
+    charged = drop.with_severity(np.ones((len(ROWS), len(scene.entities))))
     samples = int(np.ceil(length / COST_STEP).sum()) + len(length)
     work: dict[str, tuple[int, Callable[[], object]]] = {
         "drop model": (len(heavy), lambda: drop.probability(heavy, rates)),

@@ -45,7 +45,7 @@ static inline D upon(const Surface& s, D x, D y, D a, D b, D inverse_scale) {
 }
 
 struct SpillLevel {
-  D u, hard, arrives, x, y;    // q, a, L
+  D u, hard, arrives, x, y;    // q, a, L; places from m
   D flows, flow_x, flow_y;     // O, o above the level
   D past, over;                // g, h
   D lands, land_x, land_y;     // U, W
@@ -58,7 +58,7 @@ static inline D impact_speed(const Flight& flight, double top) {
 
 struct Spill {
   const SpillConstants& k;
-  D inverse_scale, rho;
+  D x, y, inverse_scale, rho;  // m
   double inner;  // half sizes up to which a surface carries no puddle without an edge
   SpillLevel level[kMaxSurfaces];
   D sum[kMaxSurfaces + 1], sum_x[kMaxSurfaces + 1], sum_y[kMaxSurfaces + 1];  // of U and W over the levels above
@@ -71,6 +71,7 @@ struct Spill {
     const SpillTables& spill = drop.spill;
     rho = Filling(spill, k, mouth).rho;
     inner = spill.radius * k.edge;
+    x = mouth.x, y = mouth.y;
     const D deep = k.height_spread * landing.fallen;
     const double still = k.position_spread * k.position_spread + k.rim_spread * spill.rim * k.rim_spread * spill.rim;
     inverse_scale = (1.0 / kBeta) * inverse_root(still + k.speed_spread * k.speed_spread * mouth.speed2 + deep * deep);
@@ -105,7 +106,7 @@ struct Spill {
     at.hard = hard.value();
     at.arrives = landing.leaving[l] + (landing.first[l] - landing.leaving[l]) * at.hard;
     const D time = landing.time[first] + k.carry;
-    at.x = mouth.x + mouth.vx * time, at.y = mouth.y + mouth.vy * time;
+    at.x = mouth.vx * time, at.y = mouth.vy * time;
   }
   void flow_on(const DropTables& drop, int l, const double* severity) {
     SpillLevel& at = level[l];
@@ -116,9 +117,9 @@ struct Spill {
       const Surface& s = drop.surface[i];
       fallen[i] = flown[i] = D{};
       if (arrives && wanted(drop, i, severity))
-        fallen[i] = at.arrives * upon(s, at.x, at.y, D{} + (s.half[0] + k.margin), D{} + (s.half[1] + k.margin), inverse_scale);
+        fallen[i] = at.arrives * upon(s, x + at.x, y + at.y, D{} + (s.half[0] + k.margin), D{} + (s.half[1] + k.margin), inverse_scale);
       if (!flows || drop.spill.surface[i].visible == 0.0) continue;
-      const D onto = drop.spill.surface[i].visible * upon(s, fx, fy, s.half[0] + run, s.half[1] + run, inverse_scale);
+      const D onto = drop.spill.surface[i].visible * upon(s, x + fx, y + fy, s.half[0] + run, s.half[1] + run, inverse_scale);
       flown[i] = at.flows * onto;
       at.past *= 1.0 - onto;
     }
@@ -126,10 +127,10 @@ struct Spill {
     at.lands = at.arrives + stays;
     at.land_x = at.arrives * at.x + stays * fx, at.land_y = at.arrives * at.y + stays * fy;
     if (!any(at.lands > kNothing)) return;
-    const D landed = reciprocal(at.lands + kLeastMass), x = at.land_x * landed, y = at.land_y * landed;
+    const D landed = reciprocal(at.lands + kLeastMass), px = x + at.land_x * landed, py = y + at.land_y * landed;
     for (int i = drop.level_start[l]; i < drop.level_start[l + 1]; ++i) {
       const Surface& s = drop.surface[i];
-      if (is_wide(s)) at.over *= 1.0 - upon(s, x, y, D{} + (s.half[0] - inner), D{} + (s.half[1] - inner), inverse_scale);
+      if (is_wide(s)) at.over *= 1.0 - upon(s, px, py, D{} + (s.half[0] - inner), D{} + (s.half[1] - inner), inverse_scale);
     }
   }
   D standing(const DropTables& drop, int i) const {
@@ -138,7 +139,7 @@ struct Spill {
     const D U = sum[stands.end] - sum[stands.first];
     if (!any(U > kNothing)) return D{};
     const D share = reciprocal(U + kLeastMass), reach = k.reach * rho;
-    const D x = (sum_x[stands.end] - sum_x[stands.first]) * share, y = (sum_y[stands.end] - sum_y[stands.first]) * share;
-    return minimum(U, D{} + 1.0) * upon(s, x, y, s.half[0] + reach, s.half[1] + reach, inverse_scale);
+    const D px = (sum_x[stands.end] - sum_x[stands.first]) * share, py = (sum_y[stands.end] - sum_y[stands.first]) * share;
+    return minimum(U, D{} + 1.0) * upon(s, x + px, y + py, s.half[0] + reach, s.half[1] + reach, inverse_scale);
   }
 };

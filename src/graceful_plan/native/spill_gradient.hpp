@@ -6,7 +6,7 @@ struct MouthSlope {
 
 // Derivatives with respect to what all surfaces share.
 struct SpillSlope {
-  D inverse_scale = {}, rho = {};
+  D x = {}, y = {}, inverse_scale = {}, rho = {};
   D lands[kMaxSurfaces + 1], land_x[kMaxSurfaces + 1], land_y[kMaxSurfaces + 1];  // U and W, per level
 
   explicit SpillSlope(const DropTables& drop) {
@@ -37,10 +37,11 @@ static inline void back_standing(const DropTables& drop, const Spill& spill, int
   if (!any(U > kNothing)) return;
   const D share = reciprocal(U + kLeastMass), reach = spill.k.reach * spill.rho;
   const D x = (spill.sum_x[stands.end] - spill.sum_x[stands.first]) * share, y = (spill.sum_y[stands.end] - spill.sum_y[stands.first]) * share;
-  const Upon upon(s, x, y, s.half[0] + reach, s.half[1] + reach, spill.inverse_scale);
+  const Upon upon(s, spill.x + x, spill.y + y, s.half[0] + reach, s.half[1] + reach, spill.inverse_scale);
   const D d_upon = d_D * minimum(U, D{} + 1.0);
   d.rho += d_upon * upon.half * spill.k.reach;
   d.inverse_scale += d_upon * upon.inverse_scale;
+  d.x += d_upon * upon.x, d.y += d_upon * upon.y;
   const D d_x = d_upon * upon.x * share, d_y = d_upon * upon.y * share;
   const D d_U = (U < 1.0 ? d_D * upon.value : D{}) - d_x * x - d_y * y;
   // Of sums over levels: differences here, summed up in back_spill.
@@ -61,14 +62,15 @@ static inline void back_over(const DropTables& drop, const Spill& spill, int l, 
   for (int i = drop.level_start[l]; i < drop.level_start[l + 1]; ++i) {
     const Surface& s = drop.surface[i];
     if (!spill.is_wide(s)) continue;
-    const Upon upon(s, x, y, D{} + (s.half[0] - spill.inner), D{} + (s.half[1] - spill.inner), spill.inverse_scale);
+    const Upon upon(s, spill.x + x, spill.y + y, D{} + (s.half[0] - spill.inner), D{} + (s.half[1] - spill.inner), spill.inverse_scale);
     D others = D{} + 1.0;
     for (int j = drop.level_start[l]; j < drop.level_start[l + 1]; ++j)
       if (j != i && spill.is_wide(drop.surface[j]))
-        others *= 1.0 - Upon(drop.surface[j], x, y, D{} + (drop.surface[j].half[0] - spill.inner), D{} + (drop.surface[j].half[1] - spill.inner),
+        others *= 1.0 - Upon(drop.surface[j], spill.x + x, spill.y + y, D{} + (drop.surface[j].half[0] - spill.inner), D{} + (drop.surface[j].half[1] - spill.inner),
                              spill.inverse_scale).value;
     const D d_upon = -d_over * others, px = d_upon * upon.x * share, py = d_upon * upon.y * share;
     d.inverse_scale += d_upon * upon.inverse_scale;
+    d.x += d_upon * upon.x, d.y += d_upon * upon.y;
     d_x += px, d_y += py, d_lands -= px * x + py * y;
   }
 }
@@ -97,17 +99,19 @@ static inline void back_flow(const DropTables& drop, const Spill& spill, int l, 
   for (int i = last; i-- > first;) {
     const Surface& s = drop.surface[i];
     if (arrives && any(d_fallen[i] != 0.0)) {
-      const Upon upon(s, at.x, at.y, D{} + (s.half[0] + spill.k.margin), D{} + (s.half[1] + spill.k.margin), spill.inverse_scale);
+      const Upon upon(s, spill.x + at.x, spill.y + at.y, D{} + (s.half[0] + spill.k.margin), D{} + (s.half[1] + spill.k.margin), spill.inverse_scale);
       const D d_upon = d_fallen[i] * at.arrives;
       d_arrives += d_fallen[i] * upon.value;
+      d.x += d_upon * upon.x, d.y += d_upon * upon.y;
       d_Lx += d_upon * upon.x, d_Ly += d_upon * upon.y, d.inverse_scale += d_upon * upon.inverse_scale;
     }
     const double visible = drop.spill.surface[i].visible;
     if (!flows || visible == 0.0) continue;
-    const Upon upon(s, fx, fy, s.half[0] + run, s.half[1] + run, spill.inverse_scale);
+    const Upon upon(s, spill.x + fx, spill.y + fy, s.half[0] + run, s.half[1] + run, spill.inverse_scale);
     const D d_upon = (d_flown[i] * at.flows - d_past * before[i - first] * after) * visible;
     after *= 1.0 - visible * upon.value;
     d_flow.flows += d_flown[i] * visible * upon.value;
+    d.x += d_upon * upon.x, d.y += d_upon * upon.y;
     d_fx += d_upon * upon.x, d_fy += d_upon * upon.y;
     d.inverse_scale += d_upon * upon.inverse_scale, d.rho += d_upon * upon.half * spill.k.run_off;
   }
@@ -125,7 +129,7 @@ static inline void back_arrive(const DropTables& drop, const Flight& flight, con
   const D h = flight.low - drop.surface[first].top, soft = square_root(h * h + 1e-4), slope = d_u * reciprocal(at.u);
   d_flight.v.z += slope * flight.v.z;
   d_flight.low += slope * (0.5 * kGravity) * (1.0 + h * reciprocal(soft));
-  d_mouth.x += d_x, d_mouth.y += d_y, d_mouth.vx += d_x * time, d_mouth.vy += d_y * time;
+  d_mouth.vx += d_x * time, d_mouth.vy += d_y * time;
   d_landing.time[first] += d_x * mouth.vx + d_y * mouth.vy;
 }
 
@@ -136,6 +140,7 @@ static inline void back_filling(const DropTables& drop, const Landing& landing, 
   const SpillTables& tables = drop.spill;
   const SpillConstants& k = spill.k;
   const D d_variance = -0.5 * kBeta * kBeta * spill.inverse_scale * spill.inverse_scale * spill.inverse_scale * d.inverse_scale;
+  d_mouth.x += d.x, d_mouth.y += d.y;
   d_mouth.speed2 += k.speed_spread * k.speed_spread * d_variance;
   d_landing.fallen += 2.0 * k.height_spread * k.height_spread * landing.fallen * d_variance;
   const Filling filling(tables, k, mouth);

@@ -25,20 +25,20 @@ first target; Z_l: its top. Constants, for each use: `SpillConstants`. Tables: `
       rho = R (1 + fill^4)^(-power/4)            radius of a puddle of what is in it
       s = sqrt(s0^2 + (cr r)^2 + cv^2 sm2 + (ch hs)^2)
 
-    Down the levels, with O = 0, o = (0, 0): P that something has run over an edge, and that times where it is
+    Down the levels, with O = 0, o = (0, 0): P that something has run over an edge, and that times where it is, from m
       u = sqrt(vz^2 + 2 g pos(low - Z_l));  q = S((u - u0)/us);  a = F_l q + M_l (1 - q)
-      L = m + vm (tc_l + kt)
-      A_k = a box(x, a' + km, s) box(y, b' + km, s)                  at L - (X, Y);  a', b' half sizes
-      i_k = visible box(x, a' + ko rho, s) box(y, b' + ko rho, s)    at o/(O + 1e-6) - (X, Y);  B_k = O i_k
+      L = vm (tc_l + kt)
+      A_k = a box(x, a' + km, s) box(y, b' + km, s)                  at m + L - (X, Y);  a', b' half sizes
+      i_k = visible box(x, a' + ko rho, s) box(y, b' + ko rho, s)    at m + o/(O + 1e-6) - (X, Y);  B_k = O i_k
       g = product over the level of 1 - i_k
       U_l = a + O (1 - g);  W_l = a L + O (1 - g) o/(O + 1e-6)
-      j_k = box(x, a' - ke R, s) box(y, b' - ke R, s)                at W_l/(U_l + 1e-6) - (X, Y); 0 unless
+      j_k = box(x, a' - ke R, s) box(y, b' - ke R, s)                at m + W_l/(U_l + 1e-6) - (X, Y); 0 unless
                                                                      a' and b' exceed ke R
       h = product over the level of 1 - j_k;  O <- O g + U_l h;  o <- o g + W_l h
 
     What stands in the puddle
       U, W = sums of U_l, W_l over the levels that target k stands on or beside
-      D_k = min(1, U) box(x, a' + kr rho, s) box(y, b' + kr rho, s)  at W/(U + 1e-6) - (X, Y)
+      D_k = min(1, U) box(x, a' + kr rho, s) box(y, b' + kr rho, s)  at m + W/(U + 1e-6) - (X, Y)
 
     Together: P_k = 1 - (1 - A_k)(1 - B_k)(1 - D_k);  P(entity) = max over its targets, 0 if it has none
 
@@ -105,7 +105,7 @@ def spread_out(
     tables: FootprintTables, spill: SpillTables, constants: SpillConstants, poured: Poured
 ) -> Float[Array, "n target"]:
     """Return P that contents reach each target."""
-    k, place = constants, _Places(tables)
+    k, place = constants, _Places(tables, poured.mouth)
     speed2 = (poured.velocity[:, :2] ** 2).sum(axis=1, keepdims=True)
     rho = _radius(spill, k, poured.up, speed2)
     s = k.position_spread**2 + (k.rim_spread * spill.rim) ** 2 + k.speed_spread**2 * speed2
@@ -130,7 +130,7 @@ def spread_out(
         wide = np.minimum(a[here], b[here]) > inner
         over = np.prod(1.0 - wide * box(x, a[here] - inner, s) * box(y, b[here] - inner, s), axis=1, keepdims=True)
         mass, o = mass * past + U[-1] * over, o * past + W[-1] * over
-    D = _standing(tables, spill, np.concatenate(U, axis=1), np.stack(W, axis=1), k.reach * rho, s)
+    D = _standing(tables, spill, place, np.concatenate(U, axis=1), np.stack(W, axis=1), k.reach * rho, s)
     return 1.0 - (1.0 - A) * (1.0 - B) * (1.0 - D)
 
 
@@ -151,28 +151,28 @@ def _arrivals(tables: FootprintTables, k: SpillConstants, poured: Poured) -> tup
     hard = step((u - k.soft_speed) / k.soft_spread)
     time = (landing.times + k.carry)[..., None]
     arrives = landing.mass * hard + landing.leaving * (1.0 - hard)
-    return arrives, poured.mouth[:, None, :2] + poured.velocity[:, None, :2] * time
+    return arrives, poured.velocity[:, None, :2] * time
 
 
 def _standing(
-    tables: FootprintTables, spill: SpillTables, U: Array, W: Array, reach: Array, s: Array
+    tables: FootprintTables, spill: SpillTables, place: _Places, U: Array, W: Array, reach: Array, s: Array
 ) -> Float[Array, "n target"]:
     """D: P that contents reach what stands where they are."""
     sums = np.cumsum(np.concatenate([np.zeros((len(U), 1)), U], axis=1), axis=1)
     weighed = np.cumsum(np.concatenate([np.zeros((len(W), 1, 2)), W], axis=1), axis=1)
     first, end = spill.stands.T
     U, W = sums[:, end] - sums[:, first], weighed[:, end] - weighed[:, first]
-    x, y = _Places(tables)(W / (U + LEAST_MASS)[..., None], slice(None))
+    x, y = place(W / (U + LEAST_MASS)[..., None], slice(None))
     a, b = tables.target_half.T
     return np.minimum(U, 1.0) * box(x, a + reach, s) * box(y, b + reach, s)
 
 
 class _Places:
-    """Puts points of W [n target 2] or [n 1 2] into the axes of some targets, seen from above."""
+    """Puts points [n target 2] or [n 1 2], seen from m in W, into the axes of some targets, seen from above."""
 
-    def __init__(self, tables: FootprintTables) -> None:
-        self._centre, self._axis = tables.target_centre, tables.target_axis
+    def __init__(self, tables: FootprintTables, mouth: Float[Array, "n 3"]) -> None:
+        self._mouth, self._centre, self._axis = mouth[:, None, :2], tables.target_centre, tables.target_axis
 
     def __call__(self, point: Array, here: slice) -> tuple[Array, Array]:
-        away, (c, n) = point - self._centre[here], self._axis[here].T
+        away, (c, n) = self._mouth + point - self._centre[here], self._axis[here].T
         return c * away[..., 0] + n * away[..., 1], c * away[..., 1] - n * away[..., 0]
