@@ -1,5 +1,7 @@
 """Drops on those who move: laws, the model of what stands still as reference, the core beside NumPy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -245,3 +247,19 @@ def test_models_that_compute_otherwise_have_no_kernel(scene):
     np.testing.assert_allclose(
         gp.ImpactCost(model=Never()).state(batch), gp.ImpactCost(model="footprint").state(StateBatch(scene, batch.q))
     )
+
+
+def test_weights_scale_what_happens(scene):
+    class Rare(Footprint):
+        def moving_settings(self):
+            return replace(super().moving_settings(), drop=0.25)
+
+    entity, q = walker(), np.array([[0.3, 0.0, 0.0, 0.0]])
+    batch = StateBatch(scene.with_moving(entity), q, time=np.zeros(1))
+    often, rarely = (model.moving_sources(batch)["drop"] for model in (Footprint(), Rare()))
+    assert often.max() > 0.9
+    np.testing.assert_allclose(rarely, 0.25 * often)
+    severity = np.ones((len(scene.components), 1)) * [[name != "body"] for name in scene.components]
+    cores = [model.moving_kernels(batch.scene, severity, (1.0, 1.0)) for model in (Footprint(), Rare())]
+    impacts = [sum(kernel.states(q)[0] for kernel in kernels) for kernels in cores]
+    assert impacts[1] == pytest.approx(0.25 * impacts[0])

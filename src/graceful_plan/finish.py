@@ -65,9 +65,9 @@ def finish(
         if in_the_clear and deviation > 0.0 and not _keeps_clear(timed, objective):
             continue
         if speed == FAILURE_AWARE:  # the same curve, so what was timed before can be timed now
-            timed = retime(
-                path, scene.limits, scene.joints, deviation=deviation, impact=objective.states, w=objective.w
-            )
+            # Without those who move: where they are depends on the times that are to be found.
+            still = SceneObjective(objective.objective, scene.without_moving()) if scene.moving else objective
+            timed = retime(path, scene.limits, scene.joints, deviation=deviation, impact=still.states, w=objective.w)
         trajectory = timed
         if scene.moving:
             trajectory, cost = best_departure(timed, objective, max_wait)

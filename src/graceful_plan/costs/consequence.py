@@ -32,6 +32,7 @@ from graceful_plan.costs.interactions.footprint_drop import release
 from graceful_plan.costs.interactions.footprint_functions import part_reach
 from graceful_plan.costs.interactions.footprint_tables import FootprintTables, footprint_tables
 from graceful_plan.costs.interactions.interaction import InteractionModel
+from graceful_plan.costs.interactions.moving_footprint import MovingSettings
 from graceful_plan.fragility import Fragility, FragilityTable
 from graceful_plan.scene import Scene
 
@@ -71,6 +72,10 @@ class Damage(InteractionModel):
         """Return the same by what goes wrong, as the model of contacts has it."""
         damage = damage_probability(batch, self.fragility)
         return {name: share * damage for name, share in self.contact.sources(batch).items()}
+
+    def moving_settings(self) -> MovingSettings:
+        """Return those of the model of contacts: of those who move, every contact counts."""
+        return self.contact.moving_settings()
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources."""

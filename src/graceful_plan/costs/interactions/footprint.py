@@ -99,6 +99,7 @@ from graceful_plan.costs.interactions.footprint_drop import Drop, release, simul
 from graceful_plan.costs.interactions.footprint_kernel import ROWS, footprint_kernel
 from graceful_plan.costs.interactions.footprint_tables import footprint_tables
 from graceful_plan.costs.interactions.interaction import InteractionModel
+from graceful_plan.costs.interactions.moving_footprint import MovingSettings
 from graceful_plan.costs.interactions.spill_constants import SpillSettings
 from graceful_plan.kernels import ImpactKernel
 from graceful_plan.scene import Scene
@@ -135,6 +136,10 @@ class Footprint(InteractionModel):
             if name in FALLING:
                 P[:, row] = found[:, _ROW[name]]
         return P
+
+    def moving_settings(self) -> MovingSettings:
+        """Return the constants of this model for those who move."""
+        return MovingSettings(constants=self.settings)
 
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]

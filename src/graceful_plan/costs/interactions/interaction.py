@@ -10,7 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
-from graceful_plan.costs.interactions.moving_footprint import moving_probability
+from graceful_plan.costs.interactions.moving_footprint import MovingSettings, moving_probability
 from graceful_plan.costs.interactions.moving_kernel import moving_kernels
 from graceful_plan.elements import COMPONENTS
 from graceful_plan.kernels import ImpactKernel
@@ -33,21 +33,25 @@ class InteractionModel(ABC):
         """Return `probability` by what goes wrong; the shares add up to it. A model need not tell sources apart."""
         return {"failure": self.probability(batch)}
 
+    def moving_settings(self) -> MovingSettings:
+        """Return how to treat those who move; by default by the shipped drop model, every failure as both kinds."""
+        return MovingSettings(constants=FootprintSettings.shipped())
+
     def moving_sources(
         self, batch: StateBatch, components: Collection[str] = COMPONENTS
     ) -> Mapping[str, Float[Array, "n component moving"]]:
         """Return P(component hits moving entity | failure) by what goes wrong, for `Scene.moving`.
 
-        Unless a model knows better, the drop model with the shipped constants (`moving_footprint.py`), and as if each
-        failure were one of both kinds.
+        Unless a model knows better, the drop model (`moving_footprint.py`) with `moving_settings()`.
 
         Args:
             batch: States; without times, P is the mean over each entity's predicted path.
             components: Which to compute; the others may be 0.
         """
-        P = moving_probability(batch, FootprintSettings.shipped(), components)
+        settings = self.moving_settings()
+        P = moving_probability(batch, settings.constants, components)
         falls = np.array([name != "body" for name in batch.scene.components])[:, None]
-        return {"drop": P * falls, "collapse": P * ~falls}
+        return {"drop": settings.drop * P * falls, "collapse": settings.collapse * P * ~falls}
 
     def moving_kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
@@ -60,7 +64,8 @@ class InteractionModel(ABC):
         own = type(self).moving_sources is not InteractionModel.moving_sources  # a model that computes otherwise
         if own or (severity[~falls] > 0.0).any():
             return None
-        return moving_kernels(scene, FootprintSettings.shipped(), severity[falls].sum(axis=0), paces)
+        settings = self.moving_settings()
+        return moving_kernels(scene, settings.constants, settings.drop * severity[falls].sum(axis=0), paces)
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the `sources`, with their weights; a model need not know any."""

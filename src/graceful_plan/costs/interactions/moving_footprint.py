@@ -32,6 +32,7 @@ Without a time, P is the mean over the predicted path, with equal weights in tim
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,6 +59,21 @@ _STANDS_ON = 0.1  # what is less than this above an entity's bottom is what it s
 _FAR = 8.0  # standard deviations beyond which nothing is hit
 _STATES = 20_000  # states times targets that are worked on at once
 _CHUNK = 50_000  # pairs of states and times that are worked on at once
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingSettings:
+    """How an interaction model treats those who move.
+
+    Args:
+        constants: Of the drop model.
+        drop: P that the gripper lets go, given a failure.
+        collapse: P that the arm collapses, given a failure.
+    """
+
+    constants: FootprintSettings
+    drop: float = 1.0
+    collapse: float = 1.0
 
 
 def moving_probability(
