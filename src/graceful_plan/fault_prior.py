@@ -1,9 +1,15 @@
 r"""Which failures to fear: how often each fault happens, and what the robot does then.
 
 A fault (a dead motor, a weak grip) is described by its rate. Interaction models know only a few *generators*, ways in
-which a failure goes on. A table of effects says with which probability a fault acts like which generator:
+which a failure goes on. A table of effects says with which probability a fault f acts like which of them: :math:`d_f`
+that the object is dropped, :math:`s_f` that contents get out of a container that is still held, :math:`a_{fg}` that
+the arm goes astray like generator g. Arm and gripper may fail together: when all power is gone, the arm falls and the
+object, too. With the probability :math:`p_f` of each fault,
 
-.. math:: P = \sum_g w_g P_g, \qquad w_g = \sum_f \frac{r_f}{\sum r} \, \mathrm{effect}_{f, g}
+.. math:: w_{drop} = \sum_f p_f d_f, \qquad w_{spill} = \sum_f p_f (1 - d_f) s_f, \qquad w_g = \sum_f p_f a_{fg}
+
+are the probabilities of the generators, and :math:`h_g = \sum_f p_f (1 - d_f) a_{fg}` that of an arm astray that still
+holds what it carried.
 
 Rates of the presets are in `faults.yaml`, effects in `fault_effects.yaml`; both say where they come from. The faults
 have the names that FailBench gives them; a fault of one's own needs a row of effects of its own.
@@ -24,6 +30,8 @@ from graceful_plan.yaml_file import Block, read_yaml
 GENERATORS = ("drop", "spill", "collapse", "joint", "stuck", "stray")
 """What can happen: the gripper lets go; the contents get out of a container that is held; no joint is powered; one
 joint is not powered; one joint is frozen while the others go on; the arm goes off its path."""
+ARM = ("collapse", "joint", "stuck", "stray")
+"""Those that are about the arm; they exclude one another."""
 DEGREES = ("minor", "moderate", "severe", "critical")
 """How bad a fault can be, as in FailBench."""
 
@@ -50,8 +58,8 @@ class FaultPrior:
     Args:
         rates: Rate of each fault [1/h]; those that are left out never happen. Only their ratios matter for what
             happens given that something does.
-        effects: By fault, then by generator: the probability that the fault acts like it. The rest up to 1 is
-            harmless. Faults that it does not name are unknown. The shipped ones for severe faults by default.
+        effects: By fault, then by generator: the probability that the fault acts like it; of "spill", if the object
+            is not dropped. Faults that it does not name are unknown. The shipped ones for severe faults by default.
         name: What to call it.
 
     Raises:
@@ -60,7 +68,7 @@ class FaultPrior:
 
     Example:
         >>> prior = FaultPrior({"weak_grip": 0.5, "power_loss": 0.05})
-        >>> sum(prior.weights().values()) <= 1.0
+        >>> prior.weights()["drop"] > 0.5
         True
     """
 
@@ -148,21 +156,35 @@ class FaultPrior:
         return MappingProxyType({fault: rate / total for fault, rate in self.rates.items()})
 
     def weights(self) -> Mapping[str, float]:
-        """Return the probability of each generator, given that a fault happens; the rest up to 1 is harmless."""
-        shares = self.fault_shares()
-        return MappingProxyType({generator: math.fsum(shares[generator].values()) for generator in GENERATORS})
+        """Return the probability of each generator, given that a fault happens. Some faults are like two at once."""
+        return _sums(self.fault_shares())
+
+    def held_weights(self) -> Mapping[str, float]:
+        """Return the probability of each of `ARM` with the object still in the gripper, given that a fault happens."""
+        held = {fault: p * (1.0 - self._effect(fault, "drop")) for fault, p in self.probabilities().items()}
+        return _sums({g: {fault: p * self._effect(fault, g) for fault, p in held.items()} for g in ARM})
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return what each fault contributes to the weight of each generator: by generator, then by fault.
 
         Faults that contribute nothing are left out.
         """
-        probability = self.probabilities()
         found: dict[str, Mapping[str, float]] = {}
         for generator in GENERATORS:
-            parts = {fault: p * self.effects[fault].get(generator, 0.0) for fault, p in probability.items()}
+            parts = {fault: p * self._share(fault, generator) for fault, p in self.probabilities().items()}
             found[generator] = MappingProxyType({fault: part for fault, part in parts.items() if part > 0.0})
         return MappingProxyType(found)
+
+    def _effect(self, fault: str, generator: str) -> float:
+        return self.effects[fault].get(generator, 0.0)
+
+    def _share(self, fault: str, generator: str) -> float:
+        held = 1.0 - self._effect(fault, "drop") if generator == "spill" else 1.0
+        return held * self._effect(fault, generator)
+
+
+def _sums(shares: Mapping[str, Mapping[str, float]]) -> Mapping[str, float]:
+    return MappingProxyType({generator: math.fsum(parts.values()) for generator, parts in shares.items()})
 
 
 def presets() -> tuple[str, ...]:
@@ -180,8 +202,8 @@ def _check_effects(fault: str, row: Mapping[str, float]) -> None:
             raise UnknownNameError("generator", generator, GENERATORS)
         if not _is_number(share) or not 0.0 <= share <= 1.0:
             raise SettingError(f"effect of {fault} like {generator}", share, "a probability")
-    if math.fsum(row.values()) > 1.0 + _ROUNDING:
-        raise SettingError(f"effects of {fault}", dict(row), "a sum of at most 1")
+    if math.fsum(row.get(generator, 0.0) for generator in ARM) > 1.0 + _ROUNDING:
+        raise SettingError(f"effects of {fault}", dict(row), f"a sum of at most 1 over {', '.join(ARM)}")
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

@@ -315,6 +315,8 @@ class HarmLaw:
         if not all(np.all(np.isfinite(share)) for share in shares.values()):
             raise NonFiniteCostError(self._cost, "probability() returned a NaN or an infinity")
         weights = {name: sum(faults.values()) for name, faults in self._cost.interaction.fault_shares().items()}
+        excess = max(1.0, sum(weights.values()))  # of faults that are like two kinds at once
+        weights = {name: weight / excess for name, weight in weights.items()}
         shares = {name: share for name, share in shares.items() if share.any()}
         if all(weights.get(name, 0.0) > 0.0 for name in shares):
             return [_Kind(weights[name], self._at_least([share / weights[name]])) for name, share in shares.items()]
