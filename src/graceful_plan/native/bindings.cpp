@@ -193,7 +193,7 @@ NB_MODULE(_native, m) {
   nb::class_<BodyModel>(m, "BodyModel")
       .def(nb::init<const Core&, Reals, Reals, Integers, Integers, Integers, int, int, int, Reals>(), "core"_a, "inertia"_a, "drive"_a, "row"_a,
            "entity"_a, "fixed"_a, "n_row"_a, "n_entity"_a, "n_step"_a, "constants"_a, nb::keep_alive<1, 2>())
-      .def("probability", &BodyModel::probability, "q"_a, "qd"_a, "ahead"_a = nb::none())
+      .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
       .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
       .def("dynamics", &BodyModel::dynamics, "q"_a);
   nb::class_<Impact>(m, "Impact").def("states", &Impact::states_array, "q"_a).def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a);

@@ -1,7 +1,7 @@
 // The body model: what the arm and what it holds hit if the drives fail here. The specification, with the letters used
-// here, is in costs/interactions/body.py. W states side by side. What is left out to save time changes no result by 1e-12.
+// here, is in costs/interactions/body.py. W states side by side. What is left out to save time changes nothing.
 
-constexpr double kFar = 30.0;  // scales of noise beyond which nothing is hit: e^-30 is 1e-13
+constexpr double kFar = 12.0;  // U: scales beyond which nothing is hit
 constexpr int kBins = 64;      // of lists of what is near, 2 cm each
 constexpr double kBin = 0.02;
 
@@ -154,43 +154,38 @@ static inline void fall_alone(const Tables& tables, const BodyTables& body, cons
 // --- distances ------------------------------------------------------------------------------------------------------
 
 struct Near {
-  float gap;  // from the group's bounding sphere at the state itself; no less than the lower edge of its bin
-  int32_t obstacle;
+  float gap;  // between the bounding sphere of a group and an obstacle, at the state itself
+  int32_t group, obstacle;
 };
 
-// Lists of obstacles for each group, nearest first: what is in reach of a failed configuration is at the head.
+// Pairs of a group and an obstacle, nearest first: what is in reach of a failed configuration is at the head.
 struct Surroundings {
   Vec<D> centre[kMaxLinks];
-  int32_t count[kMaxLinks];
-  Near* near;  // [group + 1, obstacle]; the last row is for sorting
+  size_t count;
+  Near *near, *scratch;  // [group * obstacle]
 
   void look(const Tables& tables, const BodyTables& body, const Frame<D>* X_W) {
+    size_t in_bin[kBins + 1] = {}, n = 0;
     for (int g = 0; g < tables.n_group; ++g) {
-      count[g] = 0;
       if (body.row[g] < 0) continue;
       const Group& group = tables.group[g];
       centre[g] = transform(X_W[group.frame], group.bound);
-      sort(tables, body, g);
-    }
-  }
-
- private:
-  void sort(const Tables& tables, const BodyTables& body, int g) {
-    const Group& group = tables.group[g];
-    Near* list = near + size_t(g) * size_t(tables.n_obstacle);
-    Near* found = near + size_t(tables.n_group) * size_t(tables.n_obstacle);
-    int32_t in_bin[kBins + 1] = {}, n = 0;
-    for (int j = 0; j < tables.n_obstacle; ++j) {
-      const Obstacle& o = tables.obstacle[j];
-      if ((o.ignores >> group.link & 1) || (body.entity[j] < 0 && !body.fixed[j])) continue;
-      const float gap = float(least_lane(signed_distance(tables, o, centre[g]))) - group.bound[3] - 1e-6f;
-      found[n++] = {gap, j};
-      ++in_bin[bin(gap) + 1];
+      for (int j = 0; j < tables.n_obstacle; ++j) {
+        const Obstacle& o = tables.obstacle[j];
+        if ((o.ignores >> group.link & 1) || (body.entity[j] < 0 && !body.fixed[j])) continue;
+        const float gap = float(least_lane(signed_distance(tables, o, centre[g]))) - group.bound[3] - 1e-6f;
+        scratch[n++] = {gap, g, j};
+        ++in_bin[bin(gap) + 1];
+      }
     }
     for (int b = 0; b < kBins; ++b) in_bin[b + 1] += in_bin[b];
-    for (int k = 0; k < n; ++k) list[in_bin[bin(found[k].gap)]++] = found[k];
-    count[g] = n;
+    for (size_t k = 0; k < n; ++k) near[in_bin[bin(scratch[k].gap)]++] = scratch[k];
+    count = n;
   }
+  // What any pair that follows is at least apart.
+  static double edge(double gap) { return gap < kBin * kBins ? gap - kBin : kBin * (kBins - 1); }
+
+ private:
   static int bin(float gap) {
     const int b = int(gap * float(1.0 / kBin));
     return b < 0 ? 0 : b >= kBins ? kBins - 1 : b;
@@ -199,16 +194,25 @@ struct Surroundings {
 
 // The least distance of one way to fail, for each row and entity, and how deep the arm is in what stops it.
 struct Way {
-  D best[2][kMaxEntities], blocked;
-  double cut[2];
+  D best[2][kMaxEntities], blocked, blocked_body;  // of all rows, of the arm itself
+  double cut[2], worst[2][kMaxEntities];  // worst: of the lanes of best
 
-  void begin(const BodyTables& body, int generator) {
+  // From nothing, or from what is met before anything moves.
+  void begin(const BodyTables& body, int generator, const Way* home) {
     const BodyConstants& k = body.constants;
     for (int r = 0; r < body.n_row; ++r) {
-      cut[r] = k.offset[generator][r] + kFar * k.spread[generator][r];
-      for (int e = 0; e < body.n_entity; ++e) best[r][e] = D{} + cut[r];
+      cut[r] = home ? 0.0 : 1e-9;
+      for (int g = 0; g < kGenerators; ++g) {
+        const double far = k.offset[g][r] + kFar * k.spread[g][r];
+        if (home ? g == generator : far > cut[r]) cut[r] = far;
+      }
+      for (int e = 0; e < body.n_entity; ++e) {
+        best[r][e] = home ? minimum(D{} + cut[r], home->best[r][e]) : D{} + cut[r];
+        worst[r][e] = greatest_lane(best[r][e]);
+      }
     }
-    blocked = D{};
+    blocked = home ? home->blocked : D{};
+    blocked_body = home ? home->blocked_body : D{};
   }
 };
 
@@ -226,34 +230,40 @@ static inline D group_distance(const Tables& tables, const Obstacle& o, const Gr
 
 // One failed configuration.
 static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const double* severity,
-                        Way& way) {
+                        Way& way, int stopping_rows = 2) {
   const BodyConstants& k = body.constants;
   const D penalty = k.stop_gain * way.blocked;
-  D depth = way.blocked;
+  D depth = way.blocked, body_depth = way.blocked_body;
+  double moved[kMaxLinks], farthest = 0.0;
+  Vec<D> centre[kMaxLinks];
   for (int g = 0; g < tables.n_group; ++g) {
-    const int r = body.row[g];
-    if (r < 0 || !around.count[g]) continue;
-    const Group& group = tables.group[g];
-    const Vec<D> centre = transform(X_W[group.frame], group.bound);
-    const double moved = greatest_lane(square_root(squared_distance(centre, around.centre[g]) + 1e-18));
-    const Near* list = around.near + size_t(g) * size_t(tables.n_obstacle);
-    for (int i = 0; i < around.count[g]; ++i) {
-      const double gap = double(list[i].gap), edge = gap < kBin * kBins ? gap - kBin : kBin * (kBins - 1);
-      if (edge - moved > way.cut[r]) break;
-      if (gap - moved > way.cut[r]) continue;
-      const int j = list[i].obstacle, e = body.entity[j];
-      const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
-      if (!counts && !body.fixed[j]) continue;
-      const Obstacle& o = tables.obstacle[j];
-      D need = counts ? way.best[r][e] - penalty : D{} - 1e9;
-      if (body.fixed[j]) need = maximum(need, -k.stop_tolerance - depth);
-      if (!any(signed_distance(tables, o, centre) - group.bound[3] < need + 1e-6)) continue;
-      const D d = group_distance(tables, o, group, X_W[group.frame], need);
-      if (counts) way.best[r][e] = minimum(way.best[r][e], d + penalty);
-      if (body.fixed[j]) depth = maximum(depth, -k.stop_tolerance - d);
-    }
+    if (body.row[g] < 0) continue;
+    centre[g] = transform(X_W[tables.group[g].frame], tables.group[g].bound);
+    moved[g] = greatest_lane(square_root(squared_distance(centre[g], around.centre[g]) + 1e-18));
+    farthest = moved[g] > farthest ? moved[g] : farthest;
   }
-  way.blocked = depth;
+  const double cut = (body.n_row > 1 && way.cut[1] > way.cut[0] ? way.cut[1] : way.cut[0]) + farthest;
+  for (size_t i = 0; i < around.count; ++i) {
+    const Near& pair = around.near[i];
+    const double gap = double(pair.gap);
+    if (Surroundings::edge(gap) > cut) break;
+    const int g = pair.group, j = pair.obstacle, r = body.row[g], e = body.entity[j];
+    const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0), stops = body.fixed[j] && r < stopping_rows;
+    const double least = gap - moved[g];
+    if (!(counts && least < way.worst[r][e]) && !(stops && least < -k.stop_tolerance)) continue;
+    const Obstacle& o = tables.obstacle[j];
+    const Group& group = tables.group[g];
+    D need = counts ? way.best[r][e] - penalty : D{} - 1e9;
+    if (stops) need = maximum(need, -k.stop_tolerance - (r == 0 ? body_depth : depth));
+    if (!any(signed_distance(tables, o, centre[g]) - group.bound[3] < need + 1e-6)) continue;
+    const D d = group_distance(tables, o, group, X_W[group.frame], need);
+    if (stops) depth = maximum(depth, -k.stop_tolerance - d);
+    if (stops && r == 0) body_depth = maximum(body_depth, -k.stop_tolerance - d);
+    if (!counts) continue;
+    way.best[r][e] = minimum(way.best[r][e], d + penalty);
+    way.worst[r][e] = greatest_lane(way.best[r][e]);
+  }
+  way.blocked = depth, way.blocked_body = body_depth;
 }
 
 // --- ways to fail ---------------------------------------------------------------------------------------------------
@@ -265,13 +275,13 @@ struct Arm {
   Surroundings around;
   D reference[kMaxSteps + 1][kMaxJoints];
   Frame<D> X_W[kMaxLinks];
-  Way way;
+  Way way, home;  // home: where the arm is
 
   int reference_steps;
 
-  void meet_at(const D* q) {
+  void meet_at(const D* q, int stopping_rows = 2) {
     forward_kinematics<double>(tables, q, X_W);
-    meet(tables, body, around, X_W, severity, way);
+    meet(tables, body, around, X_W, severity, way, stopping_rows);
   }
 
   // Where the arm would be, as far as is known.
@@ -291,26 +301,30 @@ struct Arm {
     }
     forward_kinematics<double>(tables, q, X_W);
     around.look(tables, body, X_W);
+    home.begin(body, kStray, nullptr);
+    meet(tables, body, around, X_W, severity, home);
   }
 
   void collapse(const D* qd) {
     constexpr int steps = 5;
     D x[kMaxJoints], v[kMaxJoints];
     for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[0][j], v[j] = qd[j];
-    way.begin(body, kCollapse);
-    meet_at(x);
+    way.begin(body, kCollapse, &home);
+    const int stopping = body.constants.grip_kept > 0 ? 2 : 1;
+    if (stopping < body.n_row) way.blocked = home.blocked_body;
+    forward_kinematics<double>(tables, x, X_W);
     for (int s = 0; s < steps; ++s) {
       fall_together(tables, body, X_W, body.constants.brake_time / steps, x, v);
-      meet_at(x);
+      meet_at(x, stopping);
     }
     for (int j = 0; j < tables.n_joint; ++j)
       x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
-    meet_at(x);
+    meet_at(x, stopping);
   }
   void loose(int joint, const D* qd) {
     D x[kMaxJoints], at = reference[0][joint], v = qd[joint];
-    way.begin(body, kJoint);
-    meet_at(reference[0]);
+    way.begin(body, kJoint, &home);
+    forward_kinematics<double>(tables, reference[0], X_W);
     for (int s = 1; s <= reference_steps; ++s) {
       fall_alone(tables, body, X_W, joint, body.constants.step, at, v);
       for (int j = 0; j < tables.n_joint; ++j) x[j] = j == joint ? at : reference[s][j];
@@ -319,21 +333,22 @@ struct Arm {
   }
   void stuck(int joint) {
     D x[kMaxJoints];
-    way.begin(body, kStuck);
-    meet_at(reference[0]);
+    way.begin(body, kStuck, &home);
     for (int s = 1; s <= reference_steps; ++s) {
       for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[j == joint ? 0 : s][j];
       meet_at(x);
     }
   }
   void stray() {
-    way.begin(body, kStray);
-    for (int s = 0; s <= reference_steps; ++s) meet_at(reference[s]);
+    way.begin(body, kStray, &home);
+    for (int s = 1; s <= reference_steps; ++s) meet_at(reference[s]);
   }
 
   D probability(int generator, int row, int entity) const {
     const BodyConstants& k = body.constants;
-    return reciprocal(1.0 + odds((way.best[row][entity] - k.offset[generator][row]) * (1.0 / k.spread[generator][row])));
+    const double least = 1.0 / (1.0 + scalar_exponential(kFar));
+    const D P = reciprocal(1.0 + odds((way.best[row][entity] - k.offset[generator][row]) * (1.0 / k.spread[generator][row])));
+    return relu(P - least) * (1.0 / (1.0 - least));
   }
 
   // Every way to fail that has a weight: collapse, each joint loose, each joint stuck, stray.

@@ -8,7 +8,7 @@ namespace gp {
 namespace {
 
 constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
-    "brake_time",   "brake_stop",  "step",         "carry_on",       "stop_gain",    "stop_tolerance",
+    "brake_time",   "brake_stop",  "step",         "carry_on",       "stop_gain",    "stop_tolerance", "grip_kept",
     "collapse.body.offset", "collapse.carried.offset", "joint.body.offset", "joint.carried.offset", "stuck.body.offset",
     "stuck.carried.offset", "stray.body.offset", "stray.carried.offset", "collapse.body.spread", "collapse.carried.spread",
     "joint.body.spread", "joint.carried.spread", "stuck.body.spread", "stuck.carried.spread", "stray.body.spread", "stray.carried.spread"};
@@ -49,8 +49,8 @@ class BodyModel {
     require(severity.size() == size_t(tables_.n_row) * size_t(tables_.n_entity), "severity is not [row, entity]");
   }
 
-  // ahead: configurations after 1, 2, .. steps, or None where only the velocity is known.
-  auto probability(Reals q, Reals qd, std::optional<Reals> ahead) const {
+  // Least distances of each way to fail. ahead: configurations after 1, 2, .. steps, or None where only the velocity is known.
+  auto distances(Reals q, Reals qd, std::optional<Reals> ahead) const {
     double* out;
     auto array = make<double>({core_.rows(q), modes(), size_t(tables_.n_row), size_t(tables_.n_entity)}, out);
     require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");

@@ -202,15 +202,17 @@ static void drop_edge_costs(const Tables& tables, const DropTables& drop, const 
 struct ArmRoom {
   Arm arm;
 
-  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, 0} {
-    arm.around.near = new Near[size_t(tables.n_group + 1) * size_t(tables.n_obstacle) + 1];
+  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, {}, 0} {
+    const size_t room = size_t(tables.n_group) * size_t(tables.n_obstacle) + 1;
+    arm.around.near = new Near[2 * room];
+    arm.around.scratch = arm.around.near + room;
   }
   ArmRoom(const ArmRoom&) = delete;
   ~ArmRoom() { delete[] arm.around.near; }
 };
 
 static void body(const Tables& tables, const BodyTables& body, const double* q, const double* qd, const double* ahead, size_t n,
-                 double* probability) {
+                 double* distance) {
   D qs[kMaxJoints], rates[kMaxJoints];
   ArmRoom* room = new ArmRoom(tables, body, nullptr);
   const size_t row = size_t(body.n_entity), mode_size = size_t(body.n_row) * row, state = size_t(2 * tables.n_joint + 2) * mode_size;
@@ -218,12 +220,12 @@ static void body(const Tables& tables, const BodyTables& body, const double* q, 
     load<double>(tables, q, first, n, qs);
     load<double>(tables, qd, first, n, rates);
     room->arm.begin(qs, rates, ahead, first, n);
-    room->arm.fail(rates, nullptr, [&](int mode, int generator) {
+    room->arm.fail(rates, nullptr, [&](int mode, int) {
       for (int r = 0; r < body.n_row; ++r)
         for (int e = 0; e < body.n_entity; ++e) {
-          const D P = room->arm.probability(generator, r, e);
+          const D d = room->arm.way.best[r][e];
           for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
-            probability[(first + size_t(i)) * state + size_t(mode) * mode_size + size_t(r) * row + size_t(e)] = P[i];
+            distance[(first + size_t(i)) * state + size_t(mode) * mode_size + size_t(r) * row + size_t(e)] = d[i];
         }
     });
   }

@@ -124,7 +124,7 @@ enum BodyGenerator : int32_t { kCollapse, kJoint, kStuck, kStray, kGenerators };
 
 // Constants of the model; the order is that of `body_constants()` in bindings.cpp.
 struct BodyConstants {
-  double brake_time, brake_stop, step, carry_on, stop_gain, stop_tolerance;
+  double brake_time, brake_stop, step, carry_on, stop_gain, stop_tolerance, grip_kept;
   double offset[kGenerators][2], spread[kGenerators][2];  // of body and carried
 };
 
@@ -157,7 +157,7 @@ struct Kernels {
   void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const double* q0, const double* q1,
                           size_t n, double step, double* cost);
   // The body model; weight is [mode], severity [row, entity], ahead null or [n, n_reference, n_joint].
-  void (*body)(const Tables&, const BodyTables&, const double* q, const double* qd, const double* ahead, size_t n, double* probability);
+  void (*body)(const Tables&, const BodyTables&, const double* q, const double* qd, const double* ahead, size_t n, double* distance);
   void (*body_impact)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* q, const double* qd, size_t n,
                       double* impact);
   void (*body_edge_costs)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* pace, const double* q0,

@@ -44,8 +44,10 @@ precision, computed in double). The native kernel (native/body.hpp) follows this
     Distances: of a row (body, carried) at x_k to an entity
       d_k = min over the row's spheres and the entity's geoms that they may hit of the signed distance
       b_k = max over earlier configurations and x_k, all rows, all fixed obstacles of (-tolerance - signed distance), 0
+        in a collapse whose grip is not kept only of the body: what is held falls out and stops nothing
       d = min over k of d_k + gain b_(k-1),   b_(-1) = 0
-      P = 1/(1 + exp((d - offset)/spread))            by generator and row; 0 for entities without geoms
+      s(u) = 1/(1 + exp(u));  P = max(0, s((d - offset)/spread) - s(U))/(1 - s(U)),  U = 12,  by generator and row;
+        0 for entities without geoms: nothing is hit that is farther than U spreads from where a hit is even
 
     Together: of generators "joint" and "stuck", the mean over joints
 
@@ -74,7 +76,9 @@ from graceful_plan.scene import Scene
 
 Array = np.ndarray
 
-_MOTION = ("brake_time", "brake_stop", "step", "carry_on", "stop_gain", "stop_tolerance")
+FAR = 12.0
+"""U: spreads beyond which nothing is hit."""
+_MOTION = ("brake_time", "brake_stop", "step", "carry_on", "stop_gain", "stop_tolerance", "grip_kept")
 
 
 @dataclass(frozen=True)
@@ -87,10 +91,10 @@ class BodyModel:
 
     settings: BodySettings = field(default_factory=BodySettings.shipped)
 
-    def modes(
+    def distances(
         self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
     ) -> Float[Array, "n mode row entity"]:
-        """Return P for each way to fail, see `mode_names`; rows as in `ROWS`, zero for "carried" if nothing is.
+        """Return d [m] for each way to fail, see `mode_names`, rows as in `ROWS`; no more than what has P = 0.
 
         Args:
             batch: States at which the robot fails.
@@ -102,11 +106,18 @@ class BodyModel:
         """
         scene, nq = batch.scene, batch.q.shape[1]
         known = None if ahead is None else _checked(ahead, len(batch), nq)
-        P = np.zeros((len(batch), 2 * nq + 2, len(ROWS), len(scene.entities)))
-        if P.size:
+        offset, spread = mode_margins(self.settings, nq)
+        d = np.tile((offset + FAR * spread)[..., None], (len(batch), 1, 1, len(scene.entities)))
+        if d.size:
             native = _native_model(scene, self.settings)
-            P[:, :, : body_tables(scene).n_row] = native.probability(_reals(batch.q), _reals(batch.qd), known)
-        return P
+            d[:, :, : body_tables(scene).n_row] = native.distances(_reals(batch.q), _reals(batch.qd), known)
+        return d
+
+    def modes(
+        self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
+    ) -> Float[Array, "n mode row entity"]:
+        """Return P for each way to fail; see `distances`."""
+        return chance(self.distances(batch, ahead), *mode_margins(self.settings, batch.q.shape[1]))
 
     def probability(
         self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
@@ -138,6 +149,23 @@ class BodyModel:
         native = _native_model(scene, self.settings)
         weight, rows = mode_weights(weights, len(scene.joints)), _severity(scene, severity)
         return ImpactKernel(compile_scene(scene).kernels, _native.BodyImpact(native, weight, rows, *paces))
+
+
+def mode_margins(settings: BodySettings, nq: int) -> tuple[Float[Array, "mode row"], Float[Array, "mode row"]]:
+    """Return offset and spread of each way to fail [m]."""
+    generators = ("collapse", *("joint",) * nq, *("stuck",) * nq, "stray")
+    margins = [[settings.margin(generator, row) for row in ROWS] for generator in generators]
+    offset, spread = (np.array([[getattr(m, name) for m in rows] for rows in margins]) for name in ("offset", "spread"))
+    return offset, spread
+
+
+def chance(
+    d: Float[Array, "n mode row entity"], offset: Float[Array, "mode row"], spread: Float[Array, "mode row"]
+) -> Float[Array, "n mode row entity"]:
+    """Return the probability of a hit at a distance [m]."""
+    least = 1.0 / (1.0 + np.exp(FAR))
+    scaled = np.clip((d - offset[..., None]) / spread[..., None], -60.0, FAR)
+    return np.maximum(1.0 / (1.0 + np.exp(scaled)) - least, 0.0) / (1.0 - least)
 
 
 def mode_names(scene: Scene) -> tuple[str, ...]:
