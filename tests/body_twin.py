@@ -148,15 +148,14 @@ class BodyTwin:
         offset, spread = mode_margins(k, self.nq)
         found = np.repeat((offset + FAR * spread)[..., None], self.n_entity, axis=2)
         for mode, path in enumerate(self.paths(q, qd, ahead)):
-            depth, stopping = 0.0, 1 if mode == 0 and not k.grip_kept else 2
+            depth = 0.0
             for x in path:
                 d, before = self.separations(x), k.stop_gain * depth
                 for o, entity in enumerate(t.entity):
                     if entity >= 0:
                         rows = found[mode, : t.n_row, entity]
                         rows[:] = np.minimum(rows, d[:, o] + before)
-                    if t.fixed[o]:
-                        depth = max(depth, float((-k.stop_tolerance - d[:stopping, o]).max()))
+                    depth = max(depth, float((-k.stop_tolerance - d[:, o]).max()))
         return found
 
 

@@ -191,8 +191,8 @@ NB_MODULE(_native, m) {
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
       .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a);
   nb::class_<BodyModel>(m, "BodyModel")
-      .def(nb::init<const Core&, Reals, Reals, Integers, Integers, Integers, int, int, int, Reals>(), "core"_a, "inertia"_a, "drive"_a, "row"_a,
-           "entity"_a, "fixed"_a, "n_row"_a, "n_entity"_a, "n_step"_a, "constants"_a, nb::keep_alive<1, 2>())
+      .def(nb::init<const Core&, Reals, Reals, Integers, Integers, int, int, int, Reals>(), "core"_a, "inertia"_a, "drive"_a, "row"_a,
+           "entity"_a, "n_row"_a, "n_entity"_a, "n_step"_a, "constants"_a, nb::keep_alive<1, 2>())
       .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
       .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
       .def("dynamics", &BodyModel::dynamics, "q"_a);

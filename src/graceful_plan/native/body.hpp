@@ -172,7 +172,7 @@ struct Surroundings {
       centre[g] = transform(X_W[group.frame], group.bound);
       for (int j = 0; j < tables.n_obstacle; ++j) {
         const Obstacle& o = tables.obstacle[j];
-        if ((o.ignores >> group.link & 1) || (body.entity[j] < 0 && !body.fixed[j])) continue;
+        if (o.ignores >> group.link & 1) continue;
         const float gap = float(least_lane(signed_distance(tables, o, centre[g]))) - group.bound[3] - 1e-6f;
         scratch[n++] = {gap, g, j};
         ++in_bin[bin(gap) + 1];
@@ -194,7 +194,7 @@ struct Surroundings {
 
 // The least distance of one way to fail, for each row and entity, and how deep the arm is in what stops it.
 struct Way {
-  D best[2][kMaxEntities], blocked, blocked_body;  // of all rows, of the arm itself
+  D best[2][kMaxEntities], blocked;
   double cut[2], worst[2][kMaxEntities];  // worst: of the lanes of best
 
   // From nothing, or from what is met before anything moves.
@@ -212,7 +212,6 @@ struct Way {
       }
     }
     blocked = home ? home->blocked : D{};
-    blocked_body = home ? home->blocked_body : D{};
   }
 };
 
@@ -230,10 +229,10 @@ static inline D group_distance(const Tables& tables, const Obstacle& o, const Gr
 
 // One failed configuration.
 static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const double* severity,
-                        Way& way, int stopping_rows = 2) {
+                        Way& way) {
   const BodyConstants& k = body.constants;
   const D penalty = k.stop_gain * way.blocked;
-  D depth = way.blocked, body_depth = way.blocked_body;
+  D depth = way.blocked;
   double moved[kMaxLinks], farthest = 0.0;
   Vec<D> centre[kMaxLinks];
   for (int g = 0; g < tables.n_group; ++g) {
@@ -248,22 +247,21 @@ static inline void meet(const Tables& tables, const BodyTables& body, const Surr
     const double gap = double(pair.gap);
     if (Surroundings::edge(gap) > cut) break;
     const int g = pair.group, j = pair.obstacle, r = body.row[g], e = body.entity[j];
-    const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0), stops = body.fixed[j] && r < stopping_rows;
+    const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
     const double least = gap - moved[g];
-    if (!(counts && least < way.worst[r][e]) && !(stops && least < -k.stop_tolerance)) continue;
+    if (!(counts && least < way.worst[r][e]) && !(least < -k.stop_tolerance)) continue;
     const Obstacle& o = tables.obstacle[j];
     const Group& group = tables.group[g];
     D need = counts ? way.best[r][e] - penalty : D{} - 1e9;
-    if (stops) need = maximum(need, -k.stop_tolerance - (r == 0 ? body_depth : depth));
+    need = maximum(need, -k.stop_tolerance - depth);
     if (!any(signed_distance(tables, o, centre[g]) - group.bound[3] < need + 1e-6)) continue;
     const D d = group_distance(tables, o, group, X_W[group.frame], need);
-    if (stops) depth = maximum(depth, -k.stop_tolerance - d);
-    if (stops && r == 0) body_depth = maximum(body_depth, -k.stop_tolerance - d);
+    depth = maximum(depth, -k.stop_tolerance - d);
     if (!counts) continue;
     way.best[r][e] = minimum(way.best[r][e], d + penalty);
     way.worst[r][e] = greatest_lane(way.best[r][e]);
   }
-  way.blocked = depth, way.blocked_body = body_depth;
+  way.blocked = depth;
 }
 
 // --- ways to fail ---------------------------------------------------------------------------------------------------
@@ -279,9 +277,9 @@ struct Arm {
 
   int reference_steps;
 
-  void meet_at(const D* q, int stopping_rows = 2) {
+  void meet_at(const D* q) {
     forward_kinematics<double>(tables, q, X_W);
-    meet(tables, body, around, X_W, severity, way, stopping_rows);
+    meet(tables, body, around, X_W, severity, way);
   }
 
   // Where the arm would be, as far as is known.
@@ -310,16 +308,14 @@ struct Arm {
     D x[kMaxJoints], v[kMaxJoints];
     for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[0][j], v[j] = qd[j];
     way.begin(body, kCollapse, &home);
-    const int stopping = body.constants.grip_kept > 0 ? 2 : 1;
-    if (stopping < body.n_row) way.blocked = home.blocked_body;
     forward_kinematics<double>(tables, x, X_W);
     for (int s = 0; s < steps; ++s) {
       fall_together(tables, body, X_W, body.constants.brake_time / steps, x, v);
-      meet_at(x, stopping);
+      meet_at(x);
     }
     for (int j = 0; j < tables.n_joint; ++j)
       x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
-    meet_at(x, stopping);
+    meet_at(x);
   }
   void loose(int joint, const D* qd) {
     D x[kMaxJoints], at = reference[0][joint], v = qd[joint];

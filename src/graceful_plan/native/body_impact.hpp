@@ -8,7 +8,7 @@ namespace gp {
 namespace {
 
 constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
-    "brake_time",   "brake_stop",  "step",         "carry_on",       "stop_gain",    "stop_tolerance", "grip_kept",
+    "brake_time",   "brake_stop",  "step",         "carry_on",       "stop_gain",    "stop_tolerance",
     "collapse.body.offset", "collapse.carried.offset", "joint.body.offset", "joint.carried.offset", "stuck.body.offset",
     "stuck.carried.offset", "stray.body.offset", "stray.carried.offset", "collapse.body.spread", "collapse.carried.spread",
     "joint.body.spread", "joint.carried.spread", "stuck.body.spread", "stuck.carried.spread", "stray.body.spread", "stray.carried.spread"};
@@ -18,7 +18,7 @@ static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyCons
 class BodyModel {
  public:
   // inertia: per frame mass, centre (3), inertia about it (9); drive: per joint limits (2), armature, damping, friction, resistance, speed
-  BodyModel(const Core& core, Reals inertia, Reals drive, Integers row, Integers entity, Integers fixed, int n_row, int n_entity, int n_step,
+  BodyModel(const Core& core, Reals inertia, Reals drive, Integers row, Integers entity, int n_row, int n_entity, int n_step,
             Reals constants)
       : core_(core), row_(row.data(), row.data() + row.size()), entity_(entity.data(), entity.data() + entity.size()) {
     const Tables& t = core.tables();
@@ -29,14 +29,12 @@ class BodyModel {
     require(n_step >= 0 && n_step <= kMaxSteps && tables_.constants.step > 0, "steps");
     require(row_.size() == size_t(t.n_group), "rows of groups");
     for (int32_t r : row_) require(r >= -1 && r < n_row, "row of a group");
-    require(entity_.size() == size_t(t.n_obstacle) && fixed.size() == entity_.size(), "entities of obstacles");
+    require(entity_.size() == size_t(t.n_obstacle), "entities of obstacles");
     for (int32_t e : entity_) require(e >= -1 && e < n_entity, "entity of an obstacle");
-    for (size_t j = 0; j < fixed.size(); ++j) fixed_.push_back(fixed.data()[j] != 0);
     add_inertia(inertia);
     add_drives(drive);
     tables_.n_frame = int(inertia_.size()), tables_.n_row = n_row, tables_.n_entity = n_entity, tables_.n_step = n_step;
     tables_.inertia = inertia_.data(), tables_.drive = drive_.data(), tables_.row = row_.data(), tables_.entity = entity_.data();
-    tables_.fixed = fixed_.data();
   }
   BodyModel(const BodyModel&) = delete;
 
@@ -114,7 +112,6 @@ class BodyModel {
   std::vector<Inertia> inertia_;
   std::vector<JointDrive> drive_;
   std::vector<int32_t> row_, entity_;
-  std::vector<uint8_t> fixed_;
 };
 
 // The body model with weights of its ways to fail and severities; along edges at their speed.

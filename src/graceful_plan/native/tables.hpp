@@ -124,7 +124,7 @@ enum BodyGenerator : int32_t { kCollapse, kJoint, kStuck, kStray, kGenerators };
 
 // Constants of the model; the order is that of `body_constants()` in bindings.cpp.
 struct BodyConstants {
-  double brake_time, brake_stop, step, carry_on, stop_gain, stop_tolerance, grip_kept;
+  double brake_time, brake_stop, step, carry_on, stop_gain, stop_tolerance;
   double offset[kGenerators][2], spread[kGenerators][2];  // of body and carried
 };
 
@@ -134,7 +134,6 @@ struct BodyTables {
   const JointDrive* drive;        // per joint
   const int32_t* row;             // per group: 0 body, 1 carried, -1 neither
   const int32_t* entity;          // per obstacle, -1 for none
-  const uint8_t* fixed;           // per obstacle: whether it stops an arm
   BodyConstants constants;
 };
 

@@ -12,7 +12,8 @@ What the others do is the motion to come. Where a trajectory is known it is give
 state, joints go on along their velocity and soon stop. Stuck joints do harm late, at the end of a motion that is
 carried out with a wrong joint: without `ahead` hardly any of that can be foreseen.
 
-What holds an arm up, everything that cannot move, stops it: what lies deeper counts as farther.
+What an arm meets stops it, also what could be pushed away, since most of it stands on something: what lies deeper
+counts as farther.
 
 Specification
 -------------
@@ -43,8 +44,7 @@ precision, computed in double). The native kernel (native/body.hpp) follows this
 
     Distances: of a row (body, carried) at x_k to an entity
       d_k = min over the row's spheres and the entity's geoms that they may hit of the signed distance
-      b_k = max over earlier configurations and x_k, all rows, all fixed obstacles of (-tolerance - signed distance), 0
-        in a collapse whose grip is not kept only of the body: what is held falls out and stops nothing
+      b_k = max over earlier configurations and x_k, all rows, all obstacles of (-tolerance - signed distance), 0
       d = min over k of d_k + gain b_(k-1),   b_(-1) = 0
       s(u) = 1/(1 + exp(u));  P = max(0, s((d - offset)/spread) - s(U))/(1 - s(U)),  U = 12,  by generator and row;
         0 for entities without geoms: nothing is hit that is farther than U spreads from where a hit is even
@@ -78,7 +78,7 @@ Array = np.ndarray
 
 FAR = 12.0
 """U: spreads beyond which nothing is hit."""
-_MOTION = ("brake_time", "brake_stop", "step", "carry_on", "stop_gain", "stop_tolerance", "grip_kept")
+_MOTION = ("brake_time", "brake_stop", "step", "carry_on", "stop_gain", "stop_tolerance")
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,6 @@ def _make(scene: Scene, tables: BodyTables, settings: BodySettings) -> _native.B
         drive=_reals(np.stack(drive, axis=1)),
         row=_integers(native_rows(tables, compiled.robot.sphere_link)),
         entity=_integers(tables.entity),
-        fixed=_integers(tables.fixed),
         n_row=tables.n_row,
         n_entity=len(scene.entities),
         n_step=settings.steps,

@@ -27,11 +27,10 @@ MOTION = (
     "carry_on",
     "stop_gain",
     "stop_tolerance",
-    "grip_kept",
 )
 """Constants of how the arm moves; the others are margins."""
 _POSITIVE = ("step",)
-_NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on", "stop_gain", "grip_kept")
+_NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on", "stop_gain")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +85,6 @@ class BodySettings:
     """How much farther things become per depth in something that holds the arm up."""
     stop_tolerance: float
     """Depth from which it counts [m]."""
-    grip_kept: float
-    """1 if the gripper keeps its grip when all power fails, so that what it holds stops a collapsing arm, too; else 0."""
     collapse: Margins
     joint: Margins
     stuck: Margins

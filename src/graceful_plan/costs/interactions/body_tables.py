@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Float, Int
 from graceful_plan.compile import body_frames, compile_scene, link_geoms
 from graceful_plan.scene import Scene
 
@@ -37,7 +37,6 @@ class BodyTables:
     | speed      | velocity limit                                                         | rad/s       | nq        |
     | link_row   | index into `ROWS` of the spheres of each link, -1 for the base or none |             | link      |
     | entity     | entity of each obstacle, -1 for none                                   |             | obstacle  |
-    | fixed      | whether an obstacle cannot move, so that it stops an arm               |             | obstacle  |
     | n_row      | 2 if something is carried, 1 otherwise                                 |             |           |
     """
 
@@ -52,7 +51,6 @@ class BodyTables:
     speed: Float[Array, " nq"]
     link_row: Int[Array, " link"]
     entity: Int[Array, " obstacle"]
-    fixed: Bool[Array, " obstacle"]
     n_row: int
 
 
@@ -89,7 +87,6 @@ def _make(scene: Scene) -> BodyTables:
         speed=scene.limits.velocity.copy(),
         link_row=_rows(scene),
         entity=np.array([owner.get(int(geom), -1) for geom in geoms], dtype=int),
-        fixed=np.array([model.body_weldid[model.geom_bodyid[geom]] == 0 for geom in geoms], dtype=bool),
         n_row=2 if scene.carried is not None else 1,
     )
 
