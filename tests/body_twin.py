@@ -11,7 +11,7 @@ import numpy as np
 from graceful_plan import Scene
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.interactions.body import FAR, mode_margins
-from graceful_plan.costs.interactions.body_constants import BodySettings
+from graceful_plan.costs.interactions.body_constants import GENERATORS, BodySettings
 from graceful_plan.costs.interactions.body_tables import body_tables
 
 Array = np.ndarray
@@ -148,14 +148,16 @@ class BodyTwin:
         offset, spread = mode_margins(k, self.nq)
         found = np.repeat((offset + FAR * spread)[..., None], self.n_entity, axis=2)
         for mode, path in enumerate(self.paths(q, qd, ahead)):
-            depth = 0.0
+            n = self.nq
+            generator = GENERATORS[0 if mode == 0 else 1 if mode <= n else 2 if mode <= 2 * n else 3]
+            stop, depth = getattr(k, generator), 0.0
             for x in path:
-                d, before = self.separations(x), k.stop_gain * depth
+                d, before = self.separations(x), stop.stop_gain * max(depth - stop.stop_tolerance, 0.0)
                 for o, entity in enumerate(t.entity):
                     if entity >= 0:
                         rows = found[mode, : t.n_row, entity]
                         rows[:] = np.minimum(rows, d[:, o] + before)
-                    depth = max(depth, float((-k.stop_tolerance - d[:, o]).max()))
+                    depth = max(depth, float(-d[:, o].min()))
         return found
 
 

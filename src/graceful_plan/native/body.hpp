@@ -195,11 +195,12 @@ struct Surroundings {
 // The least distance of one way to fail, for each row and entity, and how deep the arm is in what stops it.
 struct Way {
   D best[2][kMaxEntities], blocked;
-  double cut[2], worst[2][kMaxEntities];  // worst: of the lanes of best
+  double gain = 0.0, tolerance = 0.0, cut[2], worst[2][kMaxEntities];  // worst: of the lanes of best
 
   // From nothing, or from what is met before anything moves.
   void begin(const BodyTables& body, int generator, const Way* home) {
     const BodyConstants& k = body.constants;
+    gain = k.stop_gain[generator], tolerance = k.stop_tolerance[generator];
     for (int r = 0; r < body.n_row; ++r) {
       cut[r] = home ? 0.0 : 1e-9;
       for (int g = 0; g < kGenerators; ++g) {
@@ -230,8 +231,7 @@ static inline D group_distance(const Tables& tables, const Obstacle& o, const Gr
 // One failed configuration.
 static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const double* severity,
                         Way& way) {
-  const BodyConstants& k = body.constants;
-  const D penalty = k.stop_gain * way.blocked;
+  const D penalty = way.gain * relu(way.blocked - way.tolerance);
   D depth = way.blocked;
   double moved[kMaxLinks], farthest = 0.0;
   Vec<D> centre[kMaxLinks];
@@ -249,14 +249,14 @@ static inline void meet(const Tables& tables, const BodyTables& body, const Surr
     const int g = pair.group, j = pair.obstacle, r = body.row[g], e = body.entity[j];
     const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
     const double least = gap - moved[g];
-    if (!(counts && least < way.worst[r][e]) && !(least < -k.stop_tolerance)) continue;
+    if (!(counts && least < way.worst[r][e]) && !(least < 0.0)) continue;
     const Obstacle& o = tables.obstacle[j];
     const Group& group = tables.group[g];
     D need = counts ? way.best[r][e] - penalty : D{} - 1e9;
-    need = maximum(need, -k.stop_tolerance - depth);
+    need = maximum(need, -depth);
     if (!any(signed_distance(tables, o, centre[g]) - group.bound[3] < need + 1e-6)) continue;
     const D d = group_distance(tables, o, group, X_W[group.frame], need);
-    depth = maximum(depth, -k.stop_tolerance - d);
+    depth = maximum(depth, -d);
     if (!counts) continue;
     way.best[r][e] = minimum(way.best[r][e], d + penalty);
     way.worst[r][e] = greatest_lane(way.best[r][e]);

@@ -8,7 +8,9 @@ namespace gp {
 namespace {
 
 constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
-    "brake_time",   "brake_stop",  "step",         "carry_on",       "stop_gain",    "stop_tolerance",
+    "brake_time", "brake_stop", "step", "carry_on",
+    "collapse.stop_gain", "joint.stop_gain", "stuck.stop_gain", "stray.stop_gain",
+    "collapse.stop_tolerance", "joint.stop_tolerance", "stuck.stop_tolerance", "stray.stop_tolerance",
     "collapse.body.offset", "collapse.carried.offset", "joint.body.offset", "joint.carried.offset", "stuck.body.offset",
     "stuck.carried.offset", "stray.body.offset", "stray.carried.offset", "collapse.body.spread", "collapse.carried.spread",
     "joint.body.spread", "joint.carried.spread", "stuck.body.spread", "stuck.carried.spread", "stray.body.spread", "stray.carried.spread"};

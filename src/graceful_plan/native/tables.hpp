@@ -124,7 +124,8 @@ enum BodyGenerator : int32_t { kCollapse, kJoint, kStuck, kStray, kGenerators };
 
 // Constants of the model; the order is that of `body_constants()` in bindings.cpp.
 struct BodyConstants {
-  double brake_time, brake_stop, step, carry_on, stop_gain, stop_tolerance;
+  double brake_time, brake_stop, step, carry_on;
+  double stop_gain[kGenerators], stop_tolerance[kGenerators];
   double offset[kGenerators][2], spread[kGenerators][2];  // of body and carried
 };
 

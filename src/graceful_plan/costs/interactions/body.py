@@ -44,8 +44,8 @@ precision, computed in double). The native kernel (native/body.hpp) follows this
 
     Distances: of a row (body, carried) at x_k to an entity
       d_k = min over the row's spheres and the entity's geoms that they may hit of the signed distance
-      b_k = max over earlier configurations and x_k, all rows, all obstacles of (-tolerance - signed distance), 0
-      d = min over k of d_k + gain b_(k-1),   b_(-1) = 0
+      b_k = max over earlier configurations and x_k, all rows, all obstacles of -(signed distance), 0
+      d = min over k of d_k + gain max(b_(k-1) - tolerance, 0),   b_(-1) = 0;  gain, tolerance: by generator
       s(u) = 1/(1 + exp(u));  P = max(0, s((d - offset)/spread) - s(U))/(1 - s(U)),  U = 12,  by generator and row;
         0 for entities without geoms: nothing is hit that is farther than U spreads from where a hit is even
 
@@ -78,7 +78,7 @@ Array = np.ndarray
 
 FAR = 12.0
 """U: spreads beyond which nothing is hit."""
-_MOTION = ("brake_time", "brake_stop", "step", "carry_on", "stop_gain", "stop_tolerance")
+_MOTION = ("brake_time", "brake_stop", "step", "carry_on")
 
 
 @dataclass(frozen=True)
@@ -231,6 +231,8 @@ def _make(scene: Scene, tables: BodyTables, settings: BodySettings) -> _native.B
     inertia = [tables.mass[:, None], tables.centre, tables.inertia.reshape(n_frame, 9)]
     margins = [settings.margin(generator, row) for generator in GENERATORS for row in ROWS]
     constants = [getattr(settings, name) for name in _MOTION]
+    for name in ("stop_gain", "stop_tolerance"):
+        constants += [getattr(getattr(settings, generator), name) for generator in GENERATORS]
     constants += [margin.offset for margin in margins] + [margin.spread for margin in margins]
     return _native.BodyModel(
         core=compiled.kernels.core,

@@ -25,12 +25,10 @@ MOTION = (
     "step",
     "steps",
     "carry_on",
-    "stop_gain",
-    "stop_tolerance",
 )
 """Constants of how the arm moves; the others are margins."""
 _POSITIVE = ("step",)
-_NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on", "stop_gain")
+_NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,10 +53,24 @@ class Margin:
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """Margins of the arm itself and of what it holds."""
+    """Margins of the arm itself and of what it holds, and how far things that are met stop it.
+
+    Raises:
+        SettingError: If a constant is not finite or the gain is negative.
+    """
 
     body: Margin
     carried: Margin
+    stop_gain: float
+    """How much farther things become per depth in something that was met before."""
+    stop_tolerance: float
+    """Depth from which it counts [m]."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.stop_gain < math.inf:
+            raise SettingError("stop_gain", self.stop_gain, "at least 0")
+        if not math.isfinite(self.stop_tolerance) or self.stop_tolerance < 0.0:
+            raise SettingError("stop_tolerance", self.stop_tolerance, "at least 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +93,6 @@ class BodySettings:
     """K: how many of them there are where the motion to come is not known."""
     carry_on: float
     """T: joints that work go on for T times their velocity, where the motion to come is not known [s]."""
-    stop_gain: float
-    """How much farther things become per depth in something that holds the arm up."""
-    stop_tolerance: float
-    """Depth from which it counts [m]."""
     collapse: Margins
     joint: Margins
     stuck: Margins
@@ -135,8 +143,10 @@ class BodySettings:
 
 
 def _margins(block: Block) -> Margins:
-    block.only(*ROWS)
-    return Margins(**{row: _margin(block[row]) for row in ROWS})
+    stop = ("stop_gain", "stop_tolerance")
+    block.only(*ROWS, *stop)
+    rows, numbers = {row: _margin(block[row]) for row in ROWS}, {name: block[name].number() for name in stop}
+    return Margins(**rows, **numbers)
 
 
 def _margin(block: Block) -> Margin:
