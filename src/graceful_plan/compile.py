@@ -152,6 +152,17 @@ def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
+def body_frames(scene: Scene) -> tuple[int, ...]:
+    """Return the frame that each body rides on: 0 for the base and all that does not move, k + 1 for planned joint k."""
+    return tuple(_frames(scene, _reference_data(scene)).of_body)
+
+
+def link_geoms(scene: Scene) -> tuple[tuple[int, ...], ...]:
+    """Return the geoms that the spheres of each link cover; none for frames."""
+    frames = _frames(scene, _reference_data(scene))
+    return (*((),) * len(frames.parent), *(group.geoms for group in _groups(scene, frames)))
+
+
 # --- geoms of the robot ---------------------------------------------------------------------------------------------
 
 
@@ -172,13 +183,14 @@ def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
         partners.setdefault(int(first), set()).add(int(second))
         if int(second) in moving:
             partners.setdefault(int(second), set()).add(int(first))
-    by_key: dict[tuple[int, frozenset[int]], list[int]] = {}
+    held = set(scene.components["carried"].geoms) if "carried" in scene.components else set()
+    by_key: dict[tuple[int, frozenset[int], bool], list[int]] = {}
     for geom, others in sorted(partners.items()):
-        key = (frames.of_body[scene.model.geom_bodyid[geom]], frozenset(others))
+        key = (frames.of_body[scene.model.geom_bodyid[geom]], frozenset(others), geom in held)
         by_key.setdefault(key, []).append(geom)
     return [
         _Group(frame=f, geoms=tuple(geoms), partners=others)
-        for (f, others), geoms in sorted(by_key.items(), key=lambda i: (i[0][0], i[1]))
+        for (f, others, _), geoms in sorted(by_key.items(), key=lambda i: (i[0][0], i[1]))
     ]
 
 

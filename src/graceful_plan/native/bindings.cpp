@@ -5,6 +5,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "anytime.hpp"
+#include "body_impact.hpp"
 #include "connect.hpp"
 #include "core.hpp"
 #include "impact.hpp"
@@ -161,11 +162,12 @@ NB_MODULE(_native, m) {
     nb::dict limits;
     limits["joints"] = kMaxJoints, limits["links"] = kMaxLinks, limits["spheres"] = kMaxSpheres;
     limits["parts"] = kMaxParts, limits["entities"] = kMaxEntities;
-    limits["carried parts"] = kMaxDropParts, limits["surfaces"] = kMaxSurfaces;
+    limits["carried parts"] = kMaxDropParts, limits["surfaces"] = kMaxSurfaces, limits["steps ahead"] = kMaxSteps;
     return limits;
   });
   m.def("drop_constants", [] { return std::vector<std::string>(std::begin(kDropConstants), std::end(kDropConstants)); });
   m.def("spill_constants", [] { return std::vector<std::string>(std::begin(kSpillConstants), std::end(kSpillConstants)); });
+  m.def("body_constants", [] { return std::vector<std::string>(std::begin(kBodyConstants), std::end(kBodyConstants)); });
   nb::class_<Core>(m, "Core")
       .def(nb::init<Integers, Integers, Integers, Reals, int, Integers, Reals, Reals, Integers, Integers, Reals, Reals, Reals,
                     nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>, Integers, Reals, Integers, Integers, Reals, Integers, Reals,
@@ -190,12 +192,21 @@ NB_MODULE(_native, m) {
       .def("probability", &DropModel::probability, "q"_a, "qd"_a)
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
       .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a);
+  nb::class_<BodyModel>(m, "BodyModel")
+      .def(nb::init<const Core&, Reals, Reals, Integers, Integers, int, int, int, Reals>(), "core"_a, "inertia"_a, "drive"_a, "row"_a,
+           "entity"_a, "n_row"_a, "n_entity"_a, "n_step"_a, "constants"_a, nb::keep_alive<1, 2>())
+      .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
+      .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
+      .def("dynamics", &BodyModel::dynamics, "q"_a);
   nb::class_<Impact>(m, "Impact").def("states", &Impact::states_array, "q"_a).def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a);
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact").def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")
       .def(nb::init<const DropModel&, Reals, double, double>(), "model"_a, "severity"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>());
   nb::class_<SumImpact, Impact>(m, "SumImpact")
       .def(nb::init<const Impact&, const Impact&>(), "first"_a, "second"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
+  nb::class_<BodyImpact, Impact>(m, "BodyImpact")
+      .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a, "fast"_a,
+           nb::keep_alive<1, 2>());
   nb::class_<Space>(m, "Space");
   nb::class_<SceneSpace, Space>(m, "SceneSpace")
       .def(nb::init<const Core&, const Impact&, Reals, Reals, double, double, double, double, double>(), "core"_a, "impact"_a, "lower"_a,

@@ -1,74 +1,78 @@
 // Spheres that ride on links against exact primitives, convex hulls and each other.
 // Every pair of a link and an obstacle is first tried with bounding spheres; most of the time that is all.
 
-static inline F dot(const Vec<F>& a, const float b[3]) { return a.x * b[0] + a.y * b[1] + a.z * b[2]; }
+// A square root that takes zero; that of doubles in lanes.hpp does not.
+static inline F root(F a) { return square_root(a); }
+static inline Lanes<double> root(Lanes<double> a) { return square_root(maximum(a, Lanes<double>{} + 1e-60)); }
 
-static inline Vec<F> local(const Obstacle& o, const Vec<F>& point) {
-  Vec<F> d = {point.x - o.p[0], point.y - o.p[1], point.z - o.p[2]};
+template <class V> static inline V dot(const Vec<V>& a, const float b[3]) { return a.x * b[0] + a.y * b[1] + a.z * b[2]; }
+
+template <class V> static inline Vec<V> local(const Obstacle& o, const Vec<V>& point) {
+  Vec<V> d = {point.x - o.p[0], point.y - o.p[1], point.z - o.p[2]};
   return {d.x * o.R[0] + d.y * o.R[3] + d.z * o.R[6], d.x * o.R[1] + d.y * o.R[4] + d.z * o.R[7],
           d.x * o.R[2] + d.y * o.R[5] + d.z * o.R[8]};
 }
 
-static inline F box_distance(const float half[3], const Vec<F>& p) {
-  F x = absolute(p.x) - half[0], y = absolute(p.y) - half[1], z = absolute(p.z) - half[2];
-  F ox = relu(x), oy = relu(y), oz = relu(z);
-  F inside = maximum(x, maximum(y, z));
-  return square_root(ox * ox + oy * oy + oz * oz) + minimum(inside, F{});
+template <class V> static inline V box_distance(const float half[3], const Vec<V>& p) {
+  V x = absolute(p.x) - half[0], y = absolute(p.y) - half[1], z = absolute(p.z) - half[2];
+  V ox = relu(x), oy = relu(y), oz = relu(z);
+  V inside = maximum(x, maximum(y, z));
+  return root(ox * ox + oy * oy + oz * oz) + minimum(inside, V{});
 }
 
-static inline F cylinder_distance(float radius, float half, const Vec<F>& p) {
-  F r = square_root(p.x * p.x + p.y * p.y) - radius, z = absolute(p.z) - half;
-  F out_r = relu(r), out_z = relu(z);
-  return square_root(out_r * out_r + out_z * out_z) + minimum(maximum(r, z), F{});
+template <class V> static inline V cylinder_distance(float radius, float half, const Vec<V>& p) {
+  V r = root(p.x * p.x + p.y * p.y) - radius, z = absolute(p.z) - half;
+  V out_r = relu(r), out_z = relu(z);
+  return root(out_r * out_r + out_z * out_z) + minimum(maximum(r, z), V{});
 }
 
-static inline F capsule_distance(float radius, float half, const Vec<F>& p) {
-  F z = p.z - minimum(maximum(p.z, F{} - half), F{} + half);
-  return square_root(p.x * p.x + p.y * p.y + z * z) - radius;
+template <class V> static inline V capsule_distance(float radius, float half, const Vec<V>& p) {
+  V z = p.z - minimum(maximum(p.z, V{} - half), V{} + half);
+  return root(p.x * p.x + p.y * p.y + z * z) - radius;
 }
 
 // Outside: Newton on the convex secular equation (Eberly, "Distance from a point to an ellipse, an ellipsoid") from
 // below, so that the result never exceeds the distance. Inside: (k - 1) r_min, right in sign and a bound in size.
-static inline F ellipsoid_distance(const float r[3], const Vec<F>& p) {
-  const F y[3] = {p.x, p.y, p.z};
-  F k2 = {};
+template <class V> static inline V ellipsoid_distance(const float r[3], const Vec<V>& p) {
+  const V y[3] = {p.x, p.y, p.z};
+  V k2 = {};
   for (int i = 0; i < 3; ++i) k2 += y[i] * y[i] * (1.f / (r[i] * r[i]));
   float r_min = r[0] < r[1] ? r[0] : r[1];
   r_min = r_min < r[2] ? r_min : r[2];
-  F k = square_root(k2);
-  F t = relu((k - 1.f) * (r_min * r_min));
+  V k = root(k2);
+  V t = relu((k - 1.f) * (r_min * r_min));
   for (int step = 0; step < 8; ++step) {
-    F g = F{} - 1.f, slope = {};
+    V g = V{} - 1.f, slope = {};
     for (int i = 0; i < 3; ++i) {
-      F inverse = 1.f / (t + r[i] * r[i]);
-      F u = r[i] * y[i] * inverse;
+      V inverse = 1.f / (t + r[i] * r[i]);
+      V u = r[i] * y[i] * inverse;
       g += u * u;
       slope += u * u * inverse;
     }
     t += relu(g / (2.f * slope + 1e-20f));
   }
-  F d2 = {};
+  V d2 = {};
   for (int i = 0; i < 3; ++i) {
-    F d = y[i] * t / (t + r[i] * r[i]);
+    V d = y[i] * t / (t + r[i] * r[i]);
     d2 += d * d;
   }
-  F lower_bound = (k - 1.f) * r_min;
-  return k > 1.f ? maximum(square_root(d2) - 1e-6f, lower_bound) : lower_bound;
+  V lower_bound = (k - 1.f) * r_min;
+  return k > 1.f ? maximum(root(d2) - 1e-6f, lower_bound) : lower_bound;
 }
 
-static inline F segment_squared(const Vec<F>& p, const float a[3], const float b[3]) {
+template <class V> static inline V segment_squared(const Vec<V>& p, const float a[3], const float b[3]) {
   const float e[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
   const float inverse = 1.f / (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + 1e-20f);
-  Vec<F> d = {p.x - a[0], p.y - a[1], p.z - a[2]};
-  F s = minimum(maximum(dot(d, e) * inverse, F{}), F{} + 1.f);
-  F x = d.x - s * e[0], y = d.y - s * e[1], z = d.z - s * e[2];
+  Vec<V> d = {p.x - a[0], p.y - a[1], p.z - a[2]};
+  V s = minimum(maximum(dot(d, e) * inverse, V{}), V{} + 1.f);
+  V x = d.x - s * e[0], y = d.y - s * e[1], z = d.z - s * e[2];
   return x * x + y * y + z * z;
 }
 
 // Above a face's prism its plane is nearest, else one of its edges: the sign tests against the three edge planes tell.
-static inline F triangle_squared(const Vec<F>& p, const Triangle& t, F height) {
-  F edge = minimum(segment_squared(p, t.a, t.b), minimum(segment_squared(p, t.b, t.c), segment_squared(p, t.c, t.a)));
-  MaskF over = ~MaskF{};
+template <class V> static inline V triangle_squared(const Vec<V>& p, const Triangle& t, V height) {
+  V edge = minimum(segment_squared(p, t.a, t.b), minimum(segment_squared(p, t.b, t.c), segment_squared(p, t.c, t.a)));
+  auto over = V{} == V{};
   const float* corner[4] = {t.a, t.b, t.c, t.a};
   for (int k = 0; k < 3; ++k) {
     const float *a = corner[k], *b = corner[k + 1];
@@ -80,21 +84,21 @@ static inline F triangle_squared(const Vec<F>& p, const Triangle& t, F height) {
   return over ? height * height : edge;
 }
 
-static inline F mesh_distance(const Tables& tables, const Obstacle& o, const Vec<F>& p) {
-  F deepest = F{} - 1e30f, nearest = F{} + 1e30f;
+template <class V> static inline V mesh_distance(const Tables& tables, const Obstacle& o, const Vec<V>& p) {
+  V deepest = V{} - 1e30f, nearest = V{} + 1e30f;
   for (int k = 0; k < o.n_triangle; ++k) {
     const Triangle& t = tables.triangle[o.first_triangle + k];
-    F height = dot(p, t.normal) - t.offset;
+    V height = dot(p, t.normal) - t.offset;
     deepest = maximum(deepest, height);
     if (any(height > 0.f)) nearest = minimum(nearest, triangle_squared(p, t, height));  // the nearest face is one that p sees
   }
-  return deepest > 0.f ? square_root(nearest) : deepest;
+  return deepest > 0.f ? root(nearest) : deepest;
 }
 
-static inline F signed_distance(const Tables& tables, const Obstacle& o, const Vec<F>& point) {
+template <class V> static inline V signed_distance(const Tables& tables, const Obstacle& o, const Vec<V>& point) {
   switch (o.kind) {
     case kPlane: return local(o, point).z;
-    case kSphere: return square_root(squared_distance(point, {F{} + o.p[0], F{} + o.p[1], F{} + o.p[2]})) - o.size[0];
+    case kSphere: return root(squared_distance(point, {V{} + o.p[0], V{} + o.p[1], V{} + o.p[2]})) - o.size[0];
     case kCapsule: return capsule_distance(o.size[0], o.size[1], local(o, point));
     case kEllipsoid: return ellipsoid_distance(o.size, local(o, point));
     case kCylinder: return cylinder_distance(o.size[0], o.size[1], local(o, point));
@@ -103,10 +107,10 @@ static inline F signed_distance(const Tables& tables, const Obstacle& o, const V
   }
 }
 
-static inline MaskF near_bound(const Obstacle& o, const Vec<F>& centre, F reach) {
-  if (o.bound[3] < 0.f) return ~MaskF{};
-  F r = reach + o.bound[3];
-  F dx = centre.x - o.bound[0], dy = centre.y - o.bound[1], dz = centre.z - o.bound[2];
+template <class V> static inline auto near_bound(const Obstacle& o, const Vec<V>& centre, V reach) {
+  if (o.bound[3] < 0.f) return V{} == V{};
+  V r = reach + o.bound[3];
+  V dx = centre.x - o.bound[0], dy = centre.y - o.bound[1], dz = centre.z - o.bound[2];
   return dx * dx + dy * dy + dz * dz < r * r;
 }
 

@@ -19,6 +19,7 @@ namespace GP_ISA {
 #include "spill.hpp"
 #include "spill_gradient.hpp"
 #include "impact_of_drop.hpp"
+#include "body.hpp"
 
 static void link_poses(const Tables& tables, const double* q, size_t n, double* X_WL) {
   D qs[kMaxJoints];
@@ -199,6 +200,92 @@ static void drop_edge_costs(const Tables& tables, const DropTables& drop, const 
   }
 }
 
+// --- the body model -------------------------------------------------------------------------------------------------
+
+// An arm with room for its lists.
+struct ArmRoom {
+  Arm arm;
+
+  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, {}, 0} {
+    const size_t room = size_t(tables.n_group) * size_t(tables.n_obstacle) + 1;
+    arm.around.near = new Near[2 * room];
+    arm.around.scratch = arm.around.near + room;
+  }
+  ArmRoom(const ArmRoom&) = delete;
+  ~ArmRoom() { delete[] arm.around.near; }
+};
+
+static void body(const Tables& tables, const BodyTables& body, const double* q, const double* qd, const double* ahead, size_t n,
+                 double* distance) {
+  D qs[kMaxJoints], rates[kMaxJoints];
+  ArmRoom* room = new ArmRoom(tables, body, nullptr);
+  const size_t row = size_t(body.n_entity), mode_size = size_t(body.n_row) * row, state = size_t(2 * tables.n_joint + 2) * mode_size;
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    load<double>(tables, q, first, n, qs);
+    load<double>(tables, qd, first, n, rates);
+    room->arm.begin(qs, rates, ahead, first, n);
+    room->arm.fail(rates, nullptr, [&](int mode, int) {
+      for (int r = 0; r < body.n_row; ++r)
+        for (int e = 0; e < body.n_entity; ++e) {
+          const D d = room->arm.way.best[r][e];
+          for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
+            distance[(first + size_t(i)) * state + size_t(mode) * mode_size + size_t(r) * row + size_t(e)] = d[i];
+        }
+    });
+  }
+  delete room;
+}
+
+static void body_impact(const Tables& tables, const BodyTables& body, const double* weight, const double* severity, const double* q,
+                        const double* qd, size_t n, double* out) {
+  D qs[kMaxJoints], rates[kMaxJoints] = {};
+  ArmRoom* room = new ArmRoom(tables, body, severity);
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    load<double>(tables, q, first, n, qs);
+    if (qd) load<double>(tables, qd, first, n, rates);
+    const D value = body_impact_of(room->arm, weight, qs, rates);
+    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
+  }
+  delete room;
+}
+
+// The velocity is that of the edge, as in the drop model.
+static void body_edge_costs(const Tables& tables, const BodyTables& body, const double* weight, const double* severity, const double* pace,
+                            const double* q0, const double* q1, size_t n, double step, double* cost) {
+  D rates[kMaxJoints], share;
+  for (int i = 0; i < kLanes<double>; ++i) share[i] = pace[i % 2];
+  const size_t nq = size_t(tables.n_joint);
+  ArmRoom* room = new ArmRoom(tables, body, severity);
+  for (size_t k = 0; k < n; ++k) {
+    const double *a = q0 + k * nq, *b = q1 + k * nq;
+    double duration = 0;
+    for (size_t j = 0; j < nq; ++j) {
+      const double seconds = __builtin_fabs(b[j] - a[j]) / body.drive[j].speed;
+      duration = seconds > duration ? seconds : duration;
+    }
+    for (size_t j = 0; j < nq; ++j) rates[j] = share * (duration > 0 ? (b[j] - a[j]) / duration : 0.0);
+    edge_cost(tables, a, b, step, [&](const D* q) { return body_impact_of(room->arm, weight, q, rates); }, cost + 2 * k);
+  }
+  delete room;
+}
+
+// Mass matrix and torques of the weight, for tests.
+static void body_dynamics(const Tables& tables, const BodyTables& body, const double* q, size_t n, double* mass_matrix, double* gravity) {
+  D qs[kMaxJoints], M[kMaxJoints][kMaxJoints], g[kMaxJoints];
+  Frame<D> X_W[kMaxLinks];
+  const size_t nq = size_t(tables.n_joint);
+  for (size_t first = 0; first < n; first += kLanes<double>) {
+    load<double>(tables, q, first, n, qs);
+    forward_kinematics<double>(tables, qs, X_W);
+    mass_and_weight(tables, body, X_W, M, g);
+    for (size_t i = 0; i < size_t(kLanes<double>) && first + i < n; ++i)
+      for (size_t a = 0; a < nq; ++a) {
+        gravity[(first + i) * nq + a] = g[a][int(i)];
+        for (size_t b = 0; b < nq; ++b) mass_matrix[((first + i) * nq + a) * nq + b] = M[a][b][int(i)];
+      }
+  }
+}
+
 // e^x and ln e^x, for tests of what the drop model computes itself.
 static void elementary(const double* x, size_t n, double* exponentials, double* logarithms) {
   for (size_t first = 0; first < n; first += kLanes<double>) {
@@ -220,6 +307,7 @@ extern const Kernels GP_JOIN(kernels_, GP_ISA) = {GP_TEXT(GP_ISA),   GP_ISA::kLa
                                                  GP_ISA::free_states, GP_ISA::free_edges,   GP_ISA::clearance,
                                                  GP_ISA::interaction, GP_ISA::impact,       GP_ISA::edge_costs,
                                                  GP_ISA::drop,        GP_ISA::drop_impact,  GP_ISA::drop_gradient,
-                                                 GP_ISA::drop_edge_costs, GP_ISA::elementary};
+                                                 GP_ISA::drop_edge_costs, GP_ISA::body,      GP_ISA::body_impact,
+                                                 GP_ISA::body_edge_costs, GP_ISA::body_dynamics, GP_ISA::elementary};
 
 }  // namespace gp

@@ -13,6 +13,7 @@ constexpr int kMaxComponents = 3;
 constexpr int kMaxEntities = 512;
 constexpr int kMaxDropParts = 32;
 constexpr int kMaxSurfaces = 512;
+constexpr int kMaxSteps = 64;
 
 enum Kind : int32_t { kPlane, kSphere, kCapsule, kEllipsoid, kCylinder, kBox, kMesh };
 
@@ -129,6 +130,35 @@ struct DropTables {
   SpillTables spill;
 };
 
+// --- the body model: costs/interactions/body.py has its specification and the names of what stands here -------------
+
+struct Inertia {  // of all that rides on a frame
+  double mass, centre[3], inertia[9];  // inertia about the centre, in the frame's axes
+};
+
+struct JointDrive {
+  int32_t link;
+  double lower, upper, armature, damping, friction, resistance, speed;
+};
+
+enum BodyGenerator : int32_t { kCollapse, kJoint, kStuck, kStray, kGenerators };
+
+// Constants of the model; the order is that of `body_constants()` in bindings.cpp.
+struct BodyConstants {
+  double brake_time, brake_stop, step, carry_on;
+  double stop_gain[kGenerators], stop_tolerance[kGenerators];
+  double offset[kGenerators][2], spread[kGenerators][2];  // of body and carried
+};
+
+struct BodyTables {
+  int32_t n_frame, n_row, n_entity, n_step, n_reference;
+  const Inertia* inertia;         // per frame
+  const JointDrive* drive;        // per joint
+  const int32_t* row;             // per group: 0 body, 1 carried, -1 neither
+  const int32_t* entity;          // per obstacle, -1 for none
+  BodyConstants constants;
+};
+
 // One instruction set's kernels. q is row-major [n, n_joint]; severity is [n_component, n_entity].
 struct Kernels {
   const char* isa;
@@ -147,6 +177,13 @@ struct Kernels {
                         double* d_q, double* d_qd);
   void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const double* q0, const double* q1,
                           size_t n, double step, double* cost);
+  // The body model; weight is [mode], severity [row, entity], ahead null or [n, n_reference, n_joint].
+  void (*body)(const Tables&, const BodyTables&, const double* q, const double* qd, const double* ahead, size_t n, double* distance);
+  void (*body_impact)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* q, const double* qd, size_t n,
+                      double* impact);
+  void (*body_edge_costs)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* pace, const double* q0,
+                          const double* q1, size_t n, double step, double* cost);
+  void (*body_dynamics)(const Tables&, const BodyTables&, const double* q, size_t n, double* mass_matrix, double* gravity);
   void (*elementary)(const double* x, size_t n, double* exponential, double* logarithm);
 };
 

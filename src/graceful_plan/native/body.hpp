@@ -1,0 +1,381 @@
+// The body model: what the arm and what it holds hit if the drives fail here. The specification, with the letters used
+// here, is in costs/interactions/body.py. W states side by side. What is left out to save time changes nothing.
+
+constexpr double kFar = 12.0;  // U: scales beyond which nothing is hit
+constexpr int kBins = 64;      // of lists of what is near, 2 cm each
+constexpr double kBin = 0.02;
+
+// --- dynamics -------------------------------------------------------------------------------------------------------
+
+// Everything that hangs on a frame: mass, first moment and inertia about the origin of W.
+struct Composite {
+  D mass, h[3], J[6];  // J: xx yy zz xy xz yz
+
+  void add(const Composite& other) {
+    mass += other.mass;
+    for (int i = 0; i < 3; ++i) h[i] += other.h[i];
+    for (int i = 0; i < 6; ++i) J[i] += other.J[i];
+  }
+};
+
+static inline Composite placed_inertia(const Inertia& rigid, const Frame<D>& X) {
+  const Vec<D> c = transform(X, rigid.centre);
+  const double* I = rigid.inertia;
+  D A[9], R[6];
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) A[3 * i + j] = X.R[3 * i] * I[j] + X.R[3 * i + 1] * I[3 + j] + X.R[3 * i + 2] * I[6 + j];
+  constexpr int row[6] = {0, 1, 2, 0, 0, 1}, column[6] = {0, 1, 2, 1, 2, 2};
+  for (int k = 0; k < 6; ++k) {
+    const D *a = A + 3 * row[k], *b = X.R + 3 * column[k];
+    R[k] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  }
+  const double m = rigid.mass;
+  return {D{} + m,
+          {m * c.x, m * c.y, m * c.z},
+          {R[0] + m * (c.y * c.y + c.z * c.z), R[1] + m * (c.x * c.x + c.z * c.z), R[2] + m * (c.x * c.x + c.y * c.y), R[3] - m * c.x * c.y,
+           R[4] - m * c.x * c.z, R[5] - m * c.y * c.z}};
+}
+
+// How the origin of W would move if a joint did: angular and linear velocity.
+struct Twist {
+  Vec<D> w, v;
+};
+
+static inline Twist twist_of(const Link& link, const Frame<D>& X) {
+  const Vec<D> z = {X.R[2], X.R[5], X.R[8]};
+  if (link.slide) return {{D{}, D{}, D{}}, z};
+  return {z, cross(X.p, z)};
+}
+
+static inline Twist momentum(const Composite& c, const Twist& t) {
+  const Vec<D> h = {c.h[0], c.h[1], c.h[2]}, turn = cross(t.w, h), lever = cross(h, t.v);
+  const D* J = c.J;
+  return {{J[0] * t.w.x + J[3] * t.w.y + J[4] * t.w.z + lever.x, J[3] * t.w.x + J[1] * t.w.y + J[5] * t.w.z + lever.y,
+           J[4] * t.w.x + J[5] * t.w.y + J[2] * t.w.z + lever.z},
+          {c.mass * t.v.x + turn.x, c.mass * t.v.y + turn.y, c.mass * t.v.z + turn.z}};
+}
+
+static inline D power(const Twist& t, const Twist& momentum) {
+  return t.w.x * momentum.w.x + t.w.y * momentum.w.y + t.w.z * momentum.w.z + t.v.x * momentum.v.x + t.v.y * momentum.v.y + t.v.z * momentum.v.z;
+}
+
+static inline D weight_torque(const Composite& c, const Twist& t) {
+  return kGravity * (t.w.x * c.h[1] - t.w.y * c.h[0] + c.mass * t.v.z);
+}
+
+// Composites of all frames at least as far out as `first`.
+static inline void gather(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int first, Composite* all) {
+  for (int l = first; l < body.n_frame; ++l) all[l] = placed_inertia(body.inertia[l], X_W[l]);
+  for (int l = body.n_frame - 1; l > first; --l)
+    if (tables.link[l].parent >= first) all[tables.link[l].parent].add(all[l]);
+}
+
+// M, lower half, and the torques that hold the arm.
+static inline void mass_and_weight(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, D M[][kMaxJoints], D* g) {
+  Composite all[kMaxLinks];
+  Twist twist[kMaxLinks];
+  gather(tables, body, X_W, 0, all);
+  for (int l = 0; l < body.n_frame; ++l)
+    if (tables.link[l].joint >= 0) twist[l] = twist_of(tables.link[l], X_W[l]);
+  for (int i = 0; i < tables.n_joint; ++i)
+    for (int j = 0; j < tables.n_joint; ++j) M[i][j] = D{};
+  for (int j = 0; j < tables.n_joint; ++j) {
+    const int link = body.drive[j].link;
+    const Twist moves = momentum(all[link], twist[link]);
+    g[j] = weight_torque(all[link], twist[link]);
+    for (int l = link; l >= 0; l = tables.link[l].parent) {
+      const int i = tables.link[l].joint;
+      if (i >= 0) M[i][j] = M[j][i] = power(twist[l], moves);
+    }
+    M[j][j] += body.drive[j].armature;
+  }
+}
+
+// Solve A x = b by Cholesky's method; A is destroyed.
+static inline void solve(D A[][kMaxJoints], D* b, int n) {
+  for (int j = 0; j < n; ++j) {
+    D d = A[j][j];
+    for (int k = 0; k < j; ++k) d -= A[j][k] * A[j][k];
+    const D inverse = inverse_root(d);
+    A[j][j] = inverse;
+    for (int i = j + 1; i < n; ++i) {
+      D x = A[i][j];
+      for (int k = 0; k < j; ++k) x -= A[i][k] * A[j][k];
+      A[i][j] = x * inverse;
+    }
+  }
+  for (int i = 0; i < n; ++i) {
+    for (int k = 0; k < i; ++k) b[i] -= A[i][k] * b[k];
+    b[i] *= A[i][i];
+  }
+  for (int i = n - 1; i >= 0; --i) {
+    for (int k = i + 1; k < n; ++k) b[i] -= A[k][i] * b[k];
+    b[i] *= A[i][i];
+  }
+}
+
+static inline D towards_zero(D v, D by) { return v > 0 ? relu(v - by) : -relu(-v - by); }
+
+// A joint that has moved by the mean of two velocities; a stop takes the velocity.
+static inline void move_joint(const JointDrive& drive, D& x, D& v, D next, double h) {
+  const D to = x + 0.5 * h * (v + next);
+  v = (to < drive.lower) | (to > drive.upper) ? D{} : next;
+  x = minimum(maximum(to, D{} + drive.lower), D{} + drive.upper);
+}
+
+static inline void fall_together(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, double h, D* x, D* v) {
+  const int n = tables.n_joint;
+  D M[kMaxJoints][kMaxJoints], g[kMaxJoints], next[kMaxJoints], slip[kMaxJoints];
+  mass_and_weight(tables, body, X_W, M, g);
+  for (int i = 0; i < n; ++i) {
+    next[i] = -h * g[i];
+    for (int j = 0; j < n; ++j) next[i] += M[i][j] * v[j];
+  }
+  for (int i = 0; i < n; ++i) {
+    M[i][i] += h * body.drive[i].damping;
+    slip[i] = h * body.drive[i].friction * reciprocal(M[i][i]);
+  }
+  solve(M, next, n);
+  for (int i = 0; i < n; ++i) move_joint(body.drive[i], x[i], v[i], towards_zero(next[i], slip[i]), h);
+}
+
+static inline void fall_alone(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int joint, double h, D& x, D& v) {
+  Composite all[kMaxLinks];
+  const JointDrive& drive = body.drive[joint];
+  gather(tables, body, X_W, drive.link, all);
+  const Composite& c = all[drive.link];
+  const Twist t = twist_of(tables.link[drive.link], X_W[drive.link]);
+  const D m = power(t, momentum(c, t)) + drive.armature;
+  const D share = reciprocal(m + h * (drive.damping + drive.resistance));
+  const D next = (m * v - h * weight_torque(c, t)) * share;
+  move_joint(drive, x, v, towards_zero(next, h * drive.friction * share), h);
+}
+
+// --- distances ------------------------------------------------------------------------------------------------------
+
+struct Near {
+  float gap;  // between the bounding sphere of a group and an obstacle, at the state itself
+  int32_t group, obstacle;
+};
+
+// Pairs of a group and an obstacle, nearest first: what is in reach of a failed configuration is at the head.
+struct Surroundings {
+  Vec<D> centre[kMaxLinks];
+  size_t count;
+  Near *near, *scratch;  // [group * obstacle]
+
+  void look(const Tables& tables, const BodyTables& body, const Frame<D>* X_W) {
+    size_t in_bin[kBins + 1] = {}, n = 0;
+    for (int g = 0; g < tables.n_group; ++g) {
+      if (body.row[g] < 0) continue;
+      const Group& group = tables.group[g];
+      centre[g] = transform(X_W[group.frame], group.bound);
+      for (int j = 0; j < tables.n_obstacle; ++j) {
+        const Obstacle& o = tables.obstacle[j];
+        if (o.ignores >> group.link & 1) continue;
+        const float gap = float(least_lane(signed_distance(tables, o, centre[g]))) - group.bound[3] - 1e-6f;
+        scratch[n++] = {gap, g, j};
+        ++in_bin[bin(gap) + 1];
+      }
+    }
+    for (int b = 0; b < kBins; ++b) in_bin[b + 1] += in_bin[b];
+    for (size_t k = 0; k < n; ++k) near[in_bin[bin(scratch[k].gap)]++] = scratch[k];
+    count = n;
+  }
+  // What any pair that follows is at least apart.
+  static double edge(double gap) { return gap < kBin * kBins ? gap - kBin : kBin * (kBins - 1); }
+
+ private:
+  static int bin(float gap) {
+    const int b = int(gap * float(1.0 / kBin));
+    return b < 0 ? 0 : b >= kBins ? kBins - 1 : b;
+  }
+};
+
+// The least distance of one way to fail, for each row and entity, and how deep the arm is in what stops it.
+struct Way {
+  D best[2][kMaxEntities], blocked;
+  double gain = 0.0, tolerance = 0.0, cut[2], worst[2][kMaxEntities];  // worst: of the lanes of best
+
+  // From nothing, or from what is met before anything moves.
+  void begin(const BodyTables& body, int generator, const Way* home) {
+    const BodyConstants& k = body.constants;
+    gain = k.stop_gain[generator], tolerance = k.stop_tolerance[generator];
+    for (int r = 0; r < body.n_row; ++r) {
+      cut[r] = home ? 0.0 : 1e-9;
+      for (int g = 0; g < kGenerators; ++g) {
+        const double far = k.offset[g][r] + kFar * k.spread[g][r];
+        if (home ? g == generator : far > cut[r]) cut[r] = far;
+      }
+      for (int e = 0; e < body.n_entity; ++e) {
+        best[r][e] = home ? minimum(D{} + cut[r], home->best[r][e]) : D{} + cut[r];
+        worst[r][e] = greatest_lane(best[r][e]);
+      }
+    }
+    blocked = home ? home->blocked : D{};
+  }
+};
+
+// Distance of a group to an obstacle as far as it is below `need`.
+static inline D group_distance(const Tables& tables, const Obstacle& o, const Group& group, const Frame<D>& X, D need) {
+  D least = need;
+  for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
+    const Cluster& cluster = tables.cluster[c];
+    if (group.n_cluster > 1 && !any(signed_distance(tables, o, transform(X, cluster.bound)) - cluster.bound[3] < least + 1e-6)) continue;
+    for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
+      least = minimum(least, signed_distance(tables, o, transform(X, tables.sphere + 4 * k)) - tables.sphere[4 * k + 3]);
+  }
+  return least;
+}
+
+// One failed configuration.
+static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const double* severity,
+                        Way& way) {
+  const D penalty = way.gain * relu(way.blocked - way.tolerance);
+  D depth = way.blocked;
+  double moved[kMaxLinks], farthest = 0.0;
+  Vec<D> centre[kMaxLinks];
+  for (int g = 0; g < tables.n_group; ++g) {
+    if (body.row[g] < 0) continue;
+    centre[g] = transform(X_W[tables.group[g].frame], tables.group[g].bound);
+    moved[g] = greatest_lane(square_root(squared_distance(centre[g], around.centre[g]) + 1e-18));
+    farthest = moved[g] > farthest ? moved[g] : farthest;
+  }
+  const double cut = (body.n_row > 1 && way.cut[1] > way.cut[0] ? way.cut[1] : way.cut[0]) + farthest;
+  for (size_t i = 0; i < around.count; ++i) {
+    const Near& pair = around.near[i];
+    const double gap = double(pair.gap);
+    if (Surroundings::edge(gap) > cut) break;
+    const int g = pair.group, j = pair.obstacle, r = body.row[g], e = body.entity[j];
+    const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
+    const double least = gap - moved[g];
+    if (!(counts && least < way.worst[r][e]) && !(least < 0.0)) continue;
+    const Obstacle& o = tables.obstacle[j];
+    const Group& group = tables.group[g];
+    D need = counts ? way.best[r][e] - penalty : D{} - 1e9;
+    need = maximum(need, -depth);
+    if (!any(signed_distance(tables, o, centre[g]) - group.bound[3] < need + 1e-6)) continue;
+    const D d = group_distance(tables, o, group, X_W[group.frame], need);
+    depth = maximum(depth, -d);
+    if (!counts) continue;
+    way.best[r][e] = minimum(way.best[r][e], d + penalty);
+    way.worst[r][e] = greatest_lane(way.best[r][e]);
+  }
+  way.blocked = depth;
+}
+
+// --- ways to fail ---------------------------------------------------------------------------------------------------
+
+struct Arm {
+  const Tables& tables;
+  const BodyTables& body;
+  const double* severity;  // null: everything counts
+  Surroundings around;
+  D reference[kMaxSteps + 1][kMaxJoints];
+  Frame<D> X_W[kMaxLinks];
+  Way way, home;  // home: where the arm is
+
+  int reference_steps;
+
+  void meet_at(const D* q) {
+    forward_kinematics<double>(tables, q, X_W);
+    meet(tables, body, around, X_W, severity, way);
+  }
+
+  // Where the arm would be, as far as is known.
+  void begin(const D* q, const D* qd, const double* ahead, size_t first, size_t n) {
+    const int nq = tables.n_joint;
+    reference_steps = ahead ? body.n_reference : body.n_step;
+    for (int j = 0; j < nq; ++j) reference[0][j] = q[j];
+    for (int s = 1; s <= reference_steps; ++s) {
+      const double T = body.constants.carry_on, t = s * body.constants.step;
+      const double share = T > 0 ? T * (1.0 - scalar_exponential(-t / T)) : 0.0;
+      for (int j = 0; j < nq; ++j)
+        if (!ahead) reference[s][j] = minimum(maximum(q[j] + share * qd[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
+      for (int i = 0; ahead && i < kLanes<double>; ++i) {
+        const size_t state = first + size_t(i) < n ? first + size_t(i) : n - 1;
+        for (int j = 0; j < nq; ++j) reference[s][j][i] = ahead[(state * size_t(reference_steps) + size_t(s - 1)) * size_t(nq) + size_t(j)];
+      }
+    }
+    forward_kinematics<double>(tables, q, X_W);
+    around.look(tables, body, X_W);
+    home.begin(body, kStray, nullptr);
+    meet(tables, body, around, X_W, severity, home);
+  }
+
+  void collapse(const D* qd) {
+    constexpr int steps = 5;
+    D x[kMaxJoints], v[kMaxJoints];
+    for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[0][j], v[j] = qd[j];
+    way.begin(body, kCollapse, &home);
+    forward_kinematics<double>(tables, x, X_W);
+    for (int s = 0; s < steps; ++s) {
+      fall_together(tables, body, X_W, body.constants.brake_time / steps, x, v);
+      meet_at(x);
+    }
+    for (int j = 0; j < tables.n_joint; ++j)
+      x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
+    meet_at(x);
+  }
+  void loose(int joint, const D* qd) {
+    D x[kMaxJoints], at = reference[0][joint], v = qd[joint];
+    way.begin(body, kJoint, &home);
+    forward_kinematics<double>(tables, reference[0], X_W);
+    for (int s = 1; s <= reference_steps; ++s) {
+      fall_alone(tables, body, X_W, joint, body.constants.step, at, v);
+      for (int j = 0; j < tables.n_joint; ++j) x[j] = j == joint ? at : reference[s][j];
+      meet_at(x);
+    }
+  }
+  void stuck(int joint) {
+    D x[kMaxJoints];
+    way.begin(body, kStuck, &home);
+    for (int s = 1; s <= reference_steps; ++s) {
+      for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[j == joint ? 0 : s][j];
+      meet_at(x);
+    }
+  }
+  void stray() {
+    way.begin(body, kStray, &home);
+    for (int s = 1; s <= reference_steps; ++s) meet_at(reference[s]);
+  }
+
+  D probability(int generator, int row, int entity) const {
+    const BodyConstants& k = body.constants;
+    const double least = 1.0 / (1.0 + scalar_exponential(kFar));
+    const D P = reciprocal(1.0 + odds((way.best[row][entity] - k.offset[generator][row]) * (1.0 / k.spread[generator][row])));
+    return relu(P - least) * (1.0 / (1.0 - least));
+  }
+
+  // Every way to fail that has a weight: collapse, each joint loose, each joint stuck, stray.
+  template <class Visit> void fail(const D* qd, const double* weight, Visit visit) {
+    const int n = tables.n_joint;
+    for (int mode = 0; mode < 2 * n + 2; ++mode) {
+      if (weight && weight[mode] == 0.0) continue;
+      const int generator = mode == 0 ? kCollapse : mode <= n ? kJoint : mode <= 2 * n ? kStuck : kStray;
+      if (generator == kCollapse) collapse(qd);
+      if (generator == kJoint) loose(mode - 1, qd);
+      if (generator == kStuck) stuck(mode - 1 - n);
+      if (generator == kStray) stray();
+      visit(mode, generator);
+    }
+  }
+
+ private:
+  static double scalar_exponential(double x) { return exponential(D{} + x)[0]; }
+};
+
+static inline D body_impact_of(Arm& arm, const double* weight, const D* q, const D* qd) {
+  D impact = {};
+  arm.begin(q, qd, nullptr, 0, 1);
+  arm.fail(qd, weight, [&](int mode, int generator) {
+    D sum = {};
+    for (int r = 0; r < arm.body.n_row; ++r)
+      for (int e = 0; e < arm.body.n_entity; ++e) {
+        const double S = arm.severity[r * arm.body.n_entity + e];
+        if (S != 0.0) sum += S * arm.probability(generator, r, e);
+      }
+    impact += weight[mode] * sum;
+  });
+  return impact;
+}
