@@ -200,7 +200,7 @@ def _targets(parts: Sequence[Touches]) -> Iterator[report.Target]:
         ("median energy of the body [J]", BODY_ENERGY, energy[0]),
         ("deviation of its logarithm", BODY_SPREAD, energy[1]),
     ):
-        close = abs(np.log(measured / constant)) <= np.log(1.5) if np.isfinite(measured) else None
+        close = bool(abs(np.log(measured / constant)) <= np.log(1.5)) if np.isfinite(measured) else None
         yield report.Target(
             what=f"constant of the library: {what}",
             wanted=f"{constant:g} within a factor of 1.5",
