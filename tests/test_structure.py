@@ -24,7 +24,7 @@ HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
-    {"costs", "checks", "explain", "impact_map", "risk", "sensitivity"},
+    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity"},
     {"planners"},
     {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},

@@ -26,12 +26,13 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import EdgeSamples, SceneObjective
+from graceful_plan.harm_law import HarmLaw
 from graceful_plan.kernels import COST_STEP, FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
-from graceful_plan.risk import HarmLaw, RiskMeasure
+from graceful_plan.risk import RiskMeasure
 from graceful_plan.search import ALL, Callback, Search, search
 
 Array = np.ndarray
