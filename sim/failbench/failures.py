@@ -116,7 +116,10 @@ class Failures:
 
     def only(self, faults: Iterable[str]) -> Failures:
         """Return those that some faults caused, by the faults' names."""
-        rows = np.isin(self.fault, [self.faults.index(name) for name in faults if name in self.faults])
+        return self.where(np.isin(self.fault, [self.faults.index(name) for name in faults if name in self.faults]))
+
+    def where(self, rows: Bool[Array, " n"]) -> Failures:
+        """Return some of them."""
         names = ("fault", "q", "qd", "ahead", "hit", "dropped", "spilled")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 

@@ -7,7 +7,7 @@ contents got out, since the model tells whom they reach then. Priors are what ph
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ import graceful_plan as gp
 from failbench.calibrate import HEAD, VERSION, Calibration, Progress, calibrate, generate
 from failbench.failures import Failures, read_failures, write_failures
 from failbench.faults import faults
+from failbench.faults.fault import Fault
 from failbench.fitting import Constant, Family
 from failbench.sampling import MOST, check_whole
 from graceful_plan import Scene, UnknownNameError
@@ -42,6 +43,11 @@ FAULTS: Mapping[str, tuple[str, ...]] = {
 _ALWAYS = {"soft_speed": -10.0, "soft_spread": 0.4}
 """What "held" has instead of a soft landing: contents are out."""
 _SHAPE = "all"
+
+
+def feared() -> list[Fault]:
+    """Return the faults that the model is fitted to."""
+    return [faults()[name](degree="severe") for use in USES for name in FAULTS[use]]
 
 
 class _Prior(NamedTuple):
@@ -131,8 +137,7 @@ class SpillFamily(Family):
             part = whole.only(self.faults)
             rows = part.dropped if self.use == "dropped" else ~part.dropped & (part.spilled > SPILT)
             if "contents" in part.components and rows.any():
-                names = ("fault", "q", "qd", "hit", "dropped", "spilled")
-                found.append(replace(part, **{name: getattr(part, name)[rows] for name in names}))
+                found.append(part.where(rows))
         return found
 
 
@@ -225,9 +230,8 @@ def calibrate_spill(
         failures = [part for part in read_failures(file) if part.scene in scenes]
         about["failures_from"] = file.name
     else:
-        feared = [faults()[name](degree="severe") for use in USES for name in FAULTS[use]]
         make = partial(generate, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress)
-        failures, about["motions_without"] = make(scenes, feared)
+        failures, about["motions_without"] = make(scenes, feared())
         if file is not None:
             write_failures(file, failures)
     return fit_spill(failures, about=about, seed=seed)
