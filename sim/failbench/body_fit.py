@@ -42,7 +42,7 @@ def fit_distances(
     return BodyModel(wide(settings)).distances(batch, ahead)
 
 
-def fit_margin(d: Float[Array, "event way"], hit: Bool[Array, " event"]) -> Margin:
+def fit_margin(d: Float[Array, "event way"], hit: Bool[Array, " n"]) -> Margin:
     """Return the margin under which what happened was likeliest.
 
     Args:
@@ -80,5 +80,5 @@ def fit_margin(d: Float[Array, "event way"], hit: Bool[Array, " event"]) -> Marg
 
 def predicted(d: Float[Array, "event way"], margin: Margin) -> Float[Array, " event"]:
     """Return P of each event under a margin: the mean over the ways in which it may come about."""
-    offset, spread = np.array([[margin.offset]]), np.array([[margin.spread]])
+    offset, spread = (np.full((d.shape[1], 1), value) for value in (margin.offset, margin.spread))
     return chance(d[:, :, None, None], offset, spread)[:, :, 0, 0].mean(axis=1)
