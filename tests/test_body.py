@@ -6,11 +6,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from body_twin import BodyTwin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
+from body_twin import BodyTwin
 from graceful_plan import StateBatch
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.interactions import body as body_module
@@ -27,9 +27,11 @@ _COARSE = replace(SETTINGS, steps=2)
 _ARM = """
 <mujoco><compiler angle="radian"/><worldbody>
   <body name="ground"><geom name="ground" type="plane" size="0 0 1"/></body>
-  <body name="vase" pos="{vase}" euler="0 0 {turn}"><freejoint/><geom type="cylinder" size="0.06 0.2" mass="0.3"/></body>
-  <body name="lamp" pos="{lamp}" euler="0 0 {turn}"><freejoint/><geom type="ellipsoid" size="0.06 0.1 0.08" mass="0.3"/></body>
-  <body name="arm" pos="0 0 0.8" euler="0 0 {turn}"><geom type="capsule" size="0.05 0.05" mass="1"/>
+  <body name="vase" pos="{vase}" euler="0 0 {turn}"><freejoint/>
+    <geom type="cylinder" size="0.06 0.2" mass="0.3"/></body>
+  <body name="lamp" pos="{lamp}" euler="0 0 {turn}"><freejoint/>
+    <geom type="ellipsoid" size="0.06 0.1 0.08" mass="0.3"/></body>
+  <body name="arm" pos="0 0 0.5" euler="0 0 {turn}"><geom type="capsule" size="0.05 0.05" mass="1"/>
     <body name="arm_a"><joint name="a" axis="0.2 0.1 1" range="-2 2" damping="0.3" armature="0.05"/>
     <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.04" mass="2"/>
     <body name="arm_b" pos="0.3 0 0"><joint name="b" type="slide" axis="1 0.3 0.1" range="-0.3 0.3" damping="2"/>
@@ -39,7 +41,8 @@ _ARM = """
         <site name="tool" pos="0.1 0 -0.05"/>
   </body></body></body></body>
   <body name="thing" pos="3 3 1"><freejoint/>
-    <geom type="box" size="0.03 0.04 0.05" mass="0.3"/><geom type="sphere" size="0.02" pos="0 0 0.07" mass="0.1"/></body>
+    <geom type="box" size="0.03 0.04 0.05" mass="0.3"/>
+    <geom type="sphere" size="0.02" pos="0 0 0.07" mass="0.1"/></body>
 </worldbody></mujoco>"""
 
 
@@ -52,6 +55,11 @@ def _odd(turn=0.0, entities=("vase", "lamp", "ground"), held=True):
     scene = gp.Scene.from_mjcf(text, robot="arm", tool="tool", velocity=[2.0] * 4,
                                acceleration=[5.0] * 4, entities=notes)  # fmt: skip
     return scene.attach("thing", X_TO=np.eye(4)) if held else scene
+
+
+def _stopped(gain, **changes):
+    margins = {name: replace(getattr(SETTINGS, name), stop_gain=gain) for name in GENERATORS}
+    return replace(SETTINGS, **margins, **changes)
 
 
 def _states(scene, n, seed, fastest=1.0):
@@ -79,7 +87,7 @@ def tabletop():
 
 
 def test_the_core_is_the_specification(odd):
-    constants = replace(SETTINGS, stop_gain=2.0, steps=2)
+    constants = _stopped(2.0, steps=2)
     q, qd = _states(odd, 4, seed=0)
     twin, found = BodyTwin(odd, constants), BodyModel(constants).distances(_batch(odd, q, qd))
     expected = [twin.distances(*state) for state in zip(q, qd, strict=True)]
@@ -91,7 +99,7 @@ def test_the_core_is_the_specification(odd):
     np.testing.assert_allclose(found, expected, atol=_SAME)
 
 
-@pytest.mark.parametrize("name", ["tabletop", "dining_table"])
+@pytest.mark.parametrize("name", ["tabletop", pytest.param("dining_table", marks=pytest.mark.slow)])
 def test_the_core_is_the_specification_in_bundled_scenes(name):
     task = next(iter(gp.load_scene(name).tasks.values()))
     constants = replace(SETTINGS, steps=1)
@@ -180,7 +188,7 @@ def test_who_is_far_away_is_not_hit(odd):
     vase = list(odd.entities).index("vase")
     away = odd.add_box("far", [0.1, 0.1, 0.1], [0.0, 0.0, 9.0], entity="glass")
     P, before = BodyModel(_COARSE).probability(_batch(away, q, qd)), BodyModel(_COARSE).probability(_batch(odd, q, qd))
-    assert (P[..., list(away.entities).index("far")] == 0.0).all()
+    assert (P[..., list(away.entities).index("far")] < 1e-15).all()  # 0 but for rounding
     np.testing.assert_allclose(P[..., list(away.entities).index("vase")], before[..., vase], atol=1e-12)
 
 
@@ -191,7 +199,7 @@ def test_entities_without_severity_change_nothing(odd):
     model, batch = BodyModel(_COARSE), _batch(odd, q, qd)
     expected = np.einsum("ngre,g,re->n", model.probability(batch), weights, severity)
     np.testing.assert_allclose(model.impact(batch, severity, weights), expected, atol=1e-12)
-    assert expected.max() > 0.1
+    assert expected.max() > 1e-3
     fewer = _odd(entities=("vase", "ground"))
     found = model.impact(_batch(fewer, q, qd), severity[:, [0, 2]], weights)
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -201,7 +209,7 @@ def test_nothing_held_and_nobody_there(tabletop):
     scene = _odd(held=False)
     q, qd = _states(scene, 9, seed=7)
     P = BodyModel(_COARSE).probability(_batch(scene, q, qd))
-    assert (P[:, :, 1] == 0.0).all() and P[:, :, 0].max() > 0.1
+    assert (P[:, :, 1] < 1e-15).all() and P[:, :, 0].max() > 0.1
     empty = _odd(entities=())
     assert BodyModel(_COARSE).probability(_batch(empty, q, qd)).shape == (9, 4, 2, 0)
     assert (BodyModel(_COARSE).impact(_batch(empty, q, qd), np.zeros((2, 0)), np.ones(4)) == 0.0).all()
@@ -210,9 +218,10 @@ def test_nothing_held_and_nobody_there(tabletop):
 
 def test_an_arm_that_is_held_up_does_not_reach_what_is_below(odd):
     q, qd = _states(odd, 60, seed=8)
-    free = BodyModel(replace(_COARSE, stop_gain=0.0)).distances(_batch(odd, q, qd))
-    held = BodyModel(replace(_COARSE, stop_gain=4.0)).distances(_batch(odd, q, qd))
+    free = BodyModel(_stopped(0.0, steps=2)).distances(_batch(odd, q, qd))
+    held = BodyModel(_stopped(4.0, steps=2)).distances(_batch(odd, q, qd))
     assert (held >= free - 1e-12).all()
+    assert (held > free + 1e-3).any()
 
 
 # --- planners --------------------------------------------------------------------------------------------------------
@@ -257,7 +266,9 @@ def test_misuse(odd):
     with pytest.raises(SettingError, match="spread"):
         Margin(offset=0.0, spread=0.0)
     with pytest.raises(SettingError, match="steps"):
-        replace(SETTINGS, steps=2.5)
+        replace(SETTINGS, steps=65)
+    with pytest.raises(SettingError, match="stop_gain"):
+        _stopped(-1.0)
     with pytest.raises(SettingError, match="brake_time"):
         replace(SETTINGS, brake_time=-1.0)
 

@@ -153,7 +153,7 @@ def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
 
 
 def body_frames(scene: Scene) -> tuple[int, ...]:
-    """Return the frame that each body rides on: 0 for the base and all that does not move, k + 1 for planned joint k."""
+    """Return the frame that each body rides on: 0 for what does not move, k + 1 for planned joint k."""
     return tuple(_frames(scene, _reference_data(scene)).of_body)
 
 

@@ -17,8 +17,8 @@ counts as farther.
 
 Specification
 -------------
-Everything is in double precision, z is up, g = 9.81. Tables: `BodyTables`; constants: `BodySettings`. Spheres, obstacles
-and their exact signed distances are those of collision checking (`RobotArrays`, `WorldArrays`, stored in single
+Everything is in double precision, z is up, g = 9.81. Tables: `BodyTables`; constants: `BodySettings`. Spheres,
+obstacles and their signed distances are those of collision checking (`RobotArrays`, `WorldArrays`, stored in single
 precision, computed in double). The native kernel (native/body.hpp) follows this text.
 
 .. code-block:: text
@@ -27,7 +27,7 @@ precision, computed in double). The native kernel (native/body.hpp) follows this
       M(x)  : mass matrix of the frames with their rotors' inertia (armature) on the diagonal
       G(x)  : torques that hold the arm against gravity. Velocity products are left out.
       soft(v, u) = sign(v) max(|v| - u, 0)
-      move(x, v, v') : y = x + h (v + v')/2;  v <- 0 if y is outside of the joint's range, else v';  x <- y clamped to it
+      move(x, v, v') : y = x + h (v + v')/2;  v <- 0 if y is out of the joint's range, else v';  x <- y clamped to it
 
     Motion to come: r_0 = q;  r_k = ahead_k, or q + T (1 - exp(-k h/T)) qd, clamped to the joints' ranges
 

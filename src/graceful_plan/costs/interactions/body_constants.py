@@ -40,7 +40,7 @@ class Margin:
     """
 
     offset: float
-    """Distance at which a hit is as likely as not [m]; negative, since models reach farther than arms that are held up."""
+    """Distance at which a hit is as likely as not [m]."""
     spread: float
     """Scale of the logistic distribution around it [m]."""
 
@@ -130,11 +130,17 @@ class BodySettings:
         motion, margins = root["motion"], root["margins"]
         motion.only(*MOTION)
         margins.only(*GENERATORS)
-        numbers = {name: motion[name].number() for name in MOTION if name != "steps"}
         return cls(
-            **numbers,
-            steps=int(motion["steps"].number()),
-            **{name: _margins(margins[name]) for name in GENERATORS},
+            brake_time=motion["brake_time"].number(),
+            brake_stop=motion["brake_stop"].number(),
+            resistance=motion["resistance"].number(),
+            step=motion["step"].number(),
+            steps=_whole(motion["steps"]),
+            carry_on=motion["carry_on"].number(),
+            collapse=_margins(margins["collapse"]),
+            joint=_margins(margins["joint"]),
+            stuck=_margins(margins["stuck"]),
+            stray=_margins(margins["stray"]),
         )
 
     def margin(self, generator: str, row: str) -> Margin:
@@ -143,10 +149,20 @@ class BodySettings:
 
 
 def _margins(block: Block) -> Margins:
-    stop = ("stop_gain", "stop_tolerance")
-    block.only(*ROWS, *stop)
-    rows, numbers = {row: _margin(block[row]) for row in ROWS}, {name: block[name].number() for name in stop}
-    return Margins(**rows, **numbers)
+    block.only(*ROWS, "stop_gain", "stop_tolerance")
+    return Margins(
+        body=_margin(block["body"]),
+        carried=_margin(block["carried"]),
+        stop_gain=block["stop_gain"].number(),
+        stop_tolerance=block["stop_tolerance"].number(),
+    )
+
+
+def _whole(block: Block) -> int:
+    number = block.number()
+    if number != int(number):
+        raise block.error("a whole number is needed")
+    return int(number)
 
 
 def _margin(block: Block) -> Margin:

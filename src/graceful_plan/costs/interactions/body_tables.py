@@ -138,5 +138,3 @@ def _spread(p: Float[Array, " 3"]) -> Float[Array, "3 3"]:
 def native_rows(tables: BodyTables, sphere_link: Int[Array, " sphere"]) -> Int[Array, " group"]:
     """Return the rows of the links that have spheres, which is how the core numbers groups."""
     return tables.link_row[np.unique(sphere_link)]
-
-
