@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
-from graceful_plan.fault_prior import GENERATORS, FaultPrior, presets, shipped_effects
+from graceful_plan.fault_prior import ARM, GENERATORS, FaultPrior, presets, shipped_effects
 
 _EFFECTS = {"slip": {"drop": 0.5, "spill": 0.25}, "jam": {"stuck": 1.0}, "hum": {}}
 _shares = st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6).map(
@@ -24,14 +24,20 @@ def test_weights_by_hand() -> None:
     prior = FaultPrior({"slip": 3.0, "jam": 1.0}, _EFFECTS)
     assert prior.rate == 4.0
     assert dict(prior.probabilities()) == {"slip": 0.75, "jam": 0.25}
-    assert dict(prior.weights()) == dict.fromkeys(GENERATORS, 0.0) | {"drop": 0.375, "spill": 0.1875, "stuck": 0.25}
+    assert dict(prior.weights()) == dict.fromkeys(GENERATORS, 0.0) | {"drop": 0.375, "spill": 0.09375, "stuck": 0.25}
     shares = prior.fault_shares()
     assert tuple(shares) == GENERATORS
     assert {g: dict(row) for g, row in shares.items() if row} == {
         "drop": {"slip": 0.375},
-        "spill": {"slip": 0.1875},
+        "spill": {"slip": 0.09375},  # half of them are dropped already
         "stuck": {"jam": 0.25},
     }
+
+
+def test_arm_and_gripper_may_fail_together() -> None:
+    prior = FaultPrior({"blackout": 1.0}, {"blackout": {"drop": 0.75, "collapse": 1.0, "spill": 1.0}})
+    assert prior.weights()["drop"] == 0.75 and prior.weights()["collapse"] == 1.0
+    assert prior.weights()["spill"] == prior.held_weights()["collapse"] == 0.25
 
 
 @given(_rates, _shares)
@@ -39,7 +45,10 @@ def test_weights_are_probabilities_and_shares_add_up_to_them(rates: dict[str, fl
     prior = FaultPrior(rates, {**shipped_effects(), "noise": row})
     weights, shares = prior.weights(), prior.fault_shares()
     assert all(w >= 0.0 for w in weights.values())
-    assert sum(weights.values()) <= 1.0 + 1e-9
+    assert weights["drop"] + weights["spill"] <= 1.0 + 1e-9
+    assert sum(weights[generator] for generator in ARM) <= 1.0 + 1e-9
+    held = prior.held_weights()
+    assert tuple(held) == ARM and all(0.0 <= held[generator] <= weights[generator] + 1e-12 for generator in ARM)
     assert sum(prior.probabilities().values()) == pytest.approx(1.0)
     for generator in GENERATORS:
         assert sum(shares[generator].values()) == pytest.approx(weights[generator])
@@ -97,7 +106,7 @@ def test_rates_that_make_no_sense(rates: dict[str, float]) -> None:
         FaultPrior(rates, _EFFECTS)
 
 
-@pytest.mark.parametrize("row", [{"drop": -0.1}, {"drop": 1.1}, {"drop": math.nan}, {"drop": 0.7, "spill": 0.4}])
+@pytest.mark.parametrize("row", [{"drop": -0.1}, {"drop": 1.1}, {"drop": math.nan}, {"joint": 0.7, "stuck": 0.4}])
 def test_effects_that_make_no_sense(row: dict[str, float]) -> None:
     with pytest.raises(SettingError, match="effect"):
         FaultPrior({"slip": 1.0}, {"slip": row})

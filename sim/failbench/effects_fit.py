@@ -1,23 +1,18 @@
 r"""Which way of failing a fault acts like: effects of `graceful_plan.FaultPrior`, fitted to failures.
 
-Of one fault, an event (one failure, one component, one entity) happens with the probability
+Of one fault, the robot's body (B) and what it carries, with contents (C), touch an entity with the probabilities
 
-.. math:: P = \epsilon + (1 - 2 \epsilon) \sum_g \theta_g P_g, \qquad \theta_g \ge 0, \quad \sum_g \theta_g \le 1
+.. math:: P_B = \sum_g a_g P_{Bg}, \qquad P_C = d P_{drop} + (1 - d) \Big( s P_{spill} + \sum_g a_g P_{Cg} \Big)
 
-where the models of the generators say P_g, and epsilon is the least that counts. The logarithm of the likelihood of
-independent events is concave in theta, so its maximum is global; Newton steps, each the exact solution of a quadratic
-problem over all active sets, find it, and the Frank-Wolfe gap bounds how much is missing. Events of one motion are
-alike: intervals come from resamples of whole motions. They cannot see what no motion shows.
-
-References:
-    [Jaggi2013] Revisiting Frank-Wolfe, for the gap.
+where the models of the generators say P. Given d, these are linear in s and a; given s and a, in d. So the one and the
+others are fitted in turns (`mixture`), each time to the global maximum, from two sides. Events of one motion are alike:
+intervals come from resamples of whole motions. They cannot see what no motion shows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -28,7 +23,8 @@ import yaml
 import graceful_plan as gp
 from failbench.failures import Failures
 from failbench.fitting import Fitted
-from failbench.skill import SMALLEST, Figures, figures
+from failbench.mixture import likely, log_likelihood, most_likely
+from failbench.skill import Figures, figures
 from failbench.statistics import check_confidence, cluster_draws
 from graceful_plan import Scene, SettingError, ShapeError
 from graceful_plan.array_types import Bool, Float
@@ -39,10 +35,8 @@ Array = np.ndarray
 GeneratorModel = Callable[[Scene, Failures], Mapping[str, Float[Array, "n c e"]]]
 """P(component hits entity) by generator, for the states in which something failed, if that acts like the generator."""
 
-_GAP = 1e-4  # how much of the logarithm of the likelihood may be missing [nat]
-_STEPS = 100
-_RIDGE = 1e-9  # of the curvature; keeps generators that say the same where they are
-_NOTHING = 1e-7
+_GAIN = 1e-3  # of the logarithm of the likelihood, below which turns end [nat]
+_TURNS = 50
 _DIGITS = 4
 
 
@@ -54,12 +48,14 @@ class FaultEvents:
     |-------------|----------------------------------------------------------|-------------|
     | probability | P_g of each of `GENERATORS`                              | n generator |
     | happened    | whether it did                                           | n           |
+    | body        | whether it is a touch by the body, not by what it carries | n           |
     | motion      | which motion the robot failed on                         | n           |
     | scene       | name of the scene                                        | n           |
     """
 
     probability: Array
     happened: Array
+    body: Array
     motion: Array
     scene: Array
 
@@ -68,7 +64,7 @@ class FaultEvents:
         n = len(self.probability)
         if self.probability.shape != (n, len(GENERATORS)):
             raise ShapeError("probability", self.probability.shape, f"(n, {len(GENERATORS)}), a column a generator")
-        for name in ("happened", "motion", "scene"):
+        for name in ("happened", "body", "motion", "scene"):
             if getattr(self, name).shape != (n,):
                 raise ShapeError(name, getattr(self, name).shape, f"({n},), as many as probabilities")
         if n and not (np.nanmin(self.probability) >= 0.0 and np.max(self.probability) <= 1.0):
@@ -82,6 +78,7 @@ class FaultEvents:
         return FaultEvents(
             probability=self.probability[chosen],
             happened=self.happened[chosen],
+            body=self.body[chosen],
             motion=self.motion[chosen],
             scene=self.scene[chosen],
         )
@@ -92,7 +89,7 @@ class FaultEffect:
     """What one fault acts like.
 
     Args:
-        shares: Probability of each generator.
+        shares: Probability of each generator; of "spill", if the object is not dropped.
         fitted: Figures of the predicted events that the shares were fitted on.
         held_out: The same, each scene predicted with shares that were fitted on the others; None with one scene.
         motions: Number of motions.
@@ -120,12 +117,14 @@ def fault_events(
         nothing = np.zeros(part.hit.shape)
         P = np.stack([said.get(generator, nothing) for generator in GENERATORS], axis=-1)[:, part.counted]
         hit = part.hit[:, part.counted]
+        body = np.repeat([name == "body" for name in part.components], part.counted.sum(axis=1))
         for index in np.unique(part.fault):
             rows = part.fault == index
             count = hit[rows].size
             events = FaultEvents(
                 probability=P[rows].reshape(count, len(GENERATORS)),
                 happened=hit[rows].reshape(count),
+                body=np.tile(body, int(rows.sum())),
                 motion=np.full(count, motion),
                 scene=np.full(count, part.scene),
             )
@@ -151,48 +150,26 @@ def fit_effects(
     return {fault: _fit(fault, each, resamples, seed, confidence) for fault, each in events.items()}
 
 
-def most_likely(
-    probability: Float[Array, "n generator"],
-    happened: Bool[Array, " n"],
-    weight: Float[Array, " n"] | None = None,
-    start: Float[Array, " generator"] | None = None,
-) -> tuple[Float[Array, " generator"], float]:
-    """Return the shares of generators under which events are most likely, and a bound of what is missing [nat].
+def likeliest(
+    events: FaultEvents, weight: Float[Array, " n"] | None = None, start: Float[Array, " generator"] | None = None
+) -> Float[Array, " generator"]:
+    """Return the shares of `GENERATORS` under which the events of a fault are likeliest.
 
     Args:
-        probability: P_g.
-        happened: Whether each event happened.
+        events: What happened.
         weight: How often each event counts; once if None.
-        start: Shares to begin with.
+        start: Shares to begin with; from two sides if None.
     """
-    w = np.ones(len(happened)) if weight is None else weight
-    # What nobody expects and did not happen says nothing; a generator that never says anything has no share.
-    telling = (w > 0.0) & (happened | (probability > _NOTHING).any(axis=1))
-    speaks = np.asarray((probability[telling] > _NOTHING).any(axis=0))
-    p, y, w = probability[telling][:, speaks], happened[telling].astype(float), w[telling]
-    p = np.column_stack([p, np.zeros(len(p))])  # the last one is harmless
-    theta = np.full(p.shape[1], 1.0 / p.shape[1])
-    if start is not None:  # an inner point, since a share of 0 says nothing about its neighbourhood
-        theta[:] = 0.01 * theta + 0.99 * np.append(start[speaks], 1.0 - start[speaks].sum())
-    gap = np.inf
-    for _ in range(_STEPS):
-        P = predicted(p, theta)
-        slope = (1.0 - 2.0 * SMALLEST) * ((w * ((1.0 - y) / (1.0 - P) - y / P)) @ p)
-        gap = float(slope @ theta - slope.min())
-        if gap <= _GAP:
-            break
-        bend = (1.0 - 2.0 * SMALLEST) ** 2 * (p.T * (w * (y / P**2 + (1.0 - y) / (1.0 - P) ** 2))) @ p
-        bend += (_RIDGE * np.trace(bend) + np.finfo(float).tiny) * np.eye(len(bend))
-        target = _least(slope - bend @ theta, bend)
-        theta = _search(p, y, w, theta, target - theta)
-    shares = np.zeros(len(speaks))
-    shares[speaks] = theta[:-1]
-    return shares, gap
+    if start is not None:
+        return _turns(events, weight, start)
+    found = [_turns(events, weight, np.eye(len(GENERATORS))[0] * dropped) for dropped in (0.1, 0.9)]
+    return max(found, key=lambda shares: log_likelihood(predicted(events, shares), events.happened, weight))
 
 
-def predicted(probability: Float[Array, "n generator"], shares: Float[Array, " generator"]) -> Float[Array, " n"]:
+def predicted(events: FaultEvents, shares: Float[Array, " generator"]) -> Float[Array, " n"]:
     """Return the probability of events of a fault with some shares."""
-    return SMALLEST + (1.0 - 2.0 * SMALLEST) * (probability @ shares)
+    d = np.where(events.body, 0.0, shares[0])
+    return likely(d * events.probability[:, 0] + (1.0 - d) * (events.probability[:, 1:] @ shares[1:]))
 
 
 def to_yaml(effects: Mapping[str, FaultEffect], *, degree: str, seed: int, about: Mapping[str, Any]) -> str:
@@ -223,8 +200,8 @@ def to_yaml(effects: Mapping[str, FaultEffect], *, degree: str, seed: int, about
         for fault, effect in effects.items()
     }
     head = (
-        "# What comes of a fault: the probability that it acts like each generator of the interaction models; the rest"
-        " up to 1 is harmless.\n"
+        "# What comes of a fault: the probability that it acts like each generator of the interaction models; of spill,"
+        " if nothing is dropped.\n"
         "# Written by failbench; do not edit. Intervals are 95 %, whole motions drawn with replacement.\n"
         "# held_out: each scene with effects that were fitted on the others.\n"
     )
@@ -245,19 +222,40 @@ def write(file: str | FilePath, effects: Mapping[str, FaultEffect], **given: Any
 def _fit(fault: str, events: FaultEvents, resamples: int, seed: int, confidence: float) -> FaultEffect:
     if not len(events):
         raise SettingError("events", len(events), f"at least one of {fault}")
-    best, _ = most_likely(events.probability, events.happened)
+    best = likeliest(events)
     drawn = np.zeros((resamples, len(GENERATORS)))
     for i, rows in enumerate(cluster_draws(events.motion, resamples, seed)):
         counts = np.bincount(rows, minlength=len(events)).astype(float)
-        drawn[i] = most_likely(events.probability, events.happened, counts, best)[0]
+        drawn[i] = likeliest(events, counts, best)
     ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
     low, high = np.quantile(drawn, ends, axis=0) if resamples else np.full((2, len(GENERATORS)), np.nan)
     return FaultEffect(
         shares={name: Fitted(float(best[i]), float(low[i]), float(high[i])) for i, name in enumerate(GENERATORS)},
-        fitted=figures(predicted(events.probability, best), events.happened),
+        fitted=figures(predicted(events, best), events.happened),
         held_out=_held_out(events),
         motions=len(np.unique(events.motion)),
     )
+
+
+def _turns(events: FaultEvents, weight: Float[Array, " n"] | None, start: Array) -> Float[Array, " generator"]:
+    """Fit the share of drops and the other shares in turns."""
+    p, y, held = events.probability, events.happened, ~events.body
+    w = np.ones(len(y)) if weight is None else weight
+    shares, here = start.copy(), -np.inf
+    for _ in range(_TURNS):
+        d = np.where(held, shares[0], 0.0)
+        others = shares[1:] if shares[1:].any() else None
+        shares[1:] = most_likely((1.0 - d)[:, None] * p[:, 1:], y, w, offset=d * p[:, 0], start=others)[0]
+        either = np.column_stack([p[held, 0], p[held, 1:] @ shares[1:]])
+        if either[:, 0].any():
+            given = np.array([shares[0], 1.0 - shares[0]])
+            shares[0] = most_likely(either, y[held], w[held], start=given, harmless=False)[0][0]
+        else:
+            shares[0] = 0.0
+        before, here = here, log_likelihood(predicted(events, shares), y, w)
+        if here - before <= _GAIN:
+            break
+    return shares
 
 
 def _held_out(events: FaultEvents) -> Figures | None:
@@ -268,45 +266,15 @@ def _held_out(events: FaultEvents) -> Figures | None:
     guessed = np.zeros(len(events))
     for name in names:
         own = events.scene == name
-        others = events.rows(~own)
-        guessed[own] = predicted(events.probability[own], most_likely(others.probability, others.happened)[0])
+        guessed[own] = predicted(events.rows(own), likeliest(events.rows(~own)))
     return figures(guessed, events.happened)
-
-
-def _least(slope: Float[Array, " k"], bend: Float[Array, "k k"]) -> Float[Array, " k"]:
-    """Minimise slope.x + x.bend.x/2 over the probability simplex, exactly: every set of positive entries is tried."""
-    k = len(slope)
-    free = np.array([chosen for chosen in product((False, True), repeat=k) if any(chosen)])
-    # Lagrange's equations on each set; the others' rows say x = 0.
-    system = np.zeros((len(free), k + 1, k + 1))
-    system[:, :k, :k] = np.where(free[:, :, None] & free[:, None, :], bend, ~free[:, :, None] * np.eye(k))
-    system[:, :k, k] = system[:, k, :k] = free
-    right = np.column_stack([np.where(free, -slope, 0.0), np.ones(len(free))])
-    x = np.linalg.solve(system, right[..., None])[:, :k, 0]
-    value = x @ slope + 0.5 * np.einsum("si,ij,sj->s", x, bend, x)
-    value[(x < -1e-12).any(axis=1)] = np.inf
-    found = np.maximum(x[int(np.argmin(value))], 0.0)
-    return found / found.sum()
-
-
-def _search(p: Array, y: Array, w: Array, theta: Array, step: Array) -> Array:
-    """Go along a step as far as the likelihood rises."""
-
-    def loss(there: Array) -> float:
-        P = predicted(p, there)
-        return -float(w @ np.where(y > 0.0, np.log(P), np.log1p(-P)))
-
-    here, length = loss(theta), 1.0
-    while length > 1e-12 and loss(theta + length * step) > here + 1e-12 * abs(here):
-        length *= 0.5
-    return theta + length * step if length > 1e-12 else theta
 
 
 def _joined(parts: Sequence[FaultEvents]) -> FaultEvents:
     return FaultEvents(
         **{
             name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("probability", "happened", "motion", "scene")
+            for name in ("probability", "happened", "body", "motion", "scene")
         }
     )
 

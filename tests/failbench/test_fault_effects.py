@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from failbench.effects_fit import FaultEvents, fault_events, fit_effects, most_likely, predicted, write
+from failbench.effects_fit import FaultEvents, fault_events, fit_effects, likeliest, predicted, write
 from failbench.failures import Failures
 from failbench.faults import DEGREES, faults
+from failbench.mixture import log_likelihood
 from graceful_plan import SettingError, fault_prior, load_scene
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.fault_prior import GENERATORS, FaultPrior, presets, shipped_effects
@@ -30,83 +29,70 @@ def test_presets_name_faults_that_there_are(name):
 
 
 def draw(shares, n=40_000, motions=50, seed=0, concentration=(0.2, 1.0)):
-    """Events of a fault that acts like each generator with some probability."""
+    """Events of a fault that acts like each generator with some probability, half of them touches by the body."""
     rng = np.random.default_rng(seed)
     probability = rng.beta(*concentration, size=(n, len(GENERATORS)))
-    kind = rng.choice(len(GENERATORS) + 1, size=n, p=[*shares, 1.0 - sum(shares)])
+    body = rng.random(n) < 0.5
+    probability[body, :2] = 0.0
+    drop, spill, *arm = shares
+    dropped = ~body & (rng.random(n) < drop)
+    kind = 1 + rng.choice(len(GENERATORS), size=n, p=[spill, *arm, 1.0 - spill - sum(arm)])
+    kind[dropped] = 0
     chance = np.column_stack([probability, np.zeros(n)])[np.arange(n), kind]
     motion = rng.integers(motions, size=n)
     return FaultEvents(
         probability=probability,
         happened=rng.random(n) < chance,
+        body=body,
         motion=motion,
         scene=np.where(motion % 2 == 0, "desk", "kitchen"),
     )
 
 
-def likelihood(events, shares):
-    P = predicted(events.probability, np.asarray(shares))
-    return np.where(events.happened, np.log(P), np.log1p(-P)).sum()
+TRUE = (0.6, 0.2, 0.0, 0.35, 0.0, 0.1)
+BOTH = (0.9, 0.0, 0.8, 0.0, 0.0, 0.0)  # a loss of power: the arm falls, and the object, too
 
 
-TRUE = (0.5, 0.1, 0.0, 0.25, 0.0, 0.05)
-
-
-def test_the_truth_is_found_and_lies_in_the_intervals():
-    effect = fit_effects({"weak_grip": draw(TRUE, n=10_000)}, resamples=40, seed=1)["weak_grip"]
-    for name, true in zip(GENERATORS, TRUE, strict=True):
-        share = effect.shares[name]
-        assert share.value == pytest.approx(true, abs=0.06)
-        # 99.7 % intervals, so that luck decides seldom
-        half = 0.5 * (share.high - share.low)
-        assert share.low - 0.5 * half - 0.01 <= true <= share.high + 0.5 * half + 0.01
-        assert half < 0.08
+@pytest.mark.parametrize("true", [TRUE, BOTH], ids=["several", "both"])
+def test_the_truth_is_found_and_lies_in_the_intervals(true):
+    effect = fit_effects({"weak_grip": draw(true, n=10_000)}, resamples=30, seed=1)["weak_grip"]
+    for name, share in zip(GENERATORS, true, strict=True):
+        found = effect.shares[name]
+        # What is spilled shows only in what is not dropped.
+        assert found.value == pytest.approx(share, abs=0.06 if name != "spill" else 0.2)
+        half = 0.5 * (found.high - found.low)
+        assert found.low - half - 0.01 <= share <= found.high + half + 0.01  # twice the width: luck decides seldom
+        assert 0.0 <= half < (0.1 if name != "spill" else 0.45)
     assert effect.motions == 50
     assert effect.fitted.ratio == pytest.approx(1.0, abs=0.02)
     assert effect.held_out is not None and effect.held_out.events == effect.fitted.events
-    assert effect.held_out.log_loss >= effect.fitted.log_loss - 1e-9
+    assert effect.held_out.log_loss >= effect.fitted.log_loss - 1e-6
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 10**6), st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6))
-def test_no_other_shares_are_likelier(seed, other):
+@pytest.mark.parametrize("seed", range(6))
+def test_no_other_shares_are_likelier(seed):
     rng = np.random.default_rng(seed)
-    true = rng.dirichlet(np.full(7, 0.3))[:6]
-    events = draw(true, n=400, seed=seed)
-    shares, gap = most_likely(events.probability, events.happened)
-    assert (shares >= 0.0).all() and shares.sum() <= 1.0 + 1e-9
-    assert gap <= 1e-4
-    assert likelihood(events, shares) >= likelihood(events, np.array(other) / max(1.0, sum(other))) - gap - 1e-9
-    assert likelihood(events, shares) >= likelihood(events, true) - gap - 1e-9
+
+    def some():
+        return np.append(rng.random(), rng.dirichlet(np.full(6, 0.4))[:5])
+
+    true = some()
+    events = draw(true, n=1000, seed=seed)
+    best = likeliest(events)
+    assert (best >= 0.0).all() and best[0] <= 1.0 + 1e-9 and best[1:].sum() <= 1.0 + 1e-9
+    reached = log_likelihood(predicted(events, best), events.happened)
+    near = [np.clip(best + rng.normal(0.0, 0.02, 6), 0.0, 1.0) for _ in range(50)]
+    others = [true, *(some() for _ in range(50)), *(x for x in near if x[1:].sum() <= 1.0)]
+    assert reached >= max(log_likelihood(predicted(events, x), events.happened) for x in others) - 0.02
 
 
-def test_weights_count_like_repetitions():
-    events = draw(TRUE, n=500)
-    weight = np.random.default_rng(2).integers(0, 4, size=500)
-    rows = np.repeat(np.arange(500), weight)
-    weighted, _ = most_likely(events.probability, events.happened, weight.astype(float))
-    repeated, _ = most_likely(events.probability[rows], events.happened[rows])
-    np.testing.assert_allclose(weighted, repeated, atol=1e-5)
-
-
-def test_ends_of_the_range():
-    events = draw(TRUE, n=300)
-    never, always = np.zeros(300, bool), np.ones(300, bool)
-    assert most_likely(events.probability, never)[0].sum() == pytest.approx(0.0, abs=1e-6)
-    assert most_likely(events.probability, always)[0].sum() == pytest.approx(1.0)
-    # One generator that is always right, and others that say nothing.
-    probability = np.zeros((300, 6))
-    probability[:, 3] = events.happened
-    np.testing.assert_allclose(most_likely(probability, events.happened)[0], [0, 0, 0, 1, 0, 0], atol=1e-3)
-    assert not most_likely(np.zeros((300, 6)), events.happened)[0].any()
-
-
-def test_generators_that_say_the_same_share():
-    events = draw((0.6, 0.0, 0.0, 0.0, 0.0, 0.0))
-    probability = events.probability.copy()
-    probability[:, 4] = probability[:, 0]
-    shares, gap = most_likely(probability, events.happened)
-    assert gap <= 1e-4 and shares[0] + shares[4] == pytest.approx(0.6, abs=0.03)
+def test_a_fault_of_the_gripper_and_one_of_the_arm():
+    gripper = draw((0.8, 0.0, 0.0, 0.0, 0.0, 0.0), n=4000)
+    assert likeliest(gripper) == pytest.approx([0.8, 0, 0, 0, 0, 0], abs=0.06)
+    alone = gripper.rows(gripper.body)  # the body was never near anything
+    assert likeliest(alone) == pytest.approx([0.0] * 6, abs=1e-3)
+    stuck = draw((0.0, 0.0, 0.0, 0.0, 0.7, 0.0), n=4000)
+    assert likeliest(stuck) == pytest.approx([0, 0, 0, 0, 0.7, 0], abs=0.06)
 
 
 def test_one_scene_cannot_be_held_out():
@@ -173,6 +159,7 @@ def test_failures_become_events():
     np.testing.assert_array_equal(noise.probability[5:10, column], np.arange(18.0, 23.0) / 24.0)
     assert not np.delete(noise.probability, column, axis=1).any()
     assert list(np.flatnonzero(noise.happened)) == [8, 18]
+    assert list(noise.body[:10]) == [True] * 3 + [False] * 2 + [True] * 3 + [False] * 2
     assert list(np.flatnonzero(found["dropout"].happened)) == [2, 12]
 
 
