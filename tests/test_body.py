@@ -195,9 +195,9 @@ def test_who_is_far_away_is_not_hit(odd):
 def test_entities_without_severity_change_nothing(odd):
     q, qd = _states(odd, 30, seed=6)
     severity = np.array([[1.0, 0.0, 2.0], [3.0, 0.0, 0.5]])
-    weights = np.array([0.1, 0.2, 0.3, 0.4])
+    weights = np.array([[0.1, 0.2], [0.2, 0.0], [0.3, 0.5], [0.4, 0.1]])
     model, batch = BodyModel(_COARSE), _batch(odd, q, qd)
-    expected = np.einsum("ngre,g,re->n", model.probability(batch), weights, severity)
+    expected = np.einsum("ngre,gr,re->n", model.probability(batch), weights, severity)
     np.testing.assert_allclose(model.impact(batch, severity, weights), expected, atol=1e-12)
     assert expected.max() > 1e-3
     fewer = _odd(entities=("vase", "ground"))
@@ -229,7 +229,7 @@ def test_an_arm_that_is_held_up_does_not_reach_what_is_below(odd):
 
 def test_what_planners_are_charged(odd):
     q, _ = _states(odd, 12, seed=9)
-    severity, weights = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]]), np.array([0.4, 0.3, 0.2, 0.1])
+    severity, weights = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]]), np.outer([0.4, 0.3, 0.2, 0.1], [1.0, 0.5])
     model = BodyModel(_COARSE)
     kernel = model.kernel(odd, severity, weights, (0.5, 0.5))
     at_rest = model.impact(_batch(odd, q, np.zeros_like(q)), severity, weights)
@@ -258,9 +258,9 @@ def test_misuse(odd):
     with pytest.raises(NonFiniteError):
         model.modes(batch, np.full((3, 1, 4), np.nan))
     with pytest.raises(ShapeError, match="weights"):
-        mode_weights(np.ones(3), 4)
+        mode_weights(np.ones((3, 2)), 4)
     with pytest.raises(SettingError, match="weights"):
-        mode_weights(np.array([1.0, -1.0, 0.0, 0.0]), 4)
+        mode_weights(np.full((4, 2), -1.0), 4)
     with pytest.raises(ShapeError, match="severity"):
         model.impact(batch, np.ones((1, 3)), np.ones(4))
     with pytest.raises(SettingError, match="spread"):

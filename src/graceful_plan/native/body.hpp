@@ -351,7 +351,7 @@ struct Arm {
   template <class Visit> void fail(const D* qd, const double* weight, Visit visit) {
     const int n = tables.n_joint;
     for (int mode = 0; mode < 2 * n + 2; ++mode) {
-      if (weight && weight[mode] == 0.0) continue;
+      if (weight && !counts(weight + mode * body.n_row)) continue;
       const int generator = mode == 0 ? kCollapse : mode <= n ? kJoint : mode <= 2 * n ? kStuck : kStray;
       if (generator == kCollapse) collapse(qd);
       if (generator == kJoint) loose(mode - 1, qd);
@@ -362,6 +362,7 @@ struct Arm {
   }
 
  private:
+  bool counts(const double* weight) const { return std::any_of(weight, weight + body.n_row, [](double w) { return w != 0.0; }); }
   static double scalar_exponential(double x) { return exponential(D{} + x)[0]; }
 };
 
@@ -369,13 +370,11 @@ static inline D body_impact_of(Arm& arm, const double* weight, const D* q, const
   D impact = {};
   arm.begin(q, qd, nullptr, 0, 1);
   arm.fail(qd, weight, [&](int mode, int generator) {
-    D sum = {};
     for (int r = 0; r < arm.body.n_row; ++r)
       for (int e = 0; e < arm.body.n_entity; ++e) {
-        const double S = arm.severity[r * arm.body.n_entity + e];
-        if (S != 0.0) sum += S * arm.probability(generator, r, e);
+        const double S = weight[mode * arm.body.n_row + r] * arm.severity[r * arm.body.n_entity + e];
+        if (S != 0.0) impact += S * arm.probability(generator, r, e);
       }
-    impact += weight[mode] * sum;
   });
   return impact;
 }

@@ -45,7 +45,7 @@ class BodyModel {
   size_t modes() const { return 2 * drive_.size() + 2; }
 
   void check(const Reals& weight, const Reals& severity) const {
-    require(weight.size() == modes(), "weight is not [mode]");
+    require(weight.size() == modes() * size_t(tables_.n_row), "weight is not [mode, row]");
     require(severity.size() == size_t(tables_.n_row) * size_t(tables_.n_entity), "severity is not [row, entity]");
   }
 

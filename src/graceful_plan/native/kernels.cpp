@@ -3,6 +3,7 @@
 #include "tables.hpp"
 
 #if defined(__x86_64__)
+#include <algorithm>
 #include <immintrin.h>
 #endif
 

@@ -177,7 +177,7 @@ struct Kernels {
                         double* d_q, double* d_qd);
   void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const double* q0, const double* q1,
                           size_t n, double step, double* cost);
-  // The body model; weight is [mode], severity [row, entity], ahead null or [n, n_reference, n_joint].
+  // The body model; weight is [mode, row], severity [row, entity], ahead null or [n, n_reference, n_joint].
   void (*body)(const Tables&, const BodyTables&, const double* q, const double* qd, const double* ahead, size_t n, double* distance);
   void (*body_impact)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* q, const double* qd, size_t n,
                       double* impact);

@@ -128,26 +128,28 @@ class BodyModel:
         return np.stack([P[:, 0], P[:, 1 : n + 1].mean(axis=1), P[:, n + 1 : -1].mean(axis=1), P[:, -1]], axis=1)
 
     def impact(
-        self, batch: StateBatch, severity: Float[Array, "component entity"], weights: Float[Array, " generator"]
+        self, batch: StateBatch, severity: Float[Array, "component entity"], weights: Float[Array, "generator row"]
     ) -> Float[Array, " n"]:
-        """Return sums of weights P S; components as in the scene, those that are not rows do not count."""
+        """Return sums of weights P S; weights for each of `ROWS`, components as in the scene; the others do not count."""
         scene = batch.scene
         if not len(batch):
             return np.zeros(0)
         native = _native_model(scene, self.settings)
-        weight, rows = mode_weights(weights, len(scene.joints)), _severity(scene, severity)
+        rows = _severity(scene, severity)
+        weight = _reals(mode_weights(weights, len(scene.joints))[:, : len(rows)])
         return native.impact(weight, rows, _reals(batch.q), _reals(batch.qd))
 
     def kernel(
         self,
         scene: Scene,
         severity: Float[Array, "component entity"],
-        weights: Float[Array, " generator"],
+        weights: Float[Array, "generator row"],
         paces: tuple[float, float] = (1.0, 1.0),
     ) -> ImpactKernel:
         """Return the impact with these severities and weights, for planners; see `InteractionModel.kernel`."""
         native = _native_model(scene, self.settings)
-        weight, rows = mode_weights(weights, len(scene.joints)), _severity(scene, severity)
+        rows = _severity(scene, severity)
+        weight = _reals(mode_weights(weights, len(scene.joints))[:, : len(rows)])
         return ImpactKernel(compile_scene(scene).kernels, _native.BodyImpact(native, weight, rows, *paces))
 
 
@@ -173,20 +175,20 @@ def mode_names(scene: Scene) -> tuple[str, ...]:
     return ("collapse", *(f"joint/{j}" for j in scene.joints), *(f"stuck/{j}" for j in scene.joints), "stray")
 
 
-def mode_weights(weights: Float[Array, " generator"], nq: int) -> Float[Array, " mode"]:
+def mode_weights(weights: Float[Array, "generator row"], nq: int) -> Float[Array, "mode row"]:
     """Spread weights of `GENERATORS` over ways to fail; those of joints are shared evenly.
 
     Raises:
-        ShapeError: If there is not one for each generator.
+        ShapeError: If there is not one for each generator and each of `ROWS`.
         SettingError: If one is negative.
     """
     values = finite_array("weights", weights)
-    if values.shape != (len(GENERATORS),):
-        raise ShapeError("weights", values.shape, f"({len(GENERATORS)},): {', '.join(GENERATORS)}")
+    if values.shape != (len(GENERATORS), len(ROWS)):
+        raise ShapeError("weights", values.shape, f"({len(GENERATORS)}, {len(ROWS)}): {', '.join(GENERATORS)}")
     if (values < 0.0).any():
         raise SettingError("weights", float(values.min()), "at least 0")
-    collapse, joint, stuck, stray = values
-    return np.concatenate([[collapse], np.full(nq, joint / nq), np.full(nq, stuck / nq), [stray]])
+    collapse, joint, stuck, stray = values[:, None]
+    return np.concatenate([collapse, np.repeat(joint / nq, nq, axis=0), np.repeat(stuck / nq, nq, axis=0), stray])
 
 
 def _checked(ahead: Array, n: int, nq: int) -> Float[Array, "n step nq"]:
