@@ -212,7 +212,7 @@ def test_nothing_held_and_nobody_there(tabletop):
     assert (P[:, :, 1] < 1e-15).all() and P[:, :, 0].max() > 0.1
     empty = _odd(entities=())
     assert BodyModel(_COARSE).probability(_batch(empty, q, qd)).shape == (9, 4, 2, 0)
-    assert (BodyModel(_COARSE).impact(_batch(empty, q, qd), np.zeros((2, 0)), np.ones(4)) == 0.0).all()
+    assert (BodyModel(_COARSE).impact(_batch(empty, q, qd), np.zeros((2, 0)), np.ones((4, 2))) == 0.0).all()
     assert BodyModel().modes(_batch(tabletop, np.zeros((0, 7)), np.zeros((0, 7)))).shape[0] == 0
 
 
@@ -262,7 +262,7 @@ def test_misuse(odd):
     with pytest.raises(SettingError, match="weights"):
         mode_weights(np.full((4, 2), -1.0), 4)
     with pytest.raises(ShapeError, match="severity"):
-        model.impact(batch, np.ones((1, 3)), np.ones(4))
+        model.impact(batch, np.ones((1, 3)), np.ones((4, 2)))
     with pytest.raises(SettingError, match="spread"):
         Margin(offset=0.0, spread=0.0)
     with pytest.raises(SettingError, match="steps"):
