@@ -5,7 +5,7 @@ from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.checks import clearance, interaction_probability
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.interactions import BoxOverlap, InteractionModel
+from graceful_plan.costs.interactions import BoxOverlap, Footprint, InteractionModel
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.dynamics import RobotDynamics
@@ -63,6 +63,7 @@ __all__ = [
     "BITStar",
     "BiTRRT",
     "BoxOverlap",
+    "Footprint",
     "Check",
     "Contribution",
     "Cost",

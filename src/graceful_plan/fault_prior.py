@@ -110,10 +110,7 @@ class FaultPrior:
         Raises:
             UnknownNameError: If there is no such preset, or no effects for the degree.
         """
-        presets = _shipped_rates()
-        if name not in presets:
-            raise UnknownNameError("fault prior", name, presets)
-        return cls(presets[name], shipped_effects(degree), name)
+        return _preset(name, degree)
 
     @classmethod
     def load(cls, file: str | Path, name: str | None = None, *, degree: str = "severe") -> FaultPrior:
@@ -207,6 +204,14 @@ def _check_effects(fault: str, row: Mapping[str, float]) -> None:
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _preset(name: str, degree: str) -> FaultPrior:
+    presets = _shipped_rates()
+    if name not in presets:
+        raise UnknownNameError("fault prior", name, presets)
+    return FaultPrior(presets[name], shipped_effects(degree), name)
 
 
 @cache

@@ -34,8 +34,8 @@ class ImpactCost(Cost):
 
     Args:
         model: An interaction model, or the word for one of `costs.interactions.MODELS`.
-        components: Which parts of the robot count: "body", "carried", "contents". Those that a scene does not have
-            contribute nothing.
+        components: Which parts of the robot count: "body", "carried", "contents"; by default those that the model
+            says (`InteractionModel.components`). Those that a scene does not have contribute nothing.
         consequence: What P is about: "contact"; "energy", damage by the energy of the contact and the shipped table of
             fragilities (`costs.consequence`); or a table of one's own.
 
@@ -44,7 +44,7 @@ class ImpactCost(Cost):
     """
 
     model: str | InteractionModel = "aabb"
-    components: tuple[str, ...] = ("carried", "contents")
+    components: tuple[str, ...] = ()
     consequence: str | FragilityTable = "contact"
 
     def __post_init__(self) -> None:
@@ -57,6 +57,9 @@ class ImpactCost(Cost):
         for name in self.components:
             if name not in COMPONENTS:
                 raise UnknownNameError("component", name, COMPONENTS)
+        if not self.components:
+            model = MODELS[self.model]() if isinstance(self.model, str) else self.model
+            object.__setattr__(self, "components", tuple(model.components))
         if isinstance(self.consequence, str) and self.consequence not in CONSEQUENCES:
             raise UnknownNameError("consequence", self.consequence, CONSEQUENCES)
         if not isinstance(self.consequence, str | FragilityTable):

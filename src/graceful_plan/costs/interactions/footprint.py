@@ -11,8 +11,8 @@ A drop is told in four steps, each with smooth formulas of its own, so that the 
    lower; wide tops under its path catch it, the rest goes on.
 4. *Side contacts.* On its way to rest it sweeps into what stands beside the place where it comes down.
 
-"carried" is this. "contents" is what gets out of a container that is dropped, see `spill.py`. "body" is zero until
-there is a model of a collapsing arm.
+`Footprint` is this for what is carried; `spill.py` for contents, of a container that is dropped or still held; and
+`body.py` for an arm that fails. A prior over faults (`FaultPrior`) says how much each of these weighs.
 
 Specification
 -------------
@@ -87,13 +87,19 @@ References:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import add
 
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.compile import compile_scene
-from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.cost import AHEAD, StateBatch
+from graceful_plan.costs.interactions.body import BodyModel
+from graceful_plan.costs.interactions.body_constants import GENERATORS, BodySettings
+from graceful_plan.costs.interactions.body_tables import ROWS as HOLDING
 from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
 from graceful_plan.costs.interactions.footprint_drop import Drop, release, simulate
 from graceful_plan.costs.interactions.footprint_kernel import ROWS, footprint_kernel
@@ -101,6 +107,9 @@ from graceful_plan.costs.interactions.footprint_tables import footprint_tables
 from graceful_plan.costs.interactions.interaction import InteractionModel
 from graceful_plan.costs.interactions.moving_footprint import MovingSettings
 from graceful_plan.costs.interactions.spill_constants import SpillSettings
+from graceful_plan.elements import COMPONENTS
+from graceful_plan.exceptions import SettingError
+from graceful_plan.fault_prior import FaultPrior
 from graceful_plan.kernels import ImpactKernel
 from graceful_plan.scene import Scene
 
@@ -108,38 +117,63 @@ Array = np.ndarray
 
 FALLING = ("carried", "contents")
 """Components that fall when the gripper lets go."""
-_ROW = {"carried": ROWS.index("carried"), "contents": ROWS.index("dropped")}
-"""Their rows in the kernel."""
+_SOURCE = {"carried": (("carried", "drop"),), "contents": (("dropped", "drop"), ("held", "spill"))}
+"""Rows of the drop kernel that strike as a component, and the generator behind each."""
 _CHUNK = 200_000  # states times targets that are worked on at once
 
 
 @dataclass(frozen=True)
 class Footprint(InteractionModel):
-    """The drop model: probabilities from the native kernel, details (`drop`) from NumPy.
+    """What failures do, by models of drops, spills and failing arms: fast in the native core, details in NumPy.
 
     Args:
+        faults: Which failures to fear, a prior or the name of a preset: "drop_only", the gripper lets go; "arm";
+            "service_robot". Models of failing arms take much longer than those of drops and spills.
         settings: Constants of the drop model; the shipped ones by default.
         spill: Constants of the spill model; the shipped ones by default.
+        body: Constants of the body model; the shipped ones by default.
+
+    Raises:
+        UnknownNameError: If there is no such preset.
     """
 
+    faults: str | FaultPrior = "drop_only"
     settings: FootprintSettings = field(default_factory=FootprintSettings.shipped)
     spill: SpillSettings = field(default_factory=SpillSettings.shipped)
+    body: BodySettings = field(default_factory=BodySettings.shipped)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.faults, str | FaultPrior):
+            raise SettingError("faults", self.faults, "a FaultPrior or the name of a preset")
+        _ = self.prior
+
+    @property
+    def prior(self) -> FaultPrior:
+        """Which failures are feared."""
+        return FaultPrior.preset(self.faults) if isinstance(self.faults, str) else self.faults
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The robot's body counts if there are failures of the arm to fear."""
+        return COMPONENTS if self._arm_weights().any() else FALLING
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
-        """Return P that the dropped object hits each entity; zero for the robot's body."""
-        scene = batch.scene
-        P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
-        if scene.carried is None or not len(batch):
-            return P
-        found = footprint_kernel(scene, self.settings, self.spill).probability(batch.q, batch.qd)
-        for row, name in enumerate(scene.components):
-            if name in FALLING:
-                P[:, row] = found[:, _ROW[name]]
-        return P
+        """Return P of a contact, summed over all that may go wrong."""
+        none = np.zeros((len(batch), len(batch.scene.components), len(batch.scene.entities)))
+        return sum(self.sources(batch).values(), none)
+
+    def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
+        """Return the same by generator, those that have a weight."""
+        return {**self._gripper_sources(batch), **self._arm_sources(batch)}
+
+    def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
+        """Return which faults are behind each of the sources, and how much they weigh."""
+        return self.prior.fault_shares()
 
     def moving_settings(self) -> MovingSettings:
         """Return the constants of this model for those who move."""
-        return MovingSettings(constants=self.settings)
+        weights = self.prior.weights()
+        return MovingSettings(constants=self.settings, drop=weights["drop"], collapse=weights["collapse"])
 
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
@@ -147,18 +181,25 @@ class Footprint(InteractionModel):
         """Return the native kernel; a subclass may compute otherwise."""
         if type(self) is not Footprint:
             return None
-        if scene.carried is None:  # P = 0
+        parts: list[ImpactKernel] = []
+        rows = self._severities(scene, severity)
+        if scene.carried is not None and rows.any():
+            parts.append(footprint_kernel(scene, self.settings, self.spill).with_severity(rows, paces))
+        weights = self._arm_weights()
+        if weights.any() and severity.any():
+            parts.append(BodyModel(self.body).kernel(scene, severity, weights, paces))
+        if not parts:  # nothing can happen
             return compile_scene(scene).kernels.overlap(np.zeros_like(severity))
-        return footprint_kernel(scene, self.settings, self.spill).with_severity(_falling(scene, severity), paces)
+        return reduce(add, parts)
 
     def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
-        """Return the derivative of sums of P S; a subclass may compute otherwise."""
-        if type(self) is not Footprint:
+        """Return the derivative of sums of P S, None where arms may fail; a subclass may compute otherwise."""
+        if type(self) is not Footprint or self._arm_weights().any():
             return None
         if batch.scene.carried is None:
             return np.zeros_like(batch.q)
         kernel = footprint_kernel(batch.scene, self.settings, self.spill)
-        return kernel.gradient(batch.q, _falling(batch.scene, severity), batch.qd)[1]
+        return kernel.gradient(batch.q, self._severities(batch.scene, severity), batch.qd)[1]
 
     def drop(self, batch: StateBatch) -> Drop:
         """Return what becomes of the object, per target and per entity.
@@ -179,11 +220,46 @@ class Footprint(InteractionModel):
                 np.maximum(entity[:, owner], hit[:, k], out=entity[:, owner])
         return Drop(first=first, contact=contact, hit=hit, entity=entity)
 
+    def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
+        """What comes of drops and of spills."""
+        scene, weights = batch.scene, self.prior.weights()
+        names = [name for name in ("drop", "spill") if weights[name] > 0.0]
+        found = {name: np.zeros((len(batch), len(scene.components), len(scene.entities))) for name in names}
+        if scene.carried is None or not len(batch) or not names:
+            return found
+        P = footprint_kernel(scene, self.settings, self.spill).probability(batch.q, batch.qd)
+        for row, component in enumerate(scene.components):
+            for own, source in _SOURCE.get(component, ()):
+                if source in found:
+                    found[source][:, row] += weights[source] * P[:, ROWS.index(own)]
+        return found
 
-def _falling(scene: Scene, severity: Float[Array, "component entity"]) -> Float[Array, "row entity"]:
-    """Severities in the rows of the kernel."""
-    rows = np.zeros((len(ROWS), severity.shape[1]))
-    for own, name in zip(severity, scene.components, strict=True):
-        if name in FALLING:
-            rows[_ROW[name]] = own
-    return rows
+    def _arm_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
+        """What comes of failing arms."""
+        scene, weights = batch.scene, self._arm_weights()
+        if not weights.any():
+            return {}
+        known = batch.ahead if np.isclose(self.body.step, AHEAD[0]) else None
+        P = BodyModel(self.body).probability(batch, known)
+        found: dict[str, Float[Array, "n component entity"]] = {}
+        for g, name in enumerate(GENERATORS):
+            if weights[g].any():
+                found[name] = np.zeros((len(batch), len(scene.components), len(scene.entities)))
+                for row, component in enumerate(scene.components):
+                    if component in HOLDING:
+                        k = HOLDING.index(component)
+                        found[name][:, row] = weights[g, k] * P[:, g, k]
+        return found
+
+    def _arm_weights(self) -> Float[Array, "generator 2"]:
+        """Weight of each of `GENERATORS` for the arm and for what it still holds."""
+        weights, held = self.prior.weights(), self.prior.held_weights()
+        return np.array([[weights[name], held[name]] for name in GENERATORS])
+
+    def _severities(self, scene: Scene, severity: Float[Array, "component entity"]) -> Float[Array, "row entity"]:
+        """Severities in the rows of the drop kernel, with their weights."""
+        rows, weights = np.zeros((len(ROWS), severity.shape[1])), self.prior.weights()
+        for own, component in zip(severity, scene.components, strict=True):
+            for row, source in _SOURCE.get(component, ()):
+                rows[ROWS.index(row)] = weights[source] * own
+        return rows

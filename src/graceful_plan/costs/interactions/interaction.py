@@ -22,6 +22,11 @@ Array = np.ndarray
 class InteractionModel(ABC):
     """Base of all interaction models: a frozen object with `probability`; `kernel` and `gradient` where it can."""
 
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components that count in an `ImpactCost` unless it says otherwise."""
+        return "carried", "contents"
+
     @abstractmethod
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P(component hits entity | failure) for each state, in the scene's order of components and entities.
