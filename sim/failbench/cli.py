@@ -18,6 +18,7 @@ import graceful_plan as gp
 from failbench import summary
 from failbench.calibrate import Calibration
 from failbench.chunks import Rows
+from failbench.effects_fit import EffectsCalibration, calibrate_effects
 from failbench.errors import SweepFailed
 from failbench.executors import Executor, LocalExecutor
 from failbench.faults import to_document
@@ -222,9 +223,10 @@ def _made(args: argparse.Namespace, made: Generated) -> int:
     return DONE
 
 
-_CALIBRATIONS: Mapping[str, Callable[..., Calibration | SpillCalibration]] = {
+_CALIBRATIONS: Mapping[str, Callable[..., Calibration | SpillCalibration | EffectsCalibration]] = {
     "footprint": calibrate_footprint,
     "spill": calibrate_spill,
+    "effects": calibrate_effects,
 }
 
 

@@ -21,12 +21,14 @@ import numpy as np
 import yaml
 
 import graceful_plan as gp
-from failbench.failures import Failures
+from failbench.calibrate import Progress, generate, scenes_of
+from failbench.failures import Failures, read_failures, write_failures
+from failbench.faults import faults
 from failbench.fitting import Fitted
 from failbench.mixture import likely, log_likelihood, most_likely
 from failbench.skill import Figures, figures
 from failbench.statistics import check_confidence, cluster_draws
-from graceful_plan import Scene, SettingError, ShapeError
+from graceful_plan import Scene, SettingError, ShapeError, UnknownNameError
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.fault_prior import GENERATORS
 
@@ -214,6 +216,95 @@ def to_yaml(effects: Mapping[str, FaultEffect], *, degree: str, seed: int, about
 def write(file: str | FilePath, effects: Mapping[str, FaultEffect], **given: Any) -> None:
     """Write effects as YAML, see `to_yaml`."""
     FilePath(file).write_text(to_yaml(effects, **given), encoding="utf-8")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EffectsCalibration:
+    """Effects of faults, and why they are what they are. Made by `calibrate_effects`.
+
+    Args:
+        effects: By fault.
+        degree: How bad the faults were.
+        seed: Of everything random.
+        about: Scenes, numbers of failures.
+    """
+
+    effects: Mapping[str, FaultEffect]
+    degree: str
+    seed: int
+    about: Mapping[str, Any]
+
+    def to_yaml(self) -> str:
+        """Return it as YAML text like `fault_effects.yaml`."""
+        return to_yaml(self.effects, degree=self.degree, seed=self.seed, about=self.about)
+
+    def to_document(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return yaml.safe_load(self.to_yaml())
+
+    def __str__(self) -> str:
+        lines = [f"{'fault':<22} " + " ".join(f"{name:>9}" for name in GENERATORS) + "  held-out skill"]
+        for fault, effect in self.effects.items():
+            shares = " ".join(f"{x.value:9.3f}" for x in effect.shares.values())
+            skill = "-" if effect.held_out is None else f"{effect.held_out.brier_skill:.3f}"
+            lines.append(f"{fault:<22} {shares}  {skill}")
+        return "\n".join(lines)
+
+
+def generator_probabilities(scene: Scene, failures: Failures) -> Mapping[str, Float[Array, "n component entity"]]:
+    """Return what `Footprint` says if the failure is like each generator, and nothing else."""
+    batch, found = failures.states(scene), {}
+    for generator in GENERATORS:
+        prior = gp.FaultPrior({"it": 1.0}, {"it": {generator: 1.0}})
+        found[generator] = gp.Footprint(faults=prior).probability(batch)
+    return found
+
+
+def calibrate_effects(
+    scenes: Sequence[str],
+    *,
+    n: int = 30,
+    repeats: int = 2,
+    seed: int = 0,
+    processes: int = 1,
+    drops: str | FilePath | None = None,
+    progress: Progress | None = None,
+) -> EffectsCalibration:
+    """Let every fault happen in bundled scenes, severe, or take failures from a file, and fit what they act like.
+
+    Args:
+        scenes: Names of bundled scenes.
+        n: Failures along each motion.
+        repeats: Motions of each kind for each task.
+        seed: Of everything random.
+        processes: How many to let fail in; the fit is done in this one.
+        drops: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
+        progress: Called after each motion.
+
+    Raises:
+        UnknownNameError: If there is no such scene.
+        FormatError: If the file is there and holds something else.
+    """
+    for name in scenes:
+        if name not in gp.scenes():
+            raise UnknownNameError("scene", name, gp.scenes())
+    file = None if drops is None else FilePath(drops)
+    if file is not None and file.exists():
+        failures = [part for part in read_failures(file) if part.scene in scenes]
+    else:
+        every = [cls(degree="severe") for cls in faults().values()]
+        failures, _ = generate(scenes, every, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress)
+        if file is not None:
+            write_failures(file, failures)
+    single = [part for part in (part.only(faults()) for part in failures) if len(part)]
+    events = fault_events(single, scenes_of(single, gp.load_scene), generator_probabilities)
+    about = {
+        "scenes": sorted({part.scene for part in single}),
+        "motions": len(single),
+        "failures": sum(len(part) for part in single),
+    }
+    effects = fit_effects({name: events[name] for name in faults() if name in events}, seed=seed)
+    return EffectsCalibration(effects=effects, degree="severe", seed=seed, about=about)
 
 
 # --- the fit ----------------------------------------------------------------------------------------------------------

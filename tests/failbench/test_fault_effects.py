@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
+from failbench.cli import DONE, main
 from failbench.effects_fit import FaultEvents, fault_events, fit_effects, likeliest, predicted, write
-from failbench.failures import Failures
+from failbench.failures import Failures, MotionKind, fail_along, make_motion, write_failures
 from failbench.faults import DEGREES, faults
 from failbench.mixture import log_likelihood
 from graceful_plan import SettingError, fault_prior, load_scene
@@ -173,3 +174,19 @@ def test_misuse_is_refused():
         replace(events, probability=events.probability + 1.0)
     with pytest.raises(SettingError, match="at least one of noise"):
         fit_effects({"noise": events.rows(np.zeros(20, bool))})
+
+
+def test_the_command_fits_effects_to_failures_of_a_file(tmp_path):
+    task = load_scene("tabletop_l1").tasks["green_to_blue"]
+    motion = make_motion(task, MotionKind(way="rrt_connect", speed=0.6), 1)
+    assert motion is not None
+    feared = [faults()[name](degree="severe") for name in ("gripper_failure", "control_delay")]
+    happened = fail_along(motion, task.scene, feared, n=40, seed=1, task="green_to_blue")
+    file, out = tmp_path / "failures.npz", tmp_path / "effects.yaml"
+    write_failures(file, [happened])
+    command = ["calibrate", str(out), "--model", "effects", "--scenes", "tabletop_l1", "--drops", str(file)]
+    assert main(command) == DONE
+    shares = yaml.safe_load(out.read_text())["effects"]["severe"]
+    assert set(shares) == {"gripper_failure", "control_delay"}
+    assert shares["gripper_failure"]["drop"] > 0.8
+    assert sum(shares["control_delay"].values()) < 0.5

@@ -43,7 +43,7 @@ class ImpactCost(Cost):
         UnknownNameError: If there is no such model, component or consequence.
     """
 
-    model: str | InteractionModel = "aabb"
+    model: str | InteractionModel = "footprint"
     components: tuple[str, ...] = ()
     consequence: str | FragilityTable = "contact"
 

@@ -130,7 +130,7 @@ class BodyModel:
     def impact(
         self, batch: StateBatch, severity: Float[Array, "component entity"], weights: Float[Array, "generator row"]
     ) -> Float[Array, " n"]:
-        """Return sums of weights P S, with weights for each of `ROWS`; of the components, those do not count that are none."""
+        """Return sums of weights P S, with weights for each of `ROWS`; other components do not count."""
         scene = batch.scene
         if not len(batch):
             return np.zeros(0)
