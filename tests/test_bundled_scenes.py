@@ -37,7 +37,7 @@ def worst_impact(scene: gp.Scene, q: np.ndarray) -> float:
     """Greatest P S of object or contents against any entity at any of the configurations, by Algorithm 1."""
     held = [name != "body" for name in scene.components]
     severity = np.array([[entity.severity[c] for entity in scene.entities.values()] for c in scene.components])
-    return float((gp.interaction_probability(scene, q) * severity)[..., held, :].max())
+    return float((gp.interaction_probability(scene, q, "aabb") * severity)[..., held, :].max())
 
 
 def near_pairs(scene: gp.Scene, data: mujoco.MjData) -> list[list[int]]:

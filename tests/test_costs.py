@@ -63,7 +63,7 @@ def test_a_constant_impact_is_proportional_to_length(task):
 
 def test_kernel_and_generic_evaluation_agree(task):
     path = _path(task)
-    native = gp.Objective().bind(task.scene)
+    native = gp.Objective(impact=gp.ImpactCost(model="aabb")).bind(task.scene)
     generic = gp.Objective(impact=gp.ImpactCost(model=Twin())).bind(task.scene)
     assert native.kernel is not None and generic.kernel is None
     a, b = (o.edges(path.q[:-1], path.q[1:]) for o in (native, generic))
@@ -86,10 +86,12 @@ def test_breakdown_adds_up(task):
 @settings(max_examples=10, deadline=None)
 def test_more_vertices_and_the_way_back_cost_the_same(seed):
     task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
-    path = _path(task, seed=seed)
-    cost = gp.evaluate(path, task.scene)
-    assert gp.evaluate(path.resampled(0.05), task.scene).total == pytest.approx(cost.total, rel=5e-3)
-    assert gp.evaluate(path.reversed(), task.scene).total == pytest.approx(cost.total, rel=5e-3)
+    path, boxes = _path(task, seed=seed), gp.Objective(impact=gp.ImpactCost(model="aabb"))
+    for objective in (gp.Objective(), boxes):
+        cost = gp.evaluate(path, task.scene, objective)
+        assert gp.evaluate(path.resampled(0.05), task.scene, objective).total == pytest.approx(cost.total, rel=5e-3)
+    # What falls on the way back flies the other way, which boxes do not know.
+    assert gp.evaluate(path.reversed(), task.scene, boxes).total == pytest.approx(cost.total, rel=5e-3)
 
 
 def test_waypoint_exposure_is_the_plain_sum(task):
@@ -128,9 +130,10 @@ def test_weighted_length():
 
 def test_harmless_entities_and_absent_components_add_nothing(task):
     path = _path(task)
-    cost = gp.evaluate(path, task.scene)
+    boxes = gp.Objective(impact=gp.ImpactCost(model="aabb"))  # to which what is in the way of a fall is nothing
+    cost = gp.evaluate(path, task.scene, boxes)
     added = task.scene.add_box("ghost", [0.3, 0.3, 0.01], [0.0, -0.3, 0.1], entity="none")
-    assert gp.evaluate(path, added).impact == pytest.approx(cost.impact, rel=1e-9)
+    assert gp.evaluate(path, added, boxes).impact == pytest.approx(cost.impact, rel=1e-9)
     assert gp.evaluate(path, task.scene, gp.Objective(impact=gp.ImpactCost(components=("contents",)))).impact == 0.0
 
 
@@ -204,7 +207,13 @@ def test_paces_have_their_mean_and_need_speeds_only(task):
     at_limit = float(limit @ np.linalg.norm(np.diff(path.q, axis=0), axis=1))
     assert fast == pytest.approx(2.0 * slow, rel=1e-12)
     assert slow == pytest.approx(0.2 * at_limit, rel=0.02)
-    aabb = {gp.evaluate(path, task.scene, gp.Objective(pace=pace)).impact for pace in (0.0, 0.3, 1.0)}
-    assert len(aabb) == 1
+    found = {
+        model: {
+            gp.evaluate(path, task.scene, gp.Objective(impact=gp.ImpactCost(model=model), pace=pace)).impact
+            for pace in (0.0, 0.3, 1.0)
+        }
+        for model in ("aabb", "footprint")
+    }
+    assert len(found["aabb"]) == 1 and len(found["footprint"]) == 3
     with pytest.raises(SettingError, match=r"pace = 1\.5"):
         gp.Objective(pace=1.5)

@@ -267,8 +267,8 @@ def test_rows_of_components(tasks):
     assert P.shape == (3, len(names), len(task.scene.entities))
     np.testing.assert_array_equal(P[:, names.index("body")], 0.0)
     np.testing.assert_allclose(P[:, names.index("carried")], Footprint().drop(batch).entity, atol=1e-9)
-    if "contents" in names:
-        np.testing.assert_array_equal(P[:, names.index("contents")], P[:, names.index("carried")])
+    # What becomes of contents: test_spill_model.py.
+    assert 0.0 < P[:, names.index("contents")].max() <= 1.0
 
 
 def test_impact_cost_takes_it_by_its_word(tasks):

@@ -95,7 +95,7 @@ def test_constants_of_all_sizes(scene, seed, scale, fastest):
     compiled = compile_scene(scene)
     found = FootprintKernel(tables, constants, compiled.kernels, scene.limits.velocity, len(scene.entities))
     q, qd = _states(scene, 40, seed, fastest)
-    twin = Footprint(FootprintSettings(box=constants, cylinder=constants, plate=constants, ball=constants))
+    twin = Footprint(settings=FootprintSettings(box=constants, cylinder=constants, plate=constants, ball=constants))
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
     np.testing.assert_allclose(found.probability(q, qd)[:, 0], twin.drop(batch).entity, atol=1e-9)
@@ -228,7 +228,7 @@ def test_the_cost_has_the_gradient_of_its_model(scene):
     impact, by_q, _ = footprint_kernel(scene, SETTINGS).gradient(q, severity, qd)
     np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
     np.testing.assert_allclose(cost.gradient(batch), by_q, atol=1e-9)
-    assert gp.ImpactCost().gradient(batch) is None
+    assert gp.ImpactCost(model="aabb").gradient(batch) is None
     assert gp.ImpactCost(model=Generic()).gradient(batch) is None
     free = gp.load_scene("tabletop")
     assert not gp.ImpactCost(model="footprint").gradient(StateBatch(free, _states(free, 3, seed=0)[0])).any()

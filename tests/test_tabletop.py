@@ -163,5 +163,7 @@ def test_algorithm_1_gives_what_was_recomputed_for_the_published_trajectories(nu
     """The carried box, hard boxes, without the table, over the published four samples: lift, via twice, goal."""
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene.with_severity({"table": 0.0})
     stops = [scene.keyframes[name] for name in ("lift", f"t{number}_via", f"t{number}_via", f"t{number}_goal")]
-    impact = gp.evaluate(np.stack(stops), scene, gp.Objective(exposure="waypoints")).impact
+    impact = gp.evaluate(
+        np.stack(stops), scene, gp.Objective(impact=gp.ImpactCost(model="aabb"), exposure="waypoints")
+    ).impact
     assert impact == pytest.approx(total, abs=0.02)

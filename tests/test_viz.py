@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from graceful_plan.compile import compile_scene
+from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interactions.footprint import FALLING
 from graceful_plan.path import Path
@@ -64,11 +65,11 @@ def test_plane_has_no_outline():
     assert len(surface_points(scene, scene.data_at(np.zeros(1)), floor)) == 0
 
 
-def test_drop_impact_where_the_object_is_equals_the_objective(task):
+def test_drop_impact_where_the_object_is_equals_the_default(task):
     scene = task.scene
     low, high = scene.limits.position.T
     q = np.random.default_rng(0).uniform(low, high, (20, len(low)))
-    expected = compile_scene(scene).kernels.impact(q, ImpactCost(components=FALLING).severity(scene))
+    expected = ImpactCost(components=FALLING).state(StateBatch(scene, q))
     here = object_positions(scene, Path(q))
     found = [drop_impact(scene, q[i], here[i, :1], here[i, 1:2])[0, 0] for i in range(len(q))]
     assert np.max(expected) > 0.0

@@ -126,7 +126,7 @@ class Failures:
     def events(self, components: Sequence[str]) -> tuple[Bool[Array, "n entity"], Bool[Array, " entity"]]:
         """Return which entities one of some components touched, and which of them count for none of these."""
         rows = [self.components.index(name) for name in components]
-        return self.hit[:, rows].any(axis=1), self.counted[rows].all(axis=0)
+        return np.any(self.hit[:, rows], axis=1), np.all(self.counted[rows], axis=0)
 
 
 def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:

@@ -84,7 +84,7 @@ class FootprintFamily(Family):
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
         """Return what `Footprint` predicts for the carried object."""
         constants = FootprintConstants(**values)
-        model = Footprint(FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
+        model = Footprint(settings=FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
         found = model.probability(StateBatch(*prepared))
         return found[:, list(prepared.scene.components).index("carried")]
 

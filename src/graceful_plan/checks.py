@@ -31,14 +31,14 @@ def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
 
 
 def interaction_probability(
-    scene: Scene, q: ArrayLike, model: str | InteractionModel = "aabb", qd: ArrayLike | None = None
+    scene: Scene, q: ArrayLike, model: str | InteractionModel = "footprint", qd: ArrayLike | None = None
 ) -> Float[Array, "*batch component entity"]:
     """Probability that each component hits each entity, given that the robot fails at q.
 
     Args:
         scene: The scene; components and entities are in its order.
         q: Configurations [rad or m].
-        model: An interaction model or its name.
+        model: An interaction model or its name; by default that of `ImpactCost`.
         qd: Joint velocities [rad/s or m/s], for models that ask for them; at rest if None.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The default objective once more, slowly: Algorithm 1 of the paper and joint-space length, in plain NumPy on MuJoCo.
+"""The published objective once more, slowly: Algorithm 1 of the paper and joint-space length, in plain NumPy on MuJoCo.
 
 The judge recomputes a planner's cost with this, and tests compare the kernels with it. It shares no code with either.
 

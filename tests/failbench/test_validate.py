@@ -110,7 +110,7 @@ def test_the_prediction_is_taken_where_failures_begin(simulated: Callable[..., N
     for fraction, predicted in at.items():
         q = motion().at(motion().t[0] + fraction * motion().duration).q
         severity = ImpactCost().severity(scene())
-        exact = np.sum(gp.interaction_probability(scene(), q) * severity)
+        exact = np.sum(gp.interaction_probability(scene(), q, "aabb") * severity)
         assert predicted == pytest.approx(exact, abs=_EXACT)
     both = [GripperFailure(when=AtFraction(fraction)) for fraction in at]
     assert validate(motion(), scene(), both, n=2).predicted == pytest.approx(np.mean(list(at.values())))

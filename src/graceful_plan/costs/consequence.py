@@ -64,6 +64,11 @@ class Damage(InteractionModel):
     contact: InteractionModel
     fragility: FragilityTable
 
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Those of the model of contacts."""
+        return self.contact.components
+
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P(contact) P(damage | contact)."""
         return self.contact.probability(batch) * damage_probability(batch, self.fragility)

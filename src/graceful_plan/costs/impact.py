@@ -23,6 +23,8 @@ Array = np.ndarray
 
 CONSEQUENCES = ("contact", "energy")
 """Words for what counts in `ImpactCost(consequence=...)`."""
+OF_MODEL = ("those of the model",)
+"""Stands for components that are not given: none at all is something else."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class ImpactCost(Cost):
     Args:
         model: An interaction model, or the word for one of `costs.interactions.MODELS`.
         components: Which parts of the robot count: "body", "carried", "contents"; by default those that the model
-            says (`InteractionModel.components`). Those that a scene does not have contribute nothing.
+            says (`InteractionModel.components`); () for none. Those that a scene does not have contribute nothing.
         consequence: What P is about: "contact"; "energy", damage by the energy of the contact and the shipped table of
             fragilities (`costs.consequence`); or a table of one's own.
 
@@ -44,7 +46,7 @@ class ImpactCost(Cost):
     """
 
     model: str | InteractionModel = "footprint"
-    components: tuple[str, ...] = ()
+    components: tuple[str, ...] = OF_MODEL
     consequence: str | FragilityTable = "contact"
 
     def __post_init__(self) -> None:
@@ -54,12 +56,12 @@ class ImpactCost(Cost):
             raise SettingError("model", self.model, "an InteractionModel or the word for one")
         if isinstance(self.components, str):
             raise SettingError("components", self.components, f"several names: ({self.components!r},)")
+        if self.components is OF_MODEL:
+            model = MODELS[self.model]() if isinstance(self.model, str) else self.model
+            object.__setattr__(self, "components", model.components)
         for name in self.components:
             if name not in COMPONENTS:
                 raise UnknownNameError("component", name, COMPONENTS)
-        if not self.components:
-            model = MODELS[self.model]() if isinstance(self.model, str) else self.model
-            object.__setattr__(self, "components", tuple(model.components))
         if isinstance(self.consequence, str) and self.consequence not in CONSEQUENCES:
             raise UnknownNameError("consequence", self.consequence, CONSEQUENCES)
         if not isinstance(self.consequence, str | FragilityTable):

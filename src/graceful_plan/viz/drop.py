@@ -1,4 +1,4 @@
-"""Where it would do how much harm if the carried object fell, by Algorithm 1: the impact of a drop over a plane."""
+"""Where it would do how much harm if the carried object fell: the default impact of a drop, over a plane."""
 
 from __future__ import annotations
 
