@@ -13,6 +13,9 @@ from failbench import skill
 from failbench.calibrate import scenes_of
 from failbench.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
 from failbench.faults import faults
+from failbench.faults.fault import Fault
+from graceful_plan.costs.interactions.body import BodyModel, mode_names
+from graceful_plan.costs.interactions.body_tables import ROWS
 
 Array = np.ndarray
 
@@ -20,11 +23,11 @@ TITLE = "Spill and body models: predicted and observed hits, event by event"
 MEASURED = """\
 Scenes and motions as in `drop_prediction`, with other seeds. Faults are severe, at random times. An event is a failure
 and an entity: did one of the components touch it within one second? "Spill, dropped": contents after a failure of the
-gripper. "Spill, held": contents after faults of the arm. "Collapse": body after a loss of power. "Joint": body and
-carried object after the shutdown of a random joint. "Stuck": the same after a random joint has seized. "Stray": after
-faults of sensors. The model is told which faults are feared, not which joint fails. "Skill": Brier skill over the base
-rate of the same events; "ratio": predicted hits over observed ones; intervals are 95 %, whole motions drawn with
-replacement.
+gripper. "Spill, held": contents after faults of the arm that spill some of them; whether they do does not show in the
+state. "Collapse": body after a loss of power. "Joint": body and carried object after the shutdown of one joint.
+"Stuck": the same after one joint has seized. "Stray": after faults of sensors. The model is told what kind of failure
+it is, for single joints which, and the motion that was planned. "Skill": Brier skill over the base rate of the same
+events; "ratio": predicted hits over observed ones; intervals are 95 %, whole motions drawn with replacement.
 """
 SEED = 3111
 LEAST_SKILL = 0.4
@@ -37,28 +40,29 @@ OURS, PUBLISHED = "footprint", "Algorithm 1"
 class Kind:
     """Events of one kind."""
 
+    generator: str
     faults: tuple[str, ...]
+    """Names."""
     components: tuple[str, ...]
+    single: bool = False
+    """Whether the faults strike one joint that is known."""
+    spilled: bool = False
+    """Whether only failures count in which contents got out."""
     judged: bool = True
     """Whether there is a bar for them."""
 
 
 _GRIPPER = ("gripper_failure", "weak_grip", "stuck_gripper")
+_ARM = ("loose_joint", "power_loss", "dropout", "noise", "dead_zone")
+_SENSORS = ("noise", "bias_drift", "scale_error", "dead_zone", "dropout", "control_delay")
 EVENTS: Mapping[str, Kind] = {
-    "spill, dropped": Kind(faults=_GRIPPER, components=("contents",)),
-    "spill, held": Kind(
-        faults=("complete_shutdown", "loose_joint", "power_loss", "dropout", "noise"), components=("contents",)
-    ),
-    "collapse": Kind(faults=("power_loss",), components=("body",)),
-    "joint": Kind(faults=("complete_shutdown",), components=("body", "carried")),
-    "stuck": Kind(faults=("stuck_position",), components=("body", "carried")),
-    "stray": Kind(
-        faults=("noise", "bias_drift", "scale_error", "dead_zone", "dropout", "control_delay"),
-        components=("body", "carried"),
-        judged=False,
-    ),
+    "spill, dropped": Kind(generator="drop", faults=_GRIPPER, components=("contents",)),
+    "spill, held": Kind(generator="spill", faults=_ARM, components=("contents",), spilled=True),
+    "collapse": Kind(generator="collapse", faults=("power_loss",), components=("body",)),
+    "joint": Kind(generator="joint", faults=("complete_shutdown",), components=("body", "carried"), single=True),
+    "stuck": Kind(generator="stuck", faults=("stuck_position",), components=("body", "carried"), single=True),
+    "stray": Kind(generator="stray", faults=_SENSORS, components=("body", "carried"), judged=False),
 }
-NAMES = tuple(dict.fromkeys(name for kind in EVENTS.values() for name in kind.faults))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +78,8 @@ class Sizes:
     resamples: int
 
 
-FULL = Sizes(each=6, repeats=1, scenes=None, kinds=None, resamples=1000)
-QUICK = Sizes(each=2, repeats=1, scenes=2, kinds=1, resamples=20)
+FULL = Sizes(each=3, repeats=1, scenes=None, kinds=None, resamples=1000)
+QUICK = Sizes(each=1, repeats=1, scenes=2, kinds=1, resamples=20)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,9 +110,9 @@ def run(options: suite.Options) -> str:
 
 def fail_all(sizes: Sizes, options: suite.Options) -> tuple[list[Failures], list[str]]:
     """Fail in all variants; return the failures in the order of their jobs, and why some motions have none."""
-    feared = [faults()[name](degree="severe") for name in NAMES]
     jobs: list[tuple[int, FailureJob]] = []
     for k, name in enumerate(list(variants.VARIANTS)[: sizes.scenes]):
+        feared = feared_in(variants.load(name))
         found = failure_jobs(
             variants.load,
             [name],
@@ -124,18 +128,28 @@ def fail_all(sizes: Sizes, options: suite.Options) -> tuple[list[Failures], list
     return [x for x in ordered if isinstance(x, Failures)], [x for x in ordered if isinstance(x, str)]
 
 
+def feared_in(scene: gp.Scene) -> list[Fault]:
+    """Return all faults that are asked for, those of single joints for each joint."""
+    every: dict[Fault, None] = {}
+    for kind in EVENTS.values():
+        for name in kind.faults:
+            for targets in [(joint,) for joint in scene.joints] if kind.single else [()]:
+                every[faults()[name](degree="severe", targets=targets)] = None
+    return list(every)
+
+
 def _numbered(job: tuple[int, FailureJob]) -> tuple[int, Failures | str]:
     return job[0], do_job(job[1])
 
 
 def events_of(failures: Sequence[Failures], kind: Kind) -> Events:
     """Predict the events of one kind with both models."""
-    ours = gp.Footprint(faults=gp.FaultPrior(dict.fromkeys(kind.faults, 1.0)))
-    models: Mapping[str, Callable[..., Array]] = {OURS: ours.probability, PUBLISHED: gp.BoxOverlap().probability}
     scenes = scenes_of(failures, variants.load)
-    columns: dict[str, list[Array]] = {name: [] for name in ("scene", "motion", "happened", *models)}
+    columns: dict[str, list[Array]] = {name: [] for name in ("scene", "motion", "happened", OURS, PUBLISHED)}
     for i, whole in enumerate(failures):
-        part, scene = whole.only(kind.faults), scenes[whole.scene, whole.task]
+        scene = scenes[whole.scene, whole.task]
+        part = whole.only(_labels(kind, scene))
+        part = part.where(part.spilled > 0.0) if kind.spilled else part
         strikers = [name for name in kind.components if name in part.components]
         if not strikers or not len(part):
             continue
@@ -144,18 +158,39 @@ def events_of(failures: Sequence[Failures], kind: Kind) -> Events:
         columns["scene"].append(np.full(counted.sum(), part.scene))
         columns["motion"].append(np.full(counted.sum(), i))
         columns["happened"].append(hit[counted])
-        batch = part.states(scene)
         rows = [list(scene.components).index(name) for name in strikers]
-        for name, model in models.items():
-            each = np.clip(model(batch)[:, rows], 0.0, 1.0)
+        for name, P in ((OURS, _ours(kind, scene, part)), (PUBLISHED, _published(scene, part))):
+            each = np.clip(P[:, rows], 0.0, 1.0)
             columns[name].append((1.0 - np.prod(1.0 - each, axis=1))[counted])
     joined = {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in columns.items()}
     return Events(
         scene=joined["scene"],
         motion=joined["motion"],
         happened=joined["happened"].astype(bool),
-        predicted={name: joined[name] for name in models},
+        predicted={name: joined[name] for name in (OURS, PUBLISHED)},
     )
+
+
+def _labels(kind: Kind, scene: gp.Scene) -> list[str]:
+    return [f"{name} {joint}" for name in kind.faults for joint in scene.joints] if kind.single else list(kind.faults)
+
+
+def _ours(kind: Kind, scene: gp.Scene, part: Failures) -> Array:
+    batch = part.states(scene)
+    if not kind.single:
+        prior = gp.FaultPrior({"it": 1.0}, {"it": {kind.generator: 1.0}})
+        return gp.Footprint(faults=prior).probability(batch)
+    P = np.zeros((len(part), len(scene.components), len(scene.entities)))
+    modes, names = BodyModel().modes(batch, batch.ahead), mode_names(scene)
+    struck = [names.index(f"{kind.generator}/{part.faults[i].split(' ')[1]}") for i in part.fault]
+    for row, component in enumerate(scene.components):
+        if component in ROWS:
+            P[:, row] = modes[np.arange(len(part)), struck, ROWS.index(component)]
+    return P
+
+
+def _published(scene: gp.Scene, part: Failures) -> Array:
+    return gp.interaction_probability(scene, part.q, "aabb", part.qd)
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
