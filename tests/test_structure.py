@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+import graceful_plan as gp
 from failbench import execution, plant, robot, world
 from graceful_plan import Explanation, ImpactMap, arrays, elements
 
@@ -159,6 +160,27 @@ def test_readme_has_snippets():
 def test_readme_snippet_runs(snippet, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(snippet, "README.md", "exec"), {})
+
+
+def guide_snippets(guide: str) -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / guide).read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("guide", ["faults-prior.md", "impact-models.md", "moving.md"])
+def test_guides_run(guide, tmp_path, monkeypatch):
+    (tmp_path / "faults.yaml").write_text("version: 1\npresets: {mine: {weak_grip: 2, dropout: 1}}\n")
+    monkeypatch.chdir(tmp_path)
+    task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
+    known = {"gp": gp, "task": task, "start": task.start, "goal": task.goal, "scene": task.scene}
+    snippets = guide_snippets(guide)
+    assert snippets
+    exec(compile("\n".join(snippets), guide, "exec"), known)
+
+
+@pytest.mark.parametrize("guide", sorted(file.name for file in (ROOT / "docs").glob("*.md")))
+def test_guides_name_existing_files(guide):
+    for link in re.findall(r"\]\(([^)#:]+)\)", (ROOT / "docs" / guide).read_text()):
+        assert (ROOT / "docs" / link).exists(), link
 
 
 def test_readme_names_existing_files():
