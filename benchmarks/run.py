@@ -22,6 +22,7 @@ from benchmarks import machine, report, suite  # noqa: E402 - after the path to 
 
 SUBJECTS = (
     "kernels",
+    "impact_speed",
     "safety",
     "first_path",
     "planners",
