@@ -19,7 +19,7 @@ TITLE = "Impact models: configuration and entity pairs per second on one thread"
 MEASURED = f"""\
 For the task of each scene whose object is slowest. "Drop": sums of P S of the carried object; "contents": with those of
 its contents, after a drop and from a held container; "gradient": derivatives of the first with respect to q and its
-velocity; "mixture": all generators of the prior `service_robot`, the arm's too. At random configurations and velocities,
+velocity; "mixture": all generators of the prior `service_robot`. At random configurations and velocities,
 and along edges of 1 rad sampled at {COST_STEP:g} rad. Best of several repetitions; millions of pairs of a configuration
 and an entity per second, and how many times longer the mixture takes than drops.
 """
