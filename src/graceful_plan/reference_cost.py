@@ -1,6 +1,7 @@
 """The published objective once more, slowly: Algorithm 1 of the paper and joint-space length, in plain NumPy on MuJoCo.
 
-The judge recomputes a planner's cost with this, and tests compare the kernels with it. It shares no code with either.
+The judge recomputes a planner's cost of that kind with this, and tests compare the kernels with it. It shares no code
+with either.
 
 References:
     T. Nguyen et al., "Failing Gracefully", Algorithm 1. P is clipped at 1 here: stacked geoms count their area more

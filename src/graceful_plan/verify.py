@@ -1,7 +1,8 @@
 """The independent judge: is a motion free of collision, within limits, from start to goal, and worth what it says?
 
 It takes arrays and a scene and believes nothing else. Geometry is MuJoCo's own (`exact`), on request with python-fcl
-beside it; the cost is recomputed by a slow implementation that shares nothing with the kernels (`reference_cost`).
+beside it; a cost by Algorithm 1 is recomputed by a slow implementation that shares nothing with the kernels
+(`reference_cost`).
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def verify(
         scene: Where.
         start: Where it should begin, if that is to be checked.
         goal: Where it should end: a configuration, several to choose from, or a pose.
-        cost: The cost that is claimed of it, if that is to be recomputed; that of the default kind of objective.
+        cost: The cost that is claimed of it, if that is to be recomputed; by Algorithm 1, `ImpactCost("aabb")`.
         cost_path: The path that the cost is claimed of, if not the motion itself.
         components: Components whose impact is in that cost.
         exposure: How that cost integrates impact.
