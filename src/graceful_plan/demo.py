@@ -11,6 +11,8 @@ import graceful_plan as gp
 
 SCENE = "tabletop"
 WEIGHTS = {"w = 0 (shortest)": 0.0, "w = 1 (fails gracefully)": 1.0}
+SPEED = 0.3
+"""Fraction of the velocity limits: as slowly as a robot moves near people."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +35,7 @@ def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None
 
     task = next(iter(gp.load_scene(SCENE).tasks.values()))
     results = {
-        label: gp.plan(task.start, task.goal, task.scene, w=w, callback=callback, **budget)
+        label: gp.plan(task.start, task.goal, task.scene, w=w, callback=callback, speed=SPEED, **budget)
         for label, w in WEIGHTS.items()
     }
     output.mkdir(parents=True, exist_ok=True)
@@ -47,7 +49,7 @@ def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None
     paths = {label: result.path for label, result in results.items() if result.path is not None}
     if len(paths) == len(results):
         files.append(output / "demo.png")
-        figures.compare_paths(task.scene, paths, files[-1])
+        figures.compare_paths(task.scene, paths, files[-1], speed=SPEED)
         if render.render_paths(task.scene, paths, output / "view.png"):
             files.append(output / "view.png")
     return Outcome(results=results, files=tuple(files))

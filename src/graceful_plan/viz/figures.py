@@ -11,7 +11,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interactions.footprint import FALLING
-from graceful_plan.costs.objective import Objective
+from graceful_plan.costs.objective import MEAN_PACE, Objective, SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.scene import Scene
 from graceful_plan.viz.drop import drop_impact
@@ -29,13 +29,14 @@ _NARROWEST, _WIDEST = 1.2, 1.8
 """Width of the view from above over its height."""
 
 
-def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath) -> None:
+def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath, *, speed: float = 1.0) -> None:
     """Draw what different paths risk: seen from above over the impact of a drop, and along the way.
 
     Args:
         scene: With an object in the gripper and at least one entity.
         paths: Geometry by label, the first one dashed; at most four.
         file: Where the picture goes; the ending says the format (png, pdf, svg).
+        speed: Fraction of the velocity limits at which the paths are travelled, as in `plan`.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -43,7 +44,7 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath)
 
     dense = {label: path.resampled(_STEP) for label, path in paths.items()}
     positions = {label: object_positions(scene, path) for label, path in dense.items()}
-    falling = Objective(impact=ImpactCost(components=FALLING)).bind(scene)
+    falling = Objective(impact=ImpactCost(components=FALLING), pace=MEAN_PACE * speed).bind(scene)
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 4.7), dpi=200, layout="constrained")
         FigureCanvasAgg(figure)
@@ -51,15 +52,29 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath)
         above, impact, height = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
         image = _draw_from_above(above, scene, dense, positions)
         figure.colorbar(
-            image, ax=above, location="bottom", shrink=0.6, aspect=40, pad=0.02, label="impact if the object falls here"
+            image,
+            ax=above,
+            location="bottom",
+            shrink=0.6,
+            aspect=40,
+            pad=0.02,
+            label="impact if the object falls here from rest",
         )
-        _draw_along(impact, dense, {label: falling.states(path.q) for label, path in dense.items()})
-        impact.set(title="Impact if it falls now", ylabel="impact", ylim=(0, None))
+        _draw_along(impact, dense, {label: _impact_along(falling, x) for label, x in dense.items()})
+        impact.set(title="Impact if it falls now, in motion", ylabel="impact", ylim=(0, None))
         impact.tick_params(labelbottom=False)
         _draw_along(height, dense, {label: p[:, 2] for label, p in positions.items()})
         height.set(title="Height of the object", xlabel="length of the path so far [rad]", ylabel="height [m]")
         height.sharex(impact)
         figure.savefig(file)
+
+
+def _impact_along(falling: SceneObjective, path: Path) -> Float[Array, " n"]:
+    """Impact at each vertex, the mean over the two paces that the objective is charged at."""
+    ahead = np.gradient(path.q, axis=0) if len(path) > 1 else np.zeros_like(path.q)
+    limit = np.max(np.abs(ahead) / falling.scene.limits.velocity, axis=1, keepdims=True)
+    fastest = ahead / np.where(limit > 0.0, limit, 1.0)
+    return np.mean([falling.states(path.q, pace * fastest) for pace in falling.objective.paces], axis=0)
 
 
 def _draw_from_above(
