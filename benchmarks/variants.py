@@ -105,13 +105,13 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
         "tabletop_turned": Variant(
             base="tabletop",
-            seed=101,
+            seed=601,
             remove=("white2", "red4"),
             shift=Shift(0.025, 0.8),
         ),
         "tabletop_mixed": Variant(
             base="tabletop",
-            seed=102,
+            seed=602,
             remove=("white1", "white3", "white6", "white7", "red2", "red3"),
             shift=Shift(0.02, 0.4),
             add={"tumbler1": _TUMBLER, "tumbler2": _TUMBLER, "plate": _PLATE, "tower": _TOWER, "brick": _BRICK},
@@ -120,21 +120,21 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         ),
         "tabletop_l1_scattered": Variant(
             base="tabletop_l1",
-            seed=103,
+            seed=603,
             shift=Shift(0.08, 3.1),
             add={"tumbler": _TUMBLER, "brick1": _BRICK, "brick2": _BRICK},
             area=_TABLE,
         ),
         "tabletop_l3_thinned": Variant(
             base="tabletop_l3",
-            seed=104,
+            seed=604,
             remove=("bottle2", "tumbler2", "tower2", "white5", "bottle4", "tumbler6", "white8", "tumbler8"),
             shift=Shift(0.03, 1.5),
             carry={"tumbler4": 0.02, "tower1": 0.08},
         ),
         "desk_rearranged": Variant(
             base="desk",
-            seed=105,
+            seed=605,
             remove=("stapler",),
             shift=Shift(0.08, 0.6),
             turn={"cat": 0.7},
@@ -146,7 +146,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         ),
         "dining_table_rearranged": Variant(
             base="dining_table",
-            seed=106,
+            seed=606,
             remove=("fork",),
             shift=Shift(0.06, 1.0),
             add={
@@ -157,7 +157,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         ),
         "kitchen_counter_rearranged": Variant(
             base="kitchen_counter",
-            seed=107,
+            seed=607,
             remove=("glass_right",),
             shift=Shift(0.04, 0.6),
             keep=("soup_pot", "pan", "cutting_board", "knife"),
