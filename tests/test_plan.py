@@ -80,6 +80,12 @@ def test_iterations_make_it_reproducible(task, name):
     assert a.cost.total == b.cost.total
 
 
+def test_iterations_make_what_is_seen_on_the_way_reproducible(task):
+    first, second = (_quick(task, time_limit=None, iterations=400, seed=4) for _ in range(2))
+    assert len(first.trace) > 1
+    assert [point.total for point in first.trace] == [point.total for point in second.trace]
+
+
 def test_iterations_of_different_seeds_differ(task):
     a, b = (_quick(task, time_limit=None, iterations=300, seed=seed) for seed in (1, 2))
     assert not np.array_equal(a.path.q, b.path.q)

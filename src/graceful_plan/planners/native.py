@@ -20,6 +20,8 @@ Array = np.ndarray
 SLICE_SECONDS = 0.004
 """How long the core works between two looks at the budget [s]."""
 SLICE_ITERATIONS = 2000
+_UNTIMED_ITERATIONS = 16
+"""The same without a time limit: where a slice ends decides which paths are seen on the way, so no clock may."""
 
 
 def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
@@ -63,8 +65,9 @@ def _costs(objective: BoundObjective, method: str, value: ArrayLike, shape: tupl
 
 def run_slice(run: Callable[[int, float], tuple[bool, int]], budget: Budget) -> bool:
     """Let the core work for one slice of the budget; return what it reports."""
-    iterations = int(min(SLICE_ITERATIONS, budget.remaining_iterations))
-    seconds = min(SLICE_SECONDS, budget.remaining_seconds)
+    timed = budget.iterations is None or np.isfinite(budget.time_limit)
+    iterations = int(min(SLICE_ITERATIONS if timed else _UNTIMED_ITERATIONS, budget.remaining_iterations))
+    seconds = min(SLICE_SECONDS, budget.remaining_seconds) if timed else np.inf
     news, used = run(iterations, seconds)
     budget.spent += used
     return news
