@@ -16,6 +16,7 @@ from typing import Any
 
 import graceful_plan as gp
 from failbench import summary
+from failbench.body_fit import BodyCalibration, calibrate_body
 from failbench.calibrate import Calibration
 from failbench.chunks import Rows
 from failbench.errors import SweepFailed
@@ -222,9 +223,10 @@ def _made(args: argparse.Namespace, made: Generated) -> int:
     return DONE
 
 
-_CALIBRATIONS: Mapping[str, Callable[..., Calibration | SpillCalibration]] = {
+_CALIBRATIONS: Mapping[str, Callable[..., Calibration | SpillCalibration | BodyCalibration]] = {
     "footprint": calibrate_footprint,
     "spill": calibrate_spill,
+    "body": calibrate_body,
 }
 
 
