@@ -27,7 +27,7 @@ from failbench.skill import Figures
 from graceful_plan import Scene, SettingError, StateBatch, UnknownNameError
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import AHEAD
-from graceful_plan.costs.interactions.body import BodyModel, mode_names
+from graceful_plan.costs.interactions.body import FAR, BodyModel, mode_names
 from graceful_plan.costs.interactions.body_constants import GENERATORS, MOTION, BodySettings, Margin
 from graceful_plan.costs.interactions.body_tables import ROWS
 
@@ -57,7 +57,7 @@ def feared(joints: Sequence[str]) -> list[Fault]:
 
 def wide(settings: BodySettings) -> BodySettings:
     """Return settings whose margins do not cut any distance below `REACH`."""
-    margin = Margin(offset=0.0, spread=REACH / 12.0)
+    margin = Margin(offset=0.0, spread=REACH / FAR)
     return replace(settings, **{g: replace(getattr(settings, g), body=margin, carried=margin) for g in GENERATORS})
 
 

@@ -207,9 +207,9 @@ static void drop_edge_costs(const Tables& tables, const DropTables& drop, const 
 struct ArmRoom {
   Arm arm;
 
-  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, {}, 0} {
+  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, {}, {}, {}, 0, 0} {
     const size_t room = size_t(tables.n_group) * size_t(tables.n_obstacle) + 1;
-    arm.around.near = new Near[2 * room];
+    arm.around.near = new Near[room + size_t(tables.n_obstacle)];
     arm.around.scratch = arm.around.near + room;
   }
   ArmRoom(const ArmRoom&) = delete;
