@@ -69,6 +69,7 @@ class BodyTwin:
     def paths(self, q: Array, qd: Array, ahead: Array | None) -> list[Array]:
         """Configurations of each way to fail, the state itself first."""
         k, t, n = self.settings, self.tables, self.nq
+        known = ahead is not None
         if ahead is None:
             times = np.arange(1, k.steps + 1) * k.step
             share = k.carry_on * (1.0 - np.exp(-times / k.carry_on)) if k.carry_on else 0.0 * times
@@ -77,7 +78,9 @@ class BodyTwin:
         stuck = [reference.copy() for _ in range(n)]
         for j in range(n):
             stuck[j][:, j] = q[j]
-        return [self._collapse(q, qd), *(self._loose(reference, qd, j) for j in range(n)), *stuck, reference]
+        late = slice(None) if known else [0, -1]
+        loose = [self._loose(reference, qd, j) for j in range(n)]
+        return [self._collapse(q, qd), *loose, *(path[late] for path in stuck), reference[late]]
 
     def _collapse(self, q: Array, qd: Array) -> Array:
         k, t = self.settings, self.tables

@@ -5,6 +5,7 @@ constexpr double kFar = 8.0;   // U: scales beyond which nothing is hit
 constexpr int kBins = 64;      // of lists of what is near, 2 cm each
 constexpr double kBin = 0.02;
 constexpr double kDetail = 0.3;  // from where a ball around an obstacle will do
+constexpr double kSpare = 0.02;   // distances are kept as far as this above those that count
 
 // --- dynamics -------------------------------------------------------------------------------------------------------
 
@@ -187,7 +188,15 @@ struct Surroundings {
   Vec<D> centre[kMaxLinks];
   size_t count[kMaxLinks];
   Near *near, *scratch;  // [group, obstacle], [obstacle]
+  // Distances of pairs as the arm is expected to be, as far as they are below `far` and somebody asked: [step, group, obstacle].
+  D* distance;
+  uint8_t* known;
+  double far;
 
+  // Of one step and group: where the rows of both tables begin.
+  static size_t row(const Tables& tables, int step, int g) {
+    return (size_t(step) * size_t(tables.n_group) + size_t(g)) * size_t(tables.n_obstacle);
+  }
   void look(const Tables& tables, const BodyTables& body, const Frame<D>* X_W) {
     for (int g = 0; g < tables.n_group; ++g) {
       if (body.row[g] < 0) continue;
@@ -262,9 +271,33 @@ static inline D group_distance(const Tables& tables, const Obstacle& o, const Gr
   return least;
 }
 
-// One failed configuration.
-static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const double* severity,
-                        Way& way) {
+// How far any point of a group is at most from where it is expected.
+static inline D displacement(const Group& group, const Frame<D>& X, const Frame<D>& expected) {
+  D turned = {};
+  for (int k = 0; k < 9; ++k) turned += (X.R[k] - expected.R[k]) * (X.R[k] - expected.R[k]);
+  const D moved = squared_distance(transform(X, group.bound), transform(expected, group.bound));
+  return root(moved) + double(group.bound[3]) * root(0.5 * turned) + 1e-9;
+}
+
+// Distance of a group to an obstacle where it is expected to be, as far as it is below `far`.
+static inline D expected_distance(const Tables& tables, const Surroundings& around, int step, int g, int j, const Frame<D>& expected) {
+  const size_t at = Surroundings::row(tables, step, g) + size_t(j);
+  if (!around.known[at]) {
+    const Group& group = tables.group[g];
+    const Obstacle& o = tables.obstacle[j];
+    const Vec<D> centre = transform(expected, group.bound);
+    const D far = D{} + around.far;
+    const bool near = any(near_bound(o, centre, far + (double(group.bound[3]) + 1e-6))) &&
+                      any(signed_distance(tables, o, centre) - group.bound[3] < far + 1e-6);
+    around.distance[at] = near ? group_distance(tables, o, group, expected, far) : far;
+    around.known[at] = 1;
+  }
+  return around.distance[at];
+}
+
+// One failed configuration. `expected`: those of a step of the motion to come that it differs from in frames from `first` on.
+static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const Frame<D>* expected,
+                        int step, int first, const double* severity, Way& way) {
   const D penalty = way.gain * relu(way.blocked - way.tolerance);
   D depth = way.blocked;
   for (int g = 0; g < tables.n_group; ++g) {
@@ -274,6 +307,9 @@ static inline void meet(const Tables& tables, const BodyTables& body, const Surr
     const Vec<D> centre = transform(X_W[group.frame], group.bound);
     const double moved = __builtin_sqrt(greatest_lane(squared_distance(centre, around.centre[g]))) + 1e-9;
     const double cut = (way.cut[r] > 0.0 ? way.cut[r] : 0.0) + moved;
+    const bool as_expected = group.frame < first;
+    const D off = as_expected ? D{} : displacement(group, X_W[group.frame], expected[group.frame]);
+    const bool close = as_expected || greatest_lane(off) < kSpare;  // else what is expected says little
     const Near* near = around.of(tables, g);
     for (size_t i = 0; i < around.count[g]; ++i) {
       const double gap = double(near[i].gap);
@@ -285,8 +321,15 @@ static inline void meet(const Tables& tables, const BodyTables& body, const Surr
       const Obstacle& o = tables.obstacle[j];
       const D need = maximum(counts ? way.best[r][e] - penalty : D{} - 1e9, -depth);
       if (!any(near_bound(o, centre, relu(need + (double(group.bound[3]) + 1e-6))))) continue;
-      if (!any(signed_distance(tables, o, centre) - group.bound[3] < need + 1e-6)) continue;
-      const D d = group_distance(tables, o, group, X_W[group.frame], need);
+      D d = {};
+      if (close) {
+        d = expected_distance(tables, around, step, g, j, expected[group.frame]);
+        if (!any(d - off < need)) continue;
+      }
+      if (!as_expected) {
+        if (!any(signed_distance(tables, o, centre) - group.bound[3] < need + 1e-6)) continue;
+        d = group_distance(tables, o, group, X_W[group.frame], need);
+      }
       depth = maximum(depth, -d);
       if (!counts) continue;
       way.best[r][e] = minimum(way.best[r][e], d + penalty);
@@ -307,9 +350,10 @@ struct Arm {
   Frame<D> expected[kMaxSteps + 1][kMaxLinks], X_W[kMaxLinks];  // expected: X_W of reference
   Way way, home;                                                // home: where the arm is
   D inertia[kMaxJoints];                                        // M_jj there
-  int reference_steps, inertia_known;
+  int reference_steps, known_ahead, inertia_known;
 
-  void meet_at(const Frame<D>* poses) { meet(tables, body, around, poses, severity, way); }
+  // As expected at a step, but for frames from `first` on.
+  void meet_at(const Frame<D>* poses, int s, int first) { meet(tables, body, around, poses, expected[s], s, first, severity, way); }
   // As expected but for one joint.
   void place(int s, int joint, D at) {
     D x[kMaxJoints];
@@ -323,6 +367,7 @@ struct Arm {
   void begin(const D* q, const D* qd, const double* ahead, size_t first, size_t n) {
     const int nq = tables.n_joint;
     reference_steps = ahead ? body.n_reference : body.n_step;
+    known_ahead = ahead != nullptr;
     for (int j = 0; j < nq; ++j) reference[0][j] = q[j];
     for (int s = 1; s <= reference_steps; ++s) {
       const double T = body.constants.carry_on, t = s * body.constants.step;
@@ -338,7 +383,9 @@ struct Arm {
     inertia_known = false;
     around.look(tables, body, expected[0]);
     home.begin(body, kStray, nullptr);
-    meet(tables, body, around, expected[0], severity, home);
+    around.far = (body.n_row > 1 && home.cut[1] > home.cut[0] ? home.cut[1] : home.cut[0]) + kSpare;
+    std::fill_n(around.known, Surroundings::row(tables, reference_steps + 1, 0), uint8_t(0));
+    meet(tables, body, around, expected[0], expected[0], 0, kMaxLinks, severity, home);
   }
 
   void collapse(const D* qd) {
@@ -349,12 +396,12 @@ struct Arm {
     for (int s = 0; s < steps; ++s) {
       fall_together(tables, body, s ? X_W : expected[0], body.constants.brake_time / steps, x, v);
       forward_kinematics<double>(tables, x, X_W);
-      meet_at(X_W);
+      meet_at(X_W, 0, 0);
     }
     for (int j = 0; j < tables.n_joint; ++j)
       x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
     forward_kinematics<double>(tables, x, X_W);
-    meet_at(X_W);
+    meet_at(X_W, 0, 0);
   }
   void loose(int joint, const D* qd) {
     if (!inertia_known) own_inertias(tables, body, expected[0], inertia);
@@ -365,21 +412,21 @@ struct Arm {
       const D was = at, before = way.blocked;
       fall_alone(tables, body, s > 1 ? X_W : expected[0], joint, inertia[joint], body.constants.step, at, v);
       place(s, joint, at);
-      meet_at(X_W);
+      meet_at(X_W, s, body.drive[joint].link);
       const auto rests = way.blocked > before + way.tolerance;
       at = rests ? was : at, v = rests ? D{} : v, way.blocked = rests ? before : way.blocked;
     }
   }
   void stuck(int joint) {
     way.begin(body, kStuck, &home);
-    for (int s = 1; s <= reference_steps; ++s) {
+    for (int s = known_ahead ? 1 : reference_steps; s <= reference_steps && s; ++s) {
       place(s, joint, reference[0][joint]);
-      meet_at(X_W);
+      meet_at(X_W, s, body.drive[joint].link);
     }
   }
   void stray() {
     way.begin(body, kStray, &home);
-    for (int s = 1; s <= reference_steps; ++s) meet_at(expected[s]);
+    for (int s = known_ahead ? 1 : reference_steps; s <= reference_steps && s; ++s) meet_at(expected[s], s, kMaxLinks);
   }
 
   D probability(int generator, int row, int entity) const {

@@ -43,6 +43,8 @@ precision, computed in double). The native kernel (native/body.hpp) follows this
                    where b_k > b_(k-1) + tolerance, it rests on something: z_k <- z_(k-1), v <- 0, b_k <- b_(k-1)
       stuck j  : x_k = r_k but for joint j, which is at q_j
       stray    : x_k = r_k
+      Where ahead is not known, stuck and stray look at the end of the motion only: x_0, x_K. Both can hardly be
+      foreseen then, and what lies between adds nothing.
 
     Distances: of a row (body, carried) at x_k to an entity
       d_k = min over the row's spheres and the entity's geoms that they may hit of the signed distance
@@ -132,7 +134,7 @@ class BodyModel:
     def impact(
         self, batch: StateBatch, severity: Float[Array, "component entity"], weights: Float[Array, "generator row"]
     ) -> Float[Array, " n"]:
-        """Return sums of weights P S, with weights for each of `ROWS`; of the components, those do not count that are none."""
+        """Return sums of weights P S, with weights for each of `ROWS`; other components do not count."""
         scene = batch.scene
         if not len(batch):
             return np.zeros(0)
