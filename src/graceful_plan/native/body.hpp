@@ -5,7 +5,7 @@ constexpr double kFar = 8.0;   // U: scales beyond which nothing is hit
 constexpr int kBins = 64;      // of lists of what is near, 2 cm each
 constexpr double kBin = 0.02;
 constexpr double kDetail = 0.3;  // from where a ball around an obstacle will do
-constexpr double kSpare = 0.02;   // distances are kept as far as this above those that count
+constexpr double kSpare = 0.1;   // distances are kept as far as this above those that count
 
 // --- dynamics -------------------------------------------------------------------------------------------------------
 
