@@ -69,6 +69,7 @@ class BodyTwin:
     def paths(self, q: Array, qd: Array, ahead: Array | None) -> list[Array]:
         """Configurations of each way to fail, the state itself first."""
         k, t, n = self.settings, self.tables, self.nq
+        known = ahead is not None
         if ahead is None:
             times = np.arange(1, k.steps + 1) * k.step
             share = k.carry_on * (1.0 - np.exp(-times / k.carry_on)) if k.carry_on else 0.0 * times
@@ -77,7 +78,9 @@ class BodyTwin:
         stuck = [reference.copy() for _ in range(n)]
         for j in range(n):
             stuck[j][:, j] = q[j]
-        return [self._collapse(q, qd), *(self._loose(reference, qd, j) for j in range(n)), *stuck, reference]
+        late = slice(None) if known else [0, -1]
+        loose = [self._loose(reference, qd, j) for j in range(n)]
+        return [self._collapse(q, qd), *loose, *(path[late] for path in stuck), reference[late]]
 
     def _collapse(self, q: Array, qd: Array) -> Array:
         k, t = self.settings, self.tables
@@ -91,15 +94,25 @@ class BodyTwin:
 
     def _loose(self, reference: Array, qd: Array, j: int) -> Array:
         k, t = self.settings, self.tables
-        path, v = reference.copy(), qd.copy()
+        path, v, at, depth = reference.copy(), qd.copy(), reference[0, j], self.depth(reference[0])
+        M, _ = self.dynamics(reference[0])
         for s in range(1, len(path)):
-            M, G = self.dynamics(path[s - 1])
+            _, G = self.dynamics(path[s - 1])
             share = 1.0 / (M[j, j] + k.step * (t.damping[j] + k.resistance))
             after = v.copy()
             after[j] = _soft((M[j, j] * v[j] - k.step * G[j]) * share, k.step * t.friction[j] * share)
-            x, v = self._moved(path[s - 1], v, after, k.step)
+            before = path[s - 1].copy()
+            before[j] = at
+            x, moving = self._moved(before, v, after, k.step)
             path[s, j] = x[j]
+            rests = self.depth(path[s]) > depth + k.joint.stop_tolerance
+            at, v = (at, np.zeros(self.nq)) if rests else (x[j], moving)
+            depth = depth if rests else max(depth, self.depth(path[s]))
         return path
+
+    def depth(self, x: Array) -> float:
+        """How deep the arm is in obstacles."""
+        return max(0.0, -float(self.separations(x).min()))
 
     def _moved(self, x: Array, v: Array, after: Array, h: float) -> tuple[Array, Array]:
         y = x + 0.5 * h * (v + after)
@@ -151,13 +164,15 @@ class BodyTwin:
             n = self.nq
             generator = GENERATORS[0 if mode == 0 else 1 if mode <= n else 2 if mode <= 2 * n else 3]
             stop, depth = getattr(k, generator), 0.0
-            for x in path:
+            for step, x in enumerate(path):
                 d, before = self.separations(x), stop.stop_gain * max(depth - stop.stop_tolerance, 0.0)
                 for o, entity in enumerate(t.entity):
                     if entity >= 0:
                         rows = found[mode, : t.n_row, entity]
                         rows[:] = np.minimum(rows, d[:, o] + before)
-                    depth = max(depth, float(-d[:, o].min()))
+                deeper = max(depth, float(-d.min()))
+                rests = generator == "joint" and step > 0 and deeper > depth + stop.stop_tolerance
+                depth = depth if rests else deeper
         return found
 
 

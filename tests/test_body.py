@@ -143,6 +143,16 @@ def test_torques_are_those_of_inverse_dynamics(name):
         np.testing.assert_allclose(M[k], columns, atol=_TORQUE)
 
 
+def test_a_joint_without_power_rests_on_what_it_meets(odd):
+    q, qd = _states(odd, 400, seed=11)
+    never = replace(SETTINGS, joint=replace(SETTINGS.joint, stop_tolerance=100.0))
+    batch, loose = _batch(odd, q, qd), slice(1, 5)
+    through, resting = (BodyModel(constants).distances(batch)[:, loose] for constants in (never, SETTINGS))
+    # What rests may be carried elsewhere by the other joints, but most of what falls through something gets deeper.
+    assert (resting >= through - 1e-9).mean() > 0.99
+    assert (resting > through + 0.01).sum() > 10
+
+
 # --- laws ------------------------------------------------------------------------------------------------------------
 
 
@@ -176,10 +186,10 @@ def test_robot_and_scene_may_turn_together(odd, seed, turn):
 def test_chances_fall_with_distance(offset, spread):
     d = np.linspace(offset - 20.0 * spread, offset + 20.0 * spread, 400)
     P = chance(d[:, None, None, None], np.array([[offset]]), np.array([[spread]])).ravel()
-    assert P[0] == pytest.approx(1.0, abs=1e-5) and P[-1] == 0.0
+    assert P[0] == pytest.approx(1.0, abs=5e-4) and P[-1] == 0.0
     assert (np.diff(P) <= 1e-15).all()
     assert chance(np.full((1, 1, 1, 1), offset), np.array([[offset]]), np.array([[spread]])).item() == pytest.approx(
-        0.5, abs=1e-5
+        0.5, abs=2e-4
     )
 
 
@@ -193,7 +203,7 @@ def test_who_is_far_away_is_not_hit(odd):
 
 
 def test_entities_without_severity_change_nothing(odd):
-    q, qd = _states(odd, 30, seed=6)
+    q, qd = _states(odd, 300, seed=6)
     severity = np.array([[1.0, 0.0, 2.0], [3.0, 0.0, 0.5]])
     weights = np.array([[0.1, 0.2], [0.2, 0.0], [0.3, 0.5], [0.4, 0.1]])
     model, batch = BodyModel(_COARSE), _batch(odd, q, qd)

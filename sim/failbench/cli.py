@@ -16,6 +16,7 @@ from typing import Any
 
 import graceful_plan as gp
 from failbench import summary
+from failbench.body_fit import BodyCalibration, calibrate_body
 from failbench.calibrate import Calibration
 from failbench.chunks import Rows
 from failbench.effects_fit import EffectsCalibration, calibrate_effects
@@ -223,9 +224,10 @@ def _made(args: argparse.Namespace, made: Generated) -> int:
     return DONE
 
 
-_CALIBRATIONS: Mapping[str, Callable[..., Calibration | SpillCalibration | EffectsCalibration]] = {
+_CALIBRATIONS: Mapping[str, Callable[..., Calibration | SpillCalibration | BodyCalibration | EffectsCalibration]] = {
     "footprint": calibrate_footprint,
     "spill": calibrate_spill,
+    "body": calibrate_body,
     "effects": calibrate_effects,
 }
 

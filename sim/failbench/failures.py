@@ -76,7 +76,7 @@ class Failures:
     | components | names of the components, in the order of the scene                    | component          |
     | entities   | names of the entities, in the order of the scene                      | entity             |
     | categories | their classes                                                         | entity             |
-    | faults     | names of the faults                                                   | fault              |
+    | faults     | labels of the faults, see `fault_label`                               | fault              |
     | counted    | whether the pair counts: not one that touches in the healthy run, too | component entity   |
     | fault      | what failed, as an index into `faults`                                | n                  |
     | q          | configuration at the onset [rad or m]                                 | n nq               |
@@ -115,7 +115,7 @@ class Failures:
         return StateBatch(scene, self.q, found.direction, found.speed, ahead=self.ahead)
 
     def only(self, faults: Iterable[str]) -> Failures:
-        """Return those that some faults caused, by the faults' names."""
+        """Return those that some faults caused, by the faults' labels."""
         return self.where(np.isin(self.fault, [self.faults.index(name) for name in faults if name in self.faults]))
 
     def where(self, rows: Bool[Array, " n"]) -> Failures:
@@ -127,6 +127,11 @@ class Failures:
         """Return which entities one of some components touched, and which of them count for none of these."""
         rows = [self.components.index(name) for name in components]
         return np.any(self.hit[:, rows], axis=1), np.all(self.counted[rows], axis=0)
+
+
+def fault_label(fault: Fault) -> str:
+    """Return what failures of a fault are called: its name, and what it strikes where that is given."""
+    return " ".join((fault.NAME, *fault.targets))
 
 
 def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
@@ -197,7 +202,7 @@ def fail_along(
     Args:
         motion: What is carried out.
         scene: Where, with the object attached if there is one.
-        faults: What fails, of one kind each; by default, the gripper lets go.
+        faults: What fails, each under a label of its own; by default, the gripper lets go.
         n: Number of failures, rounded up to a multiple of the number of faults.
         seed: Of everything random.
         task: Name of the task, for the record.
@@ -217,7 +222,7 @@ def fail_along(
     # What a planner would know: where the motion is to be, not where the servos have brought the arm.
     onset = motion.t[0] + np.array([rollout.onset for rollout in completed])
     state = motion.at(onset)
-    names = tuple(dict.fromkeys(fault.NAME for fault in faults))
+    names = tuple(dict.fromkeys(fault_label(fault) for fault in faults))
     components, entities = tuple(scene.components), tuple(scene.entities)
     return Failures(
         scene=scene.name,
@@ -231,7 +236,7 @@ def fail_along(
         counted=np.array(
             [[(part, name) not in execution.baseline for name in entities] for part in components], dtype=bool
         ).reshape(len(components), len(entities)),
-        fault=np.array([names.index(rollout.job.fault.NAME) for rollout in completed], dtype=np.int64),
+        fault=np.array([names.index(fault_label(rollout.job.fault)) for rollout in completed], dtype=np.int64),
         q=state.q,
         qd=state.qd,
         ahead=motion.at(onset[:, None] + AHEAD).q,

@@ -1,9 +1,11 @@
 // The body model: what the arm and what it holds hit if the drives fail here. The specification, with the letters used
 // here, is in costs/interactions/body.py. W states side by side. What is left out to save time changes nothing.
 
-constexpr double kFar = 12.0;  // U: scales beyond which nothing is hit
+constexpr double kFar = 8.0;   // U: scales beyond which nothing is hit
 constexpr int kBins = 64;      // of lists of what is near, 2 cm each
 constexpr double kBin = 0.02;
+constexpr double kDetail = 0.3;  // from where a ball around an obstacle will do
+constexpr double kSpare = 0.1;   // distances are kept as far as this above those that count
 
 // --- dynamics -------------------------------------------------------------------------------------------------------
 
@@ -139,56 +141,97 @@ static inline void fall_together(const Tables& tables, const BodyTables& body, c
   for (int i = 0; i < n; ++i) move_joint(body.drive[i], x[i], v[i], towards_zero(next[i], slip[i]), h);
 }
 
-static inline void fall_alone(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int joint, double h, D& x, D& v) {
-  Composite all[kMaxLinks];
+// What a joint without power moves by: inertia at the state itself, torque of the weight where it is by now.
+static inline D weight_on(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int first) {
+  D mass[kMaxLinks];
+  Vec<D> h[kMaxLinks];
+  for (int l = first; l < body.n_frame; ++l) {
+    const Vec<D> c = transform(X_W[l], body.inertia[l].centre);
+    mass[l] = D{} + body.inertia[l].mass;
+    h[l] = {mass[l] * c.x, mass[l] * c.y, mass[l] * c.z};
+  }
+  for (int l = body.n_frame - 1; l > first; --l) {
+    const int to = tables.link[l].parent;
+    if (to >= first) mass[to] += mass[l], h[to] = {h[to].x + h[l].x, h[to].y + h[l].y, h[to].z + h[l].z};
+  }
+  const Twist t = twist_of(tables.link[first], X_W[first]);
+  return kGravity * (t.w.x * h[first].y - t.w.y * h[first].x + mass[first] * t.v.z);
+}
+
+static inline void fall_alone(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int joint, D inertia, double h, D& x, D& v) {
   const JointDrive& drive = body.drive[joint];
-  gather(tables, body, X_W, drive.link, all);
-  const Composite& c = all[drive.link];
-  const Twist t = twist_of(tables.link[drive.link], X_W[drive.link]);
-  const D m = power(t, momentum(c, t)) + drive.armature;
-  const D share = reciprocal(m + h * (drive.damping + drive.resistance));
-  const D next = (m * v - h * weight_torque(c, t)) * share;
+  const D share = reciprocal(inertia + h * (drive.damping + drive.resistance));
+  const D next = (inertia * v - h * weight_on(tables, body, X_W, drive.link)) * share;
   move_joint(drive, x, v, towards_zero(next, h * drive.friction * share), h);
+}
+
+// M_jj of all joints.
+static inline void own_inertias(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, D* inertia) {
+  Composite all[kMaxLinks];
+  gather(tables, body, X_W, 0, all);
+  for (int j = 0; j < tables.n_joint; ++j) {
+    const int link = body.drive[j].link;
+    const Twist t = twist_of(tables.link[link], X_W[link]);
+    inertia[j] = power(t, momentum(all[link], t)) + body.drive[j].armature;
+  }
 }
 
 // --- distances ------------------------------------------------------------------------------------------------------
 
 struct Near {
-  float gap;  // between the bounding sphere of a group and an obstacle, at the state itself
-  int32_t group, obstacle;
+  float gap;  // no more than between the bounding sphere of a group and an obstacle, at the state itself
+  int32_t obstacle;
 };
 
-// Pairs of a group and an obstacle, nearest first: what is in reach of a failed configuration is at the head.
+// Obstacles around each group, nearest first: what is in reach of a failed configuration is at the head.
 struct Surroundings {
   Vec<D> centre[kMaxLinks];
-  size_t count;
-  Near *near, *scratch;  // [group * obstacle]
+  size_t count[kMaxLinks];
+  Near *near, *scratch;  // [group, obstacle], [obstacle]
+  // Distances of pairs as the arm is expected to be, as far as they are below `far` and somebody asked: [step, group, obstacle].
+  D* distance;
+  uint8_t* known;
+  double far;
 
+  // Of one step and group: where the rows of both tables begin.
+  static size_t row(const Tables& tables, int step, int g) {
+    return (size_t(step) * size_t(tables.n_group) + size_t(g)) * size_t(tables.n_obstacle);
+  }
   void look(const Tables& tables, const BodyTables& body, const Frame<D>* X_W) {
-    size_t in_bin[kBins + 1] = {}, n = 0;
     for (int g = 0; g < tables.n_group; ++g) {
       if (body.row[g] < 0) continue;
+      size_t in_bin[kBins + 1] = {}, n = 0;
       const Group& group = tables.group[g];
       centre[g] = transform(X_W[group.frame], group.bound);
       for (int j = 0; j < tables.n_obstacle; ++j) {
         const Obstacle& o = tables.obstacle[j];
         if (o.ignores >> group.link & 1) continue;
-        const float gap = float(least_lane(signed_distance(tables, o, centre[g]))) - group.bound[3] - 1e-6f;
-        scratch[n++] = {gap, g, j};
+        const float gap = least_gap(tables, o, centre[g]) - group.bound[3] - 1e-6f;
+        scratch[n++] = {gap, j};
         ++in_bin[bin(gap) + 1];
       }
+      for (int b = 0; b < kBins; ++b) in_bin[b + 1] += in_bin[b];
+      for (size_t k = 0; k < n; ++k) of(tables, g)[in_bin[bin(scratch[k].gap)]++] = scratch[k];
+      count[g] = n;
     }
-    for (int b = 0; b < kBins; ++b) in_bin[b + 1] += in_bin[b];
-    for (size_t k = 0; k < n; ++k) near[in_bin[bin(scratch[k].gap)]++] = scratch[k];
-    count = n;
   }
-  // What any pair that follows is at least apart.
+  Near* of(const Tables& tables, int g) const { return near + size_t(g) * size_t(tables.n_obstacle); }
+  // What any that follows is at least away.
   static double edge(double gap) { return gap < kBin * kBins ? gap - kBin : kBin * (kBins - 1); }
 
  private:
   static int bin(float gap) {
     const int b = int(gap * float(1.0 / kBin));
     return b < 0 ? 0 : b >= kBins ? kBins - 1 : b;
+  }
+  // Of a point to an obstacle; where that is far, to a ball around it.
+  static float least_gap(const Tables& tables, const Obstacle& o, const Vec<D>& point) {
+    if (o.bound[3] >= 0.f) {
+      const Vec<D> middle = {D{} + o.bound[0], D{} + o.bound[1], D{} + o.bound[2]};
+      const double away = __builtin_sqrt(least_lane(squared_distance(point, middle))) - o.bound[3];
+      if (away > kDetail) return float(away) - 1e-6f;
+    }
+    return float(least_lane(signed_distance(tables, o, point)));
   }
 };
 
@@ -209,7 +252,7 @@ struct Way {
       }
       for (int e = 0; e < body.n_entity; ++e) {
         best[r][e] = home ? minimum(D{} + cut[r], home->best[r][e]) : D{} + cut[r];
-        worst[r][e] = greatest_lane(best[r][e]);
+        worst[r][e] = home && home->worst[r][e] < cut[r] ? home->worst[r][e] : cut[r];
       }
     }
     blocked = home ? home->blocked : D{};
@@ -228,38 +271,70 @@ static inline D group_distance(const Tables& tables, const Obstacle& o, const Gr
   return least;
 }
 
-// One failed configuration.
-static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const double* severity,
-                        Way& way) {
+// How far any point of a group is at most from where it is expected.
+static inline D displacement(const Group& group, const Frame<D>& X, const Frame<D>& expected) {
+  D turned = {};
+  for (int k = 0; k < 9; ++k) turned += (X.R[k] - expected.R[k]) * (X.R[k] - expected.R[k]);
+  const D moved = squared_distance(transform(X, group.bound), transform(expected, group.bound));
+  return root(moved) + double(group.bound[3]) * root(0.5 * turned) + 1e-9;
+}
+
+// Distance of a group to an obstacle where it is expected to be, as far as it is below `far`.
+static inline D expected_distance(const Tables& tables, const Surroundings& around, int step, int g, int j, const Frame<D>& expected) {
+  const size_t at = Surroundings::row(tables, step, g) + size_t(j);
+  if (!around.known[at]) {
+    const Group& group = tables.group[g];
+    const Obstacle& o = tables.obstacle[j];
+    const Vec<D> centre = transform(expected, group.bound);
+    const D far = D{} + around.far;
+    const bool near = any(near_bound(o, centre, far + (double(group.bound[3]) + 1e-6))) &&
+                      any(signed_distance(tables, o, centre) - group.bound[3] < far + 1e-6);
+    around.distance[at] = near ? group_distance(tables, o, group, expected, far) : far;
+    around.known[at] = 1;
+  }
+  return around.distance[at];
+}
+
+// One failed configuration. `expected`: those of a step of the motion to come that it differs from in frames from `first` on.
+static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const Frame<D>* expected,
+                        int step, int first, const double* severity, Way& way) {
   const D penalty = way.gain * relu(way.blocked - way.tolerance);
   D depth = way.blocked;
-  double moved[kMaxLinks], farthest = 0.0;
-  Vec<D> centre[kMaxLinks];
   for (int g = 0; g < tables.n_group; ++g) {
-    if (body.row[g] < 0) continue;
-    centre[g] = transform(X_W[tables.group[g].frame], tables.group[g].bound);
-    moved[g] = greatest_lane(square_root(squared_distance(centre[g], around.centre[g]) + 1e-18));
-    farthest = moved[g] > farthest ? moved[g] : farthest;
-  }
-  const double cut = (body.n_row > 1 && way.cut[1] > way.cut[0] ? way.cut[1] : way.cut[0]) + farthest;
-  for (size_t i = 0; i < around.count; ++i) {
-    const Near& pair = around.near[i];
-    const double gap = double(pair.gap);
-    if (Surroundings::edge(gap) > cut) break;
-    const int g = pair.group, j = pair.obstacle, r = body.row[g], e = body.entity[j];
-    const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
-    const double least = gap - moved[g];
-    if (!(counts && least < way.worst[r][e]) && !(least < 0.0)) continue;
-    const Obstacle& o = tables.obstacle[j];
+    const int r = body.row[g];
+    if (r < 0) continue;
     const Group& group = tables.group[g];
-    D need = counts ? way.best[r][e] - penalty : D{} - 1e9;
-    need = maximum(need, -depth);
-    if (!any(signed_distance(tables, o, centre[g]) - group.bound[3] < need + 1e-6)) continue;
-    const D d = group_distance(tables, o, group, X_W[group.frame], need);
-    depth = maximum(depth, -d);
-    if (!counts) continue;
-    way.best[r][e] = minimum(way.best[r][e], d + penalty);
-    way.worst[r][e] = greatest_lane(way.best[r][e]);
+    const Vec<D> centre = transform(X_W[group.frame], group.bound);
+    const double moved = __builtin_sqrt(greatest_lane(squared_distance(centre, around.centre[g]))) + 1e-9;
+    const double cut = (way.cut[r] > 0.0 ? way.cut[r] : 0.0) + moved;
+    const bool as_expected = group.frame < first;
+    const D off = as_expected ? D{} : displacement(group, X_W[group.frame], expected[group.frame]);
+    const bool close = as_expected || greatest_lane(off) < kSpare;  // else what is expected says little
+    const Near* near = around.of(tables, g);
+    for (size_t i = 0; i < around.count[g]; ++i) {
+      const double gap = double(near[i].gap);
+      if (Surroundings::edge(gap) > cut) break;
+      const int j = near[i].obstacle, e = body.entity[j];
+      const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
+      const double least = gap - moved;
+      if (!(counts && least < way.worst[r][e]) && !(least < 0.0)) continue;
+      const Obstacle& o = tables.obstacle[j];
+      const D need = maximum(counts ? way.best[r][e] - penalty : D{} - 1e9, -depth);
+      if (!any(near_bound(o, centre, relu(need + (double(group.bound[3]) + 1e-6))))) continue;
+      D d = {};
+      if (close) {
+        d = expected_distance(tables, around, step, g, j, expected[group.frame]);
+        if (!any(d - off < need)) continue;
+      }
+      if (!as_expected) {
+        if (!any(signed_distance(tables, o, centre) - group.bound[3] < need + 1e-6)) continue;
+        d = group_distance(tables, o, group, X_W[group.frame], need);
+      }
+      depth = maximum(depth, -d);
+      if (!counts) continue;
+      way.best[r][e] = minimum(way.best[r][e], d + penalty);
+      way.worst[r][e] = greatest_lane(way.best[r][e]);
+    }
   }
   way.blocked = depth;
 }
@@ -272,20 +347,27 @@ struct Arm {
   const double* severity;  // null: everything counts
   Surroundings around;
   D reference[kMaxSteps + 1][kMaxJoints];
-  Frame<D> X_W[kMaxLinks];
-  Way way, home;  // home: where the arm is
+  Frame<D> expected[kMaxSteps + 1][kMaxLinks], X_W[kMaxLinks];  // expected: X_W of reference
+  Way way, home;                                                // home: where the arm is
+  D inertia[kMaxJoints];                                        // M_jj there
+  int reference_steps, known_ahead, inertia_known;
 
-  int reference_steps;
-
-  void meet_at(const D* q) {
-    forward_kinematics<double>(tables, q, X_W);
-    meet(tables, body, around, X_W, severity, way);
+  // As expected at a step, but for frames from `first` on.
+  void meet_at(const Frame<D>* poses, int s, int first) { meet(tables, body, around, poses, expected[s], s, first, severity, way); }
+  // As expected but for one joint.
+  void place(int s, int joint, D at) {
+    D x[kMaxJoints];
+    const int link = body.drive[joint].link;
+    for (int j = 0; j < tables.n_joint; ++j) x[j] = j == joint ? at : reference[s][j];
+    for (int l = 0; l < link; ++l) X_W[l] = expected[s][l];
+    forward_kinematics<double>(tables, x, X_W, link);
   }
 
   // Where the arm would be, as far as is known.
   void begin(const D* q, const D* qd, const double* ahead, size_t first, size_t n) {
     const int nq = tables.n_joint;
     reference_steps = ahead ? body.n_reference : body.n_step;
+    known_ahead = ahead != nullptr;
     for (int j = 0; j < nq; ++j) reference[0][j] = q[j];
     for (int s = 1; s <= reference_steps; ++s) {
       const double T = body.constants.carry_on, t = s * body.constants.step;
@@ -297,10 +379,13 @@ struct Arm {
         for (int j = 0; j < nq; ++j) reference[s][j][i] = ahead[(state * size_t(reference_steps) + size_t(s - 1)) * size_t(nq) + size_t(j)];
       }
     }
-    forward_kinematics<double>(tables, q, X_W);
-    around.look(tables, body, X_W);
+    for (int s = 0; s <= reference_steps; ++s) forward_kinematics<double>(tables, reference[s], expected[s]);
+    inertia_known = false;
+    around.look(tables, body, expected[0]);
     home.begin(body, kStray, nullptr);
-    meet(tables, body, around, X_W, severity, home);
+    around.far = (body.n_row > 1 && home.cut[1] > home.cut[0] ? home.cut[1] : home.cut[0]) + kSpare;
+    std::fill_n(around.known, Surroundings::row(tables, reference_steps + 1, 0), uint8_t(0));
+    meet(tables, body, around, expected[0], expected[0], 0, kMaxLinks, severity, home);
   }
 
   void collapse(const D* qd) {
@@ -308,36 +393,40 @@ struct Arm {
     D x[kMaxJoints], v[kMaxJoints];
     for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[0][j], v[j] = qd[j];
     way.begin(body, kCollapse, &home);
-    forward_kinematics<double>(tables, x, X_W);
     for (int s = 0; s < steps; ++s) {
-      fall_together(tables, body, X_W, body.constants.brake_time / steps, x, v);
-      meet_at(x);
+      fall_together(tables, body, s ? X_W : expected[0], body.constants.brake_time / steps, x, v);
+      forward_kinematics<double>(tables, x, X_W);
+      meet_at(X_W, 0, 0);
     }
     for (int j = 0; j < tables.n_joint; ++j)
       x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
-    meet_at(x);
+    forward_kinematics<double>(tables, x, X_W);
+    meet_at(X_W, 0, 0);
   }
   void loose(int joint, const D* qd) {
-    D x[kMaxJoints], at = reference[0][joint], v = qd[joint];
+    if (!inertia_known) own_inertias(tables, body, expected[0], inertia);
+    inertia_known = true;
+    D at = reference[0][joint], v = qd[joint];
     way.begin(body, kJoint, &home);
-    forward_kinematics<double>(tables, reference[0], X_W);
     for (int s = 1; s <= reference_steps; ++s) {
-      fall_alone(tables, body, X_W, joint, body.constants.step, at, v);
-      for (int j = 0; j < tables.n_joint; ++j) x[j] = j == joint ? at : reference[s][j];
-      meet_at(x);
+      const D was = at, before = way.blocked;
+      fall_alone(tables, body, s > 1 ? X_W : expected[0], joint, inertia[joint], body.constants.step, at, v);
+      place(s, joint, at);
+      meet_at(X_W, s, body.drive[joint].link);
+      const auto rests = way.blocked > before + way.tolerance;
+      at = rests ? was : at, v = rests ? D{} : v, way.blocked = rests ? before : way.blocked;
     }
   }
   void stuck(int joint) {
-    D x[kMaxJoints];
     way.begin(body, kStuck, &home);
-    for (int s = 1; s <= reference_steps; ++s) {
-      for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[j == joint ? 0 : s][j];
-      meet_at(x);
+    for (int s = known_ahead ? 1 : reference_steps; s <= reference_steps && s; ++s) {
+      place(s, joint, reference[0][joint]);
+      meet_at(X_W, s, body.drive[joint].link);
     }
   }
   void stray() {
     way.begin(body, kStray, &home);
-    for (int s = 1; s <= reference_steps; ++s) meet_at(reference[s]);
+    for (int s = known_ahead ? 1 : reference_steps; s <= reference_steps && s; ++s) meet_at(expected[s], s, kMaxLinks);
   }
 
   D probability(int generator, int row, int entity) const {
@@ -373,7 +462,7 @@ static inline D body_impact_of(Arm& arm, const double* weight, const D* q, const
     for (int r = 0; r < arm.body.n_row; ++r)
       for (int e = 0; e < arm.body.n_entity; ++e) {
         const double S = weight[mode * arm.body.n_row + r] * arm.severity[r * arm.body.n_entity + e];
-        if (S != 0.0) impact += S * arm.probability(generator, r, e);
+        if (S != 0.0 && any(arm.way.best[r][e] < arm.way.cut[r])) impact += S * arm.probability(generator, r, e);
       }
   });
   return impact;

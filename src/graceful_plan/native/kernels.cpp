@@ -207,13 +207,16 @@ static void drop_edge_costs(const Tables& tables, const DropTables& drop, const 
 struct ArmRoom {
   Arm arm;
 
-  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, {}, 0} {
+  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, {}, {}, {}, 0, 0, 0} {
     const size_t room = size_t(tables.n_group) * size_t(tables.n_obstacle) + 1;
-    arm.around.near = new Near[2 * room];
+    arm.around.near = new Near[room + size_t(tables.n_obstacle)];
     arm.around.scratch = arm.around.near + room;
+    const size_t steps = size_t(body.n_step > body.n_reference ? body.n_step : body.n_reference) + 1;
+    arm.around.distance = new D[steps * room];
+    arm.around.known = new uint8_t[steps * room];
   }
   ArmRoom(const ArmRoom&) = delete;
-  ~ArmRoom() { delete[] arm.around.near; }
+  ~ArmRoom() { delete[] arm.around.near, delete[] arm.around.distance, delete[] arm.around.known; }
 };
 
 static void body(const Tables& tables, const BodyTables& body, const double* q, const double* qd, const double* ahead, size_t n,

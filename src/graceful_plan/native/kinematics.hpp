@@ -1,9 +1,10 @@
 // Forward kinematics of a tree of hinges and slides, W configurations at a time.
 
-// Poses of all links that own a frame: the base and every link with a joint, whose axis is its local z.
-template <class T> static inline void forward_kinematics(const Tables& tables, const Lanes<T>* q, Frame<Lanes<T>>* X_W) {
+// Poses of all links that own a frame: the base and every link with a joint, whose axis is its local z. Those before
+// `first` are known.
+template <class T> static inline void forward_kinematics(const Tables& tables, const Lanes<T>* q, Frame<Lanes<T>>* X_W, int first = 0) {
   using V = Lanes<T>;
-  for (int l = 0; l < tables.n_link; ++l) {
+  for (int l = first; l < tables.n_link; ++l) {
     const Link& link = tables.link[l];
     if (link.frame != l) continue;
     Frame<V>& X = X_W[l];

@@ -13,7 +13,7 @@ state, joints go on along their velocity and soon stop. Stuck joints do harm lat
 carried out with a wrong joint: without `ahead` hardly any of that can be foreseen.
 
 What an arm meets stops it, also what could be pushed away, since most of it stands on something: what lies deeper
-counts as farther.
+counts as farther. A joint without power yields instead: it rests on what it meets while the others go on.
 
 Specification
 -------------
@@ -36,17 +36,21 @@ precision, computed in double). The native kernel (native/body.hpp) follows this
                    v' = soft((M + h D)^-1 (M v - h G), h f_i/(M + h D)_ii);  move every joint
                  D: damping on the diagonal, f: dry friction
                  x_6 = x_5 + tb v, clamped: the brakes bite
-      joint j  : h = step, v = qd_j;  K times, at x_(k-1):
+      joint j  : h = step, v = qd_j, z_0 = q_j, M as at q;  K times, G as at x_(k-1):
                    s = 1/(M_jj + h (damping_j + resistance))
-                   v' = soft((M_jj v - h G_j) s, h f_j s);  move joint j;  x_k = r_k but for joint j
+                   v' = soft((M_jj v - h G_j) s, h f_j s);  move joint j from z_(k-1) to z_k
+                   x_k = r_k but for joint j, which is at z_k
+                   where b_k > b_(k-1) + tolerance, it rests on something: z_k <- z_(k-1), v <- 0, b_k <- b_(k-1)
       stuck j  : x_k = r_k but for joint j, which is at q_j
       stray    : x_k = r_k
+      Where ahead is not known, stuck and stray look at the end of the motion only: x_0, x_K. Both can hardly be
+      foreseen then, and what lies between adds nothing.
 
     Distances: of a row (body, carried) at x_k to an entity
       d_k = min over the row's spheres and the entity's geoms that they may hit of the signed distance
       b_k = max over earlier configurations and x_k, all rows, all obstacles of -(signed distance), 0
       d = min over k of d_k + gain max(b_(k-1) - tolerance, 0),   b_(-1) = 0;  gain, tolerance: by generator
-      s(u) = 1/(1 + exp(u));  P = max(0, s((d - offset)/spread) - s(U))/(1 - s(U)),  U = 12,  by generator and row;
+      s(u) = 1/(1 + exp(u));  P = max(0, s((d - offset)/spread) - s(U))/(1 - s(U)),  U = 8,  by generator and row;
         0 for entities without geoms: nothing is hit that is farther than U spreads from where a hit is even
 
     Together: of generators "joint" and "stuck", the mean over joints
@@ -76,7 +80,7 @@ from graceful_plan.scene import Scene
 
 Array = np.ndarray
 
-FAR = 12.0
+FAR = 8.0
 """U: spreads beyond which nothing is hit."""
 _MOTION = ("brake_time", "brake_stop", "step", "carry_on")
 
