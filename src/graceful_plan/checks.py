@@ -31,7 +31,7 @@ def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
 
 
 def interaction_probability(
-    scene: Scene, q: ArrayLike, model: str | InteractionModel = "footprint", qd: ArrayLike | None = None
+    scene: Scene, q: ArrayLike, model: str | InteractionModel = "aabb", qd: ArrayLike | None = None
 ) -> Float[Array, "*batch component entity"]:
     """Probability that each component hits each entity, given that the robot fails at q.
 
