@@ -115,7 +115,7 @@ def test_limits_hold_and_it_is_never_worse_than_plain(seed: int, n: int, size: f
 @given(st.integers(0, 10**6))
 @settings(max_examples=6, deadline=None)
 def test_no_other_weight_gives_a_better_timing(seed: int) -> None:
-    """Up to the lattice, 2 % on one of 60 random paths: what is best at one weight is not beaten by what is at others."""
+    """Up to the lattice, 2 % on one of 60 random paths: what is best at a weight is not beaten by what is at others."""
     path, impact = _zigzag(seed, 4, 0.3), _bumps(seed)
     weights = (0.0, 0.3, 3.0)
     timings = [retime(path, _PANDA, impact=impact, w=w) for w in weights]
