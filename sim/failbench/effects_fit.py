@@ -12,7 +12,7 @@ intervals come from resamples of whole motions. They cannot see what no motion s
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -30,7 +30,7 @@ from failbench.skill import Figures, figures
 from failbench.statistics import check_confidence, cluster_draws
 from graceful_plan import Scene, SettingError, ShapeError, UnknownNameError
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.fault_prior import GENERATORS
+from graceful_plan.fault_prior import ARM, GENERATORS
 
 Array = np.ndarray
 
@@ -40,6 +40,12 @@ GeneratorModel = Callable[[Scene, Failures], Mapping[str, Float[Array, "n c e"]]
 _GAIN = 1e-3  # of the logarithm of the likelihood, below which turns end [nat]
 _TURNS = 50
 _DIGITS = 4
+_DEFINED = {
+    "gripper_failure": {
+        name: Fitted(float(name == "drop"), float(name == "drop"), float(name == "drop")) for name in GENERATORS
+    }
+}
+"""The drop model is about what this fault does."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -303,8 +309,17 @@ def calibrate_effects(
         "motions": len(single),
         "failures": sum(len(part) for part in single),
     }
-    effects = fit_effects({name: events[name] for name in faults() if name in events}, seed=seed)
+    effects = fit_effects({name: _possible(name, events[name]) for name in faults() if name in events}, seed=seed)
+    effects |= {name: replace(effects[name], shares=shares) for name, shares in _DEFINED.items() if name in effects}
     return EffectsCalibration(effects=effects, degree="severe", seed=seed, about=about)
+
+
+def _possible(fault: str, events: FaultEvents) -> FaultEvents:
+    """Leave arms alone where only the gripper fails: too few events would tell them from chance."""
+    if faults()[fault].CATEGORY != "end_effector":
+        return events
+    arm = np.isin(GENERATORS, ARM)
+    return replace(events, probability=np.where(arm, 0.0, events.probability))
 
 
 # --- the fit ----------------------------------------------------------------------------------------------------------

@@ -188,5 +188,5 @@ def test_the_command_fits_effects_to_failures_of_a_file(tmp_path):
     assert main(command) == DONE
     shares = yaml.safe_load(out.read_text())["effects"]["severe"]
     assert set(shares) == {"gripper_failure", "control_delay"}
-    assert shares["gripper_failure"]["drop"] > 0.8
+    assert shares["gripper_failure"] == {"drop": 1.0}
     assert sum(shares["control_delay"].values()) < 0.5
