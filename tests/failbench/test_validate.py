@@ -111,7 +111,7 @@ def test_the_prediction_is_taken_where_failures_begin(simulated: Callable[..., N
         state = motion().at(motion().t[0] + fraction * motion().duration)
         q, qd = state.q, state.qd
         severity = ImpactCost().severity(scene())
-        exact = np.sum(gp.interaction_probability(scene(), q, qd=qd) * severity)
+        exact = np.sum(gp.interaction_probability(scene(), q, "footprint", qd) * severity)
         assert predicted == pytest.approx(exact, abs=_EXACT)
     both = [GripperFailure(when=AtFraction(fraction)) for fraction in at]
     assert validate(motion(), scene(), both, n=2).predicted == pytest.approx(np.mean(list(at.values())))
