@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -18,13 +17,12 @@ import yaml
 
 import graceful_plan as gp
 from failbench.body_margins import REACH, FittedMargin, Touches, fit_touches
-from failbench.calibrate import HEAD, VERSION, Progress, generate, scenes_of
-from failbench.failures import Failures, read_failures, write_failures
+from failbench.calibrate import HEAD, VERSION, Progress, fetch, scenes_of
+from failbench.failures import Failures
 from failbench.faults import PowerLoss, faults
 from failbench.faults.fault import Fault
-from failbench.sampling import MOST, check_whole
 from failbench.skill import Figures
-from graceful_plan import Scene, SettingError, StateBatch, UnknownNameError
+from graceful_plan import Scene, SettingError, StateBatch
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import AHEAD
 from graceful_plan.costs.interactions.body import FAR, BodyModel, mode_names
@@ -240,21 +238,15 @@ def calibrate_body(
         UnknownNameError: If there is no such scene.
         FormatError: If the file is there and holds something else.
     """
-    for name in scenes:
-        if name not in gp.scenes():
-            raise UnknownNameError("scene", name, gp.scenes())
-    check_whole("n", n, 1, MOST)
-    check_whole("repeats", repeats, 1, MOST)
+
+    def struck() -> list[Fault]:
+        return feared(gp.load_scene(scenes[0]).joints)
+
+    failures, without = fetch(
+        scenes, struck, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
+    )
     about: dict[str, Any] = {"horizon": 1.0}
-    file = None if drops is None else FilePath(drops)
-    if file is not None and file.exists():
-        failures = [part for part in read_failures(file) if part.scene in scenes]
-        about["failures_from"] = file.name
-    else:
-        make = partial(generate, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress)
-        failures, about["motions_without"] = make(scenes, feared(gp.load_scene(scenes[0]).joints))
-        if file is not None:
-            write_failures(file, failures)
+    about |= {"failures_from": FilePath(str(drops)).name} if without is None else {"motions_without": without}
     return fit_body(failures, about=about, seed=seed)
 
 

@@ -17,11 +17,12 @@ import numpy as np
 import yaml
 
 import graceful_plan as gp
-from failbench.failures import DROP, FailureJob, Failures, do_job, failure_jobs
+from failbench.failures import DROP, FailureJob, Failures, do_job, failure_jobs, read_failures, write_failures
 from failbench.faults.fault import Fault
 from failbench.fitting import Family, Fitted, Sample, fit, predictions, samples_of
+from failbench.sampling import MOST, check_whole
 from failbench.skill import Figures, figures
-from graceful_plan import Scene, SettingError
+from graceful_plan import Scene, SettingError, UnknownNameError
 from graceful_plan.array_types import Bool, Float
 
 Array = np.ndarray
@@ -142,6 +143,53 @@ def generate(
             for outcome in pool.imap(_do, jobs):
                 take(outcome)
     return found, refused
+
+
+def fetch(
+    scenes: Sequence[str],
+    faults: Callable[[], Sequence[Fault]],
+    *,
+    n: int,
+    repeats: int,
+    seed: int,
+    processes: int,
+    kept: str | FilePath | None,
+    progress: Progress | None,
+) -> tuple[list[Failures], list[str] | None]:
+    """Let a robot fail in bundled scenes, or take failures from a file; see `generate`.
+
+    Args:
+        scenes: Names of bundled scenes.
+        faults: Returns what fails; asked only if something is to be simulated.
+        n: Failures along each motion.
+        repeats: Motions of each kind for each task.
+        seed: Of everything random.
+        processes: How many to work in.
+        kept: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
+        progress: Called after each motion.
+
+    Returns:
+        What happened, and why some motions have none; None if it was taken from the file.
+
+    Raises:
+        UnknownNameError: If there is no such scene.
+        SettingError: If there is nothing to do.
+        FormatError: If the file is there and holds something else.
+    """
+    for name in scenes:
+        if name not in gp.scenes():
+            raise UnknownNameError("scene", name, gp.scenes())
+    check_whole("n", n, 1, MOST)
+    check_whole("repeats", repeats, 1, MOST)
+    file = None if kept is None else FilePath(kept)
+    if file is not None and file.exists():
+        return [part for part in read_failures(file) if part.scene in scenes], None
+    failures, refused = generate(
+        scenes, faults(), n=n, repeats=repeats, seed=seed, processes=processes, progress=progress
+    )
+    if file is not None:
+        write_failures(file, failures)
+    return failures, refused
 
 
 def _do(job: FailureJob) -> Failures | str:

@@ -21,14 +21,15 @@ import numpy as np
 import yaml
 
 import graceful_plan as gp
-from failbench.calibrate import Progress, generate, scenes_of
-from failbench.failures import Failures, read_failures, write_failures
+from failbench.calibrate import Progress, fetch, scenes_of
+from failbench.failures import Failures
 from failbench.faults import faults
+from failbench.faults.fault import Fault
 from failbench.fitting import Fitted
 from failbench.mixture import likely, log_likelihood, most_likely
 from failbench.skill import Figures, figures
 from failbench.statistics import check_confidence, cluster_draws
-from graceful_plan import Scene, SettingError, ShapeError, UnknownNameError
+from graceful_plan import Scene, SettingError, ShapeError
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.fault_prior import ARM, GENERATORS
 
@@ -291,17 +292,13 @@ def calibrate_effects(
         UnknownNameError: If there is no such scene.
         FormatError: If the file is there and holds something else.
     """
-    for name in scenes:
-        if name not in gp.scenes():
-            raise UnknownNameError("scene", name, gp.scenes())
-    file = None if drops is None else FilePath(drops)
-    if file is not None and file.exists():
-        failures = [part for part in read_failures(file) if part.scene in scenes]
-    else:
-        every = [cls(degree="severe") for cls in faults().values()]
-        failures, _ = generate(scenes, every, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress)
-        if file is not None:
-            write_failures(file, failures)
+
+    def every() -> list[Fault]:
+        return [cls(degree="severe") for cls in faults().values()]
+
+    failures, _ = fetch(
+        scenes, every, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
+    )
     single = [part for part in (part.only(faults()) for part in failures) if len(part)]
     events = fault_events(single, scenes_of(single, gp.load_scene), generator_probabilities)
     about = {

@@ -79,6 +79,16 @@ class Constant:
         return max(-_FARTHEST, float(ends[0] / self.spread)), min(_FARTHEST, float(ends[1] / self.spread))
 
 
+class Prior(NamedTuple):
+    """What a `Constant` is made of besides its name, for tables of many."""
+
+    prior: float
+    spread: float
+    low: float = -np.inf
+    high: float = np.inf
+    unit: str = ""
+
+
 class Family(ABC):
     """A model of failures whose constants can be fitted."""
 

@@ -13,12 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import graceful_plan as gp
-from failbench.calibrate import Calibration, Progress, calibrate, generate
-from failbench.failures import read_failures, write_failures
-from failbench.fitting import Constant, Family, Fitted
-from failbench.sampling import MOST, check_whole
-from graceful_plan import Scene, StateBatch, UnknownNameError
+from failbench.calibrate import Calibration, Progress, calibrate, fetch
+from failbench.failures import DROP
+from failbench.fitting import Constant, Family, Fitted, Prior
+from graceful_plan import Scene, StateBatch
 from graceful_plan.array_types import Float
 from graceful_plan.costs.interactions.footprint import Footprint
 from graceful_plan.costs.interactions.footprint_constants import SHARED, FootprintConstants, FootprintSettings
@@ -27,36 +25,28 @@ from graceful_plan.costs.interactions.footprint_tables import SHAPE_CLASSES, foo
 Array = np.ndarray
 
 
-class _Prior(NamedTuple):
-    prior: float
-    spread: float
-    low: float = -np.inf
-    high: float = np.inf
-    unit: str = ""
-
-
-_PRIORS: Mapping[str, _Prior] = {
-    "delay": _Prior(0.03, 0.02, 0.0, 0.2, "s"),
-    "velocity_spread": _Prior(0.04, 0.5, 0.005, 0.3, "m/s"),
-    "height_spread": _Prior(0.1, 0.05, 0.0, 1.0, "m/m"),
-    "carry_spread": _Prior(0.1, 0.07, 0.0, 1.0, "s"),
-    "side_spread": _Prior(0.5, 0.3, 0.0, 3.0, "size"),
-    "side_reach": _Prior(0.0, 0.3, -1.5, 1.5, "size"),
-    "side_height": _Prior(0.05, 0.5, 0.005, 0.3, "m"),
-    "catch": _Prior(0.7, 0.2, 0.0, 1.0),
-    "leave_tilt": _Prior(1.5, 0.7, -3.0, 6.0),
-    "position_spread": _Prior(0.01, 0.4, 0.001, 0.1, "m"),
-    "size_spread": _Prior(1.0, 0.4, 0.0, 4.0, "size"),
-    "tumble_reach": _Prior(1.0, 0.4, -1.0, 4.0, "size"),
-    "catch_margin": _Prior(-0.4, 0.3, -2.0, 1.0, "size"),
-    "leave": _Prior(-0.3, 0.7, -5.0, 5.0),
-    "leave_offset": _Prior(1.5, 0.6, -1.0, 6.0),
-    "leave_narrow": _Prior(0.2, 0.4, -2.0, 3.0),
-    "leave_speed": _Prior(1.2, 0.6, -2.0, 6.0, "s/m"),
-    "drift": _Prior(1.0, 0.4, -1.0, 4.0, "size"),
-    "carry": _Prior(0.08, 0.05, -0.5, 1.0, "s"),
-    "slide": _Prior(0.1, 0.05, -0.5, 1.0, "s"),
-    "topple_reach": _Prior(0.6, 0.3, -1.0, 3.0, "size"),
+_PRIORS: Mapping[str, Prior] = {
+    "delay": Prior(0.03, 0.02, 0.0, 0.2, "s"),
+    "velocity_spread": Prior(0.04, 0.5, 0.005, 0.3, "m/s"),
+    "height_spread": Prior(0.1, 0.05, 0.0, 1.0, "m/m"),
+    "carry_spread": Prior(0.1, 0.07, 0.0, 1.0, "s"),
+    "side_spread": Prior(0.5, 0.3, 0.0, 3.0, "size"),
+    "side_reach": Prior(0.0, 0.3, -1.5, 1.5, "size"),
+    "side_height": Prior(0.05, 0.5, 0.005, 0.3, "m"),
+    "catch": Prior(0.7, 0.2, 0.0, 1.0),
+    "leave_tilt": Prior(1.5, 0.7, -3.0, 6.0),
+    "position_spread": Prior(0.01, 0.4, 0.001, 0.1, "m"),
+    "size_spread": Prior(1.0, 0.4, 0.0, 4.0, "size"),
+    "tumble_reach": Prior(1.0, 0.4, -1.0, 4.0, "size"),
+    "catch_margin": Prior(-0.4, 0.3, -2.0, 1.0, "size"),
+    "leave": Prior(-0.3, 0.7, -5.0, 5.0),
+    "leave_offset": Prior(1.5, 0.6, -1.0, 6.0),
+    "leave_narrow": Prior(0.2, 0.4, -2.0, 3.0),
+    "leave_speed": Prior(1.2, 0.6, -2.0, 6.0, "s/m"),
+    "drift": Prior(1.0, 0.4, -1.0, 4.0, "size"),
+    "carry": Prior(0.08, 0.05, -0.5, 1.0, "s"),
+    "slide": Prior(0.1, 0.05, -0.5, 1.0, "s"),
+    "topple_reach": Prior(0.6, 0.3, -1.0, 3.0, "size"),
 }
 
 
@@ -115,22 +105,12 @@ def calibrate_footprint(
         SettingError: If there is but one scene, or too little to drop.
         FormatError: If the file is there and holds something else.
     """
-    for name in scenes:
-        if name not in gp.scenes():
-            raise UnknownNameError("scene", name, gp.scenes())
-    check_whole("n", n, 1, MOST)
-    check_whole("repeats", repeats, 1, MOST)
-    about: dict[str, Any] = {"horizon": 1.0, "motions_without": []}
-    file = None if drops is None else FilePath(drops)
-    if file is not None and file.exists():
-        dropped = [part for part in read_failures(file) if part.scene in scenes]
-        about["drops_from"] = file.name
-    else:
-        dropped, about["motions_without"] = generate(
-            scenes, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress
-        )
-        if file is not None:
-            write_failures(file, dropped)
+    dropped, without = fetch(
+        scenes, lambda: DROP, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
+    )
+    about: dict[str, Any] = {"horizon": 1.0, "motions_without": without or []}
+    if without is None:
+        about["drops_from"] = FilePath(str(drops)).name
     family = FootprintFamily()
     return calibrate(family, dropped, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
 

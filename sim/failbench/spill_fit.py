@@ -8,20 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
-import graceful_plan as gp
-from failbench.calibrate import HEAD, VERSION, Calibration, Progress, calibrate, generate
-from failbench.failures import Failures, read_failures, write_failures
+from failbench.calibrate import HEAD, VERSION, Calibration, Progress, calibrate, fetch
+from failbench.failures import Failures
 from failbench.faults import faults
 from failbench.faults.fault import Fault
-from failbench.fitting import Constant, Family
-from failbench.sampling import MOST, check_whole
+from failbench.fitting import Constant, Family, Prior
 from graceful_plan import Scene, UnknownNameError
 from graceful_plan.array_types import Float
 from graceful_plan.compile import compile_scene
@@ -50,27 +47,19 @@ def feared() -> list[Fault]:
     return [faults()[name](degree="severe") for use in USES for name in FAULTS[use]]
 
 
-class _Prior(NamedTuple):
-    prior: float
-    spread: float
-    low: float = -np.inf
-    high: float = np.inf
-    unit: str = ""
-
-
-_PRIORS: Mapping[str, _Prior] = {
-    "position_spread": _Prior(0.1, 0.5, 0.005, 1.0, "m"),
-    "rim_spread": _Prior(0.7, 0.3, 0.0, 3.0, "rim"),
-    "speed_spread": _Prior(0.1, 0.07, 0.0, 1.0, "s"),
-    "height_spread": _Prior(0.1, 0.1, 0.0, 1.0, "m/m"),
-    "carry": _Prior(0.1, 0.1, 0.0, 1.0, "s"),
-    "margin": _Prior(0.1, 0.07, 0.0, 0.5, "m"),
-    "reach": _Prior(0.89, 0.15, 0.0, 2.0, "puddle"),
-    "run_off": _Prior(0.7, 0.2, 0.0, 2.0, "puddle"),
-    "edge": _Prior(0.8, 0.2, 0.0, 2.0, "puddle"),
-    "slosh": _Prior(0.2, 0.2, 0.0, 2.0, "s/m"),
-    "soft_speed": _Prior(0.7, 0.3, -1.0, 3.0, "m/s"),
-    "soft_spread": _Prior(0.3, 0.5, 0.02, 2.0, "m/s"),
+_PRIORS: Mapping[str, Prior] = {
+    "position_spread": Prior(0.1, 0.5, 0.005, 1.0, "m"),
+    "rim_spread": Prior(0.7, 0.3, 0.0, 3.0, "rim"),
+    "speed_spread": Prior(0.1, 0.07, 0.0, 1.0, "s"),
+    "height_spread": Prior(0.1, 0.1, 0.0, 1.0, "m/m"),
+    "carry": Prior(0.1, 0.1, 0.0, 1.0, "s"),
+    "margin": Prior(0.1, 0.07, 0.0, 0.5, "m"),
+    "reach": Prior(0.89, 0.15, 0.0, 2.0, "puddle"),
+    "run_off": Prior(0.7, 0.2, 0.0, 2.0, "puddle"),
+    "edge": Prior(0.8, 0.2, 0.0, 2.0, "puddle"),
+    "slosh": Prior(0.2, 0.2, 0.0, 2.0, "s/m"),
+    "soft_speed": Prior(0.7, 0.3, -1.0, 3.0, "m/s"),
+    "soft_spread": Prior(0.3, 0.5, 0.02, 2.0, "m/s"),
 }
 """A square with the area of a disc has 0.89 times its radius; jolts of 0.7 m/s spill."""
 
@@ -219,19 +208,9 @@ def calibrate_spill(
         SettingError: If there is but one scene with contents.
         FormatError: If the file is there and holds something else.
     """
-    for name in scenes:
-        if name not in gp.scenes():
-            raise UnknownNameError("scene", name, gp.scenes())
-    check_whole("n", n, 1, MOST)
-    check_whole("repeats", repeats, 1, MOST)
+    failures, without = fetch(
+        scenes, feared, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
+    )
     about: dict[str, Any] = {"horizon": 1.0}
-    file = None if drops is None else FilePath(drops)
-    if file is not None and file.exists():
-        failures = [part for part in read_failures(file) if part.scene in scenes]
-        about["failures_from"] = file.name
-    else:
-        make = partial(generate, n=n, repeats=repeats, seed=seed, processes=processes, progress=progress)
-        failures, about["motions_without"] = make(scenes, feared())
-        if file is not None:
-            write_failures(file, failures)
+    about |= {"failures_from": FilePath(str(drops)).name} if without is None else {"motions_without": without}
     return fit_spill(failures, about=about, seed=seed)

@@ -85,7 +85,7 @@ def test_the_command_keeps_its_drops_and_takes_them_again(
 def test_misuse_is_told(
     options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(footprint_fit, "generate", lambda *_, **__: ([], []))
+    monkeypatch.setattr(calibrate, "generate", lambda *_, **__: ([], []))
     assert main(["calibrate", str(tmp_path / "out.yaml"), *options]) == MISUSE
     assert text in capsys.readouterr().err
     assert not (tmp_path / "out.yaml").exists()
