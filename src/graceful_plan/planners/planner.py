@@ -61,6 +61,17 @@ class BoundObjective(Protocol):
         ...
 
 
+@runtime_checkable
+class DifferentiableObjective(BoundObjective, Protocol):
+    """A cost that knows its derivatives."""
+
+    def edge_gradients(
+        self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]
+    ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """`edges`, and the derivatives of V + w S of each edge with respect to `q0` and `q1`; None if it has none."""
+        ...
+
+
 def edge_totals(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, " n"]:
     """Total cost V + w S of each edge."""
     cost = objective.edges(q0, q1)
