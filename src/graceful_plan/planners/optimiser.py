@@ -32,8 +32,9 @@ class Optimiser(Planner):
     def improve(
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        """Yield free paths between the same ends, each of lower total cost than the one before and, if that is free,
-        than `path`; nothing if there is none within the budget.
+        """Yield free paths between the same ends, each of lower total cost than the one before.
+
+        If `path` itself is free, they cost less than it does. Nothing is yielded if there is none within the budget.
         """
 
     def solve(
