@@ -76,7 +76,7 @@ class CHOMP(Optimiser):
     edges: int = 48
     method: str = "lbfgs"
     memory: int = 8
-    widths: tuple[float, ...] = (0.3, 0.15, 0.07, 0.03)
+    widths: tuple[float, ...] = (0.2, 0.06)
     stage_iterations: int = 12
     obstacle_weight: float = 500.0
     obstacle_reach: float = 0.01
