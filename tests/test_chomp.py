@@ -17,10 +17,17 @@ from graceful_plan.planners.covariant import Descent, Memory
 from graceful_plan.planners.edge_derivatives import Slopes
 from graceful_plan.planners.incumbent import Incumbent, with_edges
 from graceful_plan.planners.path_energy import PathEnergy
-from graceful_plan.planners.planner import Budget, path_total
+from graceful_plan.planners.planner import BoundObjective, Budget, Problem, path_total
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.smoothness import Smoothness
-from graceful_plan.problems import AnalyticProblem, DensityObjective, FunctionProblem, analytic_problems, disc, free_space
+from graceful_plan.problems import (
+    AnalyticProblem,
+    DensityObjective,
+    FunctionProblem,
+    analytic_problems,
+    disc,
+    free_space,
+)
 
 _WITHIN = 1.005
 _FINER = 50
@@ -41,7 +48,7 @@ def _bad(instance: AnalyticProblem) -> Path:
     return Path(np.array([problem.start, *_BAD[instance.name], problem.goals[0]]))
 
 
-def _solve(planner: CHOMP, problem, objective, iterations: int, seed: int = 0) -> list[Path]:
+def _solve(planner: CHOMP, problem: Problem, objective: BoundObjective, iterations: int, seed: int = 0) -> list[Path]:
     return list(planner.solve(problem, objective, Budget(iterations=iterations), np.random.default_rng(seed)))
 
 
@@ -99,14 +106,17 @@ def test_memory_learns_the_curvature_it_was_shown(seed: int, size: int) -> None:
     memory = Memory(metric, 3.0, size)
     bend = rng.normal(size=(6, 6))
     curvature = bend @ bend.T + np.eye(6)
-    for _ in range(10):
-        step = rng.normal(size=(6, 2))
+    steps = rng.normal(size=(10, 6, 2))
+    for step in steps:
         memory.learn(step, curvature @ step)
-    np.testing.assert_allclose(memory.direction(-curvature @ step), step, atol=1e-7)
+    loose, held = np.zeros((6, 2), dtype=bool), rng.uniform(size=(6, 2)) < 0.4
+    np.testing.assert_allclose(memory.direction(-curvature @ steps[-1], loose), steps[-1], atol=1e-7)
     gradient = rng.normal(size=(6, 2))
-    assert np.vdot(gradient, memory.direction(gradient)) < 0.0
+    assert np.vdot(gradient, memory.direction(gradient, loose)) < 0.0
+    beside = memory.direction(gradient, held)
+    assert not beside[held].any() and (np.vdot(gradient, beside) < 0.0 or held.all())
     assert memory.forget() and not memory.forget()
-    np.testing.assert_allclose(memory.direction(gradient), -metric.solve(gradient) / 3.0)
+    np.testing.assert_allclose(memory.direction(gradient, loose), -metric.solve(gradient) / 3.0)
 
 
 def test_memory_refuses_a_step_along_which_the_energy_bends_down() -> None:
@@ -130,7 +140,8 @@ def test_every_path_is_free_inside_the_limits_and_cheaper() -> None:
     assert len(totals) > 3 and np.all(np.diff(totals) < 0.0)
     for path in paths:
         assert np.all(path.q >= problem.lower) and np.all(path.q <= problem.upper)
-    assert np.isclose(paths[-1].q[:, 1], 0.4).sum() > 10
+    assert np.isclose(paths[-1].q[:, 1], 0.4).sum() > 5
+    assert totals[-1] < 7.4875  # that of a search to convergence; where limits only cut off what steps do: 7.4906
     np.testing.assert_array_equal(paths[-1].q[[0, -1]], straight.q)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,10 +35,10 @@ class _Opaque:
     def w(self) -> float:
         return self.inner.w
 
-    def edges(self, q0, q1):
+    def edges(self, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
         return self.inner.edges(q0, q1)
 
-    def states(self, q):
+    def states(self, q: np.ndarray) -> np.ndarray:
         return self.inner.states(q)
 
 
@@ -52,7 +53,7 @@ def _edges(n: int, low: float, high: float, seed: int = 0) -> tuple[np.ndarray, 
     return q0, np.clip(q0 + 0.1 * rng.normal(size=q0.shape), low, high)
 
 
-def _difference(function, q: np.ndarray) -> np.ndarray:
+def _difference(function: Callable[[np.ndarray], float], q: np.ndarray) -> np.ndarray:
     """Derivative of a function of one array, entry by entry."""
     slope = np.zeros_like(q)
     for index in np.ndindex(q.shape):
@@ -217,7 +218,7 @@ class _Clearances:
         """Distance of sphere i to obstacle j, or to sphere -1 - j."""
         centre, radius = self.centres(q), self.robot.sphere[:, 3]
         if j >= 0:
-            return self.twin._distance(j, centre[i]) - radius[i]
+            return self.twin.distance_to(j, centre[i]) - radius[i]
         return float(np.linalg.norm(centre[i] - centre[-1 - j])) - radius[i] - radius[-1 - j]
 
     def nearest(self, q: np.ndarray) -> tuple[float, int, int]:
@@ -228,7 +229,7 @@ class _Clearances:
             for o in range(len(world.kind))
             if not int(world.ignores[o]) >> int(link[i]) & 1
         ]
-        found = [(self.twin._distance(o, centre[i]) - self.robot.sphere[i, 3], i, o) for i, o in pairs]
+        found = [(self.twin.distance_to(o, centre[i]) - self.robot.sphere[i, 3], i, o) for i, o in pairs]
         for a, b in self.robot.self_pair:
             for i in np.flatnonzero(link == a):
                 rest = np.flatnonzero(link == b)

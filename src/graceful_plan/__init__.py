@@ -29,8 +29,8 @@ from graceful_plan.moving import MovingEntity
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
-    PLANNERS,
     CHOMP,
+    PLANNERS,
     PRM,
     RRT,
     TRRT,

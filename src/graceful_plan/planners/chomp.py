@@ -149,9 +149,7 @@ class _Work:
 
     def _potential(self, factor: float = 1.0) -> ObstaclePotential:
         its = self.settings
-        return ObstaclePotential(
-            weight=factor * its.obstacle_weight, reach=its.obstacle_reach, step=its.obstacle_step
-        )
+        return ObstaclePotential(weight=factor * its.obstacle_weight, reach=its.obstacle_reach, step=its.obstacle_step)
 
     def _steps(
         self, q: Float[Array, "point nq"], slopes: Slopes, potential: ObstaclePotential, most: int | None

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.planners.path_energy import Evaluation
 from graceful_plan.planners.smoothness import Smoothness
 
@@ -42,7 +42,7 @@ class Memory:
     def learn(self, step: Float[Array, "n nq"], change: Float[Array, "n nq"]) -> None:
         """Note a step and by how much it changed the gradient."""
         product = float(np.vdot(step, change))
-        if self._pairs.maxlen and product > _CURVED * np.linalg.norm(step) * np.linalg.norm(change):
+        if self._pairs.maxlen and _is_curved(step, change, product):
             self._pairs.append((step, change, product))
 
     def forget(self) -> bool:
@@ -51,23 +51,48 @@ class Memory:
         self._pairs.clear()
         return known
 
-    def direction(self, gradient: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-        """Return where to go from a point with this gradient."""
-        left, shares = gradient.copy(), []
-        for step, change, product in reversed(self._pairs):
+    def direction(self, gradient: Float[Array, "n nq"], held: Bool[Array, "n nq"]) -> Float[Array, "n nq"]:
+        """Return where to go from a point with this gradient, with some joints of some points held."""
+        left, shares, pairs = np.where(held, 0.0, gradient), [], self._pairs_beside(held)
+        for step, change, product in reversed(pairs):
             shares.append(float(np.vdot(step, left)) / product)
             left -= shares[-1] * change
-        moved = self._metric.solve(left) / self._scale
-        if self._pairs:
-            _, change, product = self._pairs[-1]
-            moved *= product / float(np.vdot(change, self._metric.solve(change))) * self._scale
-        for (step, change, product), share in zip(self._pairs, reversed(shares), strict=True):
+        moved = self._solve(left, held)
+        if pairs:
+            _, change, product = pairs[-1]
+            moved *= product / float(np.vdot(change, self._solve(change, held)))
+        else:
+            moved /= self._scale
+        for (step, change, product), share in zip(pairs, reversed(shares), strict=True):
             moved += (share - float(np.vdot(change, moved)) / product) * step
         return -moved
+
+    def _pairs_beside(self, held: Bool[Array, "n nq"]) -> list[tuple[Array, Array, float]]:
+        """Return what is remembered of the joints that are not held."""
+        if not held.any():
+            return list(self._pairs)
+        beside = [(np.where(held, 0.0, step), np.where(held, 0.0, change)) for step, change, _ in self._pairs]
+        pairs = [(step, change, float(np.vdot(step, change))) for step, change in beside]
+        return [pair for pair in pairs if _is_curved(*pair)]
+
+    def _solve(self, force: Float[Array, "n nq"], held: Bool[Array, "n nq"]) -> Float[Array, "n nq"]:
+        """Spread a force by the metric, over those points of a joint that are not held."""
+        moved = self._metric.solve(force)
+        for joint in np.flatnonzero(held.any(axis=0)):
+            loose = np.flatnonzero(~held[:, joint])
+            moved[:, joint] = 0.0
+            moved[loose, joint] = np.linalg.solve(self._metric.matrix[np.ix_(loose, loose)], force[loose, joint])
+        return moved
+
+
+def _is_curved(step: Array, change: Array, product: float) -> bool:
+    return product > _CURVED * float(np.linalg.norm(step) * np.linalg.norm(change))
 
 
 class Descent:
     """Goes down from a path, step by step, inside the limits.
+
+    Joints that are at a limit and pushed beyond it are held, and the others move as if they were fixed.
 
     Args:
         evaluate: The energy.
@@ -98,15 +123,16 @@ class Descent:
         self._aim()
 
     def _aim(self) -> None:
-        self._heading = self.memory.direction(self.at.gradient)
+        (lower, upper), inner, gradient = self._limits, self.at.q[1:-1], self.at.gradient
+        self._held = ((inner <= lower) & (gradient > 0.0)) | ((inner >= upper) & (gradient < 0.0))
+        self._heading = self.memory.direction(gradient, self._held)
         farthest = float(np.abs(self._heading).max(initial=0.0))
         self._reach = min(1.0, self._longest / farthest) if farthest > 0.0 else 1.0
 
     def attempt(self) -> bool | None:
         """Try one step, one evaluation: True if it was taken, False if not yet, None if there is nowhere to go."""
         t = self.share * self._reach
-        inner = self.at.q[1:-1] + t * self._heading
-        moved = self._metric.into_limits(inner, *self._limits)
+        moved = self._into_limits(self.at.q[1:-1] + t * self._heading)
         step = moved - self.at.q[1:-1]
         promised = float(np.vdot(self.at.gradient, step))
         trial = self._evaluate(np.concatenate([self.at.q[:1], moved, self.at.q[-1:]]))
@@ -126,3 +152,7 @@ class Descent:
             self._aim()
             return False
         return None
+
+    def _into_limits(self, inner: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+        """Smoothly; but what is held would be drawn along by bumps, and must stay."""
+        return np.clip(inner, *self._limits) if self._held.any() else self._metric.into_limits(inner, *self._limits)
