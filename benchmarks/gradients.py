@@ -79,7 +79,7 @@ def _of_edges(objective: object, q0: Array, where: str, rng: np.random.Generator
         return cost[:, 0] + objective.w * cost[:, 1]
 
     gradient = np.concatenate(found[1:], axis=1)
-    yield _compared("edges, V + w S", where, total, np.concatenate([q0, q1], axis=1), gradient)
+    yield compared("edges, V + w S", where, total, np.concatenate([q0, q1], axis=1), gradient)
 
 
 def _of_clearance(scene: gp.Scene, q: Array, where: str) -> Iterator[Finding]:
@@ -101,10 +101,10 @@ def _of_clearance(scene: gp.Scene, q: Array, where: str) -> Iterator[Finding]:
             def distance(points: Array, pair: Array = pair) -> Array:
                 return twin.distance(points, np.tile(pair, len(points) // len(pair)))
 
-            yield _compared(term, where, distance, q[rows], gradient[rows])
+            yield compared(term, where, distance, q[rows], gradient[rows])
 
 
-def _compared(term: str, where: str, f: Callable[[Array], Array], x: Array, gradient: Array) -> Finding:
+def compared(term: str, where: str, f: Callable[[Array], Array], x: Array, gradient: Array) -> Finding:
     """Compare a gradient with differences of f, which takes points [m n, nx] whose rows repeat those of x in order."""
     size = np.maximum(np.linalg.norm(gradient, axis=1), 1e-3 * np.linalg.norm(gradient, axis=1).max() + 1e-12)
     error = np.min([np.linalg.norm(gradient - _central(f, x, h), axis=1) for h in STEPS], axis=0) / size
