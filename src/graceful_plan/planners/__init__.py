@@ -7,11 +7,25 @@ from graceful_plan.planners.ompl import RRT, BITStar, InformedRRTStar, RRTStar
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.prm import PRM, PRMStar
 from graceful_plan.planners.rrt_connect import RRTConnect
+from graceful_plan.planners.stomp import STOMP
 from graceful_plan.planners.trrt import TRRT
 
 PLANNERS: dict[str, type[Planner]] = {
     planner.name: planner
-    for planner in (Anytime, RRTConnect, PRM, PRMStar, TRRT, BiTRRT, RRT, RRTStar, InformedRRTStar, BITStar, CHOMP)
+    for planner in (
+        Anytime,
+        RRTConnect,
+        PRM,
+        PRMStar,
+        TRRT,
+        BiTRRT,
+        RRT,
+        RRTStar,
+        InformedRRTStar,
+        BITStar,
+        STOMP,
+        CHOMP,
+    )
 }
 """Every planner that `plan(planner=...)` knows by name."""
 
@@ -20,6 +34,7 @@ __all__ = [
     "PLANNERS",
     "PRM",
     "RRT",
+    "STOMP",
     "TRRT",
     "Anytime",
     "BITStar",
