@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -202,6 +202,22 @@ def test_a_path_of_one_edge_and_no_path_at_all_have_nothing_to_improve() -> None
     straight = Path(np.array([instance.problem.start, instance.problem.goals[0]]))
     assert _solve(CHOMP(initial=straight, bend=None), instance.problem, instance.objective, 50) == []
     assert _solve(CHOMP(initial=_bad(free_space())), instance.problem, instance.objective, 0) == []
+
+
+def test_a_cost_of_nothing_is_left_alone() -> None:
+    instance = free_space()
+
+    @dataclass(frozen=True)
+    class Nothing:
+        w: float = 1.0
+
+        def edges(self, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
+            return np.zeros((len(q0), 2))
+
+        def states(self, q: np.ndarray) -> np.ndarray:
+            return np.zeros(len(q))
+
+    assert _solve(CHOMP(initial=_bad(instance)), instance.problem, Nothing(), 30) == []
 
 
 def test_same_seed_same_paths() -> None:

@@ -22,8 +22,13 @@ Array = np.ndarray
 
 _SUFFICIENT = 1e-4
 """Share of the fall that the slope promises which a step has to bring."""
+_SHORTEST = 1e-4
+"""Share of a step below which the direction is given up."""
 _CURVED = 1e-8
 """Least cosine between a step and the change of the gradient for L-BFGS to learn from it."""
+
+_LEAST_STRETCH = 1e-9
+"""Cost per length below which nothing is gained by moving."""
 
 
 class Memory:
@@ -102,6 +107,9 @@ class Descent:
         longest: No joint of any point moves farther in one step [rad].
     """
 
+    at: Evaluation
+    """The path that was reached."""
+
     def __init__(
         self,
         evaluate: Callable[[Array], Evaluation],
@@ -114,44 +122,44 @@ class Descent:
         self._memory_size = memory
 
     def begin(self, at: Evaluation) -> None:
-        """Start from a path."""
+        """Start from a path, with nothing learned."""
         # In free space the energy is that of the metric times the number of edges, all of it stretched by J / V.
         length = np.linalg.norm(np.diff(at.q, axis=0), axis=1).sum()
-        stretch = float(at.cost.sum() / max(length, 1e-12))
-        self.memory = Memory(self._metric, (self._metric.n + 1) * stretch**2, self._memory_size)
-        self.at, self.share = at, 1.0
+        stretch = max(_LEAST_STRETCH, float(at.cost.sum() / max(length, _LEAST_STRETCH)))
+        self._memory = Memory(self._metric, (self._metric.n + 1) * stretch**2, self._memory_size)
+        self.at, self._share = at, 1.0
         self._aim()
 
     def _aim(self) -> None:
         (lower, upper), inner, gradient = self._limits, self.at.q[1:-1], self.at.gradient
         self._held = ((inner <= lower) & (gradient > 0.0)) | ((inner >= upper) & (gradient < 0.0))
-        self._heading = self.memory.direction(gradient, self._held)
+        self._heading = self._memory.direction(gradient, self._held)
         farthest = float(np.abs(self._heading).max(initial=0.0))
         self._reach = min(1.0, self._longest / farthest) if farthest > 0.0 else 1.0
 
     def attempt(self) -> bool | None:
         """Try one step, one evaluation: True if it was taken, False if not yet, None if there is nowhere to go."""
-        t = self.share * self._reach
+        t = self._share * self._reach
         moved = self._into_limits(self.at.q[1:-1] + t * self._heading)
         step = moved - self.at.q[1:-1]
         promised = float(np.vdot(self.at.gradient, step))
         trial = self._evaluate(np.concatenate([self.at.q[:1], moved, self.at.q[-1:]]))
         if promised < 0.0 and trial.energy <= self.at.energy + _SUFFICIENT * promised:
-            self.memory.learn(step, trial.gradient - self.at.gradient)
+            self._memory.learn(step, trial.gradient - self.at.gradient)
             self.at = trial
-            self.share = min(1.0, 2.0 * self.share) if self._memory_size else 2.0 * self.share
+            self._share = min(1.0, 2.0 * self._share) if self._memory_size else 2.0 * self._share
             self._aim()
             return True
         excess = trial.energy - self.at.energy - promised
         best = -0.5 * promised / excess if excess > 0.0 and promised < 0.0 else 0.0  # of the parabola through both
-        self.share *= min(0.5, max(0.1, best))
-        if self.share > 1e-4:
+        self._share *= min(0.5, max(0.1, best))
+        if self._share > _SHORTEST:
             return False
-        if self.memory.forget():
-            self.share = 1.0
-            self._aim()
-            return False
-        return None
+        if not self._memory.forget():
+            return None
+        self._share = 1.0
+        self._aim()
+        return False
 
     def _into_limits(self, inner: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
         """Smoothly; but what is held would be drawn along by bumps, and must stay."""
