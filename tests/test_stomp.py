@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from graceful_plan.compile import compile_scene
-from graceful_plan.exceptions import CostError, SettingError
+from graceful_plan.exceptions import CostError, NonFiniteError, SettingError, ShapeError
 from graceful_plan.kernels import FINE_STEP
 from graceful_plan.path import Path
+from graceful_plan.planners.optimiser import joined_to_ends
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.rollouts import Rollouts, evenly, weights
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -130,6 +131,15 @@ def test_does_not_drift_where_everything_costs_the_same() -> None:
     assert _improve(_path([-1, 0], [0, 1], [1, 0]), _space((-1.0, 0.0), (1.0, 0.0)), Nothing(), iterations=60) == []
 
 
+def test_twice_as_many_points_lead_to_the_same_cost() -> None:
+    instance = analytic_problems()["catenary"]
+    begin, objective = Path(np.array(_DETOURS["catenary"])), replace(instance.objective, step=0.03)
+    *_, few = _improve(begin, instance.problem, objective)
+    *_, many = _improve(begin, instance.problem, objective, points=64)
+    assert len(many) == 66 and len(few) == 34
+    assert path_total(objective, many) == pytest.approx(path_total(objective, few), rel=0.01)
+
+
 def test_same_seed_same_paths() -> None:
     instance = disc()
     first, second = (
@@ -218,6 +228,22 @@ def test_starts_from_the_initial_path_if_one_is_given() -> None:
     assert budget.spent == 60
 
 
+def test_an_initial_path_is_joined_to_the_start_and_the_nearest_goal() -> None:
+    problem = FunctionProblem(
+        start=np.zeros(2), goals=np.array([[5.0, 0.0], [2.0, 2.0]]), lower=np.full(2, -9.0), upper=np.full(2, 9.0)
+    )
+    joined = joined_to_ends(np.array([[1.0, 0.0], [1.0, 2.0]]), problem)
+    np.testing.assert_array_equal(joined.q, [[0, 0], [1, 0], [1, 2], [2, 2]])
+    whole = _path([0, 0], [3, 1], [5, 0])
+    np.testing.assert_array_equal(joined_to_ends(whole, problem).q, whole.q)
+    *_, last = STOMP(initial=whole.q[1:2]).solve(problem, _FREE, Budget(iterations=40), np.random.default_rng(0))
+    np.testing.assert_array_equal(last.q[[0, -1]], [[0, 0], [2, 2]])
+    with pytest.raises(ShapeError, match="initial"):
+        joined_to_ends(np.zeros((3, 4)), problem)
+    with pytest.raises(NonFiniteError, match="initial"):
+        joined_to_ends(np.full((3, 2), np.nan), problem)
+
+
 @pytest.mark.parametrize("value", [np.nan, -1.0])
 def test_an_objective_that_breaks_its_contract_is_named(value: float) -> None:
     objective = DensityObjective(density=lambda q: np.full(len(q), value))
@@ -254,12 +280,16 @@ def _batch(cost: np.ndarray, blocked: np.ndarray | None = None) -> Rollouts:
 
 @given(seed=st.integers(0, 10_000), k=st.integers(1, 8), n=st.integers(1, 12), share=st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
-def test_weights_are_positive_and_sum_to_one_at_every_point(seed: int, k: int, n: int, share: float) -> None:
+def test_weights_sum_to_one_and_those_of_free_paths_are_the_greatest(seed: int, k: int, n: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     batch = _batch(rng.uniform(size=(k, n + 1)) * 10.0 ** rng.uniform(-9, 9), rng.uniform(size=(k, n + 1)) < share)
-    weight = weights(batch, np.eye(n), 10.0)
+    spread = rng.uniform(0.01, 1.0, (n, n))
+    weight = weights(batch, spread / spread.sum(axis=1, keepdims=True), 10.0)
     assert np.all((weight >= 0.0) & np.isfinite(weight))
     np.testing.assert_allclose(weight.sum(axis=0), 1.0)
+    free = ~(batch.blocked[:, :-1] | batch.blocked[:, 1:])
+    least, most = np.where(free, weight, np.inf).min(axis=0), np.where(free, 0.0, weight).max(axis=0)
+    assert np.all(least >= most * (1.0 - 1e-9))
 
 
 def test_weights_are_those_of_the_paper() -> None:
@@ -269,6 +299,12 @@ def test_weights_are_those_of_the_paper() -> None:
     score[:, 0] = 0.0  # all cost the same there
     expected = np.exp(-10.0 * score) / np.exp(-10.0 * score).sum(axis=0)
     np.testing.assert_allclose(weights(_batch(cost), np.eye(2), 10.0), expected)
+
+
+def test_where_all_cost_the_same_all_count_the_same() -> None:
+    """Then the update is the mean of the noise, which is unbiased."""
+    weight = weights(_batch(np.full((5, 9), 3.0)), np.eye(8), 10.0)
+    np.testing.assert_array_equal(weight, np.full((5, 8), 0.2))
 
 
 def test_blocked_paths_count_less_than_any_that_is_free() -> None:

@@ -56,7 +56,8 @@ class STOMP(Optimiser):
     Args:
         points: Points of the path between its ends.
         rollouts: Noisy paths per iteration.
-        elites: Best paths so far that are weighed again in the next iteration.
+        elites: Best paths so far that are weighed again in the next iteration. They win most points and so hold the
+            path where it is: on the bundled tasks it is best to have none.
         sharpness: h of the paper: the higher, the more the best rollout at a point counts.
         deviation: Standard deviation of the noise at first, in joint space, as a share of the stretch it reaches over.
         reaches: Stretches that noise bends, as shares of the path; iterations take turns.
@@ -66,9 +67,9 @@ class STOMP(Optimiser):
 
     points: int = 32
     rollouts: int = 12
-    elites: int = 4
+    elites: int = 0
     sharpness: float = 10.0
-    deviation: float = 0.05
+    deviation: float = 0.03
     reaches: tuple[float, ...] = (1.0, 0.5, 0.25, 0.12)
 
     def __post_init__(self) -> None:
