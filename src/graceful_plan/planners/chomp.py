@@ -170,7 +170,9 @@ class _Work:
         energy = PathEnergy(slopes, potential)
         limits = self.problem.lower, self.problem.upper
         memory = chosen.memory if chosen.method == "lbfgs" else 0
-        descent = Descent(energy, self.metric, limits, memory, chosen.longest_step)
+        # A long step can jump through something thin, and no potential brings a path back from there.
+        allowed = self.kept.is_free if self.kept.is_free(q) else None
+        descent = Descent(energy, self.metric, limits, memory, chosen.longest_step, allowed)
         descent.begin(energy(q))
         yield descent
         while idle < _IDLE and (most is None or spent < most) and self.budget.spend():

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.kernels import FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners.questions import Questions
 
@@ -96,8 +97,22 @@ class Incumbent:
             share = np.where(away == 0, 0.5 * share, np.minimum(share, drawn + away / _BLEND_SPAN))
         return None
 
+    def is_free(self, q: Float[Array, "point nq"]) -> bool:
+        """Tell whether all edges of a path are free."""
+        return bool(self._edges_free(q).all())
+
     def _edges_free(self, q: Float[Array, "point nq"]) -> Bool[Array, " edge"]:
-        return self._questions.edges_free(q[:-1], q[1:])
+        """Tell which edges are free, also where paths are looked at last: at a fine step."""
+        free = self._questions.edges_free(q[:-1], q[1:])
+        if not free.all() or not len(free):
+            return free
+        pieces = np.maximum(1, np.ceil(np.linalg.norm(np.diff(q, axis=0), axis=1) / FINE_STEP).astype(int))
+        edge = np.repeat(np.arange(len(pieces)), pieces)
+        first = np.cumsum(pieces) - pieces
+        place = (np.arange(len(edge)) - first[edge])[:, None]
+        step = np.diff(q, axis=0)[edge] / pieces[edge][:, None]
+        begin = q[edge] + place * step
+        return np.logical_and.reduceat(self._questions.edges_free(begin, begin + step), first)
 
 
 def _edges_away(points: int, blocked: Int[Array, " n"]) -> Int[Array, " point"]:
