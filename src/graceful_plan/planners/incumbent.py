@@ -53,11 +53,13 @@ class Incumbent:
     def __init__(self, path: Path, edges: int, questions: Questions) -> None:
         self._questions = questions
         self.q = with_edges(path, edges)
-        self.free = bool(self._edges_free(self.q).all())
+        self.free = self.is_free(self.q)
         """Whether `q` is free: the path to begin with may not be, or not with its corners cut."""
         self.total = np.inf
         """J to be undercut."""
-        if self._edges_free(path.q).all():
+        if questions.edges_free(
+            path.q[:-1], path.q[1:]
+        ).all():  # by the problem's own measure, that of whoever found it
             self.total = questions.path_cost(path)
 
     def offer(self, q: Float[Array, "point nq"], total: float) -> Iterator[Path]:
