@@ -1,6 +1,7 @@
 """Planners: each a frozen settings object with one method, `solve`. `PLANNERS` lists them by name."""
 
 from graceful_plan.planners.anytime import Anytime
+from graceful_plan.planners.auto import Auto
 from graceful_plan.planners.bitrrt import BiTRRT
 from graceful_plan.planners.ompl import RRT, BITStar, InformedRRTStar, RRTStar
 from graceful_plan.planners.planner import Planner
@@ -10,7 +11,7 @@ from graceful_plan.planners.trrt import TRRT
 
 PLANNERS: dict[str, type[Planner]] = {
     planner.name: planner
-    for planner in (Anytime, RRTConnect, PRM, PRMStar, TRRT, BiTRRT, RRT, RRTStar, InformedRRTStar, BITStar)
+    for planner in (Auto, Anytime, RRTConnect, PRM, PRMStar, TRRT, BiTRRT, RRT, RRTStar, InformedRRTStar, BITStar)
 }
 """Every planner that `plan(planner=...)` knows by name."""
 
@@ -20,6 +21,7 @@ __all__ = [
     "RRT",
     "TRRT",
     "Anytime",
+    "Auto",
     "BITStar",
     "BiTRRT",
     "InformedRRTStar",
