@@ -28,6 +28,7 @@ SUBJECTS = (
     "planners",
     "best_known",
     "optima",
+    "optimisers",
     "startup",
     "discretisation",
     "paper_table",

@@ -19,6 +19,7 @@ from graceful_plan.testing import PlannerTrial, check_planner
 
 _NAMES = (
     "anytime", "rrt_connect", "prm", "prm_star", "trrt", "bitrrt", "rrt", "rrt_star", "informed_rrt_star", "bit_star",
+    "stomp",
 )  # fmt: skip
 
 _ITERATIONS = {"anytime": 150, "prm": 120, "prm_star": 150, "rrt_star": 150, "informed_rrt_star": 150}

@@ -7,26 +7,40 @@ from graceful_plan.planners.ompl import RRT, BITStar, InformedRRTStar, RRTStar
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.prm import PRM, PRMStar
 from graceful_plan.planners.rrt_connect import RRTConnect
+from graceful_plan.planners.stomp import STOMP
 from graceful_plan.planners.trrt import TRRT
 
-PLANNERS: dict[str, type[Planner]] = {
-    planner.name: planner
-    for planner in (Auto, Anytime, RRTConnect, PRM, PRMStar, TRRT, BiTRRT, RRT, RRTStar, InformedRRTStar, BITStar)
-}
+_ALL = (
+    Auto,
+    Anytime,
+    RRTConnect,
+    PRM,
+    PRMStar,
+    TRRT,
+    BiTRRT,
+    RRT,
+    RRTStar,
+    InformedRRTStar,
+    BITStar,
+    STOMP,
+)
+
+PLANNERS: dict[str, type[Planner]] = {planner.name: planner for planner in _ALL}
 """Every planner that `plan(planner=...)` knows by name."""
 
 __all__ = [
     "PLANNERS",
-    "PRM",
-    "RRT",
-    "TRRT",
     "Anytime",
     "Auto",
     "BITStar",
     "BiTRRT",
     "InformedRRTStar",
+    "PRM",
     "PRMStar",
     "Planner",
+    "RRT",
     "RRTConnect",
     "RRTStar",
+    "STOMP",
+    "TRRT",
 ]
