@@ -29,6 +29,7 @@ from graceful_plan.moving import MovingEntity
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
+    CHOMP,
     PLANNERS,
     PRM,
     RRT,
@@ -56,6 +57,7 @@ from graceful_plan.verify import verify
 
 __all__ = [
     "PLANNERS",
+    "CHOMP",
     "PRM",
     "RRT",
     "STOMP",

@@ -3,6 +3,7 @@
 from graceful_plan.planners.anytime import Anytime
 from graceful_plan.planners.auto import Auto
 from graceful_plan.planners.bitrrt import BiTRRT
+from graceful_plan.planners.chomp import CHOMP
 from graceful_plan.planners.ompl import RRT, BITStar, InformedRRTStar, RRTStar
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.prm import PRM, PRMStar
@@ -23,6 +24,7 @@ _ALL = (
     InformedRRTStar,
     BITStar,
     STOMP,
+    CHOMP,
 )
 
 PLANNERS: dict[str, type[Planner]] = {planner.name: planner for planner in _ALL}
@@ -34,6 +36,7 @@ __all__ = [
     "Auto",
     "BITStar",
     "BiTRRT",
+    "CHOMP",
     "InformedRRTStar",
     "PRM",
     "PRMStar",
