@@ -128,10 +128,11 @@ def minimise(
         raise calls.error
     stats = solver.stats()
     word = str(stats["return_status"])
-    return Solution(_outcome(word), np.asarray(found["x"]).ravel(), int(stats["iter_count"]), word)
+    return Solution(outcome_of(word), np.asarray(found["x"]).ravel(), int(stats["iter_count"]), word)
 
 
-def _outcome(word: str) -> Outcome:
+def outcome_of(word: str) -> Outcome:
+    """Say how a solve ended, given IPOPT's own word for it."""
     for names, outcome in (
         (_FEASIBLE, Outcome.SOLVED),
         (_STOPPED, Outcome.STOPPED),
