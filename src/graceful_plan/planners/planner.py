@@ -42,6 +42,15 @@ class Problem(ABC):
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which straight edges from `q0` to `q1` are free of collision."""
 
+    def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]] | None:
+        """Return the clearance beyond what has to be kept, and its gradient; None, the default, if it is not known.
+
+        Positive where a configuration is free, negative where it is not, and a distance near the border: optimisers
+        push paths away by it.
+        """
+        del q
+        return None
+
 
 @runtime_checkable
 class BoundObjective(Protocol):
