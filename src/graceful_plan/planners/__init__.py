@@ -6,11 +6,12 @@ from graceful_plan.planners.ompl import RRT, BITStar, InformedRRTStar, RRTStar
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.prm import PRM, PRMStar
 from graceful_plan.planners.rrt_connect import RRTConnect
+from graceful_plan.planners.transcription import CasADi
 from graceful_plan.planners.trrt import TRRT
 
 PLANNERS: dict[str, type[Planner]] = {
     planner.name: planner
-    for planner in (Anytime, RRTConnect, PRM, PRMStar, TRRT, BiTRRT, RRT, RRTStar, InformedRRTStar, BITStar)
+    for planner in (Anytime, RRTConnect, PRM, PRMStar, TRRT, BiTRRT, RRT, RRTStar, InformedRRTStar, BITStar, CasADi)
 }
 """Every planner that `plan(planner=...)` knows by name."""
 
@@ -22,6 +23,7 @@ __all__ = [
     "Anytime",
     "BITStar",
     "BiTRRT",
+    "CasADi",
     "InformedRRTStar",
     "PRMStar",
     "Planner",

@@ -1,0 +1,161 @@
+"""Direct transcription of a path: IPOPT moves all of its points at once, with joint limits and clearance as constraints.
+
+What CHOMP folds into one energy stays apart here: the cost is J itself and obstacles are constraints, so that a path
+along an obstacle needs no weight to be found. Newton's steps, with a convex approximation of the Hessian.
+
+`CasADi` is about paths; `graceful_plan.optimise_trajectory` does the same to path and timing at once.
+
+References:
+    [Waechter2006] On the implementation of an interior-point filter line-search algorithm for large-scale nonlinear
+    programming, Mathematical Programming 106.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.nlp import Values, minimise
+from graceful_plan.path import Path
+from graceful_plan.planners.edge_derivatives import Slopes
+from graceful_plan.planners.incumbent import Incumbent
+from graceful_plan.planners.optimiser import Optimiser
+from graceful_plan.planners.path_program import PathProgram
+from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem, WidenableObjective
+from graceful_plan.planners.questions import Interrupted
+from graceful_plan.planners.settings import count, positive
+from graceful_plan.planners.smoothness import Smoothness
+
+Array = np.ndarray
+
+_JITTER = 1e-3
+"""Displacement that breaks symmetries: where both sides are equal, a gradient chooses neither [rad]."""
+_SETTLED, _IDLE = 1e-4, 6
+"""Relative fall of J below which an iteration counts as idle, and how many of these in a row end a solve."""
+_NEARLY = 1e-3
+"""How far a constraint may be broken by an iterate that is worth checking."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CasADi(Optimiser):
+    """Improves a path by direct transcription with IPOPT, through CasADi.
+
+    One iteration is one of IPOPT's. When a solve has settled, another one begins at the best path with a random bend.
+    Obstacles of problems that do not know their clearance stop a path, but do not guide it.
+
+    Args:
+        edges: How many edges a path has while it is worked on.
+        widths: How far hits are smeared in solves before the last [m]; () to do without.
+        stage_iterations: Iterations of each of these.
+        solve_iterations: Of the last one.
+        clearance: Clearance to keep beyond that of the problem, for what lies between two constraints [m].
+        spacing: Largest distance between points of an edge at which the clearance is a constraint [rad].
+        bend: Standard deviation of a random bend at its highest [rad]; None to end when the first solve has settled.
+    """
+
+    name: ClassVar[str] = "casadi"
+
+    edges: int = 40
+    widths: tuple[float, ...] = (0.1,)
+    stage_iterations: int = 10
+    solve_iterations: int = 60
+    clearance: float = 1e-3
+    spacing: float = 0.05
+    bend: float | None = 0.15
+
+    def __post_init__(self) -> None:
+        count("edges", self.edges, 2)
+        count("stage_iterations", self.stage_iterations)
+        count("solve_iterations", self.solve_iterations)
+        for name in ("clearance", "spacing", "bend"):
+            positive(name, getattr(self, name))
+        for width in self.widths:
+            positive("widths", width)
+
+    def improve(
+        self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths."""
+        work = _Work(self, path, problem, objective, budget)
+        if len(work.kept.q) <= 2:
+            return
+        bend = _JITTER
+        while not budget.exhausted:
+            yield from work.solve(work.bent(bend, rng))
+            if self.bend is None:
+                return
+            bend = self.bend
+
+
+class _Work:
+    """What the solves of one path share."""
+
+    def __init__(
+        self, settings: CasADi, path: Path, problem: Problem, objective: BoundObjective, budget: Budget
+    ) -> None:
+        self.settings, self.problem, self.objective, self.budget = settings, problem, objective, budget
+        self.slopes = Slopes(problem, objective, budget)
+        self.kept = Incumbent(path, settings.edges, self.slopes)
+        inner = max(1, len(self.kept.q) - 2)
+        self.metric, self.bends = Smoothness(inner, 1), Smoothness(inner, 2)
+        widths = settings.widths if objective.w > 0.0 and isinstance(objective, WidenableObjective) else ()
+        wide = [objective.widened(width) for width in widths]  # pyright: ignore[reportAttributeAccessIssue]
+        self.stages = [stage for stage in wide if stage is not None]
+        self.found: list[Path] = []
+
+    def bent(self, size: float, rng: np.random.Generator) -> Float[Array, "point nq"]:
+        """Return the best path with a smooth random displacement."""
+        q = self.kept.q.copy()
+        q[1:-1] += size * self.bends.noise(1, q.shape[1], rng)[0]
+        q[1:-1] = self.metric.into_limits(q[1:-1], self.problem.lower, self.problem.upper)
+        return q
+
+    def solve(self, q: Float[Array, "point nq"]) -> Iterator[Path]:
+        """Solve from a path on, through all stages, and yield the best of what was found on the way."""
+        self.found = []
+        with suppress(Interrupted):
+            for stage in self.stages:
+                q = self._minimised(q, stage, self.settings.stage_iterations, last=False)
+            q = self._minimised(q, self.objective, self.settings.solve_iterations, last=True)
+            self.found += self.kept.approach(q, self.slopes.path_cost(Path(q)))
+        if self.found:
+            yield self.found[-1]
+
+    def _minimised(self, q: Array, objective: BoundObjective, iterations: int, last: bool) -> Array:
+        slopes = Slopes(self.problem, objective, self.budget)
+        exact = isinstance(objective, DifferentiableObjective) and objective.edge_gradients(q[:1], q[1:2]) is not None
+        program = PathProgram(q, slopes, self.settings.clearance, self.settings.spacing, exact)
+        watched = _Watch(program, self, last)
+        solution = minimise(
+            program,
+            q[1:-1].ravel(),
+            watched,
+            iterations=iterations,
+            tolerance=1e-5,
+            settings={"mu_strategy": "adaptive"},
+        )
+        return program.path(solution.x)
+
+
+class _Watch:
+    """Spends the budget, keeps what is free and better, and ends a solve that has settled."""
+
+    def __init__(self, program: PathProgram, work: _Work, last: bool) -> None:
+        self.program, self.work, self.last = program, work, last
+        self._best, self._idle = np.inf, 0
+
+    def __call__(self, x: Float[Array, " variable"], values: Values) -> bool:
+        if not self.work.budget.spend():
+            return True
+        if np.any(values.constraints < self.program.least - _NEARLY):
+            return False
+        if self.last:
+            self.work.found += self.work.kept.offer(self.program.path(x), values.cost)
+        self._idle = 0 if values.cost < self._best * (1.0 - _SETTLED) else self._idle + 1
+        self._best = min(self._best, values.cost)
+        return self._idle >= _IDLE
