@@ -30,6 +30,7 @@ from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
     PLANNERS,
+    CHOMP,
     PRM,
     RRT,
     TRRT,
@@ -55,6 +56,7 @@ from graceful_plan.verify import verify
 
 __all__ = [
     "PLANNERS",
+    "CHOMP",
     "PRM",
     "RRT",
     "TRRT",

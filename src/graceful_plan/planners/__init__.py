@@ -2,6 +2,7 @@
 
 from graceful_plan.planners.anytime import Anytime
 from graceful_plan.planners.bitrrt import BiTRRT
+from graceful_plan.planners.chomp import CHOMP
 from graceful_plan.planners.ompl import RRT, BITStar, InformedRRTStar, RRTStar
 from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.prm import PRM, PRMStar
@@ -11,11 +12,25 @@ from graceful_plan.planners.trrt import TRRT
 
 PLANNERS: dict[str, type[Planner]] = {
     planner.name: planner
-    for planner in (Anytime, RRTConnect, PRM, PRMStar, TRRT, BiTRRT, RRT, RRTStar, InformedRRTStar, BITStar, CasADi)
+    for planner in (
+        Anytime,
+        RRTConnect,
+        PRM,
+        PRMStar,
+        TRRT,
+        BiTRRT,
+        RRT,
+        RRTStar,
+        InformedRRTStar,
+        BITStar,
+        CHOMP,
+        CasADi,
+    )
 }
 """Every planner that `plan(planner=...)` knows by name."""
 
 __all__ = [
+    "CHOMP",
     "PLANNERS",
     "PRM",
     "RRT",

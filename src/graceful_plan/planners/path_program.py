@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.nlp import Pattern, Program, Values
 from graceful_plan.planners.edge_derivatives import Slopes
+from graceful_plan.planners.smoothness import Smoothness
 
 Array = np.ndarray
 
@@ -14,96 +15,88 @@ _UNIT = 0.05
 """Clearance [m] that counts as one in a constraint, so that all of them are of O(1)."""
 _FAR = 20.0
 """Clearance in these units beyond which it does not matter."""
-_SHIFT = 1e-3
-"""How far edges are moved as a whole, for the curvature of the cost [rad]."""
-_SLIDE = 0.02
-"""Curvature along an edge, relative to that across: points may slide along a path, but not freely."""
-_SHORT = 1e-6
-"""Length [rad] below which edges count as that long."""
+_COARSE = 30.0
+"""Unit of the points among the variables [rad], so that the approximation of the Hessian hardly weighs them."""
 
 
 class PathProgram(Program):
-    """Minimise J over the inner points of a path within joint limits, with clearance as constraint.
+    r"""Minimise J over the inner points of a path, within joint limits and with clearance as constraint.
 
-    The Hessian is made of what bends the path, the density of the cost times the curvature of its length, and of the
-    curvature of the density, from differences of gradients of edges that are moved as a whole; of that, only what is
-    convex. The curvature of the clearance is left out.
+    The variables are the points q and, tied to them by linear equations, whitened ones,
+
+    .. math:: x = L^T (q - q_0), \qquad L L^T = A
+
+    with A the stiffness of springs along the path that are as stiff as its edges cost, which is near the Hessian of J.
+    J is charged to x, where its Hessian is near the identity, from which IPOPT's limited-memory approximation starts;
+    limits and clearance are asked of q, so that every matrix stays sparse: L has two diagonals.
 
     Args:
         q: Points to begin with, ends included.
         slopes: Questions to problem and objective.
-        clearance: Clearance to keep beyond that of the problem.
+        clearance: Clearance to keep beyond that of the problem; less if the ends have less.
         spacing: Largest distance between points of an edge at which the clearance is a constraint [rad].
-        curved: Whether to ask for the curvature of the density; without, gradients have to be exact and are not.
+        total: J of the path to begin with.
+        reach: How far a joint of a point may move [rad or m].
     """
 
     def __init__(
-        self, q: Float[Array, "point nq"], slopes: Slopes, clearance: float, spacing: float, curved: bool
+        self, q: Float[Array, "point nq"], slopes: Slopes, clearance: float, spacing: float, total: float, reach: float
     ) -> None:
-        self._slopes, self._curved = slopes, curved
-        self.start, self.goal = q[0], q[-1]
+        self._slopes, self._ends, problem = slopes, q[[0, -1]], slopes.problem
         self._n, self._nq = len(q) - 2, q.shape[1]
-        problem = slopes.problem
-        self.lower, self.upper = np.tile(problem.lower, self._n), np.tile(problem.upper, self._n)
-        self._place(q, spacing)
-        known = slopes.clearance_slopes(self._points(q))
-        rows = 0 if known is None else len(self._edge)
-        if known is not None:
-            clearance = min(clearance, 0.5 * float(slopes.clearance_slopes(q[[0, -1]])[0].min()))  # pyright: ignore[reportOptionalSubscript]
-        self.least, self.most = np.full(rows, clearance / _UNIT), np.full(rows, np.inf)
-        self._limited = rows > 0
-        self.jacobian_pattern = self._jacobian_pattern()
-        self.hessian_pattern = self._hessian_pattern()
+        self.first = np.append(q[1:-1].ravel() / _COARSE, np.zeros(self._n * self._nq))
+        lower, upper = np.maximum(q[1:-1] - reach, problem.lower), np.minimum(q[1:-1] + reach, problem.upper)
+        free = np.full(self._n * self._nq, np.inf)
+        self.lower, self.upper = np.append(lower.ravel() / _COARSE, -free), np.append(upper.ravel() / _COARSE, free)
+        length = max(float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum()), 1e-9)
+        springs = Smoothness(self._n, 1).matrix * max(total, 1e-9) * (self._n + 1) / length**2
+        factor = np.linalg.cholesky(springs)
+        self._to_white = np.linalg.inv(factor)
+        self._choose_places(q, spacing)
+        self._tie(factor, q[1:-1])
+        rows = len(self._edge)
+        if rows:
+            clearance = min(clearance, 0.5 * max(0.0, float(self._clearance(self._ends)[0].min())))
+        self.least = np.append(np.full(rows, clearance / _UNIT), self._tied_to)
+        self.most = np.append(np.full(rows, np.inf), self._tied_to)
 
     def path(self, x: Float[Array, " variable"]) -> Float[Array, "point nq"]:
-        """All points, ends included."""
-        return np.concatenate([self.start[None], x.reshape(self._n, self._nq), self.goal[None]])
+        """All points, ends included, and within the joint limits."""
+        problem, inner = self._slopes.problem, _COARSE * x[: self._n * self._nq].reshape(self._n, self._nq)
+        inner = np.clip(inner, problem.lower, problem.upper)  # for rounding
+        return np.concatenate([self._ends[:1], inner, self._ends[1:]])
 
     def evaluate(self, x: Float[Array, " variable"]) -> Values:
-        """Compute total cost and clearance with their derivatives."""
+        """Compute total cost and constraints with their derivatives."""
         q = self.path(x)
         cost, first, second = self._slopes.edge_slopes(q[:-1], q[1:])
-        gradient = (second[:-1] + first[1:]).ravel()
-        if not self._limited:
-            return Values(float(cost.sum()), gradient, np.zeros(0), np.zeros(0))
-        known = self._slopes.clearance_slopes(self._points(q))
-        assert known is not None
-        value = np.minimum(known[0] / _UNIT, _FAR)
-        slope = np.where(value[:, None] < _FAR, known[1], 0.0) / _UNIT
-        ends = np.stack([(1.0 - self._share)[:, None] * slope, self._share[:, None] * slope], axis=1)
-        return Values(float(cost.sum()), gradient, value, ends[self._inner])
+        gradient = self._to_white @ (second[:-1] + first[1:])
+        tied = np.bincount(self._tie_row, self._tie_entry * x[self._tie_column], len(self._tied_to))
+        values, entries = [tied], [self._tie_entry]
+        if len(self._edge):
+            share = self._share[:, None]
+            clearance, slope = self._clearance((1.0 - share) * q[self._edge] + share * q[self._edge + 1])
+            ends = _COARSE * np.stack([(1.0 - share) * slope, share * slope], axis=1)
+            values, entries = [clearance, tied], [ends[self._inner].ravel(), self._tie_entry]
+        return Values(
+            float(cost.sum()),
+            np.append(np.zeros(gradient.size), gradient.ravel()),
+            np.concatenate(values),
+            np.concatenate(entries),
+        )
 
-    def hessian(
-        self, x: Float[Array, " variable"], factor: float, multipliers: Float[Array, " constraint"]
-    ) -> Float[Array, " nonzero"]:
-        """Convex part of the Hessian of the cost; that of the constraints is left out."""
-        del multipliers
-        q = self.path(x)
-        q0, q1 = q[:-1], q[1:]
-        length = np.maximum(np.linalg.norm(q1 - q0, axis=1), _SHORT)
-        cost, _, _ = self._slopes.edge_slopes(q0, q1)
-        tangent = (q1 - q0) / length[:, None]
-        across = np.eye(self._nq) - (1.0 - _SLIDE) * tangent[:, :, None] * tangent[:, None, :]
-        stiff = (cost / length**2)[:, None, None] * across
-        bowl = self._bowl(q0, q1) if self._curved else np.zeros_like(stiff)
-        same, other = stiff + 0.25 * bowl, -stiff + 0.25 * bowl
-        blocks = same[:-1] + same[1:]
-        upper = np.triu_indices(self._nq)
-        return factor * np.concatenate([blocks[:, upper[0], upper[1]].ravel(), other[1:-1].ravel()])
+    def _clearance(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
+        """Clearance and its gradient in units of its constraints."""
+        known = self._slopes.clearance_slopes(q)
+        assert known is not None  # there would be no places to ask about
+        value = known[0] / _UNIT
+        return np.minimum(value, _FAR), np.where(value[:, None] < _FAR, known[1], 0.0) / _UNIT
 
-    def _bowl(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n nq nq"]:
-        """Convex part of the second derivative of what edges cost with respect to where they are."""
-        n, nq = q0.shape
-        move = _SHIFT * np.array([1.0, -1.0])[:, None, None, None] * np.eye(nq)[:, None, :]
-        _, first, second = self._slopes.edge_slopes((q0 + move).reshape(-1, nq), (q1 + move).reshape(-1, nq))
-        total = (first + second).reshape(2, nq, n, nq)
-        matrix = np.moveaxis((total[0] - total[1]) / (2.0 * _SHIFT), 0, 1)
-        value, vector = np.linalg.eigh(0.5 * (matrix + np.swapaxes(matrix, 1, 2)))
-        return (vector * np.maximum(value, 0.0)[:, None]) @ np.swapaxes(vector, 1, 2)
-
-    def _place(self, q: Float[Array, "point nq"], spacing: float) -> None:
-        """Choose where on the edges the clearance is asked for: ends but the first and the last, and in between."""
+    def _choose_places(self, q: Float[Array, "point nq"], spacing: float) -> None:
+        """Choose where on the edges the clearance is asked for: all points but the ends, and places in between."""
         pieces = np.maximum(1, np.ceil(np.linalg.norm(np.diff(q, axis=0), axis=1) / spacing)).astype(int)
+        if self._slopes.clearance_slopes(self._ends) is None:
+            pieces[:] = 0
         edge = np.repeat(np.arange(len(pieces)), pieces)
         share = (np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[edge]
         inside = edge + share > 0.0
@@ -111,25 +104,25 @@ class PathProgram(Program):
         self._share: Float[Array, " row"] = share[inside]
         end = self._edge[:, None] + np.arange(2)
         # The first point of the path and the last do not move; at a point, the rest of its edge does not matter.
-        self._inner = (end > 0) & (end <= self._n) & ((self._share[:, None] > 0.0) | (np.arange(2) == 0))
+        moves = (end > 0) & (end <= self._n) & ((self._share[:, None] > 0.0) | (np.arange(2) == 0))
+        self._inner: Bool[Array, "row end"] = moves
+        row, which = np.nonzero(moves)
+        column = (self._edge[row] + which - 1)[:, None] * self._nq + np.arange(self._nq)
+        self._place_pattern = Pattern(np.repeat(row, self._nq), column.ravel())
 
-    def _points(self, q: Float[Array, "point nq"]) -> Float[Array, "row nq"]:
-        share = self._share[:, None]
-        return (1.0 - share) * q[self._edge] + share * q[self._edge + 1]
-
-    def _jacobian_pattern(self) -> Pattern:
-        if not self._limited:
-            return Pattern(np.zeros(0, dtype=int), np.zeros(0, dtype=int))
-        row, end = np.nonzero(self._inner)
-        column = (self._edge[row] + end - 1)[:, None] * self._nq + np.arange(self._nq)
-        return Pattern(np.repeat(row, self._nq), column.ravel())
-
-    def _hessian_pattern(self) -> Pattern:
-        nq, point = self._nq, np.arange(self._n)[:, None] * self._nq
-        upper = np.triu_indices(nq)
-        row, column = (index.ravel() for index in np.indices((nq, nq)))
-        next_to = point[:-1]
-        return Pattern(
-            np.concatenate([(point + upper[0]).ravel(), (next_to + row).ravel()]),
-            np.concatenate([(point + upper[1]).ravel(), (next_to + nq + column).ravel()]),
+    def _tie(self, factor: Float[Array, "n n"], inner: Float[Array, "n nq"]) -> None:
+        """Tie whitened variables to points: L^T q - x = L^T q_0."""
+        n, nq = self._n, self._nq
+        point = np.repeat(np.arange(n), nq)
+        row = np.arange(n * nq)
+        later = point < n - 1
+        own, next_to = factor[point, point], factor[np.minimum(point + 1, n - 1), point]
+        self._tie_row = np.concatenate([row, row[later], row])
+        self._tie_column = np.concatenate([row, row[later] + nq, row + n * nq])
+        self._tie_entry = np.concatenate([_COARSE * own, _COARSE * next_to[later], -np.ones(n * nq)])
+        self._tied_to = (factor.T @ inner).ravel()
+        places = self._place_pattern
+        self.jacobian_pattern = Pattern(
+            np.concatenate([places.row, self._tie_row + len(self._edge)]),
+            np.concatenate([places.column, self._tie_column]),
         )

@@ -81,6 +81,15 @@ class DifferentiableObjective(BoundObjective, Protocol):
         ...
 
 
+@runtime_checkable
+class WidenableObjective(BoundObjective, Protocol):
+    """A cost whose hazards can be smeared, so that a descent feels them from afar."""
+
+    def widened(self, metres: float) -> BoundObjective | None:
+        """Return the same with hits smeared by so much more; None if it has no such form."""
+        ...
+
+
 def edge_totals(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, " n"]:
     """Total cost V + w S of each edge."""
     cost = objective.edges(q0, q1)

@@ -1,7 +1,10 @@
 """Direct transcription of a path: IPOPT moves all of its points at once, with joint limits and clearance as constraints.
 
 What CHOMP folds into one energy stays apart here: the cost is J itself and obstacles are constraints, so that a path
-along an obstacle needs no weight to be found. Newton's steps, with a convex approximation of the Hessian.
+along an obstacle needs no weight to be found.
+
+Hazards have borders a centimetre wide, and a gradient says nothing about what lies beyond. So solves begin with hits
+smeared over decimetres, as those of CHOMP do.
 
 `CasADi` is about paths; `graceful_plan.optimise_trajectory` does the same to path and timing at once.
 
@@ -26,7 +29,7 @@ from graceful_plan.planners.edge_derivatives import Slopes
 from graceful_plan.planners.incumbent import Incumbent
 from graceful_plan.planners.optimiser import Optimiser
 from graceful_plan.planners.path_program import PathProgram
-from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem, WidenableObjective
+from graceful_plan.planners.planner import BoundObjective, Budget, Problem, WidenableObjective
 from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.smoothness import Smoothness
@@ -35,8 +38,10 @@ Array = np.ndarray
 
 _JITTER = 1e-3
 """Displacement that breaks symmetries: where both sides are equal, a gradient chooses neither [rad]."""
-_SETTLED, _IDLE = 1e-4, 6
+_SETTLED, _IDLE = 1e-4, 10
 """Relative fall of J below which an iteration counts as idle, and how many of these in a row end a solve."""
+_BARRIER = 1e-3
+"""IPOPT's barrier parameter to begin with: the path is good already, so constraints need not be felt from afar."""
 _NEARLY = 1e-3
 """How far a constraint may be broken by an iterate that is worth checking."""
 
@@ -53,6 +58,8 @@ class CasADi(Optimiser):
         widths: How far hits are smeared in solves before the last [m]; () to do without.
         stage_iterations: Iterations of each of these.
         solve_iterations: Of the last one.
+        memory: How many steps IPOPT's approximation of the Hessian remembers.
+        reach: How far a joint of a point may move in one solve [rad or m].
         clearance: Clearance to keep beyond that of the problem, for what lies between two constraints [m].
         spacing: Largest distance between points of an edge at which the clearance is a constraint [rad].
         bend: Standard deviation of a random bend at its highest [rad]; None to end when the first solve has settled.
@@ -61,9 +68,11 @@ class CasADi(Optimiser):
     name: ClassVar[str] = "casadi"
 
     edges: int = 40
-    widths: tuple[float, ...] = (0.1,)
-    stage_iterations: int = 10
+    widths: tuple[float, ...] = (0.3, 0.15, 0.07)
+    stage_iterations: int = 20
     solve_iterations: int = 60
+    memory: int = 15
+    reach: float = 0.5
     clearance: float = 1e-3
     spacing: float = 0.05
     bend: float | None = 0.15
@@ -72,7 +81,8 @@ class CasADi(Optimiser):
         count("edges", self.edges, 2)
         count("stage_iterations", self.stage_iterations)
         count("solve_iterations", self.solve_iterations)
-        for name in ("clearance", "spacing", "bend"):
+        count("memory", self.memory)
+        for name in ("reach", "clearance", "spacing", "bend"):
             positive(name, getattr(self, name))
         for width in self.widths:
             positive("widths", width)
@@ -128,18 +138,19 @@ class _Work:
 
     def _minimised(self, q: Array, objective: BoundObjective, iterations: int, last: bool) -> Array:
         slopes = Slopes(self.problem, objective, self.budget)
-        exact = isinstance(objective, DifferentiableObjective) and objective.edge_gradients(q[:1], q[1:2]) is not None
-        program = PathProgram(q, slopes, self.settings.clearance, self.settings.spacing, exact)
+        total = slopes.path_cost(Path(q))
+        its = self.settings
+        program = PathProgram(q, slopes, its.clearance, its.spacing, total, its.reach)
         watched = _Watch(program, self, last)
         solution = minimise(
             program,
-            q[1:-1].ravel(),
+            program.first,
             watched,
             iterations=iterations,
             tolerance=1e-5,
-            settings={"mu_strategy": "adaptive"},
+            settings={"limited_memory_max_history": its.memory, "mu_init": _BARRIER},
         )
-        return program.path(solution.x)
+        return program.path(solution.x if watched.best is None else watched.best)
 
 
 class _Watch:
@@ -147,15 +158,26 @@ class _Watch:
 
     def __init__(self, program: PathProgram, work: _Work, last: bool) -> None:
         self.program, self.work, self.last = program, work, last
-        self._best, self._idle = np.inf, 0
+        self.best: Array | None = None
+        self._cost, self._idle = np.inf, 0
 
     def __call__(self, x: Float[Array, " variable"], values: Values) -> bool:
         if not self.work.budget.spend():
             return True
-        if np.any(values.constraints < self.program.least - _NEARLY):
+        self._idle += 1
+        broken = np.maximum(self.program.least - values.constraints, values.constraints - self.program.most)
+        if np.any(broken > _NEARLY):
             return False
         if self.last:
-            self.work.found += self.work.kept.offer(self.program.path(x), values.cost)
-        self._idle = 0 if values.cost < self._best * (1.0 - _SETTLED) else self._idle + 1
-        self._best = min(self._best, values.cost)
+            self._offer(self.program.path(x), values.cost)
+        if values.cost < self._cost:
+            if values.cost < self._cost * (1.0 - _SETTLED):
+                self._idle = 0
+            self._cost, self.best = values.cost, x.copy()
         return self._idle >= _IDLE
+
+    def _offer(self, q: Float[Array, "point nq"], total: float) -> None:
+        """Keep a path that is better and free; the cost of one that was cut off at limits is another one."""
+        kept = self.work.kept
+        if total < kept.total:
+            self.work.found += kept.offer(q, self.work.slopes.path_cost(Path(q)))
