@@ -40,6 +40,8 @@ _JITTER = 1e-3
 """Displacement that breaks symmetries: where both sides are equal, a gradient chooses neither [rad]."""
 _SETTLED, _IDLE = 1e-4, 10
 """Relative fall of J below which an iteration counts as idle, and how many of these in a row end a solve."""
+_WORTH = 1e-3
+"""Relative fall of J in a solve that makes it worthwhile to go on from there before anything else."""
 _BARRIER = 1e-3
 """IPOPT's barrier parameter to begin with: the path is good already, so constraints need not be felt from afar."""
 _NEARLY = 1e-3
@@ -69,9 +71,9 @@ class CasADi(Optimiser):
 
     edges: int = 40
     widths: tuple[float, ...] = (0.3, 0.15, 0.07)
-    stage_iterations: int = 20
+    stage_iterations: int = 15
     solve_iterations: int = 60
-    memory: int = 15
+    memory: int = 10
     reach: float = 0.5
     clearance: float = 1e-3
     spacing: float = 0.05
@@ -91,15 +93,21 @@ class CasADi(Optimiser):
         self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield better and better paths."""
-        work = _Work(self, path, problem, objective, budget)
-        if len(work.kept.q) <= 2:
-            return
-        bend = _JITTER
+        with suppress(Interrupted):
+            work = _Work(self, path, problem, objective, budget)
+            if len(work.kept.q) > 2:
+                yield from self._solves(work, budget, rng)
+
+    def _solves(self, work: _Work, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+        """Solve from the path, on from there for as long as that is worthwhile, then from bent ones."""
+        bend, stages = _JITTER, True
         while not budget.exhausted:
-            yield from work.solve(work.bent(bend, rng))
-            if self.bend is None:
+            before = work.kept.total
+            yield from work.solve(work.bent(bend, rng), stages)
+            stages = not work.kept.total < before * (1.0 - _WORTH)
+            if stages and self.bend is None:
                 return
-            bend = self.bend
+            bend = self.bend if stages and self.bend is not None else 0.0
 
 
 class _Work:
@@ -125,11 +133,11 @@ class _Work:
         q[1:-1] = self.metric.into_limits(q[1:-1], self.problem.lower, self.problem.upper)
         return q
 
-    def solve(self, q: Float[Array, "point nq"]) -> Iterator[Path]:
-        """Solve from a path on, through all stages, and yield the best of what was found on the way."""
+    def solve(self, q: Float[Array, "point nq"], stages: bool) -> Iterator[Path]:
+        """Solve from a path on, through all stages or the last alone, and yield the best of what was found."""
         self.found = []
         with suppress(Interrupted):
-            for stage in self.stages:
+            for stage in self.stages if stages else ():
                 q = self._minimised(q, stage, self.settings.stage_iterations, last=False)
             q = self._minimised(q, self.objective, self.settings.solve_iterations, last=True)
             self.found += self.kept.approach(q, self.slopes.path_cost(Path(q)))
