@@ -216,7 +216,11 @@ def _first(problem: ControlProblem, intervals: int, inner: int, guess: Any) -> A
     if guess is None:
         end = np.where(np.isnan(problem.end), problem.start, problem.end)
         rest = np.clip(0.0, problem.least_control, problem.most_control)
-        guess = (1.0 - share) * problem.start + share * end, np.tile(rest, (intervals + 1, 1)), np.mean(problem.durations)
+        guess = (
+            (1.0 - share) * problem.start + share * end,
+            np.tile(rest, (intervals + 1, 1)),
+            np.mean(problem.durations),
+        )
     states = finite_array("guess states", guess[0], ndim=2, last=len(problem.start))
     controls = finite_array("guess controls", guess[1], ndim=2, last=nu)
     if len(states) != intervals + 1 or len(controls) != intervals + 1:

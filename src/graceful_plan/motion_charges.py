@@ -11,12 +11,10 @@ from graceful_plan.costs.cost import Cost, checked_state
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.scene import Scene
-from graceful_plan.spline_program import Charge
+from graceful_plan.spline_program import Charge, Charging
 from graceful_plan.symbolic import SymbolicRobot
 
 Array = np.ndarray
-
-_Slopes = Callable[[Array, Array], Array]
 
 _STEP = 1e-5
 """Step of finite differences of a cost without derivatives [rad or rad/s]."""
@@ -53,6 +51,7 @@ class ImpactCharge:
         return _differences(lambda z: self.value(*np.split(z, 2, axis=1)), np.concatenate([q, qd], axis=1), _STEP)
 
     def __call__(self, states: Float[Array, "order n nq"], curved: bool) -> Charge:
+        """Charge states, with the curvature if it is wanted."""
         q, qd = states[0], states[1]
         n, nq = q.shape
         slope = np.zeros((n, 3, nq))
@@ -80,7 +79,7 @@ def _differences(f: Callable[[Array], Array], z: Float[Array, "n state"], step: 
     return np.moveaxis((values[0] - values[1]) / (2.0 * step), 0, -1)
 
 
-def effort_charge(robot: SymbolicRobot, limit: Float[Array, " nq"]) -> Callable[[Array, bool], Charge]:
+def effort_charge(robot: SymbolicRobot, limit: Float[Array, " nq"]) -> Charging:
     """Sum over joints of (torque / limit)^2; the curvature is that of Gauss and Newton."""
 
     def charge(states: Float[Array, "order n nq"], curved: bool) -> Charge:
@@ -93,7 +92,7 @@ def effort_charge(robot: SymbolicRobot, limit: Float[Array, " nq"]) -> Callable[
     return charge
 
 
-def acceleration_charge(limit: Float[Array, " nq"]) -> Callable[[Array, bool], Charge]:
+def acceleration_charge(limit: Float[Array, " nq"]) -> Charging:
     """Sum over joints of (acceleration / limit)^2."""
 
     def charge(states: Float[Array, "order n nq"], curved: bool) -> Charge:

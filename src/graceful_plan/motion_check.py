@@ -106,9 +106,7 @@ def within_limits(
     if factor <= 1.0:
         return trajectory
     factor *= 1.0 + 1e-9  # for rounding, when somebody else evaluates it
-    return replace(
-        trajectory, t=trajectory.t * factor, qd=trajectory.qd / factor, qdd=trajectory.qdd / factor**2
-    )
+    return replace(trajectory, t=trajectory.t * factor, qd=trajectory.qd / factor, qdd=trajectory.qdd / factor**2)
 
 
 def _beyond_position(trajectory: Trajectory, limits: Limits) -> Violation | None:
@@ -121,9 +119,7 @@ def _beyond_position(trajectory: Trajectory, limits: Limits) -> Violation | None
         return None
     value = float(q[row, column])
     bound = float(lower[column] if value < lower[column] else upper[column])
-    return Violation(
-        limit="position", joint=trajectory.joints[column], time=float(at[row]), value=value, bound=bound
-    )
+    return Violation(limit="position", joint=trajectory.joints[column], time=float(at[row]), value=value, bound=bound)
 
 
 def _moments(trajectory: Trajectory) -> Float[Array, " n"]:

@@ -21,7 +21,7 @@ from graceful_plan.motion_rows import (
     velocity_rows,
 )
 from graceful_plan.scene import Scene
-from graceful_plan.spline_program import Integral, Layout, LinearRows, SampleRows, SplineProgram
+from graceful_plan.spline_program import Charging, Integral, Layout, SplineProgram
 from graceful_plan.symbolic import SymbolicRobot
 from graceful_plan.trajectory import Trajectory
 
@@ -35,8 +35,16 @@ _STRETCH = 1.05
 """Times are longer than those to begin with, so that limits are kept between nodes, too."""
 _SHORTEST, _LONGEST = 0.05, 50.0
 """Bounds of the duration, as shares of that to begin with."""
-_TIGHT = frozenset({"position", "acceleration continuity"})
-"""Limits that a slightly slower motion does not keep any better."""
+_SLACK = {
+    "position": 1e-6,
+    "velocity": 1e-3,
+    "acceleration": 1e-3,
+    "jerk": 1e-3,
+    "acceleration continuity": 1e-6,
+    "torque": 1e-3,
+    "clearance": 1e-3,
+}
+"""How far an iterate may be beyond each limit and still be kept, by its share: what a slightly slower motion mends."""
 _MOMENTS = 800
 """Moments of a trajectory at which its cost is sampled."""
 
@@ -79,10 +87,8 @@ def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[
     if task.torque and task.robot is not None:
         sampled.append(torque_rows(samples_at(layout, _THIRDS), task.robot, np.asarray(limits.torque)))
     time_cost = 1.0 if task.objective == "time" else 0.0
-    bounds = _bounds(task, layout, x)
-    program = SplineProgram(layout, bounds, time_cost, _integrals(task, layout), linear, sampled)
-    program.slack = _slack(linear, sampled)
-    return program, x
+    bounds, integrals = _bounds(task, layout, x), _integrals(task, layout)
+    return SplineProgram(layout, bounds, time_cost, integrals, linear, sampled, _SLACK), x
 
 
 def motion_cost(task: MotionTask, motion: Trajectory) -> float:
@@ -97,9 +103,9 @@ def motion_cost(task: MotionTask, motion: Trajectory) -> float:
     return motion.duration * float(density.mean())
 
 
-def _charges(task: MotionTask) -> list:
+def _charges(task: MotionTask) -> list[Charging]:
     limits = task.scene.limits
-    found = []
+    found: list[Charging] = []
     if task.objective == "effort":
         assert task.robot is not None
         found.append(effort_charge(task.robot, np.asarray(limits.torque)))
@@ -142,9 +148,3 @@ def _bounds(task: MotionTask, layout: Layout, x: Array) -> tuple[Array, Array]:
         bound[layout.nq : n] = bound[-1 - layout.nq : -1] = 0.0
         found.append(bound)
     return found[0], found[1]
-
-
-def _slack(linear: list[LinearRows], sampled: list[SampleRows]) -> Float[Array, " row"]:
-    """How far an iterate may be beyond each row and still be one to keep: what a slightly slower motion mends."""
-    parts = [np.full(rows.least.size, 1e-6 if rows.name in _TIGHT else 1e-3) for rows in (*linear, *sampled)]
-    return np.concatenate(parts)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Float
 from graceful_plan.kernels import Kernels
 from graceful_plan.nlp import Pattern
-from graceful_plan.spline_program import Layout, LinearRows, Samples, SampleRows, hermite
+from graceful_plan.spline_program import Layout, LinearRows, SampleRows, Samples, hermite
 from graceful_plan.symbolic import SymbolicRobot
 
 Array = np.ndarray
@@ -20,16 +22,7 @@ _CLEARANCE_UNIT = 0.05
 def position_rows(layout: Layout, lower: Float[Array, " nq"], upper: Float[Array, " nq"]) -> LinearRows:
     """Positions at the middles of the pieces; those of the nodes are bounds of variables."""
     rows = _piece_rows("position", layout, np.array([0.5]), _POSITION, np.ones(layout.nq))
-    return LinearRows(
-        rows.name,
-        rows.pattern,
-        rows.entry,
-        0,
-        np.tile(lower, layout.pieces),
-        np.tile(upper, layout.pieces),
-        rows.joint,
-        rows.at,
-    )
+    return replace(rows, least=np.tile(lower, layout.pieces), most=np.tile(upper, layout.pieces))
 
 
 def velocity_rows(layout: Layout, limit: Float[Array, " nq"]) -> LinearRows:
@@ -71,14 +64,10 @@ def continuity_rows(layout: Layout, limit: Float[Array, " nq"]) -> LinearRows:
         _ACCELERATION,
         np.zeros(n),
         np.zeros(n),
-        np.tile(np.arange(nq), pieces + 1),
-        np.repeat(np.arange(pieces + 1.0), nq),
     )
 
 
-def _piece_rows(
-    name: str, layout: Layout, u: Float[Array, " n"], order: int, limit: Float[Array, " nq"]
-) -> LinearRows:
+def _piece_rows(name: str, layout: Layout, u: Float[Array, " n"], order: int, limit: Float[Array, " nq"]) -> LinearRows:
     """Rows, between -1 and 1, of a derivative over its limit at fractions `u` of every piece."""
     nq = layout.nq
     finite = np.flatnonzero(np.isfinite(limit))
@@ -90,9 +79,7 @@ def _piece_rows(
     column = 2 * nq * piece + nq * end + joint
     pattern = Pattern(np.repeat(np.arange(n), 4)[keep], column[keep])
     one = np.ones(n)
-    return LinearRows(
-        name, pattern, (coefficient / limit[joint])[keep], order, -one, one, joint[::4], (piece + u[k])[::4]
-    )
+    return LinearRows(name, pattern, (coefficient / limit[joint])[keep], order, -one, one)
 
 
 def torque_rows(samples: Samples, robot: SymbolicRobot, limit: Float[Array, " nq"]) -> SampleRows:
@@ -104,7 +91,7 @@ def torque_rows(samples: Samples, robot: SymbolicRobot, limit: Float[Array, " nq
         return torque / limit, (slopes / limit[:, None]).reshape(n, nq, 3, nq)
 
     one = np.ones((len(samples), len(limit)))
-    return SampleRows("torque", samples, bounded, -one, one, np.tile(np.arange(len(limit)), len(samples)))
+    return SampleRows("torque", samples, bounded, -one, one)
 
 
 def clearance_rows(samples: Samples, kernels: Kernels, least: Float[Array, " n"]) -> SampleRows:
@@ -117,10 +104,8 @@ def clearance_rows(samples: Samples, kernels: Kernels, least: Float[Array, " n"]
         # Nothing to hit is infinitely far; IPOPT wants numbers.
         return np.minimum(clearance, 1.0)[:, None] / _CLEARANCE_UNIT, slope
 
-    n = len(samples)
-    return SampleRows(
-        "clearance", samples, bounded, least[:, None] / _CLEARANCE_UNIT, np.full((n, 1), np.inf), np.full(n, -1)
-    )
+    none = np.full((len(samples), 1), np.inf)
+    return SampleRows("clearance", samples, bounded, least[:, None] / _CLEARANCE_UNIT, none)
 
 
 def samples_at(layout: Layout, u: Float[Array, " n"], first: bool = True) -> Samples:
@@ -129,8 +114,3 @@ def samples_at(layout: Layout, u: Float[Array, " n"], first: bool = True) -> Sam
     share = np.tile(u, layout.pieces)
     keep = slice(None) if first else piece + share > 0.0
     return Samples(layout, piece[keep], share[keep])
-
-
-def row_names(program_rows: tuple[LinearRows | SampleRows, ...]) -> tuple[tuple[str, Int[Array, " row"]], ...]:
-    """Name and joints of each block of rows."""
-    return tuple((rows.name, rows.joint) for rows in program_rows)

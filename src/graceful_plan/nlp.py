@@ -178,45 +178,45 @@ class _Calls:
 def _functions(program: Program, calls: _Calls, casadi: Any) -> dict[str, Any]:
     """Callbacks of the kind that `nlpsol` takes in place of derivatives of its own."""
     n, m = len(program.lower), len(program.least)
-    dense, scalar = casadi.Sparsity.dense, casadi.Sparsity.dense(1, 1)
-    x, p = dense(n, 1), casadi.Sparsity(0, 1)
+    x, p, g, one = (casadi.Sparsity.dense(*shape) for shape in ((n, 1), (0, 1), (m, 1), (1, 1)))
     jacobian, order = _sparsity(program.jacobian_pattern, (m, n), casadi)
-    nan = float("nan")
+    callback = _callback_class(casadi)
 
-    def filled(sparsity: Any, values: Array) -> Any:
-        return casadi.DM(sparsity, values)
+    def function(name: str, answer: Callable[..., list[Any]], inputs: list[Any], outputs: list[Any]) -> Any:
+        nothing = [casadi.DM(sparsity, np.full(sparsity.nnz(), np.nan)) for sparsity in outputs]
+        return callback(name, calls.guarded(answer, nothing), inputs, outputs)
 
     def gradient(x: Array, _: Array) -> list[Any]:
         return [calls.values(x).cost, calls.values(x).gradient]
 
     def slopes(x: Array, _: Array) -> list[Any]:
         values = calls.values(x)
-        return [values.constraints, filled(jacobian, values.jacobian[order])]
+        return [values.constraints, casadi.DM(jacobian, values.jacobian[order])]
 
-    none_x, none_g = np.full(n, nan), np.full(m, nan)
     made = {
-        "f": (lambda x: [calls.values(x).cost], [nan], [x], [scalar]),
-        "g": (lambda x: [calls.values(x).constraints], [none_g], [x], [dense(m, 1)]),
-        "grad_f": (gradient, [nan, none_x], [x, p], [scalar, dense(n, 1)]),
-        "jac_g": (slopes, [none_g, filled(jacobian, np.full(len(order), nan))], [x, p], [dense(m, 1), jacobian]),
+        "f": function("f", lambda x: [calls.values(x).cost], [x], [one]),
+        "g": function("g", lambda x: [calls.values(x).constraints], [x], [g]),
+        "grad_f": function("grad_f", gradient, [x, p], [one, x]),
+        "jac_g": function("jac_g", slopes, [x, p], [g, jacobian]),
+        "iteration_callback": _iteration(callback, calls, {"x": x, "f": one, "g": g, "lam_x": x, "lam_g": g}, casadi),
     }
     if program.hessian_pattern is not None:
-        hessian, h_order = _sparsity(program.hessian_pattern, (n, n), casadi)
+        hessian, places = _sparsity(program.hessian_pattern, (n, n), casadi)
 
         def curvature(x: Array, _: Array, factor: Array, multipliers: Array) -> list[Any]:
-            return [filled(hessian, program.hessian(x, float(factor[0]), multipliers)[h_order])]
+            return [casadi.DM(hessian, program.hessian(x, float(factor[0]), multipliers)[places])]
 
-        nothing = [filled(hessian, np.full(len(h_order), nan))]
-        made["hess_lag"] = (curvature, nothing, [x, p, scalar, dense(m, 1)], [hessian])
-    callback = _callback_class(casadi)
-    functions = {name: callback(name, calls.guarded(f, bad), ins, outs) for name, (f, bad, ins, outs) in made.items()}
-    slot = {"x": x, "f": scalar, "g": dense(m, 1), "lam_x": x, "lam_g": dense(m, 1)}
+        made["hess_lag"] = function("hess_lag", curvature, [x, p, one, g], [hessian])
+    return made
+
+
+def _iteration(callback: Any, calls: _Calls, sparsities: dict[str, Any], casadi: Any) -> Any:
+    """Return the callback that CasADi asks after every iteration whether to stop."""
     names = [casadi.nlpsol_out(i) for i in range(casadi.nlpsol_n_out())]
     at = names.index("x")
     stop = calls.guarded(lambda *values: [float(calls.stop(values[at]))], [1.0])
-    inputs = [slot.get(name, casadi.Sparsity(0, 0)) for name in names]
-    functions["iteration_callback"] = callback("iteration", stop, inputs, [scalar], names)
-    return functions
+    inputs = [sparsities.get(name, casadi.Sparsity(0, 0)) for name in names]
+    return callback("iteration", stop, inputs, [casadi.Sparsity.dense(1, 1)], names)
 
 
 def _solver(functions: dict[str, Any], options: dict[str, Any], program: Program, casadi: Any) -> Any:

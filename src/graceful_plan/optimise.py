@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import Cost
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
@@ -207,18 +206,14 @@ class _Optimisation:
             )
             outcome, self.spent, self.solves = solution.outcome, self.spent + solution.iterations, self.solves + 1
             deepest = 0.0
-            for _, kept in solve.kept:
-                motion = self._motion(program, kept)
+            for x in (*(kept for _, kept in solve.kept), solution.x):
+                motion = self._motion(program, x)
                 verdict, broken = self._fate(motion)
                 if not broken:
                     return (motion, verdict), outcome, ()
                 if "collision" in verdict.failures:
                     deepest = max(deepest, -verdict.checks["collision"].worst)
-            last = self._motion(program, solution.x)
-            if not solve.kept:
-                broken = self._fate(last)[1]
-                break
-            if deepest == 0.0:
+            if not solve.kept or deepest == 0.0:
                 break
             margin, guess = margin + 2.0 * deepest + 0.002, self._motion(program, solve.kept[0][1])
         return None, outcome, broken
@@ -235,7 +230,7 @@ class _Optimisation:
         return within_limits(timed, task.scene.limits, task.jerk, task.robot if task.torque else None)
 
     def _fate(self, motion: Trajectory) -> tuple[Verdict, tuple[Violation, ...]]:
-        """Return the judge's verdict and every limit that a motion breaks; collisions only if there is no such limit."""
+        """Return the judge's verdict and all limits that a motion breaks; collisions only if there are none."""
         task = self.task
         broken = violations(
             motion,

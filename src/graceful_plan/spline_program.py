@@ -2,7 +2,7 @@ r"""The program behind `optimise_trajectory`: joint positions, joint velocities 
 
 Positions and velocities at evenly spaced nodes are joined by cubics, so accelerations are linear on each piece: this is
 Hermite-Simpson for a chain of two integrators, whose equations such pieces meet exactly, with the states eliminated
-that they determine. With h the time of a piece and w = h * velocity, everything is linear in the nodes over a power of h,
+that they determine. With h the time of a piece and w = h * velocity, all is linear in the nodes over a power of h,
 
 .. math:: q = B_0 \ell, \quad \dot q = B_1 \ell / h, \quad \ddot q = B_2 \ell / h^2, \quad \dddot q = B_3 \ell / h^3
 
@@ -11,7 +11,7 @@ with l = (q, w) at both ends of the piece. Whatever else is charged or bounded i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -134,14 +134,17 @@ class Charge(NamedTuple):
     curvature: Float[Array, "n state state"]
 
 
+Charging = Callable[[Array, bool], Charge]
+"""Charges states [order, n, nq], with the curvature if it is wanted."""
+
+
 @dataclass(frozen=True, eq=False)
 class Integral:
     """A part of the cost: a weighted sum over samples, times the time of a piece."""
 
     samples: Samples
     weight: Float[Array, " n"]
-    charge: Callable[[Array, bool], Charge]
-    """Of the states at the samples, and whether the curvature is wanted."""
+    charge: Charging
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +158,6 @@ class LinearRows:
     power: int
     least: Float[Array, " row"]
     most: Float[Array, " row"]
-    joint: Int[Array, " row"]
-    at: Float[Array, " row"]
-    """When: in pieces from the start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +170,6 @@ class SampleRows:
     """Of the states: values [n, k], and their derivatives [n, k, order, nq]."""
     least: Float[Array, "n k"]
     most: Float[Array, "n k"]
-    joint: Int[Array, " row"]
-    """Of each row; -1 if it is about none in particular."""
 
 
 class SplineProgram(Program):
@@ -184,6 +182,7 @@ class SplineProgram(Program):
         integrals: The rest of the cost.
         linear: Limits of position, velocity, acceleration and jerk.
         sampled: Limits of torque and clearance.
+        slack: How far an iterate may be beyond rows of each name and still be worth keeping.
     """
 
     def __init__(
@@ -194,12 +193,17 @@ class SplineProgram(Program):
         integrals: Sequence[Integral],
         linear: Sequence[LinearRows],
         sampled: Sequence[SampleRows],
+        slack: Mapping[str, float] | None = None,
     ) -> None:
         self.layout, self.time_cost = layout, time_cost
         self.integrals, self.linear, self.sampled = tuple(integrals), tuple(linear), tuple(sampled)
         self.lower, self.upper = bounds
         self.least = np.concatenate([np.zeros(0), *(rows.least.ravel() for rows in (*linear, *sampled))])
         self.most = np.concatenate([np.zeros(0), *(rows.most.ravel() for rows in (*linear, *sampled))])
+        given = slack or {}
+        slacks = [np.full(rows.least.size, given.get(rows.name, 0.0)) for rows in (*linear, *sampled)]
+        self.slack = np.concatenate([np.zeros(0), *slacks])
+        """The same for every constraint."""
         self.jacobian_pattern = self._jacobian_pattern()
         self._pair = np.triu_indices(4 * layout.nq + 1)
         self.hessian_pattern = self._hessian_pattern()
@@ -228,10 +232,6 @@ class SplineProgram(Program):
         self._slot = inverse.reshape(row.shape)
         self._time_slot = np.searchsorted(keys, np.arange(self.layout.size) * self.layout.size + self.layout.size - 1)
         return Pattern(keys // self.layout.size, keys % self.layout.size)
-
-    def cost(self, x: Float[Array, " variable"]) -> float:
-        """What is minimised."""
-        return self.evaluate(x).cost
 
     def evaluate(self, x: Float[Array, " variable"]) -> Values:
         """Compute cost, gradient, constraints and Jacobian."""
@@ -268,6 +268,7 @@ class SplineProgram(Program):
         self, x: Float[Array, " variable"], factor: float, multipliers: Float[Array, " constraint"]
     ) -> Float[Array, " nonzero"]:
         """Hessian of the cost and of the linear rows; the curvature of sampled rows is left out."""
+        assert self.hessian_pattern is not None
         entries, h, scale = np.zeros(len(self.hessian_pattern.row)), self.layout.h(x), self.layout.time
         for part in self.integrals:
             states = part.samples.states(x)

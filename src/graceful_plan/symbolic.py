@@ -264,7 +264,9 @@ def _inertias(scene: Scene, robot: RobotArrays) -> list[LinkInertia]:
     model, nq = scene.model, len(scene.joints)
     data = Placement(scene).place(np.zeros(nq))
     X_WL = compile_scene(scene).kernels.link_poses(np.zeros(nq))
-    link_of_joint = {model.joint(name).id: int(np.flatnonzero(robot.joint == k)[0]) for k, name in enumerate(scene.joints)}
+    link_of_joint = {
+        model.joint(name).id: int(np.flatnonzero(robot.joint == k)[0]) for k, name in enumerate(scene.joints)
+    }
     members: list[list[int]] = [[] for _ in robot.parent]
     for body in range(1, model.nbody):
         link = _link_of(model, body, link_of_joint)
@@ -287,9 +289,7 @@ def _link_of(model: mujoco.MjModel, body: int, link_of_joint: dict[int, int]) ->
     return None
 
 
-def _together(
-    model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], X_WL: Float[Array, "4 4"]
-) -> LinkInertia:
+def _together(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], X_WL: Float[Array, "4 4"]) -> LinkInertia:
     R_LW, mass = X_WL[:3, :3].T, model.body_mass[bodies]
     total = float(mass.sum())
     places = (data.xipos[bodies].reshape(-1, 3) - X_WL[:3, 3]) @ R_LW.T

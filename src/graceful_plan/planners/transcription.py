@@ -1,4 +1,4 @@
-"""Direct transcription of a path: IPOPT moves all of its points at once, with joint limits and clearance as constraints.
+"""Direct transcription of a path: IPOPT moves all of its points at once, within joint limits and clear of obstacles.
 
 What CHOMP folds into one energy stays apart here: the cost is J itself and obstacles are constraints, so that a path
 along an obstacle needs no weight to be found.
