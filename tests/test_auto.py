@@ -23,7 +23,9 @@ def task():
 
 def bound(task, w=1.0, impact="footprint"):
     objective = gp.Objective(impact=gp.ImpactCost(impact), w=w).bind(task.scene)
-    start, goal = (np.asarray(task.scene.keyframes.get(q, q) if isinstance(q, str) else q) for q in (task.start, task.goal))
+    start, goal = (
+        np.asarray(task.scene.keyframes.get(q, q) if isinstance(q, str) else q) for q in (task.start, task.goal)
+    )
     return SceneProblem(kernels=compile_scene(task.scene).kernels, start=start, goals=goal[None]), objective
 
 

@@ -25,9 +25,25 @@ HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
-    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity"},
+    {"costs", "checks", "symbolic", "explain", "impact_map", "risk", "harm_law", "sensitivity"},
     {"planners"},
-    {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
+    {
+        "plan",
+        "prefer",
+        "search",
+        "finish",
+        "departure",
+        "ends",
+        "escape",
+        "arguments",
+        "problems",
+        "testing",
+        "optimise",
+        "motion_program",
+        "motion_rows",
+        "motion_charges",
+        "motion_check",
+    },
     {"__init__"},
     {"cli", "demo", "doctor", "viz"},
 )

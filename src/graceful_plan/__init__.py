@@ -26,6 +26,7 @@ from graceful_plan.fault_prior import FaultPrior
 from graceful_plan.fragility import FragilityTable
 from graceful_plan.impact_map import ImpactMap, impact_map
 from graceful_plan.moving import MovingEntity
+from graceful_plan.optimise import OptimisationStatus, OptimisedTrajectory, optimise_trajectory
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
@@ -38,6 +39,7 @@ from graceful_plan.planners import (
     Anytime,
     BiTRRT,
     BITStar,
+    CasADi,
     InformedRRTStar,
     Planner,
     PRMStar,
@@ -68,6 +70,7 @@ __all__ = [
     "BiTRRT",
     "BoxOverlap",
     "Footprint",
+    "CasADi",
     "Check",
     "Contribution",
     "Cost",
@@ -90,6 +93,8 @@ __all__ = [
     "MovingEntity",
     "NonFiniteError",
     "Objective",
+    "OptimisationStatus",
+    "OptimisedTrajectory",
     "PRMStar",
     "Path",
     "PlanResult",
@@ -124,6 +129,7 @@ __all__ = [
     "impact_map",
     "interaction_probability",
     "load_scene",
+    "optimise_trajectory",
     "plan",
     "retime",
     "risk",

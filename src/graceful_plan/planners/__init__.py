@@ -9,6 +9,7 @@ from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.prm import PRM, PRMStar
 from graceful_plan.planners.rrt_connect import RRTConnect
 from graceful_plan.planners.stomp import STOMP
+from graceful_plan.planners.transcription import CasADi
 from graceful_plan.planners.trrt import TRRT
 
 _ALL = (
@@ -25,6 +26,7 @@ _ALL = (
     BITStar,
     STOMP,
     CHOMP,
+    CasADi,
 )
 
 PLANNERS: dict[str, type[Planner]] = {planner.name: planner for planner in _ALL}
@@ -37,6 +39,7 @@ __all__ = [
     "BITStar",
     "BiTRRT",
     "CHOMP",
+    "CasADi",
     "InformedRRTStar",
     "PRM",
     "PRMStar",
