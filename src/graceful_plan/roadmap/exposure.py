@@ -1,20 +1,17 @@
-"""What edges cost before anybody says how bad an impact is: motion, and exposure by component and by who may be hit.
-
-The exposure of an edge is the integral of P along it. Its impact under given severities is the sum of exposure times
-severity, so that other severities and other weights need no more than a product.
-"""
+"""Prices of edges in a scene: motion, and exposure by component and by who may be hit."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import EdgeSamples, Objective
 from graceful_plan.exceptions import SettingError
+from graceful_plan.kernels import COST_STEP
+from graceful_plan.planners.edge_prices import EdgePrices
+from graceful_plan.result import CostBreakdown
 from graceful_plan.scene import Scene
 
 Array = np.ndarray
@@ -23,43 +20,6 @@ EXPOSURE_STEP = 0.1
 """Largest joint-space distance between samples of the exposure along an edge [rad]."""
 _NOTHING = 1e-9
 """Probability below which nothing is stored."""
-
-
-@dataclass(frozen=True, eq=False)
-class EdgePrices:
-    """Motion cost and exposure of edges.
-
-    | field    | meaning                                                     | unit | shape |
-    |----------|-------------------------------------------------------------|------|-------|
-    | motion   | V of each edge                                              | rad  | edge  |
-    | edge     | edge of each stored exposure, ascending                     |      | entry |
-    | column   | its pair of component and hazard, see `Exposure.columns`    |      | entry |
-    | exposure | its value, above 0                                          | rad  | entry |
-    """
-
-    motion: Float[Array, " edge"]
-    edge: Int[Array, " entry"]
-    column: Int[Array, " entry"]
-    exposure: Float[Array, " entry"]
-
-    @classmethod
-    def of(cls, motion: Float[Array, " edge"], exposure: Float[Array, "edge column"]) -> EdgePrices:
-        """Keep what is not zero."""
-        edge, column = np.nonzero(exposure)
-        return cls(motion, edge.astype(np.int32), column.astype(np.int32), exposure[edge, column])
-
-    def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
-        """S of each edge under these severities."""
-        return np.bincount(self.edge, self.exposure * severity[self.column], len(self.motion))
-
-    def joined(self, other: EdgePrices) -> EdgePrices:
-        """Return the prices of these edges and, after them, of others."""
-        return EdgePrices(
-            np.concatenate([self.motion, other.motion]),
-            np.concatenate([self.edge, other.edge + np.int32(len(self.motion))]),
-            np.concatenate([self.column, other.column]),
-            np.concatenate([self.exposure, other.exposure]),
-        )
 
 
 class Exposure:
@@ -91,6 +51,10 @@ class Exposure:
             return np.ones(1)
         return impact.hazard_severity(scene)[self._rows(scene)].ravel()
 
+    def finely(self) -> Exposure:
+        """Return the same with samples as close as those of costs that are reported."""
+        return Exposure(self.objective, self.scene, COST_STEP)
+
     def price(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgePrices:
         """Motion cost and exposure of straight edges, travelled from `q0` to `q1`."""
         if len(q0) == 0:
@@ -102,6 +66,20 @@ class Exposure:
         P = self._density(batch)
         P[P < _NOTHING] = 0.0
         return EdgePrices.of(motion, np.add.reduceat(P * samples.weights(measure)[:, None], samples.first))
+
+    def breakdown(self, prices: EdgePrices, severity: Float[Array, " column"], w: float) -> CostBreakdown:
+        """Cost of all of these edges together, and where its impact comes from."""
+        parts = np.bincount(prices.column, prices.exposure, len(severity)) * severity
+        motion, impact = float(prices.motion.sum()), float(parts.sum())
+        if not self.by_hazard:
+            return CostBreakdown(motion=motion, impact=impact, w=w)
+        components, hazards = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.scene.hazards, 0.0)
+        for (component, hazard), part in zip(self.columns, parts.tolist(), strict=True):
+            components[component] += part
+            hazards[hazard] += part
+        return CostBreakdown(
+            motion=motion, impact=impact, w=w, impact_by_entity=hazards, impact_by_component=components
+        )
 
     def _density(self, batch: StateBatch) -> Float[Array, "n column"]:
         impact = self.objective.impact
