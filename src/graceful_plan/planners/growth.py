@@ -2,8 +2,8 @@
 
 Nodes come in batches. The first are drawn everywhere and around the straight ways between given pairs of
 configurations; every later one lies beside the best paths that the roadmap has between these pairs so far, for several
-weights, and is joined to both sides of the stretch that it replaces. So the roadmap becomes dense where good paths pass,
-as an optimiser would find out, but for all weights at once.
+weights, and is joined to both sides of the stretch that it replaces. So the roadmap becomes dense where good paths
+pass, as an optimiser would find out, but for all weights at once.
 
 References:
     Kavraki et al., "Probabilistic roadmaps for path planning in high-dimensional configuration spaces", T-RO 1996.
