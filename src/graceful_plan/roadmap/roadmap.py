@@ -16,6 +16,7 @@ from graceful_plan.ends import Ends
 from graceful_plan.exceptions import SettingError
 from graceful_plan.goals import Configuration, Goal
 from graceful_plan.planners.edge_prices import Edges
+from graceful_plan.planners.graph import non_dominated, spread_out
 from graceful_plan.planners.growth import Growth
 from graceful_plan.planners.settings import count
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
@@ -239,24 +240,3 @@ class Roadmap:
         """
         if parts := differences(scene_fingerprint(self.scene), scene_fingerprint(scene)):
             raise StaleRoadmapError("the roadmap", parts)
-
-
-def non_dominated(cost: Float[Array, "n 2"]) -> Array:
-    """Return which rows no other one dominates, by ascending first cost; of equal ones the first."""
-    order = np.lexsort((np.arange(len(cost)), cost[:, 1], cost[:, 0]))
-    second = cost[order, 1]
-    least_before = np.concatenate([[np.inf], np.minimum.accumulate(second)[:-1]])
-    return order[second < least_before]
-
-
-def spread_out(cost: Float[Array, "n 2"], kept: Array, most: int | None) -> Array:
-    """Choose at most so many points of a front: its ends, then time and again the one farthest from those chosen."""
-    if most is None or len(kept) <= most:
-        return kept
-    points = cost[kept]
-    points = (points - points.min(axis=0)) / np.maximum(np.ptp(points, axis=0), 1e-300)
-    chosen = [0, len(kept) - 1][:most]
-    while len(chosen) < most:
-        away = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
-        chosen.append(int(np.argmax(away)))
-    return kept[np.sort(chosen)]
