@@ -57,7 +57,8 @@ class EdgePrices:
 
     def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
         """S of each edge under these severities."""
-        return np.bincount(self.edge, self.exposure * severity[self.column], len(self.motion))
+        impact = np.bincount(self.edge, self.exposure * severity[self.column], len(self.motion))
+        return impact.astype(np.float64)  # of no entries it makes integers
 
 
 Price = Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], EdgePrices]

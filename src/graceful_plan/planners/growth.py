@@ -149,6 +149,8 @@ class Growth:
 
     def _paths(self) -> list[Int[Array, " node"]]:
         """Nodes along the best paths between some of the pairs."""
+        if not self._parts:
+            return []
         tail, head, motion = (
             np.concatenate([getattr(of, name) for of in parts])
             for name, parts in (

@@ -23,7 +23,12 @@ from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.file import StaleRoadmapError, read, write
-from graceful_plan.roadmap.fingerprint import differences, fingerprint, scene_fingerprint
+from graceful_plan.roadmap.fingerprint import (
+    differences,
+    fingerprint,
+    same_but_for_severity,
+    scene_fingerprint,
+)
 from graceful_plan.roadmap.ground import Motion, declared_motions, find_ends, ground_of, usable_pairs
 from graceful_plan.scene import Scene
 from graceful_plan.severity import SeverityTable
@@ -197,11 +202,13 @@ class Roadmap:
         joined = self.joined(ends[0])
         cost = np.stack([joined.edges.prices.motion, joined.impact(severities)], axis=1)
         found = joined.graph.front(cost, joined.start, joined.goals, epsilon)
-        steps, place = np.unique(np.concatenate([np.zeros(0, int), *found.edges]), return_inverse=True)
+        if not found.edges:
+            return []
+        steps, place = np.unique(np.concatenate(found.edges), return_inverse=True)
         fine = self.exposure.finely().price(joined.q[joined.edges.tail[steps]], joined.q[joined.edges.head[steps]])
         both = np.stack([fine.motion, fine.impact(severities)], axis=1)[place]
         lengths = [len(path) for path in found.edges]
-        totals = np.array([part.sum(axis=0) for part in np.split(both, np.cumsum(lengths)[:-1])]).reshape(-1, 2)
+        totals = np.array([part.sum(axis=0) for part in np.split(both, np.cumsum(lengths)[:-1])])
         kept = spread_out(totals, non_dominated(totals), max_points)
         return [FrontPath(joined.path(found.edges[k]).q, *totals[k].tolist()) for k in kept]
 
@@ -238,5 +245,7 @@ class Roadmap:
         Raises:
             StaleRoadmapError: With what differs.
         """
+        if same_but_for_severity(self.scene, scene):
+            return
         if parts := differences(scene_fingerprint(self.scene), scene_fingerprint(scene)):
             raise StaleRoadmapError("the roadmap", parts)
