@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from graceful_plan.planners.graph import Graph
 from graceful_plan.roadmap.exposure import EXPOSURE_STEP, Exposure
 
 Array = np.ndarray
+Answer = TypeVar("Answer")
 
 TITLE = "Roadmaps: build once, ask in milliseconds"
 BUILD_WITHIN, QUERY_WITHIN, FRONT_WITHIN = 2.0, 0.010, 1.0
@@ -65,7 +68,8 @@ def run(options: suite.Options) -> str:
         "front [ms]", "points", "exact [ms]", "points", "exposure", "gap", f"refined, {seconds:g} s", "default planner",
     )  # fmt: skip
     rows = [_row(finding) for finding in findings]
-    return f"{MEASURED}\n{report.targets(_targets(findings, equal, graphs))}\n{report.table(header, rows)}\n{_gaps(findings)}"
+    parts = (MEASURED, report.targets(_targets(findings, equal, graphs)), report.table(header, rows), _gaps(findings))
+    return "\n".join(parts)
 
 
 def examine(job: tuple[str, int, float]) -> Finding:
@@ -124,13 +128,14 @@ def front_is_exact(seed: int) -> bool:
     return [tuple(row) for row in Graph(n, tail, head).front(cost, 0, [n - 1]).cost.tolist()] == expected
 
 
-def _timed(work, repetitions: int):
-    seconds, answer = [], None
+def _timed(work: Callable[[int], Answer], repetitions: int) -> tuple[float, Answer]:
+    """Median seconds of some questions, and the answer to the last."""
+    seconds, answers = [], []
     for k in range(repetitions):
         started = time.perf_counter()
-        answer = work(k)
+        answers = [work(k)]
         seconds.append(time.perf_counter() - started)
-    return float(np.median(seconds)), answer
+    return float(np.median(seconds)), answers[0]
 
 
 def _aside(task: gp.Task, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -158,8 +163,10 @@ def _error(roadmap: gp.Roadmap) -> float:
 
 
 def _planned(task: gp.Task, planner: gp.Planner | None, seconds: float) -> float:
-    chosen = {} if planner is None else {"planner": planner}
-    result = gp.plan(task.start, task.goal, task.scene, w=1.0, time_limit=seconds, **chosen)
+    if planner is None:
+        result = gp.plan(task.start, task.goal, task.scene, w=1.0, time_limit=seconds)
+    else:
+        result = gp.plan(task.start, task.goal, task.scene, w=1.0, time_limit=seconds, planner=planner)
     return result.cost.total if result.status is gp.PlanStatus.SOLVED else np.inf
 
 
