@@ -29,6 +29,7 @@ SUBJECTS = (
     "best_known",
     "optima",
     "optimisers",
+    "roadmap",
     "startup",
     "discretisation",
     "paper_table",

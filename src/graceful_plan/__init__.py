@@ -50,6 +50,7 @@ from graceful_plan.pose_goal import PoseGoal
 from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
+from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
@@ -81,6 +82,7 @@ __all__ = [
     "Explanation",
     "FaultPrior",
     "FragilityTable",
+    "FrontPath",
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",
@@ -102,10 +104,14 @@ __all__ = [
     "Planner",
     "PlanningFailed",
     "PoseGoal",
+    "QueryResult",
+    "QueryStatus",
     "RRTConnect",
     "RRTStar",
     "Risk",
     "RiskMeasure",
+    "Roadmap",
+    "RoadmapPlanner",
     "RobotArrays",
     "RobotDynamics",
     "Scene",
@@ -114,6 +120,7 @@ __all__ = [
     "SeveritySensitivity",
     "SeverityTable",
     "ShapeError",
+    "StaleRoadmapError",
     "StateBatch",
     "Task",
     "TracePoint",

@@ -9,6 +9,7 @@ import argparse
 import dataclasses
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path as FilePath
 from typing import Any
@@ -93,6 +94,12 @@ def _parser() -> argparse.ArgumentParser:
         "--resolution", type=float, default=0.02, metavar="M", help="width of a cell (default 0.02)"
     )
     impact_map.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
+
+    roadmap = _command(commands, "roadmap", _roadmap, "build a roadmap of a scene and write it to a file")
+    _add_scene(roadmap)
+    roadmap.add_argument("output", type=FilePath, help="file to write, such as table.npz")
+    roadmap.add_argument("--nodes", type=int, default=1500, help="size (default 1500)")
+    roadmap.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
 
     _command(commands, "scenes", _scenes, "list the bundled scenes and their tasks")
     _command(commands, "planners", _planners, "list the planners and their settings")
@@ -226,6 +233,16 @@ def _map(args: argparse.Namespace) -> int:
         draw_impact_map(found, scene, args.output)
         text += f"\n\nwrote {args.output}"
     _print(args, found.to_document(), text)
+    return DONE
+
+
+def _roadmap(args: argparse.Namespace) -> int:
+    started = time.perf_counter()
+    roadmap = gp.Roadmap.build(_task(args)[0], nodes=args.nodes, seed=args.seed)
+    roadmap.save(args.output)
+    found = {"nodes": len(roadmap), "edges": len(roadmap.edges), "seconds": time.perf_counter() - started}
+    text = "{nodes} nodes, {edges} directed edges in {seconds:.1f} s".format(**found)
+    _print(args, {"schema": "graceful_plan.built_roadmap", "version": 1, **found}, f"{text}\n\nwrote {args.output}")
     return DONE
 
 
