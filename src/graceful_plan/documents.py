@@ -18,7 +18,7 @@ _PATH_SCHEMA = {"schema": "graceful_plan.path", "version": 1}
 
 def to_json(document: Any) -> str:
     """Return strict JSON text; numbers that are not finite become null."""
-    return json.dumps(_finite(document), allow_nan=False, indent=2)
+    return json.dumps(finite(document), allow_nan=False, indent=2)
 
 
 def cost_document(cost: CostBreakdown) -> dict[str, Any]:
@@ -135,11 +135,11 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return value

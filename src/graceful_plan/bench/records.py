@@ -1,0 +1,109 @@
+"""What is recorded of a run, and its form as a line of JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields
+from typing import Any
+
+from graceful_plan.documents import finite
+from graceful_plan.exceptions import FormatError
+from graceful_plan.result import TracePoint
+
+SOLVED = "SOLVED"
+RAISED, CRASHED, HUNG = "RAISED", "CRASHED", "HUNG"
+"""Outcomes besides those of `PlanStatus`: an exception, the end of the process, and no end at all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One run of a planner on a problem. Pessimistic until filled in: infinite cost, nothing measured.
+
+    | field      | meaning                                                                                          |
+    |------------|--------------------------------------------------------------------------------------------------|
+    | problem    | name of the problem                                                                              |
+    | planner    | label of the planner                                                                             |
+    | seed       | of its random numbers                                                                            |
+    | status     | name of a `PlanStatus`; RAISED, CRASHED or HUNG if it did not end with one                       |
+    | detail     | what the status means here                                                                       |
+    | seconds    | the whole call: when the verified result was there [s]                                           |
+    | first      | when the first path was there [s]; infinite if the call was not solved in the end                |
+    | total      | least total cost J reached, of the verified result                                               |
+    | motion     | its motion cost                                                                                  |
+    | impact     | its impact                                                                                       |
+    | jerk_peak  | greatest joint jerk of the timed trajectory [rad/s^3], see `measures.jerk`                       |
+    | jerk_rms   | root of the mean square over time [rad/s^3]                                                      |
+    | duration   | of the timed trajectory [s]                                                                      |
+    | length     | joint-space length of the path [rad]                                                             |
+    | clearance  | least exact distance to anything that must not be touched [m], see `measures.exact_clearance`    |
+    | iterations | of the planner                                                                                   |
+    | trace      | improvements: time [s], total, motion, impact; the ways out at both ends are in the costs        |
+    | path       | configurations of the result                                                                     |
+    """
+
+    problem: str
+    planner: str
+    seed: int
+    status: str
+    detail: str = ""
+    seconds: float = math.nan
+    first: float = math.inf
+    total: float = math.inf
+    motion: float = math.inf
+    impact: float = math.inf
+    jerk_peak: float = math.nan
+    jerk_rms: float = math.nan
+    duration: float = math.nan
+    length: float = math.nan
+    clearance: float = math.nan
+    iterations: float = math.nan
+    trace: tuple[TracePoint, ...] = ()
+    path: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def solved(self) -> bool:
+        """Whether a verified result was returned."""
+        return self.status == SOLVED
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """What tells runs apart."""
+        return self.problem, self.planner, self.seed
+
+    def total_at(self, seconds: float) -> float:
+        """Total cost of the best path so far; infinite if there was none or the call was not solved in the end."""
+        reached = [point.total for point in self.trace if point.time <= seconds]
+        return min(reached, default=math.inf) if self.solved else math.inf
+
+    def to_json(self) -> str:
+        """Return one line of strict JSON; numbers that are not finite become null."""
+        document = asdict(self)
+        document["trace"] = [[p.time, p.total, p.motion, p.impact] for p in self.trace]
+        return json.dumps(finite(document), allow_nan=False, separators=(",", ":"))
+
+    @classmethod
+    def from_document(cls, document: Any, source: str) -> Run:
+        """Read what `to_json` wrote.
+
+        Raises:
+            FormatError: If it is something else.
+        """
+        expected = {item.name: item for item in fields(cls)}
+        if not isinstance(document, Mapping) or document.keys() != expected.keys():
+            raise FormatError(source, f"not a run with the keys {', '.join(expected)}")
+        given = {
+            key: expected[key].default if value is None and expected[key].default is not MISSING else value
+            for key, value in document.items()
+        }
+        try:
+            given["trace"] = tuple(
+                TracePoint(time=t, total=total, motion=motion, impact=impact)
+                for t, total, motion, impact in document["trace"]
+            )
+            given["path"] = tuple(tuple(float(x) for x in q) for q in document["path"])
+            numbers = {key: float(given[key]) for key, item in expected.items() if isinstance(item.default, float)}
+        except (TypeError, ValueError) as error:
+            raise FormatError(source, f"not a run: {error}") from None
+        return cls(**{**given, **numbers})
