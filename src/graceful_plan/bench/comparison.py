@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from graceful_plan.bench import workers
-from graceful_plan.bench.journal import Journal, read
+from graceful_plan.bench.journal import NAME, Journal, read
 from graceful_plan.bench.machine import describe
 from graceful_plan.bench.planner_file import PlannerNote, read_planners
 from graceful_plan.bench.records import Run
@@ -51,7 +51,9 @@ class Settings:
             raise SettingError("w", self.w, "a finite number >= 0")
         cores = os.cpu_count() or 1
         if not 0 <= self.processes <= cores:
-            raise SettingError("processes", self.processes, f"at most the {cores} cores there are, or times mean nothing")
+            raise SettingError(
+                "processes", self.processes, f"at most the {cores} cores there are, or times mean nothing"
+            )
 
     @property
     def jobs(self) -> list[Job]:
@@ -92,6 +94,7 @@ class Comparison:
     | seconds    | time limit of every call [s]                                           |
     | w          | safety weight                                                          |
     | machine    | what it was made on                                                    |
+    | begun      | when, in UTC                                                           |
     | runs       | the runs that are done, in the order of problems, planners and seeds   |
     | known      | least total costs known from elsewhere, by problem                     |
     | settings   | everything that figures depend on, as a document                       |
@@ -104,6 +107,7 @@ class Comparison:
     seconds: float
     w: float
     machine: Mapping[str, str]
+    begun: str
     runs: tuple[Run, ...]
     known: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -166,7 +170,7 @@ def compare(
             journal.add(run)
             if progress is not None:
                 progress(i, total, run)
-        return _comparison(document, machine, journal.runs, {**_known(settings), **(known or {})})
+        return _comparison(journal.head, journal.runs, {**_known(settings), **(known or {})})
 
 
 def settle(
@@ -201,10 +205,8 @@ def load_comparison(folder: str | Path, known: Mapping[str, float] | None = None
     Raises:
         FormatError: If there is no journal, or a damaged one.
     """
-    from graceful_plan.bench.journal import NAME
-
     head, runs = read(Path(folder) / NAME)
-    return _comparison(head["settings"], head["machine"], runs, known or {})
+    return _comparison(head, runs, known or {})
 
 
 def _known(settings: Settings) -> dict[str, float]:
@@ -219,9 +221,8 @@ def _known(settings: Settings) -> dict[str, float]:
     return known
 
 
-def _comparison(
-    document: Mapping[str, Any], machine: Mapping[str, str], runs: Sequence[Run], known: Mapping[str, float]
-) -> Comparison:
+def _comparison(head: Mapping[str, Any], runs: Sequence[Run], known: Mapping[str, float]) -> Comparison:
+    document = head["settings"]
     problems = tuple(problem["name"] for problem in document["problems"])
     planners = tuple(planner["label"] for planner in document["planners"])
     seeds = tuple(document["seeds"])
@@ -238,7 +239,8 @@ def _comparison(
         seeds=seeds,
         seconds=document["seconds"],
         w=document["w"],
-        machine=machine,
+        machine=head["machine"],
+        begun=head["begun"],
         runs=tuple(sorted((run for run in runs if run.key in place), key=lambda run: place[run.key])),
         known=known,
         settings=document,

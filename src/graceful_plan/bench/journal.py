@@ -11,6 +11,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -63,9 +64,10 @@ class Journal:
             self._lock()
             self._cut()
             if self.file.stat().st_size == 0:
-                self._write({**_SCHEMA, "settings": settings, "machine": machine})
-            head, self.runs = read(self.file)
-            self._check(head, settings)
+                begun = datetime.now(UTC).isoformat(sep=" ", timespec="seconds")
+                self._write({**_SCHEMA, "begun": begun, "settings": settings, "machine": machine})
+            self.head, self.runs = read(self.file)
+            self._check(self.head, settings)
         except BaseException:
             self._stream.close()
             raise
@@ -128,8 +130,10 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
         raise FormatError(str(file), "no journal of a comparison")
     if head.get("version") != _SCHEMA["version"]:
         raise FormatError(str(file), f"version {head.get('version')!r}; this version reads {_SCHEMA['version']}")
-    if not (isinstance(head.get("settings"), dict) and isinstance(head.get("machine"), dict)):
-        raise FormatError(f"{file}:1", "damaged: no settings or no machine")
+    kinds = {"settings": dict, "machine": dict, "begun": str}
+    for key, kind in kinds.items():
+        if not isinstance(head.get(key), kind):
+            raise FormatError(f"{file}:1", f"damaged: no {key}")
     runs: dict[tuple[str, str, int], Run] = {}
     for number, line in enumerate(lines[1:], 2):
         run = Run.from_document(_document(line, f"{file}:{number}"), f"{file}:{number}")

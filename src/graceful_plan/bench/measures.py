@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Int
 from graceful_plan.motion_samples import motion_samples
 from graceful_plan.path import Path
 from graceful_plan.placement import Placement
@@ -26,8 +26,8 @@ def jerk(trajectory: Trajectory) -> tuple[float, float]:
     """Return the peak and the root mean square of the waypoint jerk [rad/s^3].
 
     The acceleration of a timed path may jump, so its jerk has no greatest value. What an arm is sent are waypoints:
-    positions every `JERK_STEP`. Their third difference over the cube of the step is taken, from rest before the start to
-    rest after the end; of its vectors the lengths count.
+    positions every `JERK_STEP`. Their third difference over the cube of the step is taken, from rest before the start
+    to rest after the end; of its vectors the lengths count.
     """
     steps = int(np.ceil(trajectory.duration / JERK_STEP)) + 6
     q = trajectory.at(trajectory.t[0] + JERK_STEP * (np.arange(steps + 1) - 3.0)).q
@@ -35,26 +35,28 @@ def jerk(trajectory: Trajectory) -> tuple[float, float]:
     return float(size.max()), float(np.sqrt(np.mean(size**2)))
 
 
-def exact_clearance(motion: Path | Trajectory, scene: Scene) -> float:
-    """Return the least distance [m] of robot and carried object to what they must not touch, by MuJoCo's geometry.
+def exact_clearance(motion: Path | Trajectory, scene: Scene) -> tuple[float, float]:
+    """Return least distances [m] of what must not touch, by MuJoCo's geometry: to the surroundings, and to itself.
 
-    Each other they count too. What a carried object may stand on at the ends of a motion does not. At most `FARTHEST`;
-    negative if something overlaps.
+    The robot and what it carries count; what a carried object may stand on at the ends of a motion does not. At most
+    `FARTHEST`; negative if something overlaps.
     """
     at_ends = scene.allowed_pairs("ends")
     pairs = np.array([pair for pair in scene.collision_pairs().tolist() if tuple(sorted(pair)) not in at_ends])
     if not len(pairs):
-        return FARTHEST
+        return FARTHEST, FARTHEST
+    own = np.isin(pairs[:, 1], np.unique(pairs[:, 0]))
     samples, placement = motion_samples(motion, scene, CLEARANCE_STEP), Placement(scene)
-    least = FARTHEST
+    least = [FARTHEST, FARTHEST]
     for q in samples.q:
-        least = _nearest(placement, q, pairs, least)
-    return least
+        data = placement.place(q)
+        for i, kind in enumerate((pairs[~own], pairs[own])):
+            least[i] = _nearest(placement.model, data, kind, least[i])
+    return least[0], least[1]
 
 
-def _nearest(placement: Placement, q: Float[Array, " nq"], pairs: Array, least: float) -> float:
+def _nearest(model: mujoco.MjModel, data: mujoco.MjData, pairs: Int[Array, "pair 2"], least: float) -> float:
     """Return the least distance of pairs in one configuration, or `least` if nothing is nearer."""
-    model, data = placement.model, placement.place(q)
     first, second = pairs.T
     # Bounding spheres say which pairs can matter; a plane has none.
     radius = model.geom_rbound[first] + model.geom_rbound[second]

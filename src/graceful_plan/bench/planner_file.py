@@ -1,7 +1,7 @@
 """Which planners are compared: names with settings, and planners from a user's own file.
 
-A planner is written `name` or `name:setting=value,setting=value`. A planner file is Python code of the user's; naming it
-runs it, on purpose, in this process and in every worker.
+A planner is written `name` or `name:setting=value,setting=value`. A planner file is Python code of the user's; naming
+it runs it, on purpose, in this process and in every worker.
 """
 
 from __future__ import annotations

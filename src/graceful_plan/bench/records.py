@@ -8,9 +8,15 @@ from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
 from graceful_plan.documents import finite
 from graceful_plan.exceptions import FormatError
 from graceful_plan.result import TracePoint
+
+Array = np.ndarray
 
 SOLVED = "SOLVED"
 RAISED, CRASHED, HUNG = "RAISED", "CRASHED", "HUNG"
@@ -37,7 +43,8 @@ class Run:
     | jerk_rms   | root of the mean square over time [rad/s^3]                                                      |
     | duration   | of the timed trajectory [s]                                                                      |
     | length     | joint-space length of the path [rad]                                                             |
-    | clearance  | least exact distance to anything that must not be touched [m], see `measures.exact_clearance`    |
+    | clearance  | least exact distance of robot and carried object to the surroundings [m], see `measures`         |
+    | self_clearance | the same to each other [m]                                                                   |
     | iterations | of the planner                                                                                   |
     | trace      | improvements: time [s], total, motion, impact; the ways out at both ends are in the costs        |
     | path       | configurations of the result                                                                     |
@@ -58,6 +65,7 @@ class Run:
     duration: float = math.nan
     length: float = math.nan
     clearance: float = math.nan
+    self_clearance: float = math.nan
     iterations: float = math.nan
     trace: tuple[TracePoint, ...] = ()
     path: tuple[tuple[float, ...], ...] = ()
@@ -72,10 +80,12 @@ class Run:
         """What tells runs apart."""
         return self.problem, self.planner, self.seed
 
-    def total_at(self, seconds: float) -> float:
-        """Total cost of the best path so far; infinite if there was none or the call was not solved in the end."""
-        reached = [point.total for point in self.trace if point.time <= seconds]
-        return min(reached, default=math.inf) if self.solved else math.inf
+    def totals_at(self, seconds: ArrayLike) -> Float[Array, "*time"]:
+        """Total cost of the best path by then; infinite if there was none or the call was not solved in the end."""
+        trace = self.trace if self.solved else ()
+        times = np.array([point.time for point in trace])
+        totals = np.minimum.accumulate([math.inf, *(point.total for point in trace)])
+        return totals[np.searchsorted(times, seconds, side="right")]
 
     def to_json(self) -> str:
         """Return one line of strict JSON; numbers that are not finite become null."""

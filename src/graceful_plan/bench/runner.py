@@ -53,9 +53,7 @@ class Job:
 
     def outcome(self, status: str, detail: str = "") -> Run:
         """Return the record of a run that ended without a result."""
-        return Run(
-            problem=self.problem.name, planner=self.planner.label, seed=self.seed, status=status, detail=detail
-        )
+        return Run(problem=self.problem.name, planner=self.planner.label, seed=self.seed, status=status, detail=detail)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,6 +146,7 @@ def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
     if result.status is not PlanStatus.SOLVED or result.path is None or result.trajectory is None:
         return record
     peak, rms = jerk(result.trajectory)
+    clearance, own = exact_clearance(result.trajectory, problem.scene)
     trace = aligned_trace(result, seconds)
     return replace(
         record,
@@ -159,7 +158,8 @@ def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
         jerk_rms=rms,
         duration=result.trajectory.duration,
         length=result.path.length,
-        clearance=exact_clearance(result.trajectory, problem.scene),
+        clearance=clearance,
+        self_clearance=own,
         trace=trace,
         path=tuple(map(tuple, result.path.q.tolist())),
     )
@@ -222,6 +222,3 @@ def _leads_there(path: Path, instance: AnalyticProblem) -> bool:
     problem = instance.problem
     ends = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
     return max(ends) <= _SAME and bool(np.all(problem.edges_free(path.q[:-1], path.q[1:])))
-
-
-

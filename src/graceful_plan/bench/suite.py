@@ -276,9 +276,7 @@ def _of_problem_file(
 
     digest = _digest(path)
     for problem in load_problems(path, groups=groups)[:limit]:
-        yield ProblemNote(
-            name=problem.name, kind="file", source=str(path.resolve()), item=problem.name, digest=digest
-        )
+        yield ProblemNote(name=problem.name, kind="file", source=str(path.resolve()), item=problem.name, digest=digest)
 
 
 def _digest(path: Path) -> str:
