@@ -43,6 +43,7 @@ from graceful_plan.planners import (
     RRTStar,
 )
 from graceful_plan.pose_goal import PoseGoal
+from graceful_plan.problem_files import ProblemFile, load_problems
 from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
@@ -93,6 +94,7 @@ __all__ = [
     "Planner",
     "PlanningFailed",
     "PoseGoal",
+    "ProblemFile",
     "RRTConnect",
     "RRTStar",
     "Risk",
@@ -119,6 +121,7 @@ __all__ = [
     "explain",
     "impact_map",
     "interaction_probability",
+    "load_problems",
     "load_scene",
     "plan",
     "retime",
