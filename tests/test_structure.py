@@ -25,7 +25,8 @@ HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
     {"kernels", "compile"},
-    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity"},
+    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity"}
+    | {"certificate", "certified_clearance"},
     {"planners"},
     {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},

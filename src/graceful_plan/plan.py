@@ -17,6 +17,7 @@ from graceful_plan.arguments import (
     checked_time_limit,
     checked_wait,
 )
+from graceful_plan.certificate import certificate_of
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective
@@ -123,8 +124,11 @@ def plan(
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     notes = [*resolved_start.notes, *resolved_goal.notes, *([result.detail] if result.detail else [])]
     index = None if result.goal_index is None else resolved_goal.index[result.goal_index]
-    stats = {**result.stats, "total_time": time.perf_counter() - started}
-    return replace(result, detail="; ".join(notes), goal_index=index, stats=stats)
+    found = time.perf_counter()
+    certificate = certificate_of(result, bound, goal if isinstance(goal, PoseGoal) else resolved_goal.q)
+    ended = time.perf_counter()
+    stats = {**result.stats, "certificate_time": ended - found, "total_time": ended - started}
+    return replace(result, certificate=certificate, detail="; ".join(notes), goal_index=index, stats=stats)
 
 
 def _search_and_finish(

@@ -85,6 +85,36 @@ class TracePoint:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What can be promised of a motion; see `certify`. Pessimistic until computed.
+
+    | field          | meaning                                                                | unit         |
+    |----------------|------------------------------------------------------------------------|--------------|
+    | clearance      | nothing comes closer anywhere, between samples included; proven        | m            |
+    | uncertified    | stretches that could not be shown to be free: from and to              | s; path: rad |
+    | exposure_bound | S is at most that, if measured slopes of the impact hold; not proven   | that of S    |
+    | lower_bound    | no path has a lower J; None if no bound is known; proven               | that of J    |
+    | gap            | J may be lowered by at most this: J / lower_bound - 1; None likewise   |              |
+    """
+
+    clearance: float = -np.inf
+    uncertified: tuple[tuple[float, float], ...] = ()
+    exposure_bound: float = np.inf
+    lower_bound: float | None = None
+    gap: float | None = None
+
+    @property
+    def clear(self) -> bool:
+        """Whether the whole motion is proven to be free of collision by the fast checker's spheres."""
+        return self.clearance >= 0.0
+
+    @property
+    def first_uncertified(self) -> float | None:
+        """Where the first stretch begins that could not be shown to be free [s; of a path: rad], if there is one."""
+        return self.uncertified[0][0] if self.uncertified else None
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlanResult:
     """The outcome of `plan`."""
 
@@ -93,6 +123,8 @@ class PlanResult:
     trajectory: Trajectory | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
     verdict: Verdict = field(default_factory=Verdict)
+    certificate: Certificate | None = None
+    """What can be promised of a solved problem's trajectory."""
     trace: tuple[TracePoint, ...] = ()
     detail: str = ""
     """What the status means here: the pair in contact and its depth, the joint at its limit..."""
