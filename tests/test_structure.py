@@ -30,7 +30,7 @@ LAYERS = (
     {"planners"},
     {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},
-    {"cli", "demo", "doctor", "viz"},
+    {"bench", "cli", "demo", "doctor", "viz"},
 )
 """From the bottom up; a module that is named nowhere lies below all of them, with the scene and the tables."""
 

@@ -39,6 +39,7 @@ _RUN_COLUMNS: Mapping[str, tuple[str, Callable[[Run, float], Any]]] = {
     "solution_length": ("REAL", lambda run, _: run.length),
     "solution_clearance": ("REAL", lambda run, _: run.clearance),
     "self_clearance": ("REAL", lambda run, _: run.self_clearance),
+    "certified_clearance": ("REAL", lambda run, _: run.certified),
     "solution_duration": ("REAL", lambda run, _: run.duration),
     "waypoint_jerk_peak": ("REAL", lambda run, _: run.jerk_peak),
     "waypoint_jerk_rms": ("REAL", lambda run, _: run.jerk_rms),

@@ -101,8 +101,8 @@ def share_figure(summary: Summary) -> str:
         greatest = 1.2
         for i, planner in enumerate(comparison.planners):
             points = shares(comparison, summary.best, planner)
-            look_ = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
-            axes.plot(*points.T, linestyle="none", markersize=5, alpha=0.75, markeredgewidth=0, label=planner, **look_)
+            style: dict[str, Any] = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
+            axes.plot(*points.T, linestyle="none", markersize=5, alpha=0.75, markeredgewidth=0, label=planner, **style)
             greatest = max([greatest, *points.sum(axis=1)])
         greatest = min(greatest, 4.0)
         for total, words in ((1.0, "best known"), (1.1, "+10 %"), (1.5, "+50 %"), (2.0, "+100 %")):

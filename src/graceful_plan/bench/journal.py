@@ -49,6 +49,7 @@ class Journal:
         folder: Where it is or will be.
         settings: What is compared; it must be what it was begun with.
         machine: On what.
+        known: Least total costs that the suite knows, by problem.
 
     Raises:
         FormatError: If the file is something else, or damaged other than at its end.
@@ -56,7 +57,13 @@ class Journal:
         JournalBusy: If another process has it open.
     """
 
-    def __init__(self, folder: Path, settings: Mapping[str, Any], machine: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        settings: Mapping[str, Any],
+        machine: Mapping[str, str],
+        known: Mapping[str, float] | None = None,
+    ) -> None:
         self.file = folder / NAME
         folder.mkdir(parents=True, exist_ok=True)
         self._stream = self.file.open("ab+")
@@ -65,7 +72,8 @@ class Journal:
             self._cut()
             if self.file.stat().st_size == 0:
                 begun = datetime.now(UTC).isoformat(sep=" ", timespec="seconds")
-                self._write({**_SCHEMA, "begun": begun, "settings": settings, "machine": machine})
+                about = {"begun": begun, "settings": settings, "machine": machine, "known": dict(known or {})}
+                self._append(json.dumps({**_SCHEMA, **about}, allow_nan=False))
             self.head, self.runs = read(self.file)
             self._check(self.head, settings)
         except BaseException:
@@ -103,9 +111,6 @@ class Journal:
         self._append(run.to_json())
         self.runs.append(run)
 
-    def _write(self, document: Mapping[str, Any]) -> None:
-        self._append(json.dumps(document, allow_nan=False))
-
     def _append(self, line: str) -> None:
         self._stream.write(line.encode() + b"\n")
         self._stream.flush()
@@ -130,7 +135,7 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
         raise FormatError(str(file), "no journal of a comparison")
     if head.get("version") != _SCHEMA["version"]:
         raise FormatError(str(file), f"version {head.get('version')!r}; this version reads {_SCHEMA['version']}")
-    kinds = {"settings": dict, "machine": dict, "begun": str}
+    kinds = {"begun": str, "settings": dict, "machine": dict, "known": dict}
     for key, kind in kinds.items():
         if not isinstance(head.get(key), kind):
             raise FormatError(f"{file}:1", f"damaged: no {key}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,7 @@ class Run:
     | length     | joint-space length of the path [rad]                                                             |
     | clearance  | least exact distance of robot and carried object to the surroundings [m], see `measures`         |
     | self_clearance | the same to each other [m]                                                                   |
+    | certified  | clearance that is proven between samples, self-collision included [m]; see `Certificate`         |
     | iterations | of the planner                                                                                   |
     | trace      | improvements: time [s], total, motion, impact; the ways out at both ends are in the costs        |
     | path       | configurations of the result                                                                     |
@@ -66,6 +67,7 @@ class Run:
     length: float = math.nan
     clearance: float = math.nan
     self_clearance: float = math.nan
+    certified: float = math.nan
     iterations: float = math.nan
     trace: tuple[TracePoint, ...] = ()
     path: tuple[tuple[float, ...], ...] = ()
@@ -100,20 +102,20 @@ class Run:
         Raises:
             FormatError: If it is something else.
         """
-        expected = {item.name: item for item in fields(cls)}
-        if not isinstance(document, Mapping) or document.keys() != expected.keys():
-            raise FormatError(source, f"not a run with the keys {', '.join(expected)}")
-        given = {
-            key: expected[key].default if value is None and expected[key].default is not MISSING else value
-            for key, value in document.items()
-        }
+        defaults = {item.name: item.default for item in fields(cls)}
+        if not isinstance(document, Mapping) or document.keys() != defaults.keys():
+            raise FormatError(source, f"not a run with the keys {', '.join(defaults)}")
+        given: dict[str, Any] = {key: defaults[key] if value is None else value for key, value in document.items()}
         try:
             given["trace"] = tuple(
                 TracePoint(time=t, total=total, motion=motion, impact=impact)
                 for t, total, motion, impact in document["trace"]
             )
             given["path"] = tuple(tuple(float(x) for x in q) for q in document["path"])
-            numbers = {key: float(given[key]) for key, item in expected.items() if isinstance(item.default, float)}
+            given |= {key: float(given[key]) for key, default in defaults.items() if isinstance(default, float)}
+            texts = all(isinstance(given[key], str) for key in ("problem", "planner", "status", "detail"))
+            if not (texts and type(given["seed"]) is int):
+                raise TypeError("names have to be text, and the seed a whole number")
         except (TypeError, ValueError) as error:
             raise FormatError(source, f"not a run: {error}") from None
-        return cls(**{**given, **numbers})
+        return cls(**given)

@@ -164,9 +164,9 @@ def _overview(summary: Summary) -> Iterator[str]:
     for i, planner in enumerate(planners):
         cells = [
             f"{planner.solved} / {planner.runs}",
-            _number(1e3 * planner.first),
-            *(_percent(planner.gap_at[t]) for t in at),
-            _percent(planner.gap),
+            number(1e3 * planner.first),
+            *(percent(planner.gap_at[t]) for t in at),
+            percent(planner.gap),
         ]
         marked = [
             _cell(cell, "best" if math.isclose(column[i], b, rel_tol=1e-3, abs_tol=1e-9) else "")
@@ -174,7 +174,7 @@ def _overview(summary: Summary) -> Iterator[str]:
         ]
         rest = [planner.seconds, planner.motion, planner.impact, planner.jerk_peak, planner.jerk_rms]
         rest += [100.0 * planner.clearance, 100.0 * planner.closest]
-        rows.append([_cell(_swatch(i) + _text(planner.planner)), *marked, *(_cell(_number(value)) for value in rest)])
+        rows.append([_cell(_swatch(i) + _text(planner.planner)), *marked, *(_cell(number(value)) for value in rest)])
     yield _table(header, rows)
     yield _note(_OVERVIEW_NOTE)
 
@@ -190,10 +190,10 @@ def _pairs(pairs: Sequence[Paired]) -> Iterator[str]:
             _cell(_text(pair.first)),
             _cell(_text(pair.second), "text"),
             *(_cell(str(count)) for count in (pair.wins, pair.ties, pair.losses)),
-            _cell(_number(pair.ratio, 4)),
-            _cell(f"{_number(pair.low, 4)} – {_number(pair.high, 4)}"),
-            _cell(_p(pair.p)),
-            _cell(_p(pair.p_holm), "best" if pair.p_holm < _SIGNIFICANT else ""),
+            _cell(number(pair.ratio, 4)),
+            _cell(f"{number(pair.low, 4)} – {number(pair.high, 4)}"),
+            _cell(p_value(pair.p)),
+            _cell(p_value(pair.p_holm), "best" if pair.p_holm < _SIGNIFICANT else ""),
             _cell(str(pair.n)),
         ]
         for pair in pairs
@@ -215,8 +215,8 @@ def _problems(summary: Summary) -> Iterator[str]:
             runs = comparison.of(planner=planner, problem=problem)
             cells.append(median([gap(run.total if run.solved else math.inf, best) for run in runs]))
         least = min((value for value in cells if math.isfinite(value)), default=math.nan)
-        marked = [_cell(_percent(v), "best" if v <= least + 1e-3 else "" if math.isfinite(v) else "bad") for v in cells]
-        rows.append([_cell(_text(problem)), _cell(_number(best, 5)), *marked])
+        marked = [_cell(percent(v), "best" if v <= least + 1e-3 else "" if math.isfinite(v) else "bad") for v in cells]
+        rows.append([_cell(_text(problem)), _cell(number(best, 5)), *marked])
     yield _table(["problem", "best known", *comparison.planners], rows)
     yield _note("Median gap of the result over seeds. Best known: of all these runs and of what was known before.")
 
@@ -281,7 +281,8 @@ def _text(value: str) -> str:
     return html.escape(value)
 
 
-def _number(value: float, digits: int = 3) -> str:
+def number(value: float, digits: int = 3) -> str:
+    """Return a number in words fit for a table; NaN is a dash."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -289,13 +290,15 @@ def _number(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
+    """Return a fraction as a percentage; NaN is a dash."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞"
     return f"{100.0 * value:.1f} %" if value < 10.0 else f"{100.0 * value:.0f} %"
 
 
-def _p(value: float) -> str:
+def p_value(value: float) -> str:
+    """Return a p-value; NaN is a dash."""
     return "–" if math.isnan(value) else f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"
 
 

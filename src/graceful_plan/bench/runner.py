@@ -18,6 +18,7 @@ from graceful_plan.goals import Configuration, Goal
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners.planner import Budget, Planner
+from graceful_plan.problem_files import ProblemFile, load_problems
 from graceful_plan.problems import AnalyticProblem, analytic_problems
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 from graceful_plan.scene import Scene
@@ -102,9 +103,7 @@ def _scene(source: str) -> Scene:
 
 
 @lru_cache(maxsize=4)
-def _problem_file(path: str) -> dict[str, object]:
-    from graceful_plan.problem_files import load_problems
-
+def _problem_file(path: str) -> dict[str, ProblemFile]:
     return {problem.name: problem for problem in load_problems(path)}
 
 
@@ -160,6 +159,7 @@ def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
         length=result.path.length,
         clearance=clearance,
         self_clearance=own,
+        certified=math.nan if result.certificate is None else result.certificate.clearance,
         trace=trace,
         path=tuple(map(tuple, result.path.q.tolist())),
     )

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -128,7 +129,8 @@ def signed_rank(log_ratio: ArrayLike) -> float:
 
     tied = len(np.unique(np.abs(difference))) < len(difference)
     exact = len(difference) <= 50 and not tied
-    return float(wilcoxon(difference, method="exact" if exact else "asymptotic", correction=True).pvalue)
+    result: Any = wilcoxon(difference, method="exact" if exact else "asymptotic", correction=not exact)
+    return float(result.pvalue)
 
 
 def holm(p: Sequence[float]) -> list[float]:

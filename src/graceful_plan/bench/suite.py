@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.problem_files import load_problems
 from graceful_plan.problems import analytic_problems
 from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.yaml_file import Block, read_yaml
@@ -272,8 +273,6 @@ def _analytic(block: Block) -> Iterator[ProblemNote]:
 def _of_problem_file(
     path: Path, groups: tuple[str, ...] | None = None, limit: int | None = None
 ) -> Iterator[ProblemNote]:
-    from graceful_plan.problem_files import load_problems
-
     digest = _digest(path)
     for problem in load_problems(path, groups=groups)[:limit]:
         yield ProblemNote(name=problem.name, kind="file", source=str(path.resolve()), item=problem.name, digest=digest)

@@ -25,6 +25,7 @@ UNITS: Mapping[str, str] = {
     "length": "rad",
     "clearance": "m",
     "self_clearance": "m",
+    "certified": "m",
 }
 RUN_COLUMNS = (*(item.name for item in fields(Run) if item.name not in ("trace", "path")), "best_known", "gap")
 TRACE_COLUMNS = ("problem", "planner", "seed", "time", "total", "motion", "impact", "gap")
