@@ -136,6 +136,7 @@ def _cell(value: object) -> str:
 
 
 def finite(value: Any) -> Any:
+    """Return a document in which numbers that are not finite are None."""
     if isinstance(value, Mapping):
         return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

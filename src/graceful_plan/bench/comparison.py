@@ -11,12 +11,14 @@ from typing import Any
 
 from graceful_plan.bench import workers
 from graceful_plan.bench.journal import NAME, Journal, read
+from graceful_plan.bench.known import known_costs
 from graceful_plan.bench.machine import describe
 from graceful_plan.bench.planner_file import PlannerNote, read_planners
 from graceful_plan.bench.records import Run
 from graceful_plan.bench.runner import Job
 from graceful_plan.bench.suite import Suite, load_suite
 from graceful_plan.exceptions import SettingError
+from graceful_plan.problems import analytic_problems
 
 Progress = Callable[[int, int, Run | None], None]
 """Called with the runs that are done, those there are in all, and the newest."""
@@ -160,7 +162,7 @@ def compare(
     )
     machine = describe()
     document = settings.to_document(machine)
-    with Journal(Path(out), document, machine) as journal:
+    with Journal(Path(out), document, machine, _known(settings)) as journal:
         have = {run.key for run in journal.runs}
         jobs = [job for job in settings.jobs if job.key not in have]
         total = len(settings.jobs)
@@ -170,7 +172,7 @@ def compare(
             journal.add(run)
             if progress is not None:
                 progress(i, total, run)
-        return _comparison(journal.head, journal.runs, {**_known(settings), **(known or {})})
+        return _comparison(journal.head, journal.runs, known)
 
 
 def settle(
@@ -206,13 +208,11 @@ def load_comparison(folder: str | Path, known: Mapping[str, float] | None = None
         FormatError: If there is no journal, or a damaged one.
     """
     head, runs = read(Path(folder) / NAME)
-    return _comparison(head, runs, known or {})
+    return _comparison(head, runs, known)
 
 
 def _known(settings: Settings) -> dict[str, float]:
     """Return what the suite knows of least costs; it knows them at its own weight only."""
-    from graceful_plan.problems import analytic_problems
-
     exact = analytic_problems()
     known = dict(settings.suite.best_known) if settings.w == settings.suite.w else {}
     for problem in settings.suite.problems:
@@ -221,7 +221,7 @@ def _known(settings: Settings) -> dict[str, float]:
     return known
 
 
-def _comparison(head: Mapping[str, Any], runs: Sequence[Run], known: Mapping[str, float]) -> Comparison:
+def _comparison(head: Mapping[str, Any], runs: Sequence[Run], known: Mapping[str, float] | None) -> Comparison:
     document = head["settings"]
     problems = tuple(problem["name"] for problem in document["problems"])
     planners = tuple(planner["label"] for planner in document["planners"])
@@ -242,6 +242,6 @@ def _comparison(head: Mapping[str, Any], runs: Sequence[Run], known: Mapping[str
         machine=head["machine"],
         begun=head["begun"],
         runs=tuple(sorted((run for run in runs if run.key in place), key=lambda run: place[run.key])),
-        known=known,
+        known=known_costs(head["known"], known or {}),
         settings=document,
     )
