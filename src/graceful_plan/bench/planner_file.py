@@ -94,8 +94,20 @@ def read_planners(words: Sequence[str] | None, files: Sequence[str | Path] = ())
     if not notes:
         raise SettingError("planners", [], "at least one planner")
     for note in notes:
-        note.make()
+        _check(note)
     return tuple(notes)
+
+
+def _check(note: PlannerNote) -> None:
+    """Make a planner once, so that its complaints come early."""
+    try:
+        note.make()
+    except GracefulPlanError:
+        raise
+    except Exception as error:
+        raise SettingError(
+            "planner", note.label, f"settings that it takes ({type(error).__name__}: {error})"
+        ) from error
 
 
 def _parsed(word: str, found: Mapping[str, tuple[str, str]]) -> PlannerNote:

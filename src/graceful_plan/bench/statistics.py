@@ -178,4 +178,5 @@ def _median(values: Float[Array, "n m"]) -> Float[Array, " n"]:
 
 
 def _ratio(log: float) -> float:
-    return math.exp(log) if log < 700.0 else math.inf
+    # The logarithms that stand for infinity and for nothing at all pass.
+    return math.inf if log > 700.0 else math.exp(log)

@@ -18,8 +18,8 @@ from types import TracebackType
 from graceful_plan.bench.records import CRASHED, HUNG, Run
 from graceful_plan.bench.runner import Job, run
 
-PATIENCE = 60.0
-"""Seconds beyond ten times its limit after which a run is given up: loading and compiling may take a while."""
+TIMES, PATIENCE = 10.0, 60.0
+"""A run is given up after so many times its limit plus so many seconds: loading and compiling may take a while."""
 
 
 def done(jobs: Sequence[Job], processes: int, patience: float = PATIENCE) -> Iterator[Run]:
@@ -28,8 +28,10 @@ def done(jobs: Sequence[Job], processes: int, patience: float = PATIENCE) -> Ite
     Args:
         jobs: What to do, in this order.
         processes: Workers; 0 does everything in this very process, with no protection from crashes.
-        patience: Seconds beyond ten times its limit that a run may take.
+        patience: Seconds that a run may take beyond `TIMES` its limit.
     """
+    if not jobs:
+        return
     if processes == 0:
         yield from map(run, jobs)
         return
@@ -57,7 +59,7 @@ class _Worker:
 
     def give(self, job: Job, patience: float) -> None:
         self.job = job
-        self.deadline = time.monotonic() + 10.0 * job.seconds + patience
+        self.deadline = time.monotonic() + TIMES * job.seconds + patience
         with suppress(OSError):  # It is dead, which `result` will notice.
             self.pipe.send(job)
 
@@ -75,7 +77,7 @@ class _Worker:
             return job.outcome(CRASHED, f"the process ended with {_ending(self.process.exitcode)}")
         if time.monotonic() > self.deadline:
             limit = f"{job.seconds:g} s"
-            return job.outcome(HUNG, f"did not return long after its time limit of {limit} and was stopped")
+            return job.outcome(HUNG, f"was still running long after its time limit of {limit}")
         return None
 
     def stop(self) -> None:
