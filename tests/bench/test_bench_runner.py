@@ -52,7 +52,7 @@ def test_clearance_of_a_ball_beside_the_tool():
     scene = gp.load_scene("tabletop_l1")
     q = scene.keyframes["ready"]
     tool = scene.data_at(q).site(scene.tool).xpos
-    at = tool + np.array([0.0, 0.0, -0.2])
+    at = tool + np.array([0.0, 0.0, -0.09])
     with_ball = scene.add_sphere("ball", 0.05, at)
     bigger = scene.add_sphere("ball", 0.06, at)
     path = gp.Path(q[None])

@@ -157,9 +157,9 @@ def svg(draw: _Draw, name: str, height: float) -> str:
         figure.savefig(out, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = out.getvalue()
     text = text[text.index("<svg") :]
-    used = set(re.findall(r"[\"(]#([\w-]+)", text))
-    text = re.sub(r' id="([\w-]+)"', lambda found: found[0] if found[1] in used else "", text)
-    text = re.sub(r'(id="|["(]#)([\w-]+)(?=[")])', rf"\1{name}-\2", text)
+    used = set(re.findall(r"[\"(]#([\w.-]+)", text))
+    text = re.sub(r' id="([\w.-]+)"', lambda found: found[0] if found[1] in used else "", text)
+    text = re.sub(r'(id="|["(]#)([\w.-]+)(?=[")])', rf"\1{name}-\2", text)
     # The page says how wide it is.
     return re.sub(r'^<svg[^>]*?viewBox="([^"]+)"[^>]*>', r'<svg role="img" viewBox="\1">', text, count=1).strip()
 

@@ -221,4 +221,4 @@ def _run_analytic(job: Job, instance: AnalyticProblem, planner: Planner) -> Run:
 def _leads_there(path: Path, instance: AnalyticProblem) -> bool:
     problem = instance.problem
     ends = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
-    return max(ends) <= _SAME and bool(np.all(problem.edges_free(path.q[:-1], path.q[1:])))
+    return bool(max(ends) <= _SAME and np.all(problem.edges_free(path.q[:-1], path.q[1:])))
