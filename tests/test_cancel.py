@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from graceful_plan.arguments import checked_cancelled
 from graceful_plan.exceptions import SettingError
 from graceful_plan.pose_goal import PoseGoal
 
-_ENDLESS = {"time_limit": 60.0, "seed": 3}
+_ENDLESS: dict[str, Any] = {"time_limit": 60.0, "seed": 3}
 """Far more time than any test waits: what comes back before was cancelled."""
 
 
@@ -44,7 +45,7 @@ class After:
         return self.asked > self.left
 
 
-def _check(result: gp.PlanResult, task: gp.Task, goal: object) -> None:
+def _check(result: gp.PlanResult, task: gp.Task, goal: Any) -> None:
     if result.status is gp.PlanStatus.SOLVED:
         assert gp.verify(result.unwrap(), task.scene, start=task.start, goal=goal).passed
         assert result.certificate is not None

@@ -53,8 +53,8 @@ _HINGE = """
 
 
 def _scene(mjcf: str, joints: int) -> Scene:
-    limits = {"velocity": [1.0] * joints, "acceleration": [5.0] * joints}
-    return Scene.from_mjcf(mjcf, robot="r/", tool="r/tool", **limits)
+    velocity, acceleration = [1.0] * joints, [5.0] * joints
+    return Scene.from_mjcf(mjcf, robot="r/", tool="r/tool", velocity=velocity, acceleration=acceleration)
 
 
 def _kernels(mjcf: str, joints: int) -> Kernels:

@@ -129,7 +129,7 @@ def _distinct(q: Float[Array, "n nq"]) -> Float[Array, "m nq"]:
 class _Solver:
     """Iterations towards one pose."""
 
-    def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool]) -> None:
+    def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
         self.goal, self.scene, self.placement, self.cancelled = goal, scene, Placement(scene), cancelled
         self.model = scene.model
         self.site = self.model.site(scene.tool).id
