@@ -24,9 +24,8 @@ HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
-    {"kernels", "compile"},
-    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity"}
-    | {"certificate", "certified_clearance"},
+    {"kernels", "compile", "certified_clearance"},
+    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity", "certificate"},
     {"planners"},
     {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
     {"__init__"},

@@ -28,8 +28,8 @@ ROUNDING = 2e-5
 """What single precision may add to a clearance [m]: an arm's lengths to seven digits, summed along it."""
 TOLERANCE = 0.002
 """The bound is driven this close to the least clearance sampled [m], or to half of that if it is less."""
-_FINEST = 2e-5
-"""Stretches in which nothing moves farther are not halved any more [m]."""
+_FINEST, _FINEST_BLOCKED = 2e-5, 5e-4
+"""Stretches in which nothing moves farther are not halved any more [m]: those with free and with blocked middles."""
 _FIRST = 48
 """Stretches to begin with."""
 
@@ -101,8 +101,9 @@ class _Stretches:
         """Tell which to halve: those that hold down the bound, and those not shown to be free though they may be."""
         least = float(self.clearance.min())
         wanted = least - min(tolerance, 0.5 * least if least > 0.0 else tolerance) - ROUNDING
-        open_question = (self.bound < 0.0) & (self.clearance > 0.0)
-        return ((self.bound < wanted) | open_question) & (self.moved > _FINEST)
+        may_be_free = (self.bound < 0.0) & (self.clearance > -self.moved)
+        finest = np.where(self.clearance > 0.0, _FINEST, _FINEST_BLOCKED)
+        return ((self.bound < wanted) | may_be_free) & (self.moved > finest)
 
     def part(self, which: Bool[Array, " n"]) -> _Stretches:
         return _Stretches(self.lo[which], self.hi[which], self.first[which], self.clearance[which], self.moved[which])
@@ -122,7 +123,7 @@ class _Way:
         self._place = np.arange(len(motion), dtype=np.float64)
         self._travel = np.concatenate([np.zeros((1, travel.shape[1])), np.cumsum(travel, axis=0)])
         some = kernels.link_poses(motion.q[:: max(1, len(motion) // 8)])
-        self._come = self._travel @ np.maximum(0.05, levers.of(some, np.zeros(travel.shape[1])).max(axis=(0, 2)))
+        self._come = self._travel @ levers.of(some, np.zeros(travel.shape[1])).max(axis=(0, 2), initial=0.05)
         ends = np.linspace(0.0, self._come[-1], _FIRST + 1 if self._come[-1] > 0.0 else 2)
         self._lo, self._hi = ends[:-1], ends[1:]
         q, turns = self._middle(self._lo, self._hi)
@@ -173,7 +174,10 @@ class _Way:
 
 
 class _Levers:
-    """Bounds on how far what rides on the links moves when joints do."""
+    """Bounds on how far what rides on the links moves when joints do.
+
+    Planned joints form a chain, so that of two links the farther one moves against the other by no more than that.
+    """
 
     def __init__(self, robot: RobotArrays) -> None:
         parents, joints = robot.parent.tolist(), robot.joint.tolist()
@@ -187,20 +191,9 @@ class _Levers:
         self._ball = robot.bound[self._group]
         carries = [[link in above[group] for group in self._group] for link in self._link]
         self._carries = np.array(carries, dtype=bool).reshape(len(self._link), len(self._group))
-        index = {int(link): i for i, link in enumerate(self._group)}
-        pairs = [(index[a], index[b]) for a, b in robot.self_pair.tolist() if a in index and b in index]
-        # Of two links on one branch, the farther one moves against the other by no more than it moves itself.
-        self._apart = np.array([(a, b) for a, b in pairs if not self._nested(a, b)], dtype=int).reshape(-1, 2)
 
-    def _nested(self, a: int, b: int) -> bool:
-        first, second = self._carries[:, a], self._carries[:, b]
-        return bool(np.all(first <= second) or np.all(second <= first))
-
-    def of(self, X_WL: Float[Array, "n link 4 4"], turns: Float[Array, "*n nq"]) -> Float[Array, "n nq thing"]:
-        """Bound how far a thing moves per turn of each joint, as long as none turns by more than `turns` from here.
-
-        A thing is what rides on a link, or two such links that may collide with each other.
-        """
+    def of(self, X_WL: Float[Array, "n link 4 4"], turns: Float[Array, "*n nq"]) -> Float[Array, "n nq group"]:
+        """Bound how far a link moves per turn of each joint, as long as none turns by more than `turns` from here."""
         turns = np.broadcast_to(turns, (len(X_WL), turns.shape[-1]))
         X_WG = X_WL[:, self._group]
         p_WG = np.einsum("ngab,gb->nga", X_WG[..., :3, :3], self._ball[:, :3]) + X_WG[..., :3, 3]
@@ -210,7 +203,7 @@ class _Levers:
             lever = np.ones_like(moved) if self._slide[i] else self._distance(p_WG, X_WL[:, self._link[i]]) + moved
             levers[:, self._joint[i]] = lever = np.where(self._carries[i], lever, 0.0)
             moved = moved + lever * turns[:, self._joint[i], None]
-        return np.concatenate([levers, levers[:, :, self._apart].sum(axis=3)], axis=2)
+        return levers
 
     def _distance(self, p_WG: Float[Array, "n group 3"], X_WJ: Float[Array, "n 4 4"]) -> Float[Array, "n group"]:
         """Bound the distance of all of each link's ball from the axis of a joint, which is the z axis of its link."""

@@ -24,6 +24,7 @@ class PlanStatus(Enum):
     INVALID_GOAL = "No goal is reachable, free and inside the limits; choose another goal or a looser tolerance."
     TIMEOUT = "The budget ended before a verified trajectory was found; raise the time limit or the iterations."
     INFEASIBLE = "The planner gave up, or there is no path; remove obstacles, choose another goal or another planner."
+    CANCELLED = "It was cancelled before a verified trajectory was found; plan again and let it run for longer."
     NONFINITE = "The cost returned a NaN or an infinity; check it with graceful_plan.testing.check_cost."
     RETIMING_FAILED = "A path was found but could not be timed within the limits; relax them or lower the speed."
 
