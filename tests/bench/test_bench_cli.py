@@ -8,6 +8,13 @@ from bench_cases import planner_file, suite_file
 
 import graceful_plan as gp
 from graceful_plan import bench, cli
+from graceful_plan.bench import figures
+
+
+@pytest.fixture(autouse=True)
+def blank_figures(monkeypatch):
+    """Figures are tested with the report; drawing takes longer than all the rest."""
+    monkeypatch.setattr(figures, "svg", lambda draw, name, height: "<svg></svg>")
 
 
 @pytest.fixture
