@@ -28,7 +28,8 @@ _GAP_NOTE = (
 _BAND_NOTE = "The band reaches from quartile to quartile."
 _SHARE_NOTE = (
     "What the results are made of: a dot is a problem, its motion and its weighted impact in units of the best "
-    "known total, so that all problems share a picture and dots on one grey line cost the same."
+    "known total, so that all problems share a picture and dots on one grey line cost the same. What costs "
+    "more than four times the best known lies outside."
 )
 _SPREAD_NOTE = (
     "Solved runs; bars from quartile to quartile, with the median. Jerk: third difference of positions every 20 "
