@@ -296,9 +296,11 @@ def _compared(args: argparse.Namespace) -> Any:
         )
     except KeyboardInterrupt:
         counter.end()
-        print(
-            f"{counter.done} of {counter.total} runs are kept in {args.out}; the same command goes on", file=sys.stderr
-        )
+        if counter.total:
+            # The journal knows better than the counter, which may not have heard of the last run.
+            kept = bench.load_comparison(args.out)
+            words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.out}; the same command goes on"
+            print(words, file=sys.stderr)
         raise
 
 
@@ -448,11 +450,11 @@ class _Counter:
     """Shows how many runs are done: on one line at a terminal, else ten times in all."""
 
     def __init__(self) -> None:
-        self.done = self.total = 0
+        self.total = 0
 
     def show(self, done: int, total: int, run: Any) -> None:
         """Show it."""
-        self.done, self.total = done, total
+        self.total = total
         text = f"{done}/{total} runs" + (f": {run.problem}, {run.planner}, {run.status}" if run else "")
         if sys.stderr.isatty():
             print(f"\r\x1b[K{text}", end="\n" if done == total else "", file=sys.stderr, flush=True)

@@ -36,7 +36,7 @@ def test_the_command_leaves_everything_in_its_folder(run, tmp_path):
     assert code == cli.DONE
     assert re.search(r"^rrt_connect +4/4 .*reference", out, flags=re.MULTILINE)
     assert re.search(r"^anytime +4/4 .*\d/\d/\d", out, flags=re.MULTILINE)
-    assert err.splitlines()[-1].startswith("8/8 runs: analytic/uniform_density, anytime, SOLVED")
+    assert err.splitlines()[-1] == "8/8 runs: analytic/uniform_density, rrt_connect, SOLVED"
     written = {file.name for file in (tmp_path / "out").iterdir()}
     tables = {f"{name}.{ending}" for name in ("runs", "trace") for ending in ("csv", "parquet")}
     assert written == {"journal.jsonl", "report.html", "best_known.yaml", "planner_arena.db", *tables}

@@ -67,7 +67,9 @@ def test_damage_elsewhere_is_refused_with_its_line(tmp_path):
 @pytest.mark.parametrize(
     ("head", "message"),
     [
-        (b"hello\n", ":1: damaged"),
+        (b"hello\n", "no journal of a comparison"),
+        (b"my notes, without an end", "no journal of a comparison"),
+        (b'{"schema": "graceful_plan.bench", oops\n', ":1: damaged"),
         (b"{}\n", "no journal of a comparison"),
         (b'{"schema": "graceful_plan.bench", "version": 99}\n', "version 99; this version reads 1"),
         (b'{"schema": "graceful_plan.bench", "version": 1}\n', "damaged: no begun"),

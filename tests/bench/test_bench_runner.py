@@ -164,6 +164,19 @@ def test_exceptions_are_outcomes(tmp_path):
         assert (found.status, found.detail, found.total) == ("RAISED", "ZeroDivisionError: oops", math.inf)
 
 
+def test_messages_can_be_written_whatever_is_in_them(tmp_path):
+    file = planner_file(tmp_path, "raise ValueError('\\udcff' + 'x' * 10_000)", "babbles")
+    (found,) = [run(job) for job in jobs(tmp_path, file)]
+    assert found.detail.encode().startswith(b"ValueError: ?xxx")
+    assert len(found.detail) == 1000
+
+
+def test_planners_take_turns_at_being_first(tmp_path):
+    given = jobs(tmp_path, suite="free_space, disc", planners=["anytime", "rrt_connect"])
+    assert [job.planner.label for job in given] == ["anytime", "rrt_connect", "rrt_connect", "anytime"]
+    assert len({job.key for job in given}) == 4
+
+
 def test_importing_is_not_in_the_time_of_a_run(tmp_path):
     file = planner_file(tmp_path, "import time; getattr(np, '_once', 0) or time.sleep(0.4); np._once = 1", "lazy")
     try:

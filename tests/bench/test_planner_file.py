@@ -88,6 +88,7 @@ def test_a_class_without_solve_says_so(tmp_path):
     [
         ("def broken(:\n", r"mine.py:1: raised SyntaxError"),
         ("x = 1\n\nraise ValueError('no luck')\n", r"mine.py:3: raised ValueError: no luck; a planner file defines"),
+        ("import sys\nsys.exit(3)\n", r"mine.py:2: raised SystemExit: 3"),
         ("import no_such_module\n", r"mine.py:1: raised ModuleNotFoundError"),
         (
             "from graceful_plan import Planner\nclass Mine(Planner):\n    name = 'mine'\n"
@@ -110,6 +111,26 @@ def test_a_file_that_is_not_there_and_one_that_is_not_python(tmp_path):
     other.write_text("a: 1\n")
     with pytest.raises(FormatError, match="no Python file"):
         read_planners(None, [other])
+
+
+def test_a_plain_class_will_do_but_has_no_settings(tmp_path):
+    file = tmp_path / "plain.py"
+    file.write_text(
+        "from graceful_plan import Planner\n\n\nclass Plain(Planner):\n    name, anytime = 'plain', False\n"
+        "    def solve(self, *args): pass\n"
+    )
+    assert labels(["plain"], [file]) == ["plain"]
+    with pytest.raises(UnknownNameError, match="unknown setting of planner plain 'x'; valid: none"):
+        read_planners(["plain:x=1"], [file])
+
+
+def test_a_file_must_not_change_meanwhile(tmp_path):
+    file = planner_file(tmp_path)
+    (note,) = read_planners(["straight"], [file])
+    assert note.make().pieces == 1
+    file.write_text(file.read_text() + "\n# better\n")
+    with pytest.raises(FormatError, match="changed since the comparison began"):
+        note.make()
 
 
 def test_names_of_planners_are_not_taken_twice(tmp_path):

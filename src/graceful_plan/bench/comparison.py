@@ -6,6 +6,8 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +47,8 @@ class Settings:
     processes: int = 1
 
     def __post_init__(self) -> None:
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
+        whole = all(isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0 for seed in self.seeds)
+        if not (self.seeds and whole) or len(set(self.seeds)) < len(self.seeds):
             raise SettingError("seeds", self.seeds, "at least one whole number >= 0, none twice")
         if not (math.isfinite(self.seconds) and self.seconds > 0.0):
             raise SettingError("seconds", self.seconds, "a finite time > 0 s")
@@ -59,12 +62,13 @@ class Settings:
 
     @property
     def jobs(self) -> list[Job]:
-        """Every run. Planners take turns, so that what else the machine does meets all of them alike."""
+        """Every run. Planners take turns, at being first too, so that what else the machine does meets all alike."""
+        rounds = [(seed, problem) for seed in self.seeds for problem in self.suite.problems]
         return [
             Job(problem=problem, planner=planner, seed=seed, seconds=self.seconds, w=self.w)
-            for seed in self.seeds
-            for problem in self.suite.problems
-            for planner in self.planners
+            for i, (seed, problem) in enumerate(rounds)
+            for first in [i % len(self.planners)]
+            for planner in (*self.planners[first:], *self.planners[:first])
         ]
 
     def to_document(self, machine: Mapping[str, str]) -> dict[str, Any]:
@@ -121,7 +125,16 @@ class Comparison:
 
     def of(self, *, planner: str | None = None, problem: str | None = None) -> list[Run]:
         """Return the runs of a planner, of a problem, or of both."""
-        return [run for run in self.runs if planner in (None, run.planner) and problem in (None, run.problem)]
+        return self._grouped.get((problem, planner), [])
+
+    @cached_property
+    def _grouped(self) -> dict[tuple[str | None, str | None], list[Run]]:
+        """Runs by problem and planner, by either alone, and all: a report asks thousands of times."""
+        found: dict[tuple[str | None, str | None], list[Run]] = {}
+        for run in self.runs:
+            for key in product((run.problem, None), (run.planner, None)):
+                found.setdefault(key, []).append(run)
+        return found
 
 
 def compare(

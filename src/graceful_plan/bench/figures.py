@@ -150,7 +150,7 @@ def svg(draw: _Draw, name: str, height: float) -> str:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({**STYLE, "svg.hashsalt": name}):
+    with rc_context({**STYLE, "svg.hashsalt": name, "text.parse_math": False}):
         figure = Figure(figsize=(_WIDTH, height), layout="constrained")
         draw(figure)
         out = io.StringIO()

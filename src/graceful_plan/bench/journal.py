@@ -87,9 +87,12 @@ class Journal:
             raise JournalBusy(self.file) from None
 
     def _cut(self) -> None:
-        """Cut off what a kill left of a last line."""
+        """Cut off what a kill left of a last line; of a file that is something else, nothing."""
         self._stream.seek(0)
         content = self._stream.read()
+        begin = json.dumps(_SCHEMA).encode().split(b",")[0]
+        if content[: len(begin)] != begin[: len(content)]:
+            raise FormatError(str(self.file), "no journal of a comparison")
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
             self._stream.truncate(whole)

@@ -52,6 +52,8 @@ class PlannerNote:
         Raises:
             GracefulPlanError: If it does not exist or refuses its settings.
         """
+        if self.file and _digest(self.file) != self.digest:
+            raise FormatError(self.file, "changed since the comparison began")
         known = of_file(self.file) if self.file else PLANNERS
         if self.name not in known:
             raise UnknownNameError("planner", self.name, known)
@@ -83,7 +85,7 @@ def read_planners(words: Sequence[str] | None, files: Sequence[str | Path] = ())
         for name in of_file(path):
             if name in PLANNERS or name in found:
                 raise FormatError(file, f"its planner {name!r} has the name of another one; choose another name")
-            found[name] = (path, hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16])
+            found[name] = (path, _digest(path))
     notes = [_parsed(word, found) for word in (PLANNERS if words is None else words)]
     named = {note.name for note in notes}
     notes += [_parsed(name, found) for name in found if name not in named]
@@ -121,11 +123,16 @@ def _parsed(word: str, found: Mapping[str, tuple[str, str]]) -> PlannerNote:
     if len(set(given)) < len(given):
         raise SettingError("planner", word, "every setting once")
     plain = PlannerNote(label=word, name=name, file=file, digest=digest)
-    valid = [item.name for item in dataclasses.fields(plain.make())]  # type: ignore[arg-type]
+    planner: Any = plain.make() if settings else None
+    valid = [item.name for item in dataclasses.fields(planner)] if dataclasses.is_dataclass(planner) else []
     for key in given:
         if key not in valid:
             raise UnknownNameError(f"setting of planner {name}", key, valid)
     return dataclasses.replace(plain, settings=settings)
+
+
+def _digest(file: str) -> str:
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
 
 
 def _settings(word: str, text: str) -> Iterator[tuple[str, Any]]:
@@ -192,7 +199,7 @@ def _run(file: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         line = _line_of(error, file)
         raise FormatError(f"{file}{line}", f"raised {type(error).__name__}: {error}; {EXPECTED}") from error

@@ -25,6 +25,8 @@ from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene
 
 _SAME = 1e-9
+_WORDS = 1000
+"""Characters of an exception's message that are kept."""
 _WARM_UP = 0.25
 """Seconds that a planner gets at most to import and compile what it needs, not counted."""
 
@@ -78,7 +80,9 @@ def run(job: Job) -> Run:
             return _run_analytic(job, problem, planner)
         return _run_scene(job, problem, planner)
     except Exception as error:
-        return job.outcome(RAISED, f"{type(error).__name__}: {error}")
+        # Whatever is in it, it has to go into files and on a page.
+        words = f"{type(error).__name__}: {error}"[:_WORDS].encode(errors="replace").decode()
+        return job.outcome(RAISED, words)
 
 
 @lru_cache(maxsize=64)
