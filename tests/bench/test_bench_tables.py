@@ -5,9 +5,10 @@ import math
 import sqlite3
 from contextlib import closing
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from bench_cases import all_failed, comparison, rich
+from bench_cases import PROBLEMS, all_failed, comparison, rich
 
 from graceful_plan import SceneError, SettingError, UnknownNameError, bench
 from graceful_plan.bench.arena import NAME, STATUSES, write_arena
@@ -106,7 +107,9 @@ def test_arena_has_every_run(arena):
         return arena.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
 
     assert (count("experiments"), count("plannerConfigs"), count("runs")) == (7, 3, 42)
-    assert count("progress") == sum(len(run.trace) for run in compared.runs)
+    solved = [run for run in compared.runs if run.solved]
+    # Every 5 ms of half a second, and everybody had a path by then.
+    assert count("progress") == 100 * len(solved)
     assert count("enums") == len(STATUSES)
     joined = arena.execute(
         "SELECT experiments.name, plannerConfigs.name, random_seed, enums.description, solved, runs.best_cost "
@@ -119,6 +122,24 @@ def test_arena_has_every_run(arena):
         for run in compared.runs
     ]
     assert joined == expected
+
+
+def test_no_column_of_progress_is_one_of_runs_too(arena):
+    # Planner Arena joins both, and renames these two itself.
+    assert set(columns(arena, "runs")) & set(columns(arena, "progress")) == {"time", "best_cost"}
+
+
+def test_progress_is_the_best_so_far(arena):
+    (run,) = [run for run in rich().runs if run.key == (PROBLEMS[0], "first", 1)]
+    found = arena.execute(
+        "SELECT progress.time, progress.best_cost FROM progress JOIN runs ON runs.id = runid JOIN experiments ON "
+        "experiments.id = experimentid JOIN plannerConfigs ON plannerConfigs.id = plannerid WHERE random_seed = 1 AND "
+        "plannerConfigs.name = 'first' AND experiments.name = ? ORDER BY progress.time",
+        (PROBLEMS[0],),
+    ).fetchall()
+    times, costs = zip(*found, strict=True)
+    np.testing.assert_allclose(np.diff([0.0, *times]), 0.005)
+    np.testing.assert_allclose(costs, run.totals_at(np.array(times)))
 
 
 def test_progress_ends_with_the_cost_of_the_run(arena):

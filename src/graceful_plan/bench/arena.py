@@ -2,7 +2,9 @@
 
 Tables: `experiments` (here one for each problem), `plannerConfigs`, `enums` (words for the values of columns of type
 ENUM), `runs` and `progress`. Planner Arena takes the first twelve columns of `experiments` and the first three of
-`runs` for granted, shows all the others of `runs` by their declared type, and needs `best_cost` in `progress`.
+`runs` for granted, shows all the others of `runs` by their declared type, and needs `best_cost` in `progress`. It joins
+these tables, so that no other column of `progress` may have the name of one of `runs`; and it fits curves to the rows
+of `progress`, which are therefore as many at all times: the best path so far at regular times, as OMPL writes it.
 
 References:
     Moll, Sucan and Kavraki, "Benchmarking motion planning algorithms: an extensible infrastructure for analysis and
@@ -14,7 +16,8 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Callable, Mapping
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -46,7 +49,9 @@ _RUN_COLUMNS: Mapping[str, tuple[str, Callable[[Run, float], Any]]] = {
     "iterations": ("INTEGER", lambda run, _: run.iterations),
     "random_seed": ("INTEGER", lambda run, _: run.seed),
 }
-_PROGRESS_COLUMNS = ("best_cost", "motion_cost", "impact")
+_PROGRESS_COLUMNS = ("best_cost", "best_motion_cost", "best_impact")
+_UPDATES = 100
+"""Rows of progress of a run that has a path from the start."""
 
 _TABLES = (
     "CREATE TABLE experiments (id INTEGER PRIMARY KEY AUTOINCREMENT, name VARCHAR(512), totaltime REAL, timelimit REAL,"
@@ -95,7 +100,9 @@ def _fill(database: sqlite3.Connection, comparison: Comparison) -> None:
     for problem in comparison.problems:
         experiment = _add_experiment(database, comparison, problem)
         for run in comparison.of(problem=problem):
-            _add_run(database, experiment, planner_ids[run.planner], run, best[problem])
+            added = _add_run(database, experiment, planner_ids[run.planner], run, best[problem])
+            rows = ((added, *row) for row in _progress(run, comparison.seconds))
+            database.executemany("INSERT INTO progress VALUES (?, ?, ?, ?, ?)", rows)
 
 
 def _add_experiment(database: sqlite3.Connection, comparison: Comparison, problem: str) -> int | None:
@@ -119,16 +126,24 @@ def _add_experiment(database: sqlite3.Connection, comparison: Comparison, proble
     return database.execute(f"INSERT INTO experiments ({names}) VALUES ({places})", tuple(row.values())).lastrowid
 
 
-def _add_run(database: sqlite3.Connection, experiment: int | None, planner: int | None, run: Run, best: float) -> None:
+def _add_run(
+    database: sqlite3.Connection, experiment: int | None, planner: int | None, run: Run, best: float
+) -> int | None:
     values = [_plain(value(run, best)) for _, value in _RUN_COLUMNS.values()]
     places = ", ".join("?" * (len(values) + 2))
     names = ", ".join(["experimentid", "plannerid", *_RUN_COLUMNS])
-    added = database.execute(f"INSERT INTO runs ({names}) VALUES ({places})", (experiment, planner, *values)).lastrowid
-    # Of improvements at one reading of the clock the last counts.
-    points = {point.time: (point.total, point.motion, point.impact) for point in run.trace}
-    database.executemany(
-        "INSERT INTO progress VALUES (?, ?, ?, ?, ?)", [(added, time, *costs) for time, costs in points.items()]
-    )
+    return database.execute(f"INSERT INTO runs ({names}) VALUES ({places})", (experiment, planner, *values)).lastrowid
+
+
+def _progress(run: Run, seconds: float) -> Iterator[tuple[float, float, float, float]]:
+    """Yield time and costs of the best path so far, at regular times from the first path on."""
+    times = [point.time for point in run.trace]
+    for i in range(1, _UPDATES + 1):
+        time = seconds * i / _UPDATES
+        reached = bisect_right(times, time)
+        if reached:
+            point = run.trace[reached - 1]
+            yield time, point.total, point.motion, point.impact
 
 
 def _plain(value: Any) -> Any:
