@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -42,10 +43,29 @@ def test_signed_rank_is_that_of_scipy(seed, n):
     assert signed_rank(difference) == pytest.approx(stats.wilcoxon(difference, method="exact").pvalue)
 
 
-def test_signed_rank_with_ties_is_normal():
-    difference = [1.0, 1.0, -1.0, 2.0, 2.0, 3.0, -0.5, 4.0, 0.0]
-    expected = stats.wilcoxon(difference[:-1], method="asymptotic", correction=True).pvalue
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.sampled_from([-3.0, -1.0, 0.0, 1.0, 2.0, math.inf]), min_size=1, max_size=9))
+def test_signed_rank_with_ties_counts_all_signs(difference):
+    d = np.array([x for x in difference if x])
+    ranks = stats.rankdata(np.abs(d))
+    sums = np.array([ranks @ np.array(signs) for signs in itertools.product([0, 1], repeat=len(d))])
+    observed = ranks[d > 0].sum()
+    expected = 2.0 * min(np.mean(sums <= observed + 1e-9), np.mean(sums >= observed - 1e-9))
+    assert signed_rank(difference) == pytest.approx(min(1.0, expected))
+
+
+def test_five_problems_never_suffice():
+    assert signed_rank([math.inf] * 5) == pytest.approx(2 / 32)
+    assert signed_rank([math.inf] * 6) == pytest.approx(2 / 64)
+
+
+def test_many_differences_are_normal():
+    difference = np.random.default_rng(2).normal(0.1, 1.0, 201)
+    expected = stats.wilcoxon(difference, method="asymptotic", correction=True).pvalue
     assert signed_rank(difference) == pytest.approx(expected)
+    # The two ways meet where they change over.
+    exact = signed_rank(difference[:200])
+    assert exact == pytest.approx(stats.wilcoxon(difference[:200], method="asymptotic").pvalue, rel=0.05)
 
 
 def test_no_difference_is_no_evidence():

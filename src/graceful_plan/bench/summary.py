@@ -208,7 +208,7 @@ def _of_planner(comparison: Comparison, planner: str, best: Mapping[str, float])
     motion, impact = (median(column.tolist()) for column in shares(comparison, best, planner).T)
     clearances = _finite(run.clearance for run in solved)
     seconds = _finite(run.seconds for run in runs)
-    at = [time for time in CHECKPOINTS if time < comparison.seconds] + [comparison.seconds]
+    at = [time for time in CHECKPOINTS if time < comparison.seconds]
     return PlannerSummary(
         planner=planner,
         runs=len(runs),
