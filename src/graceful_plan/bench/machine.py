@@ -18,14 +18,14 @@ def describe() -> dict[str, str]:
     return {
         "processor": processor(),
         "cores": str(os.cpu_count()),
-        "memory": f"{_memory_gb():.0f} GB",
+        "memory": f"{memory_gb():.0f} GB",
         "system": f"{platform.system()} {platform.machine()}",
         "kernels": ", ".join(instruction_sets()),
         "versions": ", ".join(
             [
                 f"graceful_plan {__version__}",
                 f"Python {platform.python_version()}",
-                *(f"{package} {_version(package)}" for package in PACKAGES),
+                *(f"{package} {version(package)}" for package in PACKAGES),
             ]
         ),
     }
@@ -43,14 +43,16 @@ def processor() -> str:
     return f"{name} ({numbers})" if numbers else name
 
 
-def _memory_gb() -> float:
+def memory_gb() -> float:
+    """Memory of the machine [GB]; NaN if the system does not tell."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     except (ValueError, OSError):
         return float("nan")
 
 
-def _version(package: str) -> str:
+def version(package: str) -> str:
+    """Version of an installed package."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
