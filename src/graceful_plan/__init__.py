@@ -2,6 +2,7 @@
 
 from graceful_plan._version import __version__
 from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.certificate import certify
 from graceful_plan.checks import clearance, interaction_probability
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
@@ -47,7 +48,8 @@ from graceful_plan.planners import (
     RRTStar,
 )
 from graceful_plan.pose_goal import PoseGoal
-from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
+from graceful_plan.problem_files import ProblemFile, load_problems
+from graceful_plan.result import Certificate, Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
 from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
@@ -72,6 +74,7 @@ __all__ = [
     "BoxOverlap",
     "Footprint",
     "CasADi",
+    "Certificate",
     "Check",
     "Contribution",
     "Cost",
@@ -106,6 +109,7 @@ __all__ = [
     "PoseGoal",
     "QueryResult",
     "QueryStatus",
+    "ProblemFile",
     "RRTConnect",
     "RRTStar",
     "Risk",
@@ -130,11 +134,13 @@ __all__ = [
     "Verdict",
     "WorldArrays",
     "__version__",
+    "certify",
     "clearance",
     "evaluate",
     "explain",
     "impact_map",
     "interaction_probability",
+    "load_problems",
     "load_scene",
     "optimise_trajectory",
     "plan",
