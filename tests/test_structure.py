@@ -28,6 +28,7 @@ LAYERS = (
     {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity"},
     {"planners"},
     {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
+    {"front_archive", "front_refine", "front_search", "pareto_front", "front_file", "tuning"},
     {"__init__"},
     {"cli", "demo", "doctor", "viz"},
 )

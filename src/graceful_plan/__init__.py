@@ -51,6 +51,7 @@ from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
 from graceful_plan.severity import SeverityTable
 from graceful_plan.trajectory import Trajectory
+from graceful_plan.tuning import Choice, ChoiceStatus, ParetoFront, ParetoPoint, pareto
 from graceful_plan.verify import verify
 
 __all__ = [
@@ -65,6 +66,8 @@ __all__ = [
     "BoxOverlap",
     "Footprint",
     "Check",
+    "Choice",
+    "ChoiceStatus",
     "Contribution",
     "Cost",
     "CostBreakdown",
@@ -87,6 +90,8 @@ __all__ = [
     "NonFiniteError",
     "Objective",
     "PRMStar",
+    "ParetoFront",
+    "ParetoPoint",
     "Path",
     "PlanResult",
     "PlanStatus",
@@ -120,6 +125,7 @@ __all__ = [
     "impact_map",
     "interaction_probability",
     "load_scene",
+    "pareto",
     "plan",
     "retime",
     "risk",
