@@ -198,7 +198,10 @@ NB_MODULE(_native, m) {
       .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
       .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
       .def("dynamics", &BodyModel::dynamics, "q"_a);
-  nb::class_<Impact>(m, "Impact").def("states", &Impact::states_array, "q"_a).def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a);
+  nb::class_<Impact>(m, "Impact")
+      .def("states", &Impact::states_array, "q"_a)
+      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a)
+      .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact").def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")
       .def(nb::init<const DropModel&, Reals, double, double>(), "model"_a, "severity"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>());
