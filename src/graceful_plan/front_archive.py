@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from graceful_plan.planners.planner import BoundObjective
 from graceful_plan.planners.questions import checked_costs
 
 Array = np.ndarray
+
+EdgeTest = Callable[[Array, Array], Array]
+"""Which straight edges between configurations [n, nq] are free for certain: bool [n]."""
 
 _SAME = 1e-6
 """Relative difference of impact below which two candidates are the same."""
@@ -53,6 +56,30 @@ class Candidate:
         q = path.without_duplicates().q
         edges = charged(objective, q[:-1], q[1:])
         return cls(q=q, edges=edges, made_by=made_by, made_with=made_with)
+
+    def moved_to(self, q: Float[Array, "n nq"], edges: Float[Array, "edge 2"]) -> Candidate:
+        """Return what it has become."""
+        return replace(self, q=q, edges=edges)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Aimed:
+    """A candidate and what is to become of it: less motion and impact inside of a box, or less V + w S.
+
+    Args:
+        candidate: Where it begins.
+        corner: Motion and impact of the corner of the box.
+        weight: w, where that is the aim.
+    """
+
+    candidate: Candidate
+    corner: Float[Array, " 2"]
+    weight: float | None = None
+
+    def merit(self, cost: Float[Array, "n 2"]) -> Float[Array, " n"]:
+        """Area of the box above and to the right of some costs."""
+        room = np.maximum(self.corner - cost, 0.0)
+        return room[:, 0] * room[:, 1]
 
 
 def charged(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:

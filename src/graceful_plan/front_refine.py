@@ -1,112 +1,173 @@
 r"""Refining a whole front at once: every path by moves that enlarge the area that the front dominates.
 
-A weighted sum cannot hold a path in a dent of the front: it rolls to one of the rims. Here each path has a box instead,
-whose corner is the motion of its neighbour to the right and the impact of its neighbour to the left, and moves are taken
-that enlarge
+A weighted sum cannot hold a path in a dent of the front: it rolls to one of the rims. Here each path has a box
+instead, whose corner is the motion of its neighbour to the right and the impact of its neighbour to the left, and moves
+are taken that enlarge
 
 .. math:: (V_\mathrm{box} - V)\,(S_\mathrm{box} - S),
 
 its share of the dominated area. So it minimises motion under a bound on impact and impact under a bound on motion, the
-bounds follow the neighbours, and the paths spread out. Into the widest gaps, paths are sent from both sides. All moves of
-all paths of a round are evaluated in one batch.
+bounds follow the neighbours, and the paths spread out. Into the widest gaps, paths are sent from both sides. With
+derivatives, all paths first descend together (`front_descent`); random moves, all those of a round in one batch, do
+what is left: they change the number of vertices, slide along obstacles, and jump.
 
 References:
-    N. Beume, B. Naujoks and M. Emmerich, "SMS-EMOA: multiobjective selection based on dominated hypervolume", EJOR 2007.
+    N. Beume, B. Naujoks and M. Emmerich, "SMS-EMOA: multiobjective selection based on dominated hypervolume", EJOR
+        2007.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.front_archive import Archive, Candidate, charged, widest_gaps
+from graceful_plan.front_archive import Aimed, Archive, Candidate, EdgeTest, charged, widest_gaps
+from graceful_plan.front_descent import descend
+from graceful_plan.pareto_front import dominated_area
 from graceful_plan.path import Path
-from graceful_plan.planners.planner import BoundObjective, Budget, Problem
+from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem
 from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, move_aside, straighten_joint
 
 Array = np.ndarray
 
-EdgeTest = Callable[[Array, Array], Array]
-"""Which straight edges are free for certain."""
-
 _VERTICES = 24
 """Of a path that is refined, about."""
 _ROUNDS = 8
 """Rounds between two looks at the front as a whole."""
+WEIGHTS = 0.02, 100.0
+"""Range of weights, relative to the motion of the shortest path over its impact."""
+_WEIGHTS = 16
+_ASIDE = 4.0
+"""How far the weights of neighbours are apart whose candidates begin a descent, too."""
+_STEPS = 40
+"""Steps down the gradients before that."""
+_PATIENCE = 2
+"""A turn ends after so many rounds in a row that do not help."""
+_GAIN = 3e-4
+"""Relative growth of the dominated area that is one."""
 _PROPOSALS = 8
 _CHUNK = 6
 """Paths whose moves are evaluated in one batch."""
+_RIM = 0.1
 _EPS = 1e-9
 _BEYOND = 1.1
 """Where the boxes of both ends of a front reach to, relative to its greatest costs."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Boxed:
-    """A candidate and the corner of its box: motion and impact."""
+class Refinement:
+    """Improves the candidates of an archive, turn by turn.
 
-    candidate: Candidate
-    corner: Float[Array, " 2"]
-
-    def merit(self, cost: Float[Array, "n 2"]) -> Float[Array, " n"]:
-        """Area between some costs and the corner."""
-        room = np.maximum(self.corner - cost, 0.0)
-        return room[:, 0] * room[:, 1]
-
-
-def refine_front(
-    archive: Archive,
-    problem: Problem,
-    objective: BoundObjective,
-    certain: EdgeTest,
-    budget: Budget,
-    rng: np.random.Generator,
-    capacity: int,
-) -> Iterator[None]:
-    """Improve the candidates of an archive until the budget ends; yields now and then. One iteration is one round.
+    One iteration is one step of all paths down their gradients, or one round of random moves.
 
     Args:
         archive: What to begin with; improved candidates are offered to it.
         problem: Limits and obstacles.
-        objective: The costs; its weight does not matter.
+        objective: The costs, with weight 1.
         certain: Which edges are free, as finely as they can be checked.
         budget: Time and iterations.
         rng: Random numbers.
         capacity: How many candidates are refined at a time, besides those sent into gaps.
     """
-    while not budget.exhausted and len(archive) and archive.candidates[-1].cost[1] > 0.0:
-        members = boxed(archive.chosen(capacity), max(2, capacity // 4))
-        members = [replace(m, candidate=_spaced(m.candidate, objective)) for m in members if len(m.candidate.q) > 1]
-        if not members:
-            return
+
+    def __init__(
+        self,
+        archive: Archive,
+        problem: Problem,
+        objective: BoundObjective,
+        certain: EdgeTest,
+        budget: Budget,
+        rng: np.random.Generator,
+        capacity: int,
+    ) -> None:
+        self.archive, self.problem, self.objective, self.certain = archive, problem, objective, certain
+        self.budget, self.rng, self.capacity = budget, rng, capacity
+        self.smooth = _has_derivatives(objective, problem)
+
+    def turn(self, found: Sequence[Candidate]) -> Iterator[None]:
+        """Improve what was found and then the whole front, for as long as that helps; yields now and then.
+
+        Args:
+            found: Candidates of a sweep, whether or not they are in the archive: once refined, some of them may be.
+        """
+        self._descend(weighted(self.archive, found))
+        yield
+        idle = 0
+        while idle < _PATIENCE and not self.budget.exhausted:
+            before, corner = self.archive.costs, _BEYOND * self.archive.costs.max(axis=0)
+            self._descend(self._boxed())
+            yield
+            self._moves([replace(m, candidate=_spaced(m.candidate, self.objective)) for m in self._boxed()])
+            yield
+            gain = dominated_area(self.archive.costs, corner) / max(dominated_area(before, corner), 1e-300) - 1.0
+            idle = 0 if gain > _GAIN else idle + 1
+
+    def _boxed(self) -> list[Aimed]:
+        gaps = max(2, self.capacity // 4)
+        return [aimed for aimed in boxed(self.archive.chosen(self.capacity), gaps) if len(aimed.candidate.q) > 1]
+
+    def _descend(self, members: list[Aimed]) -> None:
+        """Send candidates down their gradients, if there are any."""
+        if self.smooth and isinstance(self.objective, DifferentiableObjective):
+            for candidate in descend(members, self.problem, self.objective, self.certain, self.budget, _STEPS):
+                self.archive.offer(candidate)
+
+    def _moves(self, members: list[Aimed]) -> None:
+        """Try rounds of random moves on candidates."""
         for round_ in range(_ROUNDS):
-            if not budget.spend():
+            if not self.budget.spend():
                 break
             for first in range(0, len(members), _CHUNK):
-                if out_of_time(budget):
+                if out_of_time(self.budget):
                     break
                 part = members[first : first + _CHUNK]
-                members[first : first + _CHUNK] = improved(part, problem, objective, certain, rng, round_)
+                news = improved(part, self.problem, self.objective, self.certain, self.rng, round_)
+                members[first : first + _CHUNK] = news
         for member in members:
-            archive.offer(member.candidate)
-        yield
+            self.archive.offer(member.candidate)
 
 
-def boxed(front: list[Candidate], gaps: int) -> list[Boxed]:
+def _has_derivatives(objective: BoundObjective, problem: Problem) -> bool:
+    """Whether the objective knows its derivatives, and its motion is the length of the path."""
+    if not isinstance(objective, DifferentiableObjective):
+        return False
+    q0, q1 = problem.start[None], problem.goals[:1]
+    found = objective.edge_gradients(q0, q1)
+    return found is not None and bool(np.allclose(found[0][:, 0], np.linalg.norm(q1 - q0, axis=1)))
+
+
+def weighted(archive: Archive, found: Sequence[Candidate] = ()) -> list[Aimed]:
+    """Send candidates down V + w S: the best by weights below, at and above each of a range of them, and those found."""
+    motion, impact = archive.candidates[0].cost.tolist()
+    if not impact > 0.0:
+        return []
+    sent = []
+    for w in (motion / impact * np.geomspace(*WEIGHTS, _WEIGHTS)).tolist():
+        starts = {id(c): c for c in (archive.best_for(w * factor) for factor in (1.0, _ASIDE, 1.0 / _ASIDE))}
+        sent += [(candidate, w) for candidate in starts.values()]
+    sent += [(c, c.made_with * factor) for c in found for factor in (1.0, _ASIDE, 1.0 / _ASIDE)]
+    beyond = np.full(2, np.inf)
+    return [
+        Aimed(candidate=replace(candidate, made_by="weight", made_with=w), corner=beyond, weight=w)
+        for candidate, w in sent
+    ]
+
+
+def boxed(front: list[Candidate], gaps: int) -> list[Aimed]:
     """Give each candidate of a front its box, and send both neighbours of the widest gaps into these."""
     costs = np.array([c.cost for c in front])
     rim = _BEYOND * costs.max(axis=0)
     right, left = np.append(costs[1:, 0], rim[0]), np.append(rim[1], costs[:-1, 1])
-    members = [Boxed(candidate=c, corner=np.array(box)) for c, *box in zip(front, right, left, strict=True)]
+    members = [Aimed(candidate=c, corner=np.array(box)) for c, *box in zip(front, right, left, strict=True)]
     for k in widest_gaps(costs, gaps):
-        corner = np.array([costs[k + 1, 0], costs[k, 1]])
+        # A little wider than the gap: whoever stands on its rim has to find a way in.
+        corner = np.array([costs[k + 1, 0], costs[k, 1]]) + _RIM * np.abs(costs[k + 1] - costs[k])
         for candidate in front[k : k + 2]:
-            sent = replace(candidate, made_by="gap", made_with=float(corner[1]))
-            members.append(Boxed(candidate=sent, corner=corner))
+            sent = replace(candidate, made_by="gap", made_with=float(costs[k, 1]))
+            members.append(Aimed(candidate=sent, corner=corner))
     return members
 
 
@@ -121,13 +182,13 @@ def _spaced(candidate: Candidate, objective: BoundObjective) -> Candidate:
 
 
 def improved(
-    members: list[Boxed],
+    members: list[Aimed],
     problem: Problem,
     objective: BoundObjective,
     certain: EdgeTest,
     rng: np.random.Generator,
     round_: int,
-) -> list[Boxed]:
+) -> list[Aimed]:
     """Try one round of moves on some members, in one batch."""
     lines = [Line(m.candidate.q, m.candidate.edges[:, 0]) for m in members]
     proposals = [_proposals(line, m.candidate.size, rng, round_) for line, m in zip(lines, members, strict=True)]
@@ -193,7 +254,7 @@ def bend(line: Line, n: int, size: float, rng: np.random.Generator) -> list[Repl
 
 
 def _gains(
-    members: list[Boxed], every: list[Replacement], owner: Array, after: Float[Array, "n 2"]
+    members: list[Aimed], every: list[Replacement], owner: Array, after: Float[Array, "n 2"]
 ) -> Float[Array, " n"]:
     """By how much each replacement enlarges the area of its owner's path; 0 if it does not."""
     gains = np.zeros(len(every))
@@ -218,18 +279,18 @@ def _free(wanted: Bool[Array, " n"], begin: Array, q0: Array, q1: Array, certain
     return free
 
 
-def _taken(member: Boxed, news: list[tuple[Replacement, Array]], tried: bool) -> Boxed:
+def _taken(member: Aimed, news: list[tuple[Replacement, Array]], tried: bool) -> Aimed:
     """Apply the best replacements that do not overlap, as long as the area grows."""
     candidate = member.candidate
     size = candidate.size * (1.3 if news else 0.93 if tried else 1.0)
     candidate = replace(candidate, size=float(np.clip(size, 1e-4, 0.2)))
     apart: list[tuple[Replacement, Array]] = []
+    best = float(member.merit(candidate.cost[None])[0])
     for new in news:
         if all(new[0].last <= other.first or new[0].first >= other.last for other, _ in apart):
-            together = _applied(candidate, [*apart, new])
-            if member.merit(together.cost[None])[0] > member.merit(candidate.cost[None] if not apart else best)[0]:
-                apart.append(new)
-                best = together.cost[None]
+            together = float(member.merit(_applied(candidate, [*apart, new]).cost[None])[0])
+            if together > best:
+                apart, best = [*apart, new], together
     return replace(member, candidate=_applied(candidate, apart) if apart else candidate)
 
 

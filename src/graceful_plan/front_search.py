@@ -1,4 +1,4 @@
-"""Search for a front: sweeps over the weight, each begun from what its neighbours found, then refinement as a whole."""
+"""Search for a front, in turns: the planner at one weight after the other, then refinement of the front as a whole."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.front_archive import Archive, Candidate
-from graceful_plan.front_refine import EdgeTest, refine_front
+from graceful_plan.front_archive import Archive, Candidate, EdgeTest
+from graceful_plan.front_refine import WEIGHTS, Refinement
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 
@@ -19,12 +19,10 @@ Array = np.ndarray
 ObjectiveAt = Callable[[float], BoundObjective]
 """The objective with a safety weight."""
 
-_LEAST, _GREATEST = 0.02, 100.0
-"""Weights of the sweep, relative to the motion of the shortest path over its impact."""
-_FIRST = 0.06
+_SHORTEST = 0.06
 """Share of the budget for the shortest path."""
-_SWEEPS = 0.4
-"""Share of the budget for the sweeps over the weight, half of it up and half of it down."""
+_SWEEP = 0.2
+"""Share of the budget for one sweep over the weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,28 +50,44 @@ def search_front(
     archive: Archive,
 ) -> Iterator[str]:
     """Fill an archive until the budget ends; yields the name of the stage after every step. Every path is free."""
-    planner, plain = settings.planner, objective_at(0.0)
-    seen = _Sweep(problem, objective_at, certain, planner, budget, rng, archive)
-    seen.at(0.0, _FIRST)
-    yield "shortest"
-    if not len(archive) or archive.candidates[-1].cost[1] <= 0.0:
-        yield from _persist(seen)
+    search = _Search(problem, objective_at, certain, settings, budget, rng, archive)
+    yield from search.shortest()
+    if not len(archive):
         return
-    weights = sweep_weights(archive.candidates[0].cost, settings.weights)
-    both_ways = [*weights, *weights[-2::-1]]
-    for w in both_ways:
-        seen.at(float(w), _SWEEPS / len(both_ways))
-        yield "sweep"
-    for _ in refine_front(archive, problem, plain, certain, budget, rng, settings.capacity):
-        yield "refine"
+    refinement = Refinement(archive, problem, objective_at(1.0), certain, budget, rng, settings.capacity)
+    for turn in range(1_000_000):
+        # The sweeps go up and down in turns, each over weights that lie between those of the one before.
+        before = budget.spent, budget.elapsed
+        shift = np.modf(turn * 0.5 * (np.sqrt(5.0) - 1.0))[0]
+        weights = sweep_weights(archive.candidates[0].cost, settings.weights, float(shift))
+        found: list[Candidate] = []
+        for w in weights[:: -1 if turn % 2 else 1].tolist():
+            if budget.exhausted or archive.candidates[-1].cost[1] <= 0.0:
+                return
+            found += search.at(w, _SWEEP / len(weights))
+            yield "sweep"
+        for _ in refinement.turn(found):
+            yield "refine"
+        if budget.spent == before[0]:
+            return
 
 
-def sweep_weights(shortest: Float[Array, " 2"], count: int) -> Float[Array, " count"]:
-    """Geometric weights around the one at which motion and impact of the shortest path count alike."""
-    return float(shortest[0] / shortest[1]) * np.geomspace(_LEAST, _GREATEST, count)
+def sweep_weights(shortest: Float[Array, " 2"], count: int, shift: float = 0.0) -> Float[Array, " count"]:
+    """Geometric weights around the one at which motion and impact of the shortest path count alike.
+
+    Args:
+        shortest: Its motion and impact.
+        count: How many.
+        shift: By which part of the distance between two weights to move them all; the last one stays in range.
+    """
+    if not shortest[1] > 0.0:
+        return np.zeros(count)
+    least, greatest = np.log(WEIGHTS)
+    exponents = least + (greatest - least) * (np.arange(count) + shift) / max(count - 1, 1)
+    return float(shortest[0] / shortest[1]) * np.exp(np.minimum(exponents, greatest))
 
 
-class _Sweep:
+class _Search:
     """Minimisations of V + w S, one weight after the other."""
 
     def __init__(
@@ -81,26 +95,38 @@ class _Sweep:
         problem: Problem,
         objective_at: ObjectiveAt,
         certain: EdgeTest,
-        planner: Planner,
+        settings: FrontSettings,
         budget: Budget,
         rng: np.random.Generator,
         archive: Archive,
     ) -> None:
         self.problem, self.objective_at, self.certain = problem, objective_at, certain
-        self.planner, self.budget, self.rng, self.archive = planner, budget, rng, archive
+        self.planner, self.budget, self.rng, self.archive = settings.planner, budget, rng, archive
         self.whole = budget.remaining_seconds, budget.remaining_iterations
 
-    def at(self, w: float, share: float) -> None:
-        """Let the planner work for a share of the whole budget; offer all that it finds."""
+    def shortest(self) -> Iterator[str]:
+        """Look for the shortest path, and go on until there is any."""
+        share = _SHORTEST
+        while not self.budget.exhausted and not len(self.archive):
+            before = self.budget.spent
+            self.at(0.0, share)
+            yield "shortest"
+            if self.budget.spent == before:
+                return
+            share = _SWEEP
+
+    def at(self, w: float, share: float) -> list[Candidate]:
+        """Let the planner work for a share of the whole budget; offer all that it finds, and return the best."""
         objective = self.objective_at(w)
-        planner = self.planner
-        if len(self.archive) and any(field.name == "initial" for field in dataclasses.fields(planner)):
-            planner = dataclasses.replace(planner, initial=Path(self.archive.best_for(w).q))
+        planner = begun_at(self.planner, Path(self.archive.best_for(w).q)) if len(self.archive) else self.planner
         part = self._part(share)
+        best: list[Candidate] = []
         for path in planner.solve(self.problem, objective, part, self.rng):
             if _leads_there(path, self.problem) and np.all(self.certain(path.q[:-1], path.q[1:])):
-                self.archive.offer(Candidate.of(path, objective, "weight", w))
+                best = [Candidate.of(path, objective, "weight", w)]
+                self.archive.offer(best[0])
         self.budget.spent += part.spent
+        return best
 
     def _part(self, share: float) -> Budget:
         seconds = min(share * self.whole[0], self.budget.remaining_seconds)
@@ -109,16 +135,11 @@ class _Sweep:
         return Budget(seconds, limit, self.budget.cancelled)
 
 
-def _persist(sweep: _Sweep) -> Iterator[str]:
-    """Without a path there is nothing to weigh: try with other random numbers until the budget ends."""
-    if len(sweep.archive):
-        return
-    while not sweep.budget.exhausted and not len(sweep.archive):
-        before = sweep.budget.spent
-        sweep.at(0.0, 0.2)
-        yield "shortest"
-        if sweep.budget.spent == before:
-            return
+def begun_at(planner: Planner, path: Path) -> Planner:
+    """Return the planner with a path to begin with, if it has a field `initial`; otherwise as it is."""
+    if not dataclasses.is_dataclass(planner) or all(field.name != "initial" for field in dataclasses.fields(planner)):
+        return planner
+    return dataclasses.replace(planner, initial=path)
 
 
 def _leads_there(path: Path, problem: Problem) -> bool:

@@ -1,8 +1,8 @@
 r"""The front of motion against impact: which of its points to take, which weight leads there, how good it is.
 
 A point is better than another if it costs no more in motion V and in impact S, and less in one of them. A front holds
-only points that no other is better than. Minimising V + w S reaches the points on its lower convex hull, and those only:
-the rest is what other methods find, and no safety weight leads there.
+only points that no other is better than. Minimising V + w S reaches the points on its lower convex hull, and those
+only: the rest is what other methods find, and no safety weight leads there.
 
 References:
     I. Das and J. E. Dennis, "A closer look at drawbacks of minimizing weighted sums of objectives for Pareto set
@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -56,13 +57,13 @@ def dominated_area(costs: Float[Array, "n 2"], reference: Float[Array, " 2"]) ->
 
 
 def hull_weights(costs: Float[Array, "n 2"]) -> list[tuple[float, float] | None]:
-    """Safety weights at which each point of a front, sorted by motion, has the least V + w S; None if there are none."""
+    """At which safety weights each point of a front, sorted by motion, has the least V + w S; None if at none."""
     hull: list[int] = []
     for i in range(len(costs)):
         while len(hull) > 1 and _slope(costs, hull[-2], hull[-1]) >= _slope(costs, hull[-1], i):
             hull.pop()
         hull.append(i)
-    between = [0.0, *(_slope(costs, a, b) for a, b in zip(hull[:-1], hull[1:], strict=True)), np.inf]
+    between = [0.0, *(_slope(costs, a, b) for a, b in pairwise(hull)), np.inf]
     weights: list[tuple[float, float] | None] = [None] * len(costs)
     for k, i in enumerate(hull):
         weights[i] = (between[k], between[k + 1])

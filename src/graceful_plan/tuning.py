@@ -1,8 +1,8 @@
 """pareto(): the front of motion against impact between two configurations, verified point by point.
 
-Candidates come from minimisations of V + w S for weights up and down, and are refined as a whole, so that the parts of the
-front that no weight leads to are found, too (`front_search`, `front_refine`). Every point of the front is timed, judged and
-charged anew.
+Candidates come from minimisations of V + w S for weights up and down, and are refined as a whole, so that the parts of
+the front that no weight leads to are found, too (`front_search`, `front_refine`). Every point of the front is timed,
+judged and charged anew.
 """
 
 from __future__ import annotations
