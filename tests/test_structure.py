@@ -30,7 +30,7 @@ LAYERS = (
     {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
     {"front_archive", "front_refine", "front_search", "pareto_front", "front_file", "tuning"},
     {"__init__"},
-    {"cli", "demo", "doctor", "viz"},
+    {"cli", "demo", "doctor", "tune_report", "viz"},
 )
 """From the bottom up; a module that is named nowhere lies below all of them, with the scene and the tables."""
 

@@ -37,6 +37,8 @@ _LARGEST_STEP = 0.1
 _SHRINK = 0.3
 _FAILURES = 4
 """Steps in a row without success after which a path is left alone."""
+_SETTLED = 1e-4
+"""Fall of f, a relative one of the costs, that is no success."""
 _ARMIJO = 1e-4
 
 
@@ -134,7 +136,7 @@ class _Batch:
         worse = rows[~better]
         self.failures[worse] += 1
         self.scale[worse] *= _SHRINK
-        self.alive[worse[self.failures[worse] >= _FAILURES]] = False
+        self.alive &= self.failures < _FAILURES
 
     def candidates(self) -> list[Candidate]:
         """Return the paths that moved."""
@@ -215,8 +217,9 @@ class _Batch:
         weight[sound] = 1.0 / bend[sound]
         s[~sound] = y[~sound] = 0.0
         self.pairs = [*self.pairs, (s, y, weight)][-_MEMORY:]
+        slow = self.value[rows] - value < _SETTLED
         self.q[rows], self.value[rows], self.edges[rows], self.gradient[rows] = q, value, edges, gradient
-        self.moved[rows], self.failures[rows] = True, 0
+        self.moved[rows], self.failures[rows] = True, np.where(slow, self.failures[rows] + 1, 0)
         self.scale[rows] = np.minimum(1.0, 2.0 * self.scale[rows])
 
     def _free(self, q: Float[Array, "path vertex nq"]) -> Bool[Array, " path"]:

@@ -140,7 +140,7 @@ def _has_derivatives(objective: BoundObjective, problem: Problem) -> bool:
 
 
 def weighted(archive: Archive, found: Sequence[Candidate] = ()) -> list[Aimed]:
-    """Send candidates down V + w S: the best by weights below, at and above each of a range of them, and those found."""
+    """Send candidates down V + w S: those found, and the best by weights below, at and above each of a range."""
     motion, impact = archive.candidates[0].cost.tolist()
     if not impact > 0.0:
         return []
