@@ -46,6 +46,7 @@ from graceful_plan.pose_goal import PoseGoal
 from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
+from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
@@ -77,6 +78,7 @@ __all__ = [
     "Explanation",
     "FaultPrior",
     "FragilityTable",
+    "FrontPath",
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",
@@ -98,10 +100,13 @@ __all__ = [
     "Planner",
     "PlanningFailed",
     "PoseGoal",
+    "QueryResult",
+    "QueryStatus",
     "RRTConnect",
     "RRTStar",
     "Risk",
     "RiskMeasure",
+    "Roadmap",
     "RobotArrays",
     "RobotDynamics",
     "Scene",

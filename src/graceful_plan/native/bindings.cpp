@@ -8,6 +8,7 @@
 #include "body_impact.hpp"
 #include "connect.hpp"
 #include "core.hpp"
+#include "graph_search.hpp"
 #include "impact.hpp"
 
 using namespace nb::literals;
@@ -210,6 +211,10 @@ NB_MODULE(_native, m) {
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")
       .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a, "fast"_a,
            nb::keep_alive<1, 2>());
+  nb::class_<GraphSearch>(m, "GraphSearch")
+      .def(nb::init<int, Integers, Integers>(), "n"_a, "tail"_a, "head"_a)
+      .def("cheapest", &GraphSearch::cheapest, "cost"_a, "start"_a, "goals"_a)
+      .def("front", &GraphSearch::front, "cost"_a, "start"_a, "goals"_a, "epsilon"_a, "seconds"_a);
   nb::class_<Space>(m, "Space");
   nb::class_<SceneSpace, Space>(m, "SceneSpace")
       .def(nb::init<const Core&, const Impact&, Reals, Reals, double, double, double, double, double>(), "core"_a, "impact"_a, "lower"_a,
