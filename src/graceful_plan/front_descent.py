@@ -225,4 +225,4 @@ class _Batch:
     def _free(self, q: Float[Array, "path vertex nq"]) -> Bool[Array, " path"]:
         nq = q.shape[2]
         free = np.asarray(self.certain(q[:, :-1].reshape(-1, nq), q[:, 1:].reshape(-1, nq)), dtype=bool)
-        return free.reshape(len(q), EDGES).all(axis=1)
+        return np.asarray(free.reshape(len(q), EDGES).all(axis=1))

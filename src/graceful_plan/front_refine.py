@@ -47,6 +47,7 @@ _STEPS = 40
 """Steps down the gradients before that."""
 _PATIENCE = 2
 """A turn ends after so many rounds in a row that do not help."""
+_TURN = 3
 _GAIN = 3e-4
 """Relative growth of the dominated area that is one."""
 _PROPOSALS = 8
@@ -87,16 +88,19 @@ class Refinement:
         self.budget, self.rng, self.capacity = budget, rng, capacity
         self.smooth = _has_derivatives(objective, problem)
 
-    def turn(self, found: Sequence[Candidate]) -> Iterator[None]:
+    def turn(self, found: Sequence[Candidate], rounds: int = _TURN) -> Iterator[None]:
         """Improve what was found and then the whole front, for as long as that helps; yields now and then.
 
         Args:
             found: Candidates of a sweep, whether or not they are in the archive: once refined, some of them may be.
+            rounds: Most rounds: what is not at hand cannot be refined, so that searching must have its turn, too.
         """
         self._descend(weighted(self.archive, found))
         yield
         idle = 0
-        while idle < _PATIENCE and not self.budget.exhausted:
+        for _ in range(rounds):
+            if idle >= _PATIENCE or self.budget.exhausted:
+                return
             before, corner = self.archive.costs, _BEYOND * self.archive.costs.max(axis=0)
             self._descend(self._boxed())
             yield

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,8 @@ from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Prob
 
 Array = np.ndarray
 
+Seeds = Callable[[float], Sequence[Path]]
+"""Paths from elsewhere to begin with, within so many seconds; they need not be good, but different."""
 ObjectiveAt = Callable[[float], BoundObjective]
 """The objective with a safety weight."""
 
@@ -23,6 +25,8 @@ _SHORTEST = 0.06
 """Share of the budget for the shortest path."""
 _SWEEP = 0.2
 """Share of the budget for one sweep over the weights."""
+_SEEDS = 0.12
+"""Share of the time for other paths to begin with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +52,7 @@ def search_front(
     budget: Budget,
     rng: np.random.Generator,
     archive: Archive,
+    seeds: Seeds | None = None,
 ) -> Iterator[str]:
     """Fill an archive until the budget ends; yields the name of the stage after every step. Every path is free."""
     search = _Search(problem, objective_at, certain, settings, budget, rng, archive)
@@ -55,20 +60,25 @@ def search_front(
     if not len(archive):
         return
     refinement = Refinement(archive, problem, objective_at(1.0), certain, budget, rng, settings.capacity)
+    if seeds is not None and archive.candidates[0].cost[1] > 0.0 and not budget.exhausted:
+        search.begin(seeds(_SEEDS * search.whole[0]))
+        yield "roadmap"
+        for _ in refinement.turn((), rounds=1):
+            yield "refine"
     for turn in range(1_000_000):
         # The sweeps go up and down in turns, each over weights that lie between those of the one before.
-        before = budget.spent, budget.elapsed
+        before = budget.spent
         shift = np.modf(turn * 0.5 * (np.sqrt(5.0) - 1.0))[0]
         weights = sweep_weights(archive.candidates[0].cost, settings.weights, float(shift))
         found: list[Candidate] = []
         for w in weights[:: -1 if turn % 2 else 1].tolist():
-            if budget.exhausted or archive.candidates[-1].cost[1] <= 0.0:
+            if budget.exhausted or archive.candidates[0].cost[1] <= 0.0:
                 return
             found += search.at(w, _SWEEP / len(weights))
             yield "sweep"
         for _ in refinement.turn(found):
             yield "refine"
-        if budget.spent == before[0]:
+        if budget.spent == before:
             return
 
 
@@ -114,6 +124,14 @@ class _Search:
             if self.budget.spent == before:
                 return
             share = _SWEEP
+
+    def begin(self, paths: Sequence[Path]) -> None:
+        """Offer paths from elsewhere."""
+        objective = self.objective_at(1.0)
+        for path in paths:
+            if _leads_there(path, self.problem) and np.all(self.certain(path.q[:-1], path.q[1:])):
+                candidate = Candidate.of(path, objective, "roadmap", 0.0)
+                self.archive.offer(dataclasses.replace(candidate, made_with=float(candidate.cost[1])))
 
     def at(self, w: float, share: float) -> list[Candidate]:
         """Let the planner work for a share of the whole budget; offer all that it finds, and return the best."""

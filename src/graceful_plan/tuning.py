@@ -38,6 +38,7 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.pose_goal import PoseGoal
 from graceful_plan.result import PlanStatus
+from graceful_plan.roadmap import Roadmap
 from graceful_plan.scene import Scene
 
 __all__ = ["Choice", "ChoiceStatus", "ParetoFront", "ParetoPoint", "Progress", "pareto"]
@@ -50,6 +51,8 @@ _JUDGING = 0.06
 """Seconds that timing and judging a point may take, at first guess."""
 _JUDGING_SHARE = 0.35
 """Share of the time limit that is kept for it at most."""
+_NODES = 800
+"""Of the roadmap that the search begins with."""
 MOST_POINTS = 1000
 
 
@@ -163,7 +166,8 @@ class _Tuner:
             return problem.kernels.edges_free(q0, q1, FINE_STEP, margin)
 
         settings = FrontSettings(planner=self.planner, capacity=max(8, self.points))
-        for stage in search_front(problem, self.at, certain, settings, self.budget, rng, self.archive):
+        seeds = self._roadmap(problem, int(rng.integers(2**31)))
+        for stage in search_front(problem, self.at, certain, settings, self.budget, rng, self.archive, seeds):
             now = Progress(time=self.budget.elapsed, stage=stage, candidates=len(self.archive))
             if callback is not None and callback(now):
                 break
@@ -179,6 +183,25 @@ class _Tuner:
         }
         status, detail = self._outcome(found)
         return ParetoFront(status=status, points=found, detail=detail, scene=self.scene.notes.name, stats=stats)
+
+    def _roadmap(self, problem: SceneProblem, seed: int) -> Callable[[float], list[Path]]:
+        """Make what builds a roadmap for these ends and takes its front: paths of many classes, none of them smooth."""
+        goals = problem.goals
+
+        def paths(seconds: float) -> list[Path]:
+            limit = seconds if np.isfinite(seconds) else None
+            roadmap = Roadmap.build(
+                self.scene,
+                objective=self.objective,
+                nodes=_NODES,
+                motions=[(problem.start, goals)],
+                seed=seed,
+                time_limit=limit,
+            )
+            front = roadmap.front(problem.start, goals, max_points=self.points)
+            return [Path(point.q) for point in front]
+
+        return paths
 
     def _outcome(self, found: tuple[ParetoPoint, ...]) -> tuple[PlanStatus, str]:
         if found:
