@@ -163,4 +163,4 @@ def begun_at(planner: Planner, path: Path) -> Planner:
 def _leads_there(path: Path, problem: Problem) -> bool:
     """Whether a path leads from the start to one of the goals."""
     away = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
-    return max(away) <= 1e-9
+    return bool(max(away) <= 1e-9)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from graceful_plan.exceptions import SettingError
 from graceful_plan.pareto_front import Choice, ParetoFront, ParetoPoint
@@ -18,7 +18,7 @@ _LABELS = 6
 
 
 def draw_front(
-    front: ParetoFront, file: str | FilePath, choice: Choice | None = None, reference: Sequence[float] | None = None
+    front: ParetoFront, file: str | FilePath, choice: Choice | None = None, reference: ArrayLike | None = None
 ) -> None:
     """Draw motion against impact.
 
