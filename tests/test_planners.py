@@ -11,9 +11,9 @@ from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners import PLANNERS, PRM, RRT, BITStar, InformedRRTStar, PRMStar, RRTStar
 from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.planner import Budget, Planner, Problem, path_total
 from graceful_plan.planners.questions import Interrupted, Questions
-from graceful_plan.planners.lazy_roadmap import LazyRoadmap
 from graceful_plan.problems import DensityObjective, FunctionProblem, analytic_problems, disc, free_space, two_media
 from graceful_plan.testing import PlannerTrial, check_planner
 

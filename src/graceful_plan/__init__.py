@@ -46,7 +46,7 @@ from graceful_plan.pose_goal import PoseGoal
 from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
-from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap
+from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
@@ -107,6 +107,7 @@ __all__ = [
     "Risk",
     "RiskMeasure",
     "Roadmap",
+    "RoadmapPlanner",
     "RobotArrays",
     "RobotDynamics",
     "Scene",
@@ -115,6 +116,7 @@ __all__ = [
     "SeveritySensitivity",
     "SeverityTable",
     "ShapeError",
+    "StaleRoadmapError",
     "StateBatch",
     "Task",
     "TracePoint",

@@ -82,7 +82,7 @@ class Digraph {
       return second >= least[size_t(node)] || (second + second_to_go[size_t(node)]) * (1 + epsilon) >= least_at_goal;
     };
     const auto offer = [&](int node, int edge, int parent, double first, double second) {
-      if (first_to_go[size_t(node)] == kFar || dominated(node, second)) return;
+      if (first + first_to_go[size_t(node)] == kFar || dominated(node, second)) return;
       labels.push_back({node, edge, parent, first, second});
       heap.push({first + first_to_go[size_t(node)], second + second_to_go[size_t(node)], int(labels.size()) - 1});
     };

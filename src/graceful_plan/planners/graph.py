@@ -18,7 +18,7 @@ Array = np.ndarray
 class GraphFront:
     """Paths none of which dominates another, by ascending first cost."""
 
-    edges: tuple[Int[Array, " step"], ...]
+    edges: tuple[Int[Array, " _"], ...]
     """Ids of the edges along each path."""
     cost: Float[Array, "path 2"]
     """Both costs of each path, added up from its start on."""
@@ -87,6 +87,33 @@ class Graph:
         if not (costs >= 0.0).all():  # NaN is caught, too
             raise SettingError("cost", float(costs[~(costs >= 0.0)][0]), "numbers of at least 0")
         return costs
+
+
+def non_dominated(cost: Float[Array, "n 2"]) -> Int[Array, " kept"]:
+    """Return which rows no other one dominates, by ascending first cost; of equal ones the first."""
+    order = np.lexsort((np.arange(len(cost)), cost[:, 1], cost[:, 0]))
+    second = cost[order, 1]
+    least_before = np.concatenate([[np.inf], np.minimum.accumulate(second)[:-1]])
+    return order[second < least_before]
+
+
+def spread_out(cost: Float[Array, "n 2"], kept: Int[Array, " kept"], most: int | None) -> Int[Array, " chosen"]:
+    """Choose at most so many points of a front: its ends, then time and again the one farthest from those chosen.
+
+    Args:
+        cost: Points.
+        kept: Which of them are the front, in its order.
+        most: How many to choose; None for all.
+    """
+    if most is None or len(kept) <= most:
+        return kept
+    points = cost[kept]
+    points = (points - points.min(axis=0)) / np.maximum(np.ptp(points, axis=0), 1e-300)
+    chosen = [0, len(kept) - 1][:most]
+    while len(chosen) < most:
+        away = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
+        chosen.append(int(np.argmax(away)))
+    return kept[np.sort(chosen)]
 
 
 def _nodes(name: str, nodes: ArrayLike, n: int) -> Int[Array, " k"]:

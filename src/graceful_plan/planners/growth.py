@@ -2,8 +2,8 @@
 
 Nodes come in batches. The first are drawn everywhere and around the straight ways between given pairs of
 configurations; every later one lies beside the best paths that the roadmap has between these pairs so far, for several
-weights, and is joined to both sides of the stretch that it replaces. So the roadmap becomes dense where good paths pass,
-as an optimiser would find out, but for all weights at once.
+weights, and is joined to both sides of the stretch that it replaces. So the roadmap becomes dense where good paths
+pass, as an optimiser would find out, but for all weights at once.
 
 References:
     Kavraki et al., "Probabilistic roadmaps for path planning in high-dimensional configuration spaces", T-RO 1996.
@@ -11,9 +11,8 @@ References:
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -26,19 +25,21 @@ from graceful_plan.planners.shortcut import Line
 
 Array = np.ndarray
 
-FIRST_SHARE = 0.2
+FIRST_SHARE = 0.3
 """Share of the nodes that is drawn before there are paths to lie beside."""
 WEIGHTS = (0.0, 0.2, 1.0, 5.0)
-"""Safety weights of the paths that nodes are drawn beside."""
-_BATCH = 64
-_CHUNK = 64  # edges that a thread prices at once
+"""Safety weights that a roadmap for all weights is grown with."""
+_BATCHES = 24
+_LEAST_BATCH = 8
 _PAIRS_AT_ONCE = 6  # whose paths a batch lies beside
 _TRIED = 4  # candidates of which the one with the least impact becomes a node
+_DRAWS = 20  # after which a space is too full for more nodes
 _AROUND = 0.7  # share of the first nodes that lie around straight ways
-_ASIDE = 0.35  # how far from a stretch, relative to its length
+_ASIDE = 0.35  # how far nodes lie from a stretch, relative to its length
+_CHORDS = 2  # one in so many stretches is bridged by a straight edge, too
 _PROBES = 32  # edges that tell whether both directions cost the same
-_DRAWS = 20
-_BLOCK = 512
+_CHUNK = 64  # edges that a thread prices at once
+_BLOCK = 512  # configurations whose nearest nodes are looked for at once
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,6 +54,7 @@ class Ground:
         impact: Impact given a failure at rest, to prefer some nodes by.
         price: What edges cost in the direction in which they are given.
         severity: By column of the prices.
+        threads: How many threads ask at once; more than 1 only for what may be asked so.
     """
 
     lower: Float[Array, " nq"]
@@ -62,6 +64,7 @@ class Ground:
     impact: Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
     price: Price
     severity: Float[Array, " column"]
+    threads: int = 1
 
 
 class Growth:
@@ -73,6 +76,7 @@ class Growth:
         neighbours: How many nearest nodes one of the first nodes is joined to; half as many for those beside paths.
         rng: Source of all random numbers.
         deadline: Reading of the clock at which to stop [s]; the batch at work is then left out.
+        weights: Safety weights of the paths that nodes are drawn beside.
     """
 
     def __init__(
@@ -82,8 +86,10 @@ class Growth:
         neighbours: int,
         rng: np.random.Generator,
         deadline: float = np.inf,
+        weights: Sequence[float] = WEIGHTS,
     ) -> None:
         self.ground, self.neighbours, self.rng, self.deadline = ground, neighbours, rng, deadline
+        self.weights = weights
         self.q, place = np.unique(pairs.reshape(-1, len(ground.lower)), axis=0, return_inverse=True)
         self.pairs = place.reshape(-1, 2)
         self._parts: list[Edges] = []
@@ -99,9 +105,10 @@ class Growth:
     def grow(self, n: int) -> None:
         """Add nodes until there are `n`, or the time is over."""
         first = int(np.ceil(FIRST_SHARE * n)) if len(self.pairs) else n
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        batch = max(_LEAST_BATCH, n // _BATCHES)
+        with ThreadPoolExecutor(self.ground.threads) as pool:
             while len(self.q) < n and time.perf_counter() < self.deadline:
-                count = min(_BATCH, n - len(self.q))
+                count = min(batch, n - len(self.q))
                 paths = self._paths() if len(self.q) >= first else []
                 q, links = self._beside(count, paths) if paths else self._anywhere(count)
                 neighbours = max(2, self.neighbours // 2) if paths else self.neighbours
@@ -155,7 +162,7 @@ class Growth:
         self._turn += len(turn)
         paths: dict[tuple[int, ...], Array] = {}
         for start, goal in self.pairs[turn].tolist():
-            for w in WEIGHTS:
+            for w in self.weights:
                 steps, _ = graph.cheapest(motion + w * impact, start, [goal])
                 if len(steps):
                     nodes = np.append(tail[steps[0]], head[steps])
@@ -173,7 +180,7 @@ class Growth:
         q, kept = self._selected(q[mixed])
         sides, q = sides[mixed[kept]][:n], q[:n]
         new = np.repeat(np.arange(len(self.q), len(self.q) + len(q)), 2)
-        return q, np.stack([sides.ravel(), new], axis=1)
+        return q, np.concatenate([np.stack([sides.ravel(), new], axis=1), sides[::_CHORDS]])
 
     def _add(
         self, q: Float[Array, "n nq"], links: Int[Array, "link 2"], neighbours: int, pool: ThreadPoolExecutor
@@ -224,6 +231,8 @@ def _beside(
 def nearest(q: Float[Array, "m nq"], nodes: Float[Array, "node nq"], k: int) -> Int[Array, "m k"]:
     """Return the k nearest nodes of each configuration, all of them if there are fewer, by ascending distance."""
     k = min(k, len(nodes))
+    if k == 0:
+        return np.zeros((len(q), 0), dtype=int)
     found = [np.zeros((0, k), dtype=int)]
     squares = np.einsum("ij,ij->i", nodes, nodes)
     for begin in range(0, len(q), _BLOCK):

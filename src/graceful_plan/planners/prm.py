@@ -19,9 +19,9 @@ import numpy as np
 from graceful_plan.array_types import Int
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.questions import Interrupted, Questions
-from graceful_plan.planners.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import MOVES, Shortcut
 from graceful_plan.planners.trivial import start_is_goal

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: End
     links = _links(q, nodes[departs], nodes[arrives], departs, arrives)
     kernels = compile_scene(exposure.scene).kernels
     free = kernels.edges_free(nodes[links[:, 0]], nodes[links[:, 1]], FINE_STEP, min(MARGIN, 0.5 * ends.clearance))
-    out = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], axis=1) for a, b in zip(first, first[1:], strict=False)]
+    out = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], axis=1) for a, b in pairwise(first.tolist())]
     tail, head = np.concatenate([links[free], *out]).astype(np.int32).T
     new = Edges(tail, head, exposure.price(nodes[tail], nodes[head]))
     return Joined(nodes, Edges.concatenated([edges, new]), int(first[0]), first[2:] - 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 
 import numpy as np
@@ -39,6 +40,7 @@ def ground_of(exposure: Exposure) -> Ground:
         impact=objective.states,
         price=exposure.price,
         severity=exposure.severity(scene),
+        threads=(os.cpu_count() or 1) if objective.kernel is not None else 1,  # costs of one's own may mind
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
 
 import numpy as np
 
@@ -15,11 +16,14 @@ from graceful_plan.ends import Ends
 from graceful_plan.exceptions import SettingError
 from graceful_plan.goals import Configuration, Goal
 from graceful_plan.planners.edge_prices import Edges
+from graceful_plan.planners.graph import non_dominated, spread_out
 from graceful_plan.planners.growth import Growth
 from graceful_plan.planners.settings import count
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
+from graceful_plan.roadmap.file import StaleRoadmapError, read, write
+from graceful_plan.roadmap.fingerprint import differences, fingerprint, scene_fingerprint
 from graceful_plan.roadmap.ground import Motion, declared_motions, find_ends, ground_of, usable_pairs
 from graceful_plan.scene import Scene
 from graceful_plan.severity import SeverityTable
@@ -89,10 +93,34 @@ class Roadmap:
         growth.grow(nodes)
         return cls(scene, chosen, growth.q, growth.edges)
 
+    def save(self, file: str | FilePath) -> None:
+        """Write it to a file, whole or not at all.
+
+        Raises:
+            SettingError: If a cost of one's own is not made of numbers, words and arrays, so that nobody could tell
+                whether it is the same when the file is read.
+            OSError: If the file cannot be written.
+        """
+        write(file, self.q, self.edges, len(self.exposure.columns), fingerprint(self.scene, self.objective))
+
+    @classmethod
+    def load(cls, file: str | FilePath, scene: Scene, *, objective: Objective | None = None) -> Roadmap:
+        """Read a roadmap that was built in this scene and for this objective; severities and weight may differ.
+
+        Raises:
+            StaleRoadmapError: If it was built in another scene or for another objective; says what differs.
+            FormatError: If the file is damaged or is none.
+            OSError: If it cannot be read at all.
+        """
+        chosen = checked_objective(objective, None, 1.0)
+        q, edges = read(file, fingerprint(scene, chosen), len(Exposure(chosen, scene).columns), len(scene.joints))
+        return cls(scene, chosen, q, edges)
+
     def query(
         self,
         start: Configuration,
         goal: Goal,
+        scene: Scene | None = None,
         *,
         w: float | None = None,
         severity: Severity | None = None,
@@ -103,15 +131,17 @@ class Roadmap:
         Args:
             start: Configuration [rad or m], or the name of a keyframe.
             goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
+            scene: Where severities are from; it may differ from the roadmap's in nothing else.
             w: Safety weight; the objective's by default.
             severity: Other severities, as for `Scene.with_severity`.
             seed: Of the random numbers of inverse kinematics.
 
         Raises:
+            StaleRoadmapError: If the scene is another one.
             GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
         """
         weight = checked_objective(self.objective, w, 1.0).w
-        severities = self._severity(severity)
+        severities = self.severity(scene, severity)
         ends = find_ends(start, goal, self.scene, np.random.default_rng(0), seed)
         if isinstance(ends, QueryResult):
             return ends
@@ -160,7 +190,7 @@ class Roadmap:
         """
         if max_points is not None:
             count("max_points", max_points)
-        severities = self._severity(severity)
+        severities = self.severity(None, severity)
         ends = find_ends(start, goal, self.scene, np.random.default_rng(0), seed)
         if isinstance(ends, QueryResult):
             return []
@@ -184,28 +214,29 @@ class Roadmap:
             self._joined[key] = join(self.q, self.edges, self.exposure, ends)
         return self._joined[key]
 
-    def _severity(self, severity: Severity | None) -> Float[Array, " column"]:
+    def severity(self, scene: Scene | None = None, severity: Severity | None = None) -> Float[Array, " column"]:
+        """Return severities by column of the exposures.
+
+        Args:
+            scene: Where they are from; the roadmap's scene by default.
+            severity: Replacements, as for `Scene.with_severity`.
+
+        Raises:
+            StaleRoadmapError: If the scene is not that of the roadmap but for severities.
+            SettingError: If there are replacements although the impact is not one of severities.
+        """
         if severity is not None and not self.exposure.by_hazard:
             raise SettingError("severity", severity, "None: the impact of this roadmap is not one of severities")
-        return self.exposure.severity(self.scene if severity is None else self.scene.with_severity(severity))
+        chosen = self.scene if scene is None else scene
+        if chosen is not self.scene:
+            self.check(chosen)
+        return self.exposure.severity(chosen if severity is None else chosen.with_severity(severity))
 
+    def check(self, scene: Scene) -> None:
+        """Refuse scenes that differ from the roadmap's in more than severities.
 
-def non_dominated(cost: Float[Array, "n 2"]) -> Array:
-    """Return which rows no other one dominates, by ascending first cost; of equal ones the first."""
-    order = np.lexsort((np.arange(len(cost)), cost[:, 1], cost[:, 0]))
-    second = cost[order, 1]
-    least_before = np.concatenate([[np.inf], np.minimum.accumulate(second)[:-1]])
-    return order[second < least_before]
-
-
-def spread_out(cost: Float[Array, "n 2"], kept: Array, most: int | None) -> Array:
-    """Choose at most so many points of a front: its ends, then time and again the one farthest from those chosen."""
-    if most is None or len(kept) <= most:
-        return kept
-    points = cost[kept]
-    points = (points - points.min(axis=0)) / np.maximum(np.ptp(points, axis=0), 1e-300)
-    chosen = [0, len(kept) - 1][:most]
-    while len(chosen) < most:
-        away = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(axis=1)
-        chosen.append(int(np.argmax(away)))
-    return kept[np.sort(chosen)]
+        Raises:
+            StaleRoadmapError: With what differs.
+        """
+        if parts := differences(scene_fingerprint(self.scene), scene_fingerprint(scene)):
+            raise StaleRoadmapError("the roadmap", parts)
