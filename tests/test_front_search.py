@@ -74,9 +74,10 @@ def catenary_front(a):
 
 
 KNOWN = {
-    # From the straight line to where all weight is on S; of the hanging chains, down to one that just keeps y >= 1.
+    # From the straight line to where all weight is on S; of hanging chains those that keep well above y = 1, beyond
+    # which there are paths that the formula does not know.
     "two_media": (two_media(), snell_front(np.linspace(1.0, 2.0, 400))),
-    "catenary": (catenary(), catenary_front(np.geomspace(0.62, 1e3, 800))),
+    "catenary": (catenary(), catenary_front(np.geomspace(1.4, 1e3, 800))),
 }
 
 
@@ -94,15 +95,19 @@ def found():
 @pytest.mark.parametrize("name", KNOWN)
 def test_fronts_that_are_known_are_found(name, found):
     exact, costs = KNOWN[name][1], found[name].costs
-    reference = 1.1 * exact.max(axis=0)
-    share = dominated_area(costs, reference) / dominated_area(exact, reference)
-    # Nothing is better than the best there is, but for the trapezoid rule, which rounds a jump of the density off.
-    assert 0.985 < share < 1.005, share
+    costs = costs[costs[:, 0] <= exact[:, 0].max()]
     assert len(costs) >= 12
+    order = np.argsort(exact[:, 0])
+    there = np.column_stack([costs[:, 0], np.interp(costs[:, 0], *exact[order].T)])
+    # Nothing is better than the best there is, but for the trapezoid rule, which rounds a jump of the density off.
+    assert np.all(costs[:, 1] > there[:, 1] - 0.01 * exact[:, 1].max())
+    reference = exact.max(axis=0) * [1.0, 1.1]
+    assert dominated_area(costs, reference) > 0.985 * dominated_area(there, reference)
+    assert np.diff(costs[:, 0]).max() < 0.2 * np.ptp(exact[:, 0]), "spread out"
 
 
 @pytest.mark.parametrize("name", KNOWN)
-@pytest.mark.parametrize("w", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("w", [0.1, 0.4, 1.0])
 def test_weights_lead_to_points_of_the_front(w, name, found):
     """Whatever a weighted sum finds lies on the front or above it, and its total on the line of that weight."""
     best = (KNOWN[name][1] @ np.array([1.0, w])).min()

@@ -47,7 +47,10 @@ _STEPS = 40
 """Steps down the gradients before that."""
 _PATIENCE = 2
 """A turn ends after so many rounds in a row that do not help."""
+_ROUNDS_ALONE = 32
+"""The same without derivatives."""
 _TURN = 3
+"""Rounds of both in a turn, at most."""
 _GAIN = 3e-4
 """Relative growth of the dominated area that is one."""
 _PROPOSALS = 8
@@ -121,7 +124,7 @@ class Refinement:
 
     def _moves(self, members: list[Aimed]) -> None:
         """Try rounds of random moves on candidates."""
-        for round_ in range(_ROUNDS):
+        for round_ in range(_ROUNDS if self.smooth else _ROUNDS_ALONE):
             if not self.budget.spend():
                 break
             for first in range(0, len(members), _CHUNK):

@@ -25,6 +25,8 @@ _SHORTEST = 0.06
 """Share of the budget for the shortest path."""
 _SWEEP = 0.2
 """Share of the budget for one sweep over the weights."""
+_ONLY = 0.5
+"""Share of the budget for the shortest path if it has no impact."""
 _SEEDS = 0.12
 """Share of the time for other paths to begin with."""
 
@@ -59,8 +61,12 @@ def search_front(
     yield from search.shortest()
     if not len(archive):
         return
+    if archive.candidates[0].cost[1] <= 0.0:  # nothing to weigh: only length is left to improve
+        search.at(0.0, _ONLY)
+        yield "shortest"
+        return
     refinement = Refinement(archive, problem, objective_at(1.0), certain, budget, rng, settings.capacity)
-    if seeds is not None and archive.candidates[0].cost[1] > 0.0 and not budget.exhausted:
+    if seeds is not None and not budget.exhausted:
         search.begin(seeds(_SEEDS * search.whole[0]))
         yield "roadmap"
         for _ in refinement.turn((), rounds=1):
