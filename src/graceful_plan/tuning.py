@@ -53,6 +53,8 @@ _JUDGING_SHARE = 0.35
 """Share of the time limit that is kept for it at most."""
 _NODES = 800
 """Of the roadmap that the search begins with."""
+_PER_NODE = 5
+"""Iterations that there have to be for each of them."""
 MOST_POINTS = 1000
 
 
@@ -193,7 +195,7 @@ class _Tuner:
             roadmap = Roadmap.build(
                 self.scene,
                 objective=self.objective,
-                nodes=_NODES,
+                nodes=int(np.clip(self.budget.remaining_iterations / _PER_NODE, 50, _NODES)),
                 motions=[(problem.start, goals)],
                 seed=seed,
                 time_limit=limit,
