@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.exceptions import CostError
 from graceful_plan.front_archive import Archive, Candidate, best_subset, scaled, widest_gaps
 from graceful_plan.front_descent import descend
@@ -269,6 +270,7 @@ def test_weights_straddle_the_one_that_counts_both_alike():
     shifted = sweep_weights(np.array([2.0, 4.0]), 7, 0.5)
     assert np.all(shifted[:-1] > weights[:-1]) and np.all(shifted[:-1] < weights[1:])
     assert not np.any(sweep_weights(np.array([2.0, 0.0]), 7))
+    assert sweep_weights(np.array([2.0, 1e-12]), 7).max() == MAX_WEIGHT
 
 
 def test_planners_with_a_beginning_get_one():

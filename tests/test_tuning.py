@@ -118,6 +118,13 @@ def test_planners_that_find_one_path_only_will_do(task):
     assert len(front) > 1, "the roadmap and the refinement do the rest"
 
 
+def test_sums_over_waypoints_do_without_a_roadmap(task):
+    paper = gp.Objective(exposure="waypoints", impact=gp.ImpactCost(model="aabb"))
+    front = gp.pareto(task.start, task.goal, task.scene, iterations=100, points=3, objective=paper)
+    assert front.status is gp.PlanStatus.SOLVED
+    assert all(point.made_by != "roadmap" for point in front.points)
+
+
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [

@@ -19,8 +19,8 @@ Array = np.ndarray
 EdgeTest = Callable[[Array, Array], Array]
 """Which straight edges between configurations [n, nq] are free for certain: bool [n]."""
 
-_SAME = 1e-6
-"""Relative difference of impact below which two candidates are the same."""
+_SAME, _SAME_MOTION = 1e-6, 1e-9
+"""Relative differences of impact and of motion that are none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,7 +117,7 @@ class Archive:
         at = bisect.bisect_right(self._motion, motion)
         if at and self.candidates[at - 1].cost[1] <= impact * (1.0 + _SAME):
             return False
-        begin = bisect.bisect_left(self._motion, motion)
+        begin = bisect.bisect_left(self._motion, motion * (1.0 - _SAME_MOTION))
         end = begin
         while end < len(self.candidates) and self.candidates[end].cost[1] >= impact:
             end += 1

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.front_archive import Archive, Candidate, EdgeTest
 from graceful_plan.front_refine import WEIGHTS, Refinement
 from graceful_plan.path import Path
@@ -100,7 +101,7 @@ def sweep_weights(shortest: Float[Array, " 2"], count: int, shift: float = 0.0) 
         return np.zeros(count)
     least, greatest = np.log(WEIGHTS)
     exponents = least + (greatest - least) * (np.arange(count) + shift) / max(count - 1, 1)
-    return float(shortest[0] / shortest[1]) * np.exp(np.minimum(exponents, greatest))
+    return np.minimum(shortest[0] / shortest[1] * np.exp(np.minimum(exponents, greatest)), MAX_WEIGHT)
 
 
 class _Search:

@@ -51,6 +51,8 @@ _JUDGING = 0.06
 """Seconds that timing and judging a point may take, at first guess."""
 _JUDGING_SHARE = 0.35
 """Share of the time limit that is kept for it at most."""
+_LATE = 3
+"""Candidates that are judged after the time limit if none has passed."""
 _NODES = 800
 """Of the roadmap that the search begins with."""
 _PER_NODE = 5
@@ -186,8 +188,10 @@ class _Tuner:
         status, detail = self._outcome(found)
         return ParetoFront(status=status, points=found, detail=detail, scene=self.scene.notes.name, stats=stats)
 
-    def _roadmap(self, problem: SceneProblem, seed: int) -> Callable[[float], list[Path]]:
+    def _roadmap(self, problem: SceneProblem, seed: int) -> Callable[[float], list[Path]] | None:
         """Make what builds a roadmap for these ends and takes its front: paths of many classes, none of them smooth."""
+        if self.objective.exposure == "waypoints":
+            return None  # edges have no price of their own
         goals = problem.goals
 
         def paths(seconds: float) -> list[Path]:
@@ -224,7 +228,7 @@ class _Tuner:
             if not waiting:
                 break
             for candidate in waiting:
-                if passed and self.budget.elapsed >= self.budget.time_limit:
+                if self.budget.elapsed >= self.budget.time_limit and (passed or self.refused >= _LATE):
                     return list(passed.values())
                 point = self._point(candidate, plain)
                 if point is None:

@@ -27,7 +27,7 @@ def found(task, front):
 def test_every_point_is_validated_with_the_same_failures(front, found):
     assert [p.motion for p in found.points] == front.costs[:, 0].tolist()
     reports = [p.report for p in found.points]
-    assert all(report is not None and report.n == 4 for report in reports)
+    assert all(report is not None and report.n >= 4 for report in reports)
     assert [job.seed for job in reports[0].jobs] == [job.seed for job in reports[1].jobs]
     assert [job.fault for job in reports[0].jobs] == [job.fault for job in reports[1].jobs]
 
