@@ -28,6 +28,7 @@ SUBJECTS = (
     "planners",
     "best_known",
     "optima",
+    "roadmap",
     "startup",
     "discretisation",
     "paper_table",

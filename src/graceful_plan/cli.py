@@ -9,6 +9,7 @@ import argparse
 import dataclasses
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path as FilePath
 from typing import Any
@@ -97,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     tune = _command(commands, "tune", _tune, "find the front of motion against impact, to choose a safety weight")
     tune.add_argument("scene", nargs="?", default="tabletop", help="bundled scene or scene file (default tabletop)")
     tune.add_argument("task", nargs="?", help="task of the scene; default: its first")
-    tune.add_argument("--points", type=int, default=24, help="most motions on the front (default 24)")
+    tune.add_argument("--points", type=int, default=30, help="most motions on the front (default 30)")
     tune.add_argument("--seconds", type=float, metavar="S", help="for the whole search (default 10)")
     tune.add_argument("--iterations", type=int, help="instead: reproducible, unlike a time limit")
     tune.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
@@ -109,6 +110,12 @@ def _parser() -> argparse.ArgumentParser:
     tune.add_argument(
         "--out", type=FilePath, default=FilePath("graceful_plan_front"), help="folder for front.html and the like"
     )
+
+    roadmap = _command(commands, "roadmap", _roadmap, "build a roadmap of a scene and write it to a file")
+    _add_scene(roadmap)
+    roadmap.add_argument("output", type=FilePath, help="file to write, such as table.npz")
+    roadmap.add_argument("--nodes", type=int, default=1500, help="size (default 1500)")
+    roadmap.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
 
     _command(commands, "scenes", _scenes, "list the bundled scenes and their tasks")
     _command(commands, "planners", _planners, "list the planners and their settings")
@@ -271,6 +278,16 @@ def _tune(args: argparse.Namespace) -> int:
     _print(args, outcome.to_document(), str(outcome))
     chosen = outcome.choice.status is gp.ChoiceStatus.MET
     return DONE if chosen and outcome.front.status is gp.PlanStatus.SOLVED else FAILED
+
+
+def _roadmap(args: argparse.Namespace) -> int:
+    started = time.perf_counter()
+    roadmap = gp.Roadmap.build(_task(args)[0], nodes=args.nodes, seed=args.seed)
+    roadmap.save(args.output)
+    found = {"nodes": len(roadmap), "edges": len(roadmap.edges), "seconds": time.perf_counter() - started}
+    text = "{nodes} nodes, {edges} directed edges in {seconds:.1f} s".format(**found)
+    _print(args, {"schema": "graceful_plan.built_roadmap", "version": 1, **found}, f"{text}\n\nwrote {args.output}")
+    return DONE
 
 
 def _scenes(args: argparse.Namespace) -> int:

@@ -34,32 +34,32 @@ from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, m
 
 Array = np.ndarray
 
-_VERTICES = 24
-"""Of a path that is refined, about."""
-_ROUNDS = 8
-"""Rounds between two looks at the front as a whole."""
 WEIGHTS = 0.02, 100.0
 """Range of weights, relative to the motion of the shortest path over its impact."""
 _WEIGHTS = 16
+"""How many of them the paths of a front descend by."""
 _ASIDE = 4.0
-"""How far the weights of neighbours are apart whose candidates begin a descent, too."""
+"""How far the weights of neighbours are apart whose paths begin a descent, too."""
 _STEPS = 40
-"""Steps down the gradients before that."""
-_PATIENCE = 2
-"""A turn ends after so many rounds in a row that do not help."""
-_ROUNDS_ALONE = 32
-"""The same without derivatives."""
+"""Steps down the gradients between two looks at the front as a whole."""
+_ROUNDS, _ROUNDS_ALONE = 8, 32
+"""Rounds of random moves between two looks, after a descent and without one."""
 _TURN = 3
-"""Rounds of both in a turn, at most."""
-_GAIN = 3e-4
-"""Relative growth of the dominated area that is one."""
+"""Looks in a turn, at most."""
+_PATIENCE, _GAIN = 2, 3e-4
+"""A turn ends after so many looks in a row at an area that has not grown so much, relatively."""
 _PROPOSALS = 8
+"""Moves of each path in a round."""
 _CHUNK = 6
 """Paths whose moves are evaluated in one batch."""
+_VERTICES = 24
+"""Of a path that moves, about."""
 _RIM = 0.1
-_EPS = 1e-9
+"""How far a box in a gap reaches beyond it, relative to its sides."""
 _BEYOND = 1.1
 """Where the boxes of both ends of a front reach to, relative to its greatest costs."""
+_EPS = 1e-9
+"""Relative growth of an area that is rounding."""
 
 
 class Refinement:

@@ -47,7 +47,7 @@ Array = np.ndarray
 
 _MARGIN = 0.002
 """Clearance to keep [m]."""
-_JUDGING = 0.06
+_JUDGING = 0.05
 """Seconds that timing and judging a point may take, at first guess."""
 _JUDGING_SHARE = 0.35
 """Share of the time limit that is kept for it at most."""
@@ -74,7 +74,7 @@ def pareto(
     goal: Goal,
     scene: Scene,
     *,
-    points: int = 24,
+    points: int = 30,
     planner: str | Planner = "anytime",
     objective: Objective | None = None,
     time_limit: float | None = None,

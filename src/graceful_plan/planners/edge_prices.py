@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from graceful_plan.array_types import Float, Int
 Array = np.ndarray
 
 _NO_INDEX = np.zeros(0, dtype=np.int32)
+_TELLING = 8  # edges with exposure that tell whether directions differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,17 @@ class EdgePrices:
 
     def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
         """S of each edge under these severities."""
-        return np.bincount(self.edge, self.exposure * severity[self.column], len(self.motion))
+        impact = np.zeros(len(self.motion))
+        if len(self.edge):
+            impact[self.edge[self.first_entries]] = np.add.reduceat(
+                self.exposure * severity.take(self.column), self.first_entries
+            )
+        return impact
+
+    @cached_property
+    def first_entries(self) -> Int[Array, " priced"]:
+        """First entry of each edge that has any."""
+        return np.flatnonzero(np.diff(self.edge, prepend=-1))
 
 
 Price = Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], EdgePrices]
@@ -90,12 +102,13 @@ class Edges:
         return cls(np.concatenate(tail, dtype=np.int32), np.concatenate(head, dtype=np.int32), prices)
 
 
-def symmetric(price: Price, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> bool:
-    """Tell by some edges whether both directions cost the same."""
+def symmetric(price: Price, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> bool | None:
+    """Tell by some edges whether both directions cost the same; None if too few have any exposure to tell."""
     there, back = price(q0, q1), price(q1, q0)
-    return (
+    same = (
         np.array_equal(there.edge, back.edge)
         and np.array_equal(there.column, back.column)
         and np.allclose(there.exposure, back.exposure, rtol=1e-9, atol=1e-12)
         and np.allclose(there.motion, back.motion, rtol=1e-9, atol=1e-12)
     )
+    return None if same and len(there.first_entries) < _TELLING else same

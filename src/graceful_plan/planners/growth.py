@@ -94,7 +94,7 @@ class Growth:
         self.pairs = place.reshape(-1, 2)
         self._parts: list[Edges] = []
         self._impact: list[Float[Array, " edge"]] = []  # of each part
-        self._both_ways: bool | None = None
+        self._both_ways: bool | None = None  # whether directions differ in price, if that is known
         self._turn = 0
 
     @property
@@ -128,7 +128,7 @@ class Growth:
             found.append(self._selected(q)[0])
             if sum(map(len, found)) >= n:
                 break
-        straight = self.pairs if self._both_ways is None else self.pairs[:0]  # from the beginning
+        straight = self.pairs[:0] if self._parts else self.pairs  # to begin with
         return np.concatenate(found)[:n], straight
 
     def _around(self, n: int) -> Float[Array, "n nq"]:
@@ -149,6 +149,8 @@ class Growth:
 
     def _paths(self) -> list[Int[Array, " node"]]:
         """Nodes along the best paths between some of the pairs."""
+        if not self._parts:
+            return []
         tail, head, motion = (
             np.concatenate([getattr(of, name) for of in parts])
             for name, parts in (
@@ -193,7 +195,8 @@ class Growth:
         links = links[links[:, 0] < links[:, 1]]
         if self._both_ways is None:
             probes = links[:_PROBES]
-            self._both_ways = not symmetric(self.ground.price, nodes[probes[:, 0]], nodes[probes[:, 1]])
+            known = symmetric(self.ground.price, nodes[probes[:, 0]], nodes[probes[:, 1]])
+            self._both_ways = None if known is None else not known
         chunks = [links[i : i + _CHUNK] for i in range(0, len(links), _CHUNK)]
         parts = [part for part in pool.map(lambda chunk: self._priced(nodes, chunk), chunks) if part is not None]
         if len(parts) < len(chunks):
@@ -209,7 +212,7 @@ class Growth:
             return None
         i, j = links[self.ground.edges_free(nodes[links[:, 0]], nodes[links[:, 1]])].T.astype(np.int32)
         there = self.ground.price(nodes[i], nodes[j])
-        back = self.ground.price(nodes[j], nodes[i]) if self._both_ways else there
+        back = there if self._both_ways is False else self.ground.price(nodes[j], nodes[i])
         return Edges(np.concatenate([i, j]), np.concatenate([j, i]), EdgePrices.concatenated([there, back]))
 
 

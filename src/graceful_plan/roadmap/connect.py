@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -21,9 +21,9 @@ from graceful_plan.roadmap.ground import MARGIN
 
 Array = np.ndarray
 
-NEAREST = 16
+NEAREST = 12
 """Nodes that an end is joined to because they are near."""
-BETWEEN = 16
+BETWEEN = 12
 """Nodes that an end is joined to because they lie between start and goal."""
 
 
@@ -31,36 +31,47 @@ BETWEEN = 16
 class Joined:
     """A roadmap with a start and goals.
 
-    | field | meaning                                                    | unit     | shape   |
-    |-------|------------------------------------------------------------|----------|---------|
-    | q     | nodes of the roadmap, then those of the start and the goals | rad or m | node nq |
-    | edges | edges of the roadmap, then those to and between the ends   |          |         |
-    | start | node that paths begin at                                   |          |         |
-    | goals | nodes that they may end at                                 |          | goal    |
+    | field | meaning                                                        | unit     | shape   |
+    |-------|----------------------------------------------------------------|----------|---------|
+    | q     | nodes of the roadmap, then those of the start and of the goals | rad or m | node nq |
+    | base  | edges of the roadmap                                           |          |         |
+    | own   | edges to and between the ends; their ids come after            |          |         |
+    | start | node that paths begin at                                       |          |         |
+    | goals | nodes that they may end at                                     |          | goal    |
     """
 
     q: Float[Array, "node nq"]
-    edges: Edges
+    base: Edges
+    own: Edges
     start: int
     goals: Int[Array, " goal"]
-    _impact: dict[bytes, Float[Array, " edge"]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def graph(self) -> Graph:
         """Nodes and edges to search in."""
-        return Graph(len(self.q), self.edges.tail, self.edges.head)
+        tail, head = (np.concatenate([getattr(edges, k) for edges in (self.base, self.own)]) for k in ("tail", "head"))
+        return Graph(len(self.q), tail, head)
 
-    def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
-        """S of each edge; kept, so that another weight alone costs nothing."""
-        key = severity.tobytes()
-        if key not in self._impact:
-            self._impact.clear()
-            self._impact[key] = self.edges.prices.impact(severity)
-        return self._impact[key]
+    def costs(
+        self, impact: Float[Array, " base_edge"], severity: Float[Array, " column"]
+    ) -> tuple[Float[Array, " edge"], Float[Array, " edge"]]:
+        """Motion and impact of each edge.
+
+        Args:
+            impact: That of the roadmap's edges, known already.
+            severity: By which that of the others is computed.
+        """
+        motion = np.concatenate([self.base.prices.motion, self.own.prices.motion])
+        return motion, np.concatenate([impact, self.own.prices.impact(severity)])
+
+    def ends_of(self, steps: Int[Array, " step"]) -> tuple[Float[Array, "step nq"], Float[Array, "step nq"]]:
+        """Return where some edges begin and end."""
+        return self.q[self.graph.tail[steps]], self.q[self.graph.head[steps]]
 
     def path(self, steps: Int[Array, " step"]) -> Path:
         """Return the path over some edges, one after the other."""
-        return Path(self.q[np.append(self.edges.tail[steps[0]], self.edges.head[steps])]).without_duplicates()
+        begin, end = self.ends_of(steps)
+        return Path(np.concatenate([begin[:1], end])).without_duplicates()
 
 
 def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: Ends) -> Joined:
@@ -82,7 +93,7 @@ def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: End
     out = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], axis=1) for a, b in pairwise(first.tolist())]
     tail, head = np.concatenate([links[free], *out]).astype(np.int32).T
     new = Edges(tail, head, exposure.price(nodes[tail], nodes[head]))
-    return Joined(nodes, Edges.concatenated([edges, new]), int(first[0]), first[2:] - 1)
+    return Joined(nodes, edges, new, int(first[0]), first[2:] - 1)
 
 
 def _links(

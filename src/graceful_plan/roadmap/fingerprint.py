@@ -45,7 +45,7 @@ def scene_fingerprint(scene: Scene) -> Fingerprint:
             "joints and limits": _hash(scene.joints, limits.position, limits.velocity),
             "carried object": _hash(_bodies(scene, data, held), *_carried(scene)),
             "surroundings": _hash(_bodies(scene, data, rest), scene.model.opt.gravity),
-            "allowed contacts": _hash(_geom_names(scene, scene.collision_pairs().ravel())),
+            "allowed contacts": _hash(_geom_names(scene, scene.collision_pairs().ravel().tolist())),
             "entities": _hash([(e.name, e.category, _geom_names(scene, e.geoms)) for e in scene.entities.values()]),
             "moving entities": _hash([_prediction(entity) for entity in scene.moving.values()]),
         }
@@ -64,6 +64,15 @@ def fingerprint(scene: Scene, objective: Objective) -> Fingerprint:
         impact = (impact.components, model, model.prior if isinstance(model, Footprint) else None)
     costs = _hash(objective.motion, impact, objective.exposure, objective.paces)
     return {**scene_fingerprint(scene), "costs": costs}
+
+
+def same_but_for_severity(first: Scene, second: Scene) -> bool:
+    """Tell quickly whether one scene comes of the other by `Scene.with_severity`; False if that is not certain."""
+    if first.model is not second.model:
+        return False
+    names = (field.name for field in fields(first.notes) if field.name not in ("severity", "overrides"))
+    pairs = ((getattr(first.notes, name), getattr(second.notes, name)) for name in names)
+    return all(a is b or a == b for a, b in pairs)
 
 
 def differences(first: Mapping[str, str], second: Mapping[str, str]) -> list[str]:

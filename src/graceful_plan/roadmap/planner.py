@@ -88,12 +88,14 @@ class RoadmapPlanner(Planner):
         start, compiled = Path(problem.start[None]), compile_scene(self.roadmap.scene)
         ends = Ends(compiled=compiled, departure=start, arrivals=goals, goal_index=tuple(range(len(goals))))
         joined = self.roadmap.joined(ends)
-        cost = joined.edges.prices.motion + objective.w * joined.impact(self.roadmap.severity(objective.scene))
+        severity = self.roadmap.severity(objective.scene)
+        motion, impact = joined.costs(self.roadmap.impact(severity), severity)
+        cost = motion + objective.w * impact
         while not out_of_time(budget):
             steps, _ = joined.graph.cheapest(cost, joined.start, joined.goals)
             if len(steps) == 0:
                 return None
-            free = problem.edges_free(joined.q[joined.edges.tail[steps]], joined.q[joined.edges.head[steps]])
+            free = problem.edges_free(*joined.ends_of(steps))
             if free.all():
                 return joined.path(steps)
             cost[steps[~free]] = np.inf

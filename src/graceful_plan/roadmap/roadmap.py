@@ -6,6 +6,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,12 @@ from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.file import StaleRoadmapError, read, write
-from graceful_plan.roadmap.fingerprint import differences, fingerprint, scene_fingerprint
+from graceful_plan.roadmap.fingerprint import (
+    differences,
+    fingerprint,
+    same_but_for_severity,
+    scene_fingerprint,
+)
 from graceful_plan.roadmap.ground import Motion, declared_motions, find_ends, ground_of, usable_pairs
 from graceful_plan.scene import Scene
 from graceful_plan.severity import SeverityTable
@@ -33,7 +39,7 @@ Severity = SeverityTable | Mapping[str, float | Mapping[str, float]]
 """Other severities, as `Scene.with_severity` takes them."""
 
 _KEPT = 8
-"""Pairs of ends whose edges to the roadmap are kept."""
+"""How many graphs of pairs of ends are kept, and how many sets of severities."""
 
 
 class Roadmap:
@@ -50,6 +56,7 @@ class Roadmap:
         self.scene, self.objective, self.q, self.edges = scene, objective, q, edges
         self.exposure = Exposure(objective, scene)
         self._joined: OrderedDict[bytes, Joined] = OrderedDict()
+        self._impact: OrderedDict[bytes, Float[Array, " edge"]] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self.q)
@@ -146,14 +153,13 @@ class Roadmap:
         if isinstance(ends, QueryResult):
             return ends
         joined = self.joined(ends[0])
-        steps, _ = joined.graph.cheapest(
-            joined.edges.prices.motion + weight * joined.impact(severities), joined.start, joined.goals
-        )
+        motion, impact = joined.costs(self.impact(severities), severities)
+        steps, _ = joined.graph.cheapest(motion + weight * impact, joined.start, joined.goals)
         if len(steps) == 0:
             return QueryResult(status=QueryStatus.NOT_CONNECTED)
         path = joined.path(steps)
         cost = self.exposure.breakdown(self.exposure.finely().price(path.q[:-1], path.q[1:]), severities, weight)
-        index = ends[1][int(np.flatnonzero(joined.goals == joined.edges.head[steps[-1]])[0])]
+        index = ends[1][int(np.flatnonzero(joined.goals == joined.graph.head[steps[-1]])[0])]
         return QueryResult(status=QueryStatus.FOUND, path=path, cost=cost, goal_index=index)
 
     def front(
@@ -195,24 +201,35 @@ class Roadmap:
         if isinstance(ends, QueryResult):
             return []
         joined = self.joined(ends[0])
-        cost = np.stack([joined.edges.prices.motion, joined.impact(severities)], axis=1)
-        found = joined.graph.front(cost, joined.start, joined.goals, epsilon)
-        steps, place = np.unique(np.concatenate([np.zeros(0, int), *found.edges]), return_inverse=True)
-        fine = self.exposure.finely().price(joined.q[joined.edges.tail[steps]], joined.q[joined.edges.head[steps]])
+        cost = joined.costs(self.impact(severities), severities)
+        found = joined.graph.front(np.stack(cost, axis=1), joined.start, joined.goals, epsilon)
+        if not found.edges:
+            return []
+        steps, place = np.unique(np.concatenate(found.edges), return_inverse=True)
+        fine = self.exposure.finely().price(*joined.ends_of(steps))
         both = np.stack([fine.motion, fine.impact(severities)], axis=1)[place]
         lengths = [len(path) for path in found.edges]
-        totals = np.array([part.sum(axis=0) for part in np.split(both, np.cumsum(lengths)[:-1])]).reshape(-1, 2)
+        totals = np.array([part.sum(axis=0) for part in np.split(both, np.cumsum(lengths)[:-1])])
         kept = spread_out(totals, non_dominated(totals), max_points)
         return [FrontPath(joined.path(found.edges[k]).q, *totals[k].tolist()) for k in kept]
 
     def joined(self, ends: Ends) -> Joined:
         """Return the graph of the roadmap and these ends; that of the last few ends is kept."""
         key = b"".join(chain.tobytes() + b"|" for chain in (ends.departure.q, *(way.q for way in ends.arrivals)))
-        if key not in self._joined:
-            while len(self._joined) >= _KEPT:
-                self._joined.popitem(last=False)
-            self._joined[key] = join(self.q, self.edges, self.exposure, ends)
-        return self._joined[key]
+        found = self._joined.get(key)
+        if found is None:
+            found = join(self.q, self.edges, self.exposure, ends)
+            _keep(self._joined, key, found)
+        return found
+
+    def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
+        """S of each edge under these severities; that of the last few is kept, as is the graph of the last few ends."""
+        key = severity.tobytes()
+        found = self._impact.get(key)
+        if found is None:
+            found = self.edges.prices.impact(severity)
+            _keep(self._impact, key, found)
+        return found
 
     def severity(self, scene: Scene | None = None, severity: Severity | None = None) -> Float[Array, " column"]:
         """Return severities by column of the exposures.
@@ -238,5 +255,14 @@ class Roadmap:
         Raises:
             StaleRoadmapError: With what differs.
         """
+        if same_but_for_severity(self.scene, scene):
+            return
         if parts := differences(scene_fingerprint(self.scene), scene_fingerprint(scene)):
             raise StaleRoadmapError("the roadmap", parts)
+
+
+def _keep(kept: OrderedDict[bytes, Any], key: bytes, value: object) -> None:
+    """Keep a value, and no more of the others than there is room for."""
+    while len(kept) >= _KEPT:
+        kept.popitem(last=False)
+    kept[key] = value
