@@ -41,6 +41,7 @@ SUBJECTS = (
     "damage_energy",
     "failure_aware_timing",
     "moving_entities",
+    "tuning",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",

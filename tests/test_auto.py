@@ -1,6 +1,7 @@
 """The default planner: its searches, what they tell each other, and paths to begin with."""
 
 import hashlib
+import itertools
 import subprocess
 import sys
 
@@ -60,7 +61,7 @@ def test_searches_share_the_budget_and_only_improve(task, workers):
     problem, objective = bound(task)
     paths, budget = solved(gp.Auto(workers=workers), problem, objective)
     totals = [path_total(objective, path) for path in paths]
-    assert all(later < earlier for earlier, later in zip(totals, totals[1:], strict=False))
+    assert all(later < earlier for earlier, later in itertools.pairwise(totals))
     assert totals[-1] < 0.8 * totals[0]
     assert ITERATIONS <= budget.spent <= ITERATIONS + workers
 

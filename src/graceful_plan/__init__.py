@@ -58,6 +58,7 @@ from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
 from graceful_plan.severity import SeverityTable
 from graceful_plan.trajectory import Trajectory
+from graceful_plan.tuning import Choice, ChoiceStatus, ParetoFront, ParetoPoint, pareto
 from graceful_plan.verify import verify
 
 __all__ = [
@@ -76,6 +77,8 @@ __all__ = [
     "CasADi",
     "Certificate",
     "Check",
+    "Choice",
+    "ChoiceStatus",
     "Contribution",
     "Cost",
     "CostBreakdown",
@@ -101,6 +104,8 @@ __all__ = [
     "OptimisationStatus",
     "OptimisedTrajectory",
     "PRMStar",
+    "ParetoFront",
+    "ParetoPoint",
     "Path",
     "PlanResult",
     "PlanStatus",
@@ -143,6 +148,7 @@ __all__ = [
     "load_problems",
     "load_scene",
     "optimise_trajectory",
+    "pareto",
     "plan",
     "retime",
     "risk",

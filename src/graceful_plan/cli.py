@@ -95,6 +95,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     impact_map.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
 
+    tune = _command(commands, "tune", _tune, "find the front of motion against impact, to choose a safety weight")
+    tune.add_argument("scene", nargs="?", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    tune.add_argument("task", nargs="?", help="task of the scene; default: its first")
+    tune.add_argument("--points", type=int, default=30, help="most motions on the front (default 30)")
+    tune.add_argument("--seconds", type=float, metavar="S", help="for the whole search (default 10)")
+    tune.add_argument("--iterations", type=int, help="instead: reproducible, unlike a time limit")
+    tune.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+    tune.add_argument("--planner", help="what minimises for single weights; see `graceful-plan planners`")
+    tune.add_argument("--speed", type=float, default=1.0, help="fraction of the velocity limits (default 1)")
+    tune.add_argument("--target-impact", type=float, metavar="S", help="choose the shortest with at most this impact")
+    tune.add_argument("--max-detour", type=float, metavar="R", help="choose among those so much longer, 0.05 is 5 %%")
+    tune.add_argument("--validate", type=int, default=0, metavar="N", help="let FailBench fail N times along each")
+    tune.add_argument(
+        "--out", type=FilePath, default=FilePath("graceful_plan_front"), help="folder for front.html and the like"
+    )
+
     roadmap = _command(commands, "roadmap", _roadmap, "build a roadmap of a scene and write it to a file")
     _add_scene(roadmap)
     roadmap.add_argument("output", type=FilePath, help="file to write, such as table.npz")
@@ -263,6 +279,34 @@ def _map(args: argparse.Namespace) -> int:
         text += f"\n\nwrote {args.output}"
     _print(args, found.to_document(), text)
     return DONE
+
+
+def _tune(args: argparse.Namespace) -> int:
+    from graceful_plan import tune_report
+
+    task = _task(args)[1]
+    if task is None:
+        raise SettingError("task", None, "a scene with a task")
+    planner = {} if args.planner is None else {"planner": args.planner}
+    with _Progress(args.json) as progress:
+        outcome = tune_report.run(
+            args.scene,
+            task,
+            args.out,
+            target_impact=args.target_impact,
+            max_detour=args.max_detour,
+            failures=args.validate,
+            callback=progress,
+            points=args.points,
+            time_limit=args.seconds,
+            iterations=args.iterations,
+            seed=args.seed,
+            speed=args.speed,
+            **planner,
+        )
+    _print(args, outcome.to_document(), str(outcome))
+    chosen = outcome.choice.status is gp.ChoiceStatus.MET
+    return DONE if chosen and outcome.front.status is gp.PlanStatus.SOLVED else FAILED
 
 
 def _roadmap(args: argparse.Namespace) -> int:
@@ -457,9 +501,13 @@ class _Progress:
         if self.shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
-    def show(self, point: gp.TracePoint) -> None:
-        """Overwrite the line with the newest improvement."""
-        text = f"{point.time:6.2f} s  total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+    def show(self, point: Any) -> None:
+        """Overwrite the line with the newest improvement, or with how far a search for a front has come."""
+        text = f"{point.time:6.2f} s  "
+        if isinstance(point, gp.TracePoint):
+            text += f"total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+        else:
+            text += f"{point.stage}, {point.candidates} candidates"
         print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
 
 
