@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +141,17 @@ def test_problems_can_be_planned(tmp_path: Path):
     (problem,) = gp.load_problems(_written(tmp_path, "robometrics"))
     result = gp.plan(problem.start, problem.goal, problem.scene, w=0.0, iterations=500)
     assert result.status is gp.PlanStatus.SOLVED
+
+
+def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    guide = Path(__file__).parents[1] / "docs" / "problem-files.md"
+    (snippet,) = re.findall(r"^```python\n(.*?)^```", guide.read_text(), flags=re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(snippet, guide.name, "exec"), {})
+    assert "problems.yaml: cannot be read" in capsys.readouterr().out
+    _write(tmp_path / "problems.yaml", {"bookshelf_small_panda": _robometrics()["shelf"]})
+    exec(compile(snippet, guide.name, "exec"), {})
+    assert capsys.readouterr().out.startswith("bookshelf_small_panda/0 ")
 
 
 @pytest.mark.parametrize(("frame", "turn"), [("panda_hand", 0.0), ("panda_link8", -np.pi / 4.0), (None, 0.0)])

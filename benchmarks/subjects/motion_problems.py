@@ -42,12 +42,12 @@ planner's path at w = 0 so long after its start. "Ratio" is that length divided 
 same problem and seed, for one problem in {LONG_EVERY}: it depends less on machine and problems than the length does.
 
 Unless `{FILE}` names a file, the problems are **our own**, made by `benchmarks/motion_problems.py` after the
-published description of MotionBenchMaker's seven kinds for the Panda. They are not its problems: sizes, targets and the choice
-among solutions of inverse kinematics differ, so lengths and times do not compare with figures published for those
-(VAMP: median 0.075 ms search, 0.19 ms simplification, length 4.90; AORRTC: 4.40 after 6 to 40 ms). The bar of a median
-length of 4.45 rad within 20 ms is for theirs, and is only measured if `{FILE}` names a file. A problem of ours was kept
-only if RRT-Connect of another seed and range solved it within 10 s, so that some share of the hardest is missing, as it
-is among theirs.
+published description of MotionBenchMaker's seven kinds for the Panda. They are not its problems: sizes, targets and the
+choice among solutions of inverse kinematics differ, so lengths and times do not compare with figures published for
+those (VAMP: median 0.075 ms search, 0.19 ms simplification, length 4.90; AORRTC: 4.40 after 6 to 40 ms). The bar of a
+median length of 4.45 rad within 20 ms is for theirs, and is only measured if `{FILE}` names a file. A problem of ours
+was kept only if RRT-Connect of another seed and range solved it within 10 s, so that some share of the hardest is
+missing, as it is among theirs.
 """
 
 
