@@ -187,7 +187,7 @@ def guide_snippets(guide: str) -> list[str]:
 
 
 GUIDES = (
-    "chomp.md", "comparing-planners.md", "faults-prior.md", "impact-models.md", "moving.md", "optimisers.md", "roadmap.md",
+    "certificate.md", "chomp.md", "comparing-planners.md", "faults-prior.md", "impact-models.md", "moving.md", "optimisers.md", "roadmap.md",
     "tuning.md",
 )  # fmt: skip
 
