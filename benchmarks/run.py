@@ -25,10 +25,13 @@ SUBJECTS = (
     "impact_speed",
     "safety",
     "first_path",
+    "motion_problems",
     "planners",
     "best_known",
+    "auto",
     "optima",
     "optimisers",
+    "roadmap",
     "startup",
     "discretisation",
     "paper_table",
@@ -40,12 +43,13 @@ SUBJECTS = (
     "damage_energy",
     "failure_aware_timing",
     "moving_entities",
+    "tuning",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "trajectory_prediction", "prevention"})
+ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 RESULTS = Path(__file__).with_name("RESULTS.md")
 

@@ -123,6 +123,12 @@ class ImpactCost(Cost):
             return None
         return self.interaction.gradient(batch, self.severity(batch.scene))
 
+    def gradients(self, batch: StateBatch) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """Derivatives with respect to q and to the joint velocities [s/rad], None if the model has none."""
+        if type(self) is not ImpactCost or batch.scene.moving:  # a subclass may compute otherwise
+            return None
+        return self.interaction.gradients(batch, self.severity(batch.scene))
+
     def widened(self, metres: float) -> ImpactCost | None:
         """Return a cost that smears hits by so much more, None if there is none; see `InteractionModel.widened`."""
         wide = self.interaction.widened(metres) if type(self) is ImpactCost else None

@@ -97,3 +97,10 @@ class InteractionModel(ABC):
         """Return the derivative of sums of P S with respect to q at constant velocity, None if the model has none."""
         del batch, severity
         return None
+
+    def gradients(
+        self, batch: StateBatch, severity: Float[Array, "component entity"]
+    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """Return the derivatives with respect to q and to the joint velocities, None if the model has none."""
+        del batch, severity
+        return None
