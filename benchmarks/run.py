@@ -38,6 +38,7 @@ SUBJECTS = (
     "prevention",
     "damage_energy",
     "failure_aware_timing",
+    "transcription",
     "moving_entities",
     "failbench_speed",
     "failbench_soak",

@@ -182,7 +182,7 @@ def guide_snippets(guide: str) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / guide).read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("guide", ["faults-prior.md", "impact-models.md", "moving.md"])
+@pytest.mark.parametrize("guide", ["casadi.md", "faults-prior.md", "impact-models.md", "moving.md"])
 def test_guides_run(guide, tmp_path, monkeypatch):
     (tmp_path / "faults.yaml").write_text("version: 1\npresets: {mine: {weak_grip: 2, dropout: 1}}\n")
     monkeypatch.chdir(tmp_path)

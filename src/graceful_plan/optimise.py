@@ -81,7 +81,7 @@ def optimise_trajectory(
     w: float = 0.0,
     impact: Cost | None = None,
     duration: float | None = None,
-    jerk: ArrayLike | None = None,
+    jerk: float | ArrayLike | None = None,
     torque: bool = True,
     margin: float = 0.002,
     intervals: int = 32,
@@ -320,7 +320,7 @@ def _checked_seconds(time_limit: float) -> float:
     return float(time_limit)
 
 
-def _checked_jerk(jerk: ArrayLike, nq: int) -> Float[Array, " nq"]:
+def _checked_jerk(jerk: float | ArrayLike, nq: int) -> Float[Array, " nq"]:
     value = finite_array("jerk", jerk)
     if value.shape not in ((), (nq,)):
         raise ShapeError("jerk", value.shape, f"() or ({nq},)")
