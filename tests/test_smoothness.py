@@ -11,9 +11,10 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.smoothness import Smoothness
 
 _SMALL = st.builds(Smoothness, st.integers(1, 40), st.sampled_from([1, 2]))
+_TETHERED = st.builds(Smoothness, st.integers(1, 40), st.sampled_from([1, 2]), st.sampled_from([0.0, 0.01, 1.0]))
 
 
-@given(metric=_SMALL)
+@given(metric=_TETHERED)
 @settings(max_examples=20, deadline=None)
 def test_matrix_is_banded_symmetric_and_its_inverse_inverts_it(metric: Smoothness) -> None:
     n = metric.n
@@ -29,9 +30,9 @@ def test_inner_rows_of_the_matrix_are_the_textbook_stencils() -> None:
     np.testing.assert_array_equal(Smoothness(7, 2).matrix[3], [0, 1, -4, 6, -4, 1, 0])
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_noise_has_the_inverse_as_covariance(order: int) -> None:
-    metric = Smoothness(8, order)
+@pytest.mark.parametrize(("order", "tether"), [(1, 0.0), (2, 0.0), (2, 0.3)])
+def test_noise_has_the_inverse_as_covariance(order: int, tether: float) -> None:
+    metric = Smoothness(8, order, tether)
     noise = metric.noise(50_000, 2, np.random.default_rng(0))
     expected = metric.inverse / metric.inverse.diagonal().max()
     for joint in range(2):
@@ -85,6 +86,23 @@ def test_points_end_up_within_the_limits_whatever_happens(
         np.testing.assert_array_equal(moved, inner)
 
 
+@given(metric=_TETHERED, seed=st.integers(0, 1000))
+@settings(max_examples=15, deadline=None)
+def test_the_smoothest_path_is_straight_with_or_without_a_tether(metric: Smoothness, seed: int) -> None:
+    start, goal = np.random.default_rng(seed).normal(size=(2, 3))
+    straight = np.linspace(start, goal, metric.n + 2)
+    np.testing.assert_allclose(metric.smoothest(start, goal), straight, atol=1e-8)
+    assert metric.cost(straight) == pytest.approx(metric.cost(metric.smoothest(start, goal)), abs=1e-12)
+
+
+def test_a_tether_keeps_bumps_within_a_stretch() -> None:
+    metric = Smoothness(99, 2, (6.7 / 25.0) ** 4)
+    bump = metric.inverse[:, 49] / metric.inverse[49, 49]
+    width = np.flatnonzero(np.diff(np.sign(bump)))
+    assert 20 <= np.min(width[width >= 49]) - np.max(width[width < 49]) <= 30
+    assert np.abs(bump[:20]).max() < 0.06
+
+
 def test_limits_bend_a_path_rather_than_cut_it() -> None:
     metric = Smoothness(50)
     s = np.linspace(0.0, np.pi, 52)[1:-1]
@@ -103,3 +121,5 @@ def test_limits_bend_a_path_rather_than_cut_it() -> None:
 def test_settings_are_checked(n: int, order: int, name: str) -> None:
     with pytest.raises(SettingError, match=name):
         Smoothness(n, order)
+    with pytest.raises(SettingError, match="tether"):
+        Smoothness(5, 2, -1.0)

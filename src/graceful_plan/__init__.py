@@ -2,6 +2,7 @@
 
 from graceful_plan._version import __version__
 from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.certificate import certify
 from graceful_plan.checks import clearance, interaction_probability
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
@@ -34,6 +35,7 @@ from graceful_plan.planners import (
     PLANNERS,
     PRM,
     RRT,
+    STOMP,
     TRRT,
     Anytime,
     BiTRRT,
@@ -46,14 +48,17 @@ from graceful_plan.planners import (
     RRTStar,
 )
 from graceful_plan.pose_goal import PoseGoal
-from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
+from graceful_plan.problem_files import ProblemFile, load_problems
+from graceful_plan.result import Certificate, Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
+from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
 from graceful_plan.severity import SeverityTable
 from graceful_plan.trajectory import Trajectory
+from graceful_plan.tuning import Choice, ChoiceStatus, ParetoFront, ParetoPoint, pareto
 from graceful_plan.verify import verify
 
 __all__ = [
@@ -61,6 +66,7 @@ __all__ = [
     "CHOMP",
     "PRM",
     "RRT",
+    "STOMP",
     "TRRT",
     "AllowedContact",
     "Anytime",
@@ -69,7 +75,10 @@ __all__ = [
     "BoxOverlap",
     "Footprint",
     "CasADi",
+    "Certificate",
     "Check",
+    "Choice",
+    "ChoiceStatus",
     "Contribution",
     "Cost",
     "CostBreakdown",
@@ -79,6 +88,7 @@ __all__ = [
     "Explanation",
     "FaultPrior",
     "FragilityTable",
+    "FrontPath",
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",
@@ -94,16 +104,23 @@ __all__ = [
     "OptimisationStatus",
     "OptimisedTrajectory",
     "PRMStar",
+    "ParetoFront",
+    "ParetoPoint",
     "Path",
     "PlanResult",
     "PlanStatus",
     "Planner",
     "PlanningFailed",
     "PoseGoal",
+    "QueryResult",
+    "QueryStatus",
+    "ProblemFile",
     "RRTConnect",
     "RRTStar",
     "Risk",
     "RiskMeasure",
+    "Roadmap",
+    "RoadmapPlanner",
     "RobotArrays",
     "RobotDynamics",
     "Scene",
@@ -112,6 +129,7 @@ __all__ = [
     "SeveritySensitivity",
     "SeverityTable",
     "ShapeError",
+    "StaleRoadmapError",
     "StateBatch",
     "Task",
     "TracePoint",
@@ -121,13 +139,16 @@ __all__ = [
     "Verdict",
     "WorldArrays",
     "__version__",
+    "certify",
     "clearance",
     "evaluate",
     "explain",
     "impact_map",
     "interaction_probability",
+    "load_problems",
     "load_scene",
     "optimise_trajectory",
+    "pareto",
     "plan",
     "retime",
     "risk",

@@ -57,7 +57,7 @@ def _pieces(q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float) -> 
     return _Pieces((1.0 - t)[:, None] * q0[edge] + t[:, None] * q1[edge], t, weight, edge, begin)
 
 
-def _sums(values: Float[Array, "points *column"], pieces: _Pieces) -> Float[Array, "n *column"]:
+def _sums(values: Float[Array, "points ..."], pieces: _Pieces) -> Float[Array, "n ..."]:
     """Sum over each edge's points."""
     return np.add.reduceat(values, pieces.begin, axis=0) if len(pieces.begin) else values[:0]
 

@@ -49,6 +49,7 @@ _IDLE = 4
 _FIRMER = 5.0
 """Factor on the weight of obstacles if a path has settled in one."""
 _FIRMINGS = 3
+"""How often."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +77,7 @@ class CHOMP(Optimiser):
     edges: int = 48
     method: str = "lbfgs"
     memory: int = 8
-    widths: tuple[float, ...] = (0.3, 0.15, 0.07, 0.03)
+    widths: tuple[float, ...] = (0.2, 0.06)
     stage_iterations: int = 12
     obstacle_weight: float = 500.0
     obstacle_reach: float = 0.01
@@ -92,6 +93,8 @@ class CHOMP(Optimiser):
             positive(name, getattr(self, name))
         if self.method not in METHODS:
             raise SettingError("method", self.method, f"one of {', '.join(map(repr, METHODS))}")
+        if not isinstance(self.widths, tuple):
+            raise SettingError("widths", self.widths, "several widths [m]: (0.2, 0.06)")
         for width in self.widths:
             positive("widths", width)
 
@@ -110,7 +113,7 @@ class CHOMP(Optimiser):
 
 
 class _Work:
-    """What the descents of one path share."""
+    """What the descents of one path share: the best free path, the metric, and the objectives of the stages."""
 
     def __init__(
         self, settings: CHOMP, path: Path, problem: Problem, objective: BoundObjective, budget: Budget
@@ -138,7 +141,8 @@ class _Work:
             for descent in self._steps(q, slopes, self._potential(), self.settings.stage_iterations):
                 q = descent.at.q
             yield from self.kept.approach(q, self.slopes.path_cost(Path(q)))
-        for firmings in range(_FIRMINGS + 1):
+        known = self.slopes.clearance_slopes(q[:1]) is not None
+        for firmings in range(_FIRMINGS + 1 if known else 1):
             before, total = self.kept.total, np.inf
             for descent in self._steps(q, self.slopes, self._potential(_FIRMER**firmings), None):
                 q, total = descent.at.q, descent.at.total
@@ -148,22 +152,22 @@ class _Work:
                 return
 
     def _potential(self, factor: float = 1.0) -> ObstaclePotential:
-        its = self.settings
+        chosen = self.settings
         return ObstaclePotential(
-            weight=factor * its.obstacle_weight, reach=its.obstacle_reach, step=its.obstacle_step
+            weight=factor * chosen.obstacle_weight, reach=chosen.obstacle_reach, step=chosen.obstacle_step
         )
 
     def _steps(
         self, q: Float[Array, "point nq"], slopes: Slopes, potential: ObstaclePotential, most: int | None
     ) -> Iterator[Descent]:
         """Yield after every step, until the path has settled or the iterations of the stage are over."""
-        its, idle, spent = self.settings, 0, 1
+        chosen, idle, spent = self.settings, 0, 1
         if not self.budget.spend():
             return
         energy = PathEnergy(slopes, potential)
         limits = self.problem.lower, self.problem.upper
-        memory = its.memory if its.method == "lbfgs" else 0
-        descent = Descent(energy, self.metric, limits, memory, its.longest_step)
+        memory = chosen.memory if chosen.method == "lbfgs" else 0
+        descent = Descent(energy, self.metric, limits, memory, chosen.longest_step)
         descent.begin(energy(q))
         yield descent
         while idle < _IDLE and (most is None or spent < most) and self.budget.spend():

@@ -13,7 +13,7 @@ from graceful_plan.planners.questions import Questions, checked_costs
 
 Array = np.ndarray
 
-DIFFERENCE = 0.005
+DIFFERENCE = 0.02
 """How far ends of edges are moved for central differences [rad].
 
 Wide, since it is meant for costs that are noisy on a small scale: a jump of the impact shows only in differences about

@@ -5,7 +5,7 @@ a potential that keeps away from obstacles. Instead of their sum, the energy
 
 .. math:: U = \frac n2 \sum_i c_i^2 = \frac12 \Big(\sum_i c_i\Big)^2 + \frac{n^2}{2} \mathrm{Var}(c_i)
 
-is minimised, as for geodesics: its least paths are those of the least sum, with vertices spread so that every edge costs
+is minimised, as for geodesics: its least paths are those of the least sum, with vertices spread so that all edges cost
 the same. The sum alone does not change when vertices slide along the path, and a descent would let them drift. In free
 space without impact, U is CHOMP's own smoothness term, half the integral of the squared velocity.
 
