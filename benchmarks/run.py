@@ -42,6 +42,7 @@ SUBJECTS = (
     "prevention",
     "damage_energy",
     "failure_aware_timing",
+    "transcription",
     "moving_entities",
     "tuning",
     "failbench_speed",

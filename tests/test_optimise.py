@@ -88,7 +88,7 @@ def test_more_time_takes_less_effort(scene: Scene, first: Trajectory, objective:
 
 
 def test_exposure_falls(scene: Scene, first: Trajectory) -> None:
-    result = optimise_trajectory(first, scene, w=3.0, intervals=_PIECES, iterations=40)
+    result = optimise_trajectory(first, scene, w=3.0, intervals=_PIECES, iterations=25)
     assert result.status in _BETTER
     assert result.trajectory is not None
     objective = gp.Objective(exposure="time")
@@ -102,7 +102,7 @@ def test_torque_limits_hold_with_a_payload(scene: Scene, first: Trajectory) -> N
     needed, rest = np.abs(_torques(first, scene)).max(axis=0), np.zeros(7)
     dynamics = RobotDynamics(scene)
     held = np.max([np.abs(dynamics(q, rest, rest)) for q in first.q], axis=0)
-    weak = _with_limits(scene, torque=np.maximum(0.75 * needed, 1.3 * held + 0.5))
+    weak = _with_limits(scene, torque=np.maximum(0.6 * needed, 1.15 * held + 0.3))
     assert np.any(needed > weak.limits.torque)
     result = optimise_trajectory(first, weak, intervals=_PIECES)
     assert result.status in _BETTER
@@ -111,7 +111,7 @@ def test_torque_limits_hold_with_a_payload(scene: Scene, first: Trajectory) -> N
     assert np.all(np.abs(_torques(result.trajectory, weak)) <= weak.limits.torque * (1.0 + 1e-6))
     ignored = optimise_trajectory(first, weak, torque=False, intervals=_PIECES)
     assert ignored.trajectory is not None
-    assert ignored.trajectory.duration < result.trajectory.duration
+    assert ignored.trajectory.duration < 0.95 * result.trajectory.duration
 
 
 def test_torque_that_cannot_hold_the_arm_is_named(scene: Scene, first: Trajectory) -> None:
@@ -146,18 +146,14 @@ def test_a_goal_outside_of_the_limits_is_named(scene: Scene, first: Trajectory) 
     assert result.violated[0].bound == scene.limits.position[3, 1]
 
 
-def test_a_path_through_an_obstacle_that_cannot_be_left_is_named(scene: Scene, first: Trajectory) -> None:
-    middle = scene.data_at(first.q[len(first) // 2]).site(scene.tool).xpos
-    walled = scene.add_box("wall", [0.01, 2.0, 2.0], [float(middle[0]), 0.0, float(middle[2])])
-    blocked = scene.add_box("wall", [2.0, 0.01, 2.0], [0.0, float(middle[1]), 0.0])
-    results = [optimise_trajectory(first, s, intervals=8, iterations=15) for s in (walled, blocked)]
-    assert any(result.status is OptimisationStatus.INFEASIBLE for result in results)
-    for result in results:
-        if result.status is OptimisationStatus.INFEASIBLE:
-            assert result.trajectory is None
-            assert result.violated
-        else:
-            assert result.verdict.passed
+def test_a_collision_that_cannot_be_left_is_named(scene: Scene, first: Trajectory) -> None:
+    """A post through the gripper where the motion ends: no path in between is of any help."""
+    hand = scene.data_at(first.q[-1]).site(scene.tool).xpos
+    blocked = scene.add_sphere("post", 0.05, [float(x) for x in hand])
+    result = optimise_trajectory(first, blocked, intervals=6, iterations=10)
+    assert (result.status, result.trajectory) == (OptimisationStatus.INFEASIBLE, None)
+    assert "clearance" in [violation.limit for violation in result.violated]
+    assert not result.verdict.passed
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.3, 0.8])
@@ -172,7 +168,7 @@ def test_an_interrupted_solve_returns_what_it_has(scene: Scene, first: Trajector
 
 
 def test_iterations_make_it_reproducible(scene: Scene, first: Trajectory) -> None:
-    a, b = (optimise_trajectory(first, scene, w=1.0, intervals=8, iterations=12, time_limit=np.inf) for _ in range(2))
+    a, b = (optimise_trajectory(first, scene, w=1.0, intervals=8, iterations=8, time_limit=np.inf) for _ in range(2))
     assert a.trajectory is not None
     assert b.trajectory is not None
     assert a.trajectory.to_json() == b.trajectory.to_json()

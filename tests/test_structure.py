@@ -24,10 +24,8 @@ HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
-    {"kernels", "compile"},
-    {"costs", "checks", "symbolic", "explain", "impact_map", "risk", "harm_law", "sensitivity"},
     {"kernels", "compile", "certified_clearance"},
-    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity", "certificate"},
+    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity", "certificate", "symbolic"},
     {"planners"},
     {
         "plan",
@@ -187,7 +185,7 @@ def guide_snippets(guide: str) -> list[str]:
 
 
 GUIDES = (
-    "certificate.md", "chomp.md", "comparing-planners.md", "faults-prior.md", "impact-models.md",
+    "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md", "faults-prior.md", "impact-models.md",
     "moving.md", "optimisers.md", "roadmap.md", "tuning.md",
 )  # fmt: skip
 

@@ -106,9 +106,9 @@ class ControlResult:
     cost: float
     defect: float
 
-    def control(self, t: ArrayLike) -> Float[Array, "*time control"]:
+    def control(self, t: float | ArrayLike) -> Float[Array, "*time control"]:
         """Control at times [s]: the parabola through both nodes and the middle of each piece."""
-        times = np.clip(finite_array("t", t), self.t[0], self.t[-1])
+        times = np.clip(finite_array("t", np.asarray(t)), self.t[0], self.t[-1])
         i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
         s = ((times - self.t[i]) / (self.t[i + 1] - self.t[i]))[..., None]
         first, middle, last = self.u[i], self.middle[i], self.u[i + 1]

@@ -15,6 +15,8 @@ from graceful_plan.symbolic import SymbolicRobot
 Array = np.ndarray
 
 _POSITION, _VELOCITY, _ACCELERATION, _JERK = range(4)
+_TORQUE_RESERVE = 0.005
+"""Share of the torque limits; a slower motion does not mend what already standing still takes."""
 _CLEARANCE_UNIT = 0.05
 """Clearance [m] that counts as one in its rows, so that all rows are of O(1)."""
 
@@ -83,15 +85,15 @@ def _piece_rows(name: str, layout: Layout, u: Float[Array, " n"], order: int, li
 
 
 def torque_rows(samples: Samples, robot: SymbolicRobot, limit: Float[Array, " nq"]) -> SampleRows:
-    """Torques over their limits."""
+    """Torques over their limits, with a small reserve for what lies between samples."""
 
     def bounded(states: Float[Array, "order n nq"]) -> tuple[Array, Array]:
         torque, slopes = robot.torques_with_slopes(*states)
         n, nq = torque.shape
         return torque / limit, (slopes / limit[:, None]).reshape(n, nq, 3, nq)
 
-    one = np.ones((len(samples), len(limit)))
-    return SampleRows("torque", samples, bounded, -one, one)
+    most = np.full((len(samples), len(limit)), 1.0 - _TORQUE_RESERVE)
+    return SampleRows("torque", samples, bounded, -most, most)
 
 
 def clearance_rows(samples: Samples, kernels: Kernels, least: Float[Array, " n"]) -> SampleRows:

@@ -41,7 +41,10 @@ _STRETCH = 1.5
 """How much longer than the motion to begin with one may take if time is not what is minimised."""
 _ATTEMPTS = 3
 """Solves, each with more clearance than the one before if the judge found a collision between samples."""
+_RESERVE = 0.2
+"""Seconds kept for the judge, at most a third of the time limit."""
 _REST = 1e-6
+"""Greatest speed of a joint at rest [rad/s or m/s]."""
 
 
 class OptimisationStatus(Enum):
@@ -81,7 +84,7 @@ def optimise_trajectory(
     w: float = 0.0,
     impact: Cost | None = None,
     duration: float | None = None,
-    jerk: ArrayLike | None = None,
+    jerk: float | ArrayLike | None = None,
     torque: bool = True,
     margin: float = 0.002,
     intervals: int = 32,
@@ -116,7 +119,8 @@ def optimise_trajectory(
     Raises:
         GracefulPlanError: For misuse: wrong shapes, unknown objectives, settings outside of their range.
     """
-    budget = Budget(_checked_seconds(time_limit), cancelled=cancelled or (lambda: False))
+    seconds = _checked_seconds(time_limit)
+    budget = Budget(seconds - min(_RESERVE, seconds / 3.0), cancelled=cancelled or (lambda: False))
     nq = len(scene.joints)
     if initial.q.shape[1] != nq:
         raise ShapeError("initial", initial.q.shape, f"(n, {nq})")
@@ -320,8 +324,8 @@ def _checked_seconds(time_limit: float) -> float:
     return float(time_limit)
 
 
-def _checked_jerk(jerk: ArrayLike, nq: int) -> Float[Array, " nq"]:
-    value = finite_array("jerk", jerk)
+def _checked_jerk(jerk: float | ArrayLike, nq: int) -> Float[Array, " nq"]:
+    value = finite_array("jerk", np.asarray(jerk))
     if value.shape not in ((), (nq,)):
         raise ShapeError("jerk", value.shape, f"() or ({nq},)")
     if not np.all(value > 0.0):

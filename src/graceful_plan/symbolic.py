@@ -30,6 +30,9 @@ Array = np.ndarray
 Expression = Any
 """A CasADi SX; CasADi comes without types and is imported on demand."""
 
+_KEPT = 8
+"""Batched functions that are kept, by their number of states."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkInertia:
@@ -76,6 +79,7 @@ class SymbolicRobot:
         self.spring = model.qpos_spring[model.jnt_qposadr[joints]].copy()
         self.compensates = ~model.jnt_actgravcomp[joints].astype(bool)
         """Whether gravity compensation takes load off a joint; otherwise the joint's own actuator does it."""
+        self._maps: dict[tuple[str, int], Any] = {}
 
     @cached_property
     def link_poses(self) -> Any:
@@ -129,7 +133,7 @@ class SymbolicRobot:
     def torques(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Float[Array, "n nq"]:
         """Joint torques [N m or N] of many states and accelerations in one call."""
         states = self._states(q, qd, qdd)
-        return np.array(self.inverse_dynamics.map(len(states[0]))(*(x.T for x in states))).T
+        return np.array(self._mapped("inverse_dynamics", len(states[0]))(*(x.T for x in states))).T
 
     def torques_with_slopes(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
@@ -137,8 +141,16 @@ class SymbolicRobot:
         """Torques of many states, and their derivatives with respect to q, qd and qdd side by side."""
         states = self._states(q, qd, qdd)
         n = len(states[0])
-        torque, slope = self.torque_derivatives.map(n)(*(x.T for x in states))
+        torque, slope = self._mapped("torque_derivatives", n)(*(x.T for x in states))
         return np.array(torque).T, np.array(slope).reshape(self.nq, n, 3 * self.nq).transpose(1, 0, 2)
+
+    def _mapped(self, name: str, n: int) -> Any:
+        """Return a function of one state for `n` of them; a solve asks again and again for the same number."""
+        if (name, n) not in self._maps:
+            if len(self._maps) >= _KEPT:
+                self._maps.pop(next(iter(self._maps)))
+            self._maps[name, n] = getattr(self, name).map(n)
+        return self._maps[name, n]
 
     def _states(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> list[Float[Array, "n nq"]]:
         states = [finite_array(n, x, ndim=2, last=self.nq) for n, x in (("q", q), ("qd", qd), ("qdd", qdd))]

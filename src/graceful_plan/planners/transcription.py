@@ -100,14 +100,16 @@ class CasADi(Optimiser):
 
     def _solves(self, work: _Work, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
         """Solve from the path, on from there for as long as that is worthwhile, then from bent ones."""
-        bend, stages = _JITTER, True
+        bend, stages = _JITTER, bool(work.stages)
         while not budget.exhausted:
             before = work.kept.total
             yield from work.solve(work.bent(bend, rng), stages)
-            stages = not work.kept.total < before * (1.0 - _WORTH)
-            if stages and self.bend is None:
+            if stages or work.kept.total < before * (1.0 - _WORTH):
+                bend, stages = _JITTER, False
+            elif self.bend is None:
                 return
-            bend = self.bend if stages and self.bend is not None else 0.0
+            else:
+                bend, stages = self.bend, bool(work.stages)
 
 
 class _Work:
@@ -139,6 +141,7 @@ class _Work:
         with suppress(Interrupted):
             for stage in self.stages if stages else ():
                 q = self._minimised(q, stage, self.settings.stage_iterations, last=False)
+                self.found += self.kept.approach(q, self.slopes.path_cost(Path(q)))
             q = self._minimised(q, self.objective, self.settings.solve_iterations, last=True)
             self.found += self.kept.approach(q, self.slopes.path_cost(Path(q)))
         if self.found:
