@@ -217,6 +217,26 @@ def test_the_nearest_of_several_goals_is_taken(task, roadmap):
     assert result.goal_index == 1
 
 
+def test_a_pose_is_a_goal(task, roadmap):
+    site = task.scene.data_at(roadmap.q[-1]).site(task.scene.tool)
+    X_WT = np.eye(4)
+    X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
+    result = roadmap.query(task.start, gp.PoseGoal(X_WT))
+    assert result.status is gp.QueryStatus.FOUND
+    reached = task.scene.data_at(result.path.q[-1]).site(task.scene.tool).xpos
+    np.testing.assert_allclose(reached, site.xpos, atol=2e-3)
+
+
+@pytest.mark.parametrize("motions", [[], "start to start", "from a collision"])
+def test_motions_that_cannot_be_used_are_skipped(task, motions):
+    if isinstance(motions, str):
+        blocked = task.scene.limits.position[:, 1]
+        motions = [(task.start, task.start) if "start to" in motions else (blocked, task.goal)]
+    roadmap = gp.Roadmap.build(task.scene, motions=motions, nodes=40)
+    assert len(roadmap) == 40
+    assert roadmap.query(task.start, task.goal).status is gp.QueryStatus.FOUND
+
+
 def test_any_two_configurations_can_be_asked_for(roadmap):
     rng = np.random.default_rng(5)
     pairs = roadmap.q[rng.integers(len(roadmap), size=(12, 2))]
@@ -351,8 +371,23 @@ def test_entities_that_move_count(task, exposure):
     expected = gp.evaluate(result.path, scene, objective)
     assert expected.impact_by_entity["walker"] > 0.0
     assert result.cost.impact_by_entity == pytest.approx(expected.impact_by_entity)
+    other = scene.with_moving(gp.MovingEntity("walker", "adult", size=[0.3, 0.5], t=[0.0], position=[place]))
     with pytest.raises(gp.StaleRoadmapError, match="moving entities"):
-        roadmap.query(task.start, task.goal, task.scene)
+        roadmap.query(task.start, task.goal, other)
+
+
+def test_without_those_who_move_they_do_not_count(task):
+    place = task.scene.data_at(0.5 * (task.start + task.goal[0])).site(task.scene.tool).xpos
+    walker = gp.MovingEntity("walker", "adult", size=[0.3, 0.3], t=[0.0], position=[place - [0.0, 0.0, 0.4]])
+    scene = task.scene.with_moving(walker)
+    roadmap = gp.Roadmap.build(scene, nodes=60)
+    result = roadmap.query(task.start, task.goal, task.scene)
+    assert result.cost.impact_by_entity["walker"] == 0.0
+    assert result.cost.impact == pytest.approx(gp.evaluate(result.path, task.scene).impact)
+    with pytest.raises(gp.StaleRoadmapError, match="moving entities"):
+        gp.Roadmap.build(task.scene, nodes=10).query(task.start, task.goal, scene)
+    planned = gp.plan(task.start, task.goal, scene, planner=gp.RoadmapPlanner(roadmap=roadmap), iterations=20)
+    assert planned.status is gp.PlanStatus.SOLVED
 
 
 def test_nothing_carried_means_no_impact(task):

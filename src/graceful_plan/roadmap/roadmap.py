@@ -25,6 +25,7 @@ from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.file import StaleRoadmapError, read, write
 from graceful_plan.roadmap.fingerprint import (
+    MOVING,
     differences,
     fingerprint,
     same_but_for_severity,
@@ -78,11 +79,11 @@ class Roadmap:
         Args:
             scene: The scene, with what is carried attached.
             objective: Motion and impact; the default `Objective()` if None.
-            nodes: How many nodes.
+            nodes: How many nodes; at least the ends of the motions that it is made for.
             neighbours: How many nearest nodes the first nodes are joined to; the other ones to half as many.
             motions: Starts and goals, as `plan` takes them, that the roadmap is made for: it is dense where good paths
-                between them pass, and serves others, too. Default: the scene's tasks with what is held; without any,
-                the ways between all keyframes.
+                between them pass, and serves others, too. Those that cannot be used are skipped. Default: the scene's
+                tasks with what is held; without any, the ways between all keyframes.
             seed: Of all random numbers; without a time limit, nothing else decides what comes out.
             time_limit: Seconds after which the roadmap stays as it is; it may have fewer nodes then.
 
@@ -138,7 +139,8 @@ class Roadmap:
         Args:
             start: Configuration [rad or m], or the name of a keyframe.
             goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
-            scene: Where severities are from; it may differ from the roadmap's in nothing else.
+            scene: Where severities are from. It may differ from the roadmap's in nothing else, except that entities
+                that move in the one may be missing in the other.
             w: Safety weight; the objective's by default.
             severity: Other severities, as for `Scene.with_severity`.
             seed: Of the random numbers of inverse kinematics.
@@ -250,14 +252,15 @@ class Roadmap:
         return self.exposure.severity(chosen if severity is None else chosen.with_severity(severity))
 
     def check(self, scene: Scene) -> None:
-        """Refuse scenes that differ from the roadmap's in more than severities.
+        """Refuse scenes that differ from the roadmap's in more than severities, or in that nobody moves in them.
 
         Raises:
             StaleRoadmapError: With what differs.
         """
         if same_but_for_severity(self.scene, scene):
             return
-        if parts := differences(scene_fingerprint(self.scene), scene_fingerprint(scene)):
+        parts = differences(scene_fingerprint(self.scene), scene_fingerprint(scene))
+        if parts and not (parts == [MOVING] and not scene.moving):
             raise StaleRoadmapError("the roadmap", parts)
 
 
