@@ -88,6 +88,7 @@ def test_nodes_and_edges_are_free(task, roadmap):
 def test_every_edge_is_there_in_both_directions_and_once(roadmap):
     there = list(zip(roadmap.edges.tail.tolist(), roadmap.edges.head.tolist(), strict=True))
     assert len(there) > 4 * NODES
+    assert len(set(there)) == len(there)
     assert sorted(there) == sorted((b, a) for a, b in there)
 
 
@@ -409,6 +410,12 @@ def test_a_plan_with_a_roadmap_is_verified_and_no_worse(task, roadmap, answer):
     assert better.status is gp.PlanStatus.SOLVED and better.verdict.passed
     assert better.cost.total < plain.cost.total
     assert better.trace[0].total == pytest.approx(plain.cost.total, rel=1e-3)  # integrated by the kernel
+
+
+def test_a_plan_without_budget_ends_at_once(task, roadmap):
+    planner = gp.RoadmapPlanner(roadmap=roadmap)
+    for budget in ({"iterations": 0}, {"time_limit": 0.0}):
+        assert gp.plan(task.start, task.goal, task.scene, planner=planner, **budget).status is gp.PlanStatus.TIMEOUT
 
 
 def test_a_planner_refuses_what_its_roadmap_is_not_for(task, roadmap):

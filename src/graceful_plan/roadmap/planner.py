@@ -29,7 +29,7 @@ class RoadmapPlanner(Planner):
     """Takes the cheapest path of a roadmap and improves it until the budget ends.
 
     For `plan`, which times and verifies what comes out. It finds nothing where the roadmap is not connected. One
-    iteration is one round of shortcuts, or one of the optimiser.
+    iteration is the search in the roadmap, then each round of shortcuts, or what the optimiser says.
 
     Args:
         roadmap: Built in the scene of the plan; severities may differ.
@@ -60,6 +60,8 @@ class RoadmapPlanner(Planner):
         if not (isinstance(problem, SceneProblem) and isinstance(objective, SceneObjective)):
             raise SettingError("problem", problem, "one of a scene, as `plan` makes it")
         self._check(objective)
+        if not budget.spend():
+            return
         if start_is_goal(problem):
             yield Path(problem.start[None])
             return
