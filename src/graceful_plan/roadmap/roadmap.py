@@ -56,7 +56,7 @@ class Roadmap:
     def __init__(self, scene: Scene, objective: Objective, q: Float[Array, "node nq"], edges: Edges) -> None:
         self.scene, self.objective, self.q, self.edges = scene, objective, q, edges
         self.exposure = Exposure(objective, scene)
-        self._joined: OrderedDict[bytes, Joined] = OrderedDict()
+        self._joined: OrderedDict[tuple[bytes, ...], Joined] = OrderedDict()
         self._impact: OrderedDict[bytes, Float[Array, " edge"]] = OrderedDict()
 
     def __len__(self) -> int:
@@ -217,7 +217,7 @@ class Roadmap:
 
     def joined(self, ends: Ends) -> Joined:
         """Return the graph of the roadmap and these ends; that of the last few ends is kept."""
-        key = b"".join(chain.tobytes() + b"|" for chain in (ends.departure.q, *(way.q for way in ends.arrivals)))
+        key = (ends.departure.q.tobytes(), *(arrival.q.tobytes() for arrival in ends.arrivals))
         found = self._joined.get(key)
         if found is None:
             found = join(self.q, self.edges, self.exposure, ends)
@@ -264,7 +264,7 @@ class Roadmap:
             raise StaleRoadmapError("the roadmap", parts)
 
 
-def _keep(kept: OrderedDict[bytes, Any], key: bytes, value: object) -> None:
+def _keep(kept: OrderedDict[Any, Any], key: object, value: object) -> None:
     """Keep a value, and no more of the others than there is room for."""
     while len(kept) >= _KEPT:
         kept.popitem(last=False)
