@@ -61,8 +61,9 @@ class EdgePrices:
         """S of each edge under these severities."""
         impact = np.zeros(len(self.motion))
         if len(self.edge):
-            first = self.first_entries
-            impact[self.edge[first]] = np.add.reduceat(self.exposure * severity.take(self.column), first)
+            impact[self.edge[self.first_entries]] = np.add.reduceat(
+                self.exposure * severity.take(self.column), self.first_entries
+            )
         return impact
 
     @cached_property
