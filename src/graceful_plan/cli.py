@@ -58,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--start", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     plan.add_argument("--w", type=float, default=1.0, help="safety weight; 0 is an ordinary planner (default 1)")
-    plan.add_argument("--planner", default="anytime", help="see `graceful-plan planners`")
+    plan.add_argument("--planner", default="auto", help="see `graceful-plan planners`")
     plan.add_argument("--output", type=FilePath, metavar="FILE", help="write the trajectory to FILE.json or FILE.csv")
     _add_budget(plan)
 
@@ -95,12 +95,29 @@ def _parser() -> argparse.ArgumentParser:
     )
     impact_map.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
 
+    tune = _command(commands, "tune", _tune, "find the front of motion against impact, to choose a safety weight")
+    tune.add_argument("scene", nargs="?", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    tune.add_argument("task", nargs="?", help="task of the scene; default: its first")
+    tune.add_argument("--points", type=int, default=30, help="most motions on the front (default 30)")
+    tune.add_argument("--seconds", type=float, metavar="S", help="for the whole search (default 10)")
+    tune.add_argument("--iterations", type=int, help="instead: reproducible, unlike a time limit")
+    tune.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+    tune.add_argument("--planner", help="what minimises for single weights; see `graceful-plan planners`")
+    tune.add_argument("--speed", type=float, default=1.0, help="fraction of the velocity limits (default 1)")
+    tune.add_argument("--target-impact", type=float, metavar="S", help="choose the shortest with at most this impact")
+    tune.add_argument("--max-detour", type=float, metavar="R", help="choose among those so much longer, 0.05 is 5 %%")
+    tune.add_argument("--validate", type=int, default=0, metavar="N", help="let FailBench fail N times along each")
+    tune.add_argument(
+        "--out", type=FilePath, default=FilePath("graceful_plan_front"), help="folder for front.html and the like"
+    )
+
     roadmap = _command(commands, "roadmap", _roadmap, "build a roadmap of a scene and write it to a file")
     _add_scene(roadmap)
     roadmap.add_argument("output", type=FilePath, help="file to write, such as table.npz")
     roadmap.add_argument("--nodes", type=int, default=1500, help="size (default 1500)")
     roadmap.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
 
+    _add_bench(commands)
     _command(commands, "scenes", _scenes, "list the bundled scenes and their tasks")
     _command(commands, "planners", _planners, "list the planners and their settings")
     _command(commands, "doctor", _doctor, "versions, instruction set in use, self-test")
@@ -112,6 +129,34 @@ def _command(commands: Any, name: str, run: Callable[[argparse.Namespace], int],
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     parser.set_defaults(run=run)
     return parser
+
+
+def _add_bench(commands: Any) -> None:
+    bench = _command(commands, "bench", _bench, "compare planners on a suite of problems, at equal time")
+    bench.add_argument("--suite", default="quick", help="bundled suite, suite file, problem file or folder of those")
+    bench.add_argument(
+        "--planners", nargs="+", metavar="P", help="name, or name:setting=value,...; the first is the reference"
+    )
+    bench.add_argument(
+        "--planner-file",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="Python file that defines planners of your own; IT IS RUN, so name only files that you trust",
+    )
+    bench.add_argument("--seeds", metavar="N|S,S", help="number of seeds, or seeds with commas (default: the suite's)")
+    bench.add_argument("--seconds", type=float, metavar="S", help="time limit of every call (default: the suite's)")
+    bench.add_argument("--w", type=float, help="safety weight (default: the suite's)")
+    bench.add_argument(
+        "--out",
+        type=FilePath,
+        default=FilePath("graceful_plan_bench"),
+        help="folder; a comparison that was interrupted there goes on (default graceful_plan_bench)",
+    )
+    bench.add_argument("--processes", type=int, default=1, help="runs at a time (default 1)")
+    bench.add_argument("--known", type=FilePath, metavar="FILE", help="best_known.yaml of another comparison")
+    bench.add_argument("--export", default="", metavar="csv,parquet,arena", help="tables, and OMPL's Planner Arena")
+    bench.add_argument("--report-only", action="store_true", help="run nothing; report what --out holds")
 
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
@@ -236,6 +281,34 @@ def _map(args: argparse.Namespace) -> int:
     return DONE
 
 
+def _tune(args: argparse.Namespace) -> int:
+    from graceful_plan import tune_report
+
+    task = _task(args)[1]
+    if task is None:
+        raise SettingError("task", None, "a scene with a task")
+    planner = {} if args.planner is None else {"planner": args.planner}
+    with _Progress(args.json) as progress:
+        outcome = tune_report.run(
+            args.scene,
+            task,
+            args.out,
+            target_impact=args.target_impact,
+            max_detour=args.max_detour,
+            failures=args.validate,
+            callback=progress,
+            points=args.points,
+            time_limit=args.seconds,
+            iterations=args.iterations,
+            seed=args.seed,
+            speed=args.speed,
+            **planner,
+        )
+    _print(args, outcome.to_document(), str(outcome))
+    chosen = outcome.choice.status is gp.ChoiceStatus.MET
+    return DONE if chosen and outcome.front.status is gp.PlanStatus.SOLVED else FAILED
+
+
 def _roadmap(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     roadmap = gp.Roadmap.build(_task(args)[0], nodes=args.nodes, seed=args.seed)
@@ -244,6 +317,59 @@ def _roadmap(args: argparse.Namespace) -> int:
     text = "{nodes} nodes, {edges} directed edges in {seconds:.1f} s".format(**found)
     _print(args, {"schema": "graceful_plan.built_roadmap", "version": 1, **found}, f"{text}\n\nwrote {args.output}")
     return DONE
+
+
+def _bench(args: argparse.Namespace) -> int:
+    from graceful_plan import bench
+
+    exports = [name for name in args.export.split(",") if name]
+    bench.check_exports(exports)
+    if args.report_only:
+        comparison = bench.load_comparison(args.out)
+        known = {} if args.known is None else bench.read_known(args.known, comparison.w)
+        summary = bench.summarise(bench.load_comparison(args.out, known))
+    else:
+        summary = bench.summarise(_compared(args))
+    files = bench.write(summary, args.out, exports)
+    text = [bench.text(summary), "", *(f"wrote {file}" for file in files)]
+    _print(args, summary.to_document() | {"files": [str(file) for file in files]}, "\n".join(text))
+    return DONE if any(planner.solved for planner in summary.planners) else FAILED
+
+
+def _compared(args: argparse.Namespace) -> Any:
+    from graceful_plan import bench
+
+    suite = bench.load_suite(args.suite)
+    known = None if args.known is None else bench.read_known(args.known, suite.w if args.w is None else args.w)
+    counter = _Counter()
+    try:
+        return bench.compare(
+            suite,
+            planners=args.planners,
+            planner_files=args.planner_file,
+            seeds=None if args.seeds is None else _seeds(args.seeds),
+            seconds=args.seconds,
+            w=args.w,
+            out=args.out,
+            processes=args.processes,
+            known=known,
+            progress=counter.show,
+        )
+    except KeyboardInterrupt:
+        counter.end()
+        if counter.total:
+            # The journal knows better than the counter, which may not have heard of the last run.
+            kept = bench.load_comparison(args.out)
+            words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.out}; the same command goes on"
+            print(words, file=sys.stderr)
+        raise
+
+
+def _seeds(text: str) -> int | list[int]:
+    try:
+        return [int(word) for word in text.split(",") if word] if "," in text else int(text)
+    except ValueError:
+        raise SettingError("--seeds", text, "a number of seeds, or seeds with commas between them") from None
 
 
 def _scenes(args: argparse.Namespace) -> int:
@@ -375,10 +501,35 @@ class _Progress:
         if self.shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
-    def show(self, point: gp.TracePoint) -> None:
-        """Overwrite the line with the newest improvement."""
-        text = f"{point.time:6.2f} s  total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+    def show(self, point: Any) -> None:
+        """Overwrite the line with the newest improvement, or with how far a search for a front has come."""
+        text = f"{point.time:6.2f} s  "
+        if isinstance(point, gp.TracePoint):
+            text += f"total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+        else:
+            text += f"{point.stage}, {point.candidates} candidates"
         print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+
+class _Counter:
+    """Shows how many runs are done: on one line at a terminal, else ten times in all."""
+
+    def __init__(self) -> None:
+        self.total = 0
+
+    def show(self, done: int, total: int, run: Any) -> None:
+        """Show it."""
+        self.total = total
+        text = f"{done}/{total} runs" + (f": {run.problem}, {run.planner}, {run.status}" if run else "")
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{text}", end="\n" if done == total else "", file=sys.stderr, flush=True)
+        elif run is None or done == total or done % max(1, total // 10) == 0:
+            print(text, file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leave the line."""
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
 
 
 if __name__ == "__main__":
