@@ -406,10 +406,17 @@ def test_a_plan_with_a_roadmap_is_verified_and_no_worse(task, roadmap, answer):
     plain = gp.plan(task.start, task.goal, task.scene, planner=as_it_is, iterations=5)
     assert plain.status is gp.PlanStatus.SOLVED
     assert plain.cost.total == pytest.approx(answer.cost.total)
-    better = gp.plan(task.start, task.goal, task.scene, planner=gp.RoadmapPlanner(roadmap=roadmap), iterations=60)
+    better = gp.plan(task.start, task.goal, task.scene, planner=gp.RoadmapPlanner(roadmap=roadmap), iterations=600)
     assert better.status is gp.PlanStatus.SOLVED and better.verdict.passed
     assert better.cost.total < plain.cost.total
     assert better.trace[0].total == pytest.approx(plain.cost.total, rel=1e-3)  # integrated by the kernel
+
+
+def test_an_optimiser_improves_the_path_of_a_roadmap(task, roadmap, answer):
+    optimised = gp.RoadmapPlanner(roadmap=roadmap, optimiser=gp.STOMP())
+    result = gp.plan(task.start, task.goal, task.scene, planner=optimised, iterations=8)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert result.cost.total < answer.cost.total
 
 
 def test_a_plan_without_budget_ends_at_once(task, roadmap):
