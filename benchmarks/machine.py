@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib import metadata
 from pathlib import Path
 
 import graceful_plan as gp
+from graceful_plan.bench.machine import memory_gb, processor, version
 from graceful_plan.kernels import instruction_sets
 
 PACKAGES = ("numpy", "mujoco", "ompl", "toppra", "mink", "scipy")
@@ -16,8 +16,8 @@ PACKAGES = ("numpy", "mujoco", "ompl", "toppra", "mink", "scipy")
 def describe() -> str:
     """One line: processor, cores, memory, instruction sets, system, versions."""
     own = f"graceful_plan {gp.__version__}, Python {platform.python_version()}"
-    versions = ", ".join([own, *(f"{package} {_version(package)}" for package in PACKAGES)])
-    hardware = f"{processor()}, {os.cpu_count()} cores, {_memory_gb():.0f} GB"
+    versions = ", ".join([own, *(f"{package} {version(package)}" for package in PACKAGES)])
+    hardware = f"{processor()}, {os.cpu_count()} cores, {memory_gb():.0f} GB"
     return f"{hardware}; {platform.system()}; kernels: {', '.join(instruction_sets())}; {versions}"
 
 
@@ -29,26 +29,3 @@ def load() -> float:
 def resident_megabytes() -> float:
     """Memory that this process holds [MB]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def processor() -> str:
-    """Model of the processor."""
-    info = Path("/proc/cpuinfo")
-    if not info.exists():
-        return platform.processor() or platform.machine()
-    fields = [line.split(":", 1) for line in info.read_text().splitlines() if ":" in line]
-    values = {key.strip(): value.strip() for key, value in reversed(fields)}
-    name = values.get("model name", platform.machine())
-    numbers = ", ".join(f"{key} {values[key]}" for key in ("cpu family", "model") if key in values)
-    return f"{name} ({numbers})" if numbers else name
-
-
-def _memory_gb() -> float:
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "missing"

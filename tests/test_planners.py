@@ -18,10 +18,14 @@ from graceful_plan.problems import DensityObjective, FunctionProblem, analytic_p
 from graceful_plan.testing import PlannerTrial, check_planner
 
 _NAMES = (
-    "anytime", "rrt_connect", "prm", "prm_star", "trrt", "bitrrt", "rrt", "rrt_star", "informed_rrt_star", "bit_star",
+    "auto", "anytime", "rrt_connect", "prm", "prm_star", "trrt", "bitrrt", "rrt", "rrt_star", "informed_rrt_star",
+    "bit_star", "stomp", "chomp", "casadi",
 )  # fmt: skip
 
-_ITERATIONS = {"anytime": 150, "prm": 120, "prm_star": 150, "rrt_star": 150, "informed_rrt_star": 150}
+_ITERATIONS = {
+    "auto": 150, "anytime": 150, "chomp": 200, "casadi": 60, "prm": 120, "prm_star": 150, "rrt_star": 150,
+    "informed_rrt_star": 150,
+}  # fmt: skip
 """Iterations that are ample in the plane; what one is differs from planner to planner."""
 
 _HASTY = {"bit_star": {"samples_per_batch": 40}}

@@ -2,6 +2,7 @@
 
 from graceful_plan._version import __version__
 from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.certificate import certify
 from graceful_plan.checks import clearance, interaction_probability
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
@@ -26,16 +27,20 @@ from graceful_plan.fault_prior import FaultPrior
 from graceful_plan.fragility import FragilityTable
 from graceful_plan.impact_map import ImpactMap, impact_map
 from graceful_plan.moving import MovingEntity
+from graceful_plan.optimise import OptimisationStatus, OptimisedTrajectory, optimise_trajectory
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
+    CHOMP,
     PLANNERS,
     PRM,
     RRT,
+    STOMP,
     TRRT,
     Anytime,
     BiTRRT,
     BITStar,
+    CasADi,
     InformedRRTStar,
     Planner,
     PRMStar,
@@ -43,7 +48,8 @@ from graceful_plan.planners import (
     RRTStar,
 )
 from graceful_plan.pose_goal import PoseGoal
-from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
+from graceful_plan.problem_files import ProblemFile, load_problems
+from graceful_plan.result import Certificate, Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
 from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
@@ -57,8 +63,10 @@ from graceful_plan.verify import verify
 
 __all__ = [
     "PLANNERS",
+    "CHOMP",
     "PRM",
     "RRT",
+    "STOMP",
     "TRRT",
     "AllowedContact",
     "Anytime",
@@ -66,6 +74,8 @@ __all__ = [
     "BiTRRT",
     "BoxOverlap",
     "Footprint",
+    "CasADi",
+    "Certificate",
     "Check",
     "Choice",
     "ChoiceStatus",
@@ -91,6 +101,8 @@ __all__ = [
     "MovingEntity",
     "NonFiniteError",
     "Objective",
+    "OptimisationStatus",
+    "OptimisedTrajectory",
     "PRMStar",
     "ParetoFront",
     "ParetoPoint",
@@ -102,6 +114,7 @@ __all__ = [
     "PoseGoal",
     "QueryResult",
     "QueryStatus",
+    "ProblemFile",
     "RRTConnect",
     "RRTStar",
     "Risk",
@@ -126,12 +139,15 @@ __all__ = [
     "Verdict",
     "WorldArrays",
     "__version__",
+    "certify",
     "clearance",
     "evaluate",
     "explain",
     "impact_map",
     "interaction_probability",
+    "load_problems",
     "load_scene",
+    "optimise_trajectory",
     "pareto",
     "plan",
     "retime",

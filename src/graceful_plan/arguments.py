@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,6 +78,28 @@ def checked_seed(seed: object) -> np.random.Generator:
     if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or int(seed) < 0:
         raise SettingError("seed", seed, "a whole number, at least 0")
     return np.random.default_rng(int(seed))
+
+
+@dataclass
+class Cancelled:
+    """The question whether somebody cancelled: once the answer is yes, it stays so and nobody is asked again."""
+
+    ask: Callable[[], object]
+    said: bool = False
+
+    def __call__(self) -> bool:
+        """Ask, unless the answer is known."""
+        self.said = self.said or bool(self.ask())
+        return self.said
+
+
+def checked_cancelled(cancelled: object) -> Cancelled:
+    """Return the question whether somebody cancelled."""
+    if cancelled is None:
+        return Cancelled(lambda: False)
+    if not callable(cancelled):
+        raise SettingError("cancelled", cancelled, "a function without arguments, such as threading.Event().is_set")
+    return Cancelled(cancelled)
 
 
 def checked_time_limit(time_limit: object, iterations: object) -> float:

@@ -110,7 +110,8 @@ def search_among_moving(
         better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)
         paths += [path for path in better if is_solution(path, problem)]
     choice = _Choice(ends, objective, checked_speed(speed), max_wait)
-    found.paths = choice.ordered(paths, len(found.paths) - 1, budget.started + budget.time_limit + RESERVE)
+    deadline = -np.inf if budget.cancelled() else budget.started + budget.time_limit + RESERVE
+    found.paths = choice.ordered(paths, len(found.paths) - 1, deadline)
     return found
 
 

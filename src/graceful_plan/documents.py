@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ _PATH_SCHEMA = {"schema": "graceful_plan.path", "version": 1}
 
 def to_json(document: Any) -> str:
     """Return strict JSON text; numbers that are not finite become null."""
-    return json.dumps(_finite(document), allow_nan=False, indent=2)
+    return json.dumps(finite(document), allow_nan=False, indent=2)
 
 
 def cost_document(cost: CostBreakdown) -> dict[str, Any]:
@@ -59,6 +60,7 @@ def result_document(result: PlanResult) -> dict[str, Any]:
         "goal_index": result.goal_index,
         "cost": None if result.path is None else cost_document(result.cost),
         "verdict": verdict_document(result.verdict),
+        "certificate": None if result.certificate is None else dataclasses.asdict(result.certificate),
         "trace": [
             {"time": point.time, "total": point.total, "motion": point.motion, "impact": point.impact}
             for point in result.trace
@@ -135,11 +137,12 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return a document in which numbers that are not finite are None."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return value

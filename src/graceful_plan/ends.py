@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,13 +55,16 @@ def ways_out(
     compiled: CompiledScene,
     scene: Scene,
     rng: np.random.Generator,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> Ends | PlanResult:
     """Find a way from the start, and to as many goals as have one; a result that says so if there is none."""
     departure = way_out(start, compiled.kernels, scene, rng)
     if departure is None:
         return PlanResult(status=PlanStatus.INVALID_START, detail=_NO_WAY.format("start"))
-    ways = [(k, way_out(goal, compiled.kernels, scene, rng)) for k, goal in enumerate(goals)]
+    ways = [(k, way_out(goal, compiled.kernels, scene, rng)) for k, goal in enumerate(goals) if not cancelled()]
     arrivals = [(k, way.reversed()) for k, way in ways if way is not None]
+    if cancelled():
+        return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
     if not arrivals:
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_NO_WAY.format("goal"))
     index, paths = zip(*arrivals, strict=True)

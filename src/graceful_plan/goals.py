@@ -6,7 +6,7 @@ an outcome, told in words.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +64,9 @@ def resolve_start(start: Configuration, scene: Scene) -> Resolved:
     return _usable([("start", q)], scene)
 
 
-def resolve_goal(goal: Goal, scene: Scene, start: ArrayLike, *, seed: int = 0) -> Resolved:
+def resolve_goal(
+    goal: Goal, scene: Scene, start: ArrayLike, *, seed: int = 0, cancelled: Callable[[], bool] = lambda: False
+) -> Resolved:
     """Turn a goal into usable configurations, in the order given; of a pose, those nearest to the start first.
 
     Args:
@@ -72,6 +74,7 @@ def resolve_goal(goal: Goal, scene: Scene, start: ArrayLike, *, seed: int = 0) -
         scene: Where.
         start: Where the motion begins; poses are solved near to it.
         seed: Of the random numbers of inverse kinematics.
+        cancelled: Ends inverse kinematics early.
 
     Raises:
         ShapeError: If it does not fit the scene's joints.
@@ -79,7 +82,7 @@ def resolve_goal(goal: Goal, scene: Scene, start: ArrayLike, *, seed: int = 0) -
         UnknownNameError: If there is no keyframe of that name.
     """
     if isinstance(goal, PoseGoal):
-        return _pose(goal, scene, start, seed)
+        return _pose(goal, scene, start, seed, cancelled)
     configurations = _configurations(goal, scene)
     words = ["goal"] if len(configurations) == 1 else [f"goal {i}" for i in range(len(configurations))]
     return _usable(list(zip(words, configurations, strict=True)), scene)
@@ -141,7 +144,7 @@ def _collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
     return f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
 
 
-def _pose(goal: PoseGoal, scene: Scene, start: ArrayLike, seed: int) -> Resolved:
+def _pose(goal: PoseGoal, scene: Scene, start: ArrayLike, seed: int, cancelled: Callable[[], bool]) -> Resolved:
     judge = Judge(scene)
     blocked: list[Array] = []
 
@@ -151,7 +154,7 @@ def _pose(goal: PoseGoal, scene: Scene, start: ArrayLike, seed: int) -> Resolved
         blocked.extend(q[~ok])
         return ok
 
-    found = solve_ik(goal, scene, start, free=free, seed=seed)
+    found = solve_ik(goal, scene, start, free=free, seed=seed, cancelled=cancelled)
     if len(found.q):
         return Resolved(found.q, (0,) * len(found.q))
     if blocked:

@@ -66,6 +66,7 @@ def solve_ik(
     rounds: int = 3,
     iterations: int = 60,
     seed: int = 0,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> IKResult:
     """Find configurations within the position limits that reach a pose.
 
@@ -79,12 +80,13 @@ def solve_ik(
         rounds: Rounds at most.
         iterations: Iterations from each seed at most.
         seed: Of the random numbers; the result depends on nothing else.
+        cancelled: Asked all the time; when it says so, what was found until then is returned.
     """
     for name, value in (("count", count), ("seeds", seeds), ("rounds", rounds), ("iterations", iterations)):
         if value < 1:
             raise SettingError(name, value, "at least 1")
     q_start = finite_array("start", start, ndim=1, last=len(scene.joints))
-    solver = _Solver(goal, scene)
+    solver = _Solver(goal, scene, cancelled)
     rng = np.random.default_rng(seed)
     reached = np.empty((0, len(q_start)))
     colliding, best = 0, (np.inf, np.inf)
@@ -99,7 +101,7 @@ def solve_ik(
         colliding += int((~good).sum())
         nearest = np.argsort(np.linalg.norm(found[good] - q_start, axis=1), kind="stable")
         reached = _distinct(np.concatenate([reached, found[good][nearest]]))
-        if len(reached) >= count:
+        if len(reached) >= count or cancelled():
             break
     order = np.argsort(np.linalg.norm(reached - q_start, axis=1), kind="stable")
     return IKResult(reached[order][:count], *best, colliding)
@@ -127,8 +129,8 @@ def _distinct(q: Float[Array, "n nq"]) -> Float[Array, "m nq"]:
 class _Solver:
     """Iterations towards one pose."""
 
-    def __init__(self, goal: PoseGoal, scene: Scene) -> None:
-        self.goal, self.scene, self.placement = goal, scene, Placement(scene)
+    def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
+        self.goal, self.scene, self.placement, self.cancelled = goal, scene, Placement(scene), cancelled
         self.model = scene.model
         self.site = self.model.site(scene.tool).id
         self.dofs = self.model.jnt_dofadr[[self.model.joint(name).id for name in scene.joints]]
@@ -149,7 +151,7 @@ class _Solver:
                 going &= size < _PROGRESS * past[active]
                 past[active] = size
             active, error, jacobian = _select(going, active, error, jacobian)
-            if not len(active):
+            if not len(active) or self.cancelled():
                 break
             step = _damped_step(error, jacobian)
             blocked = ((q[active] + step < self.lower) & (step < 0.0)) | (
@@ -186,7 +188,7 @@ class _Solver:
                 )
                 configuration.integrate_inplace(velocity, 1.0)
                 ended[i] = np.clip(configuration.q[self.scene.qpos_adr], self.lower, self.upper)
-                if self._done(self._linearised(ended[i : i + 1])[0])[0]:
+                if self._done(self._linearised(ended[i : i + 1])[0])[0] or self.cancelled():
                     break
         error, _ = self._linearised(ended)
         order = np.argsort(np.linalg.norm(error, axis=1), kind="stable")

@@ -34,15 +34,15 @@ def motion_samples(motion: Path | Trajectory, scene: Scene, step: float) -> Moti
     """Sample a motion so that no point of the robot or the carried object moves farther than `step` [m] in between."""
     if len(motion) == 1:
         return MotionSamples(motion.q, motion.t if isinstance(motion, Trajectory) else np.zeros(1))
-    travel = _travel(motion)
+    travel = joint_travel(motion)
     coarse = _subdivided(travel @ reach(scene), _NEIGHBOURHOOD)
     middle, share = 0.5 * (coarse[:-1] + coarse[1:]), np.diff(coarse)
-    lever = _levers_near(_at(motion, middle).q, scene)
+    lever = _levers_near(at_places(motion, middle).q, scene)
     moved = share * (travel[middle.astype(int)] * lever).sum(axis=1)
-    return _at(motion, np.interp(_subdivided(moved, step), np.arange(len(coarse)), coarse))
+    return at_places(motion, np.interp(_subdivided(moved, step), np.arange(len(coarse)), coarse))
 
 
-def _travel(motion: Path | Trajectory) -> Float[Array, "piece nq"]:
+def joint_travel(motion: Path | Trajectory) -> Float[Array, "piece nq"]:
     """Bound how far each joint travels on each piece between samples or vertices."""
     if isinstance(motion, Path):
         return np.abs(np.diff(motion.q, axis=0))
@@ -53,7 +53,7 @@ def _travel(motion: Path | Trajectory) -> Float[Array, "piece nq"]:
     return h * (fastest + np.where(a0 * a1 < 0.0, 0.5 * h * np.minimum(np.abs(a0), np.abs(a1)), 0.0))
 
 
-def _at(motion: Path | Trajectory, place: Float[Array, " sample"]) -> MotionSamples:
+def at_places(motion: Path | Trajectory, place: Float[Array, " sample"]) -> MotionSamples:
     """Evaluate a motion at fractional piece numbers."""
     if isinstance(motion, Trajectory):
         t = np.interp(place, np.arange(len(motion)), motion.t)

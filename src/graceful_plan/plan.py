@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from graceful_plan.arguments import (
     FAILURE_AWARE,
+    checked_cancelled,
     checked_objective,
     checked_planner,
     checked_risk,
@@ -17,6 +19,7 @@ from graceful_plan.arguments import (
     checked_time_limit,
     checked_wait,
 )
+from graceful_plan.certificate import certificate_of
 from graceful_plan.compile import compile_scene
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, SceneObjective
@@ -63,6 +66,7 @@ def plan(
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
     callback: Callback | None = None,
+    cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:
     """Plan a motion that costs little and along which a failure at any moment does little harm.
 
@@ -84,6 +88,8 @@ def plan(
         max_wait: How long the robot may wait before it goes [s], in a scene where something moves (see `departure`);
             the trajectory then begins with a stretch at rest.
         callback: Called with every improvement; returning True ends the search.
+        cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
+            ends, and the best path so far is timed and judged as ever. Without one the status is CANCELLED.
 
     Returns:
         The result, SOLVED only if the independent judge passed the timed trajectory.
@@ -95,15 +101,18 @@ def plan(
     solver, rng = checked_planner(planner), checked_seed(seed)
     wait = checked_wait(max_wait, scene)
     limit, measure = checked_time_limit(time_limit, iterations), checked_risk(risk)
+    stop = checked_cancelled(cancelled)
     bound = checked_objective(objective, w, checked_speed(speed)).bind(scene)
     preference = None if measure.kind == "expectation" else Preference(measure, bound)
     resolved_start = resolve_start(start, scene)
     if not len(resolved_start.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=resolved_start.detail)
-    resolved_goal = resolve_goal(goal, scene, resolved_start.q[0], seed=seed)
+    resolved_goal = resolve_goal(goal, scene, resolved_start.q[0], seed=seed, cancelled=stop)
+    if stop():
+        return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
     if not len(resolved_goal.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=resolved_goal.detail)
-    ends = ways_out(resolved_start.q[0], resolved_goal.q, compile_scene(scene), scene, rng)
+    ends = ways_out(resolved_start.q[0], resolved_goal.q, compile_scene(scene), scene, rng, stop)
     if isinstance(ends, PlanResult):
         return ends
     try:
@@ -111,7 +120,7 @@ def plan(
             ends,
             solver,
             bound,
-            Budget(limit, iterations, started=started),
+            Budget(limit, iterations, stop, started),
             rng,
             callback,
             goal,
@@ -123,8 +132,11 @@ def plan(
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     notes = [*resolved_start.notes, *resolved_goal.notes, *([result.detail] if result.detail else [])]
     index = None if result.goal_index is None else resolved_goal.index[result.goal_index]
-    stats = {**result.stats, "total_time": time.perf_counter() - started}
-    return replace(result, detail="; ".join(notes), goal_index=index, stats=stats)
+    found = time.perf_counter()
+    certificate = certificate_of(result, bound, goal if isinstance(goal, PoseGoal) else resolved_goal.q)
+    ended = time.perf_counter()
+    stats = {**result.stats, "certificate_time": ended - found, "total_time": ended - started}
+    return replace(result, certificate=certificate, detail="; ".join(notes), goal_index=index, stats=stats)
 
 
 def _search_and_finish(
@@ -186,12 +198,13 @@ def _solved(path: Path, done: Finished, found: Search, index: int, stats: dict[s
 
 
 def _failed(found: Search, refused: Finished | None, budget: Budget, stats: dict[str, float]) -> PlanResult:
+    ended = PlanStatus.CANCELLED if budget.cancelled() else PlanStatus.TIMEOUT
     if refused is None:
-        status = PlanStatus.TIMEOUT if budget.exhausted else PlanStatus.INFEASIBLE
+        status = ended if budget.exhausted else PlanStatus.INFEASIBLE
         return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", stats=stats)
     trace = tuple(found.trace)
     if not refused.verdict.checks:
         return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=refused.problem, trace=trace, stats=stats)
     objections = "; ".join(f"{name}: {refused.verdict.checks[name].detail}" for name in refused.verdict.failures)
     detail = f"the judge refused every path found; the best for {objections}"
-    return PlanResult(status=PlanStatus.TIMEOUT, detail=detail, verdict=refused.verdict, trace=trace, stats=stats)
+    return PlanResult(status=ended, detail=detail, verdict=refused.verdict, trace=trace, stats=stats)

@@ -30,6 +30,7 @@ from graceful_plan.harm_law import HarmLaw
 from graceful_plan.kernels import COST_STEP, FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, Planner
+from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
 from graceful_plan.risk import RiskMeasure
@@ -124,7 +125,7 @@ class Preference:
             return path
         line = _Refined(path, self)
         idle = round_ = 0
-        while idle < _PATIENCE and round_ < _ROUNDS and budget.remaining_seconds > 0.0:
+        while idle < _PATIENCE and round_ < _ROUNDS and not out_of_time(budget):
             reach = _LEAST_REACH ** rng.uniform()
             proposals = MOVES[round_ % len(MOVES)](line.line, _PROPOSALS, reach, rng)
             idle = 0 if line.take_best(proposals, problem) else idle + 1

@@ -24,6 +24,7 @@ class PlanStatus(Enum):
     INVALID_GOAL = "No goal is reachable, free and inside the limits; choose another goal or a looser tolerance."
     TIMEOUT = "The budget ended before a verified trajectory was found; raise the time limit or the iterations."
     INFEASIBLE = "The planner gave up, or there is no path; remove obstacles, choose another goal or another planner."
+    CANCELLED = "It was cancelled before a verified trajectory was found; plan again and let it run for longer."
     NONFINITE = "The cost returned a NaN or an infinity; check it with graceful_plan.testing.check_cost."
     RETIMING_FAILED = "A path was found but could not be timed within the limits; relax them or lower the speed."
 
@@ -85,6 +86,36 @@ class TracePoint:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What can be promised of a motion; see `certify`. Pessimistic until computed.
+
+    | field          | meaning                                                                | unit         |
+    |----------------|------------------------------------------------------------------------|--------------|
+    | clearance      | nothing comes closer anywhere, between samples included; proven        | m            |
+    | uncertified    | stretches that could not be shown to be free: from and to              | s; path: rad |
+    | exposure_bound | S is at most that, if measured slopes of the impact hold; not proven   | that of S    |
+    | lower_bound    | no path has a lower J; None if no bound is known; proven               | that of J    |
+    | gap            | J may be lowered by at most this: J / lower_bound - 1; None likewise   |              |
+    """
+
+    clearance: float = -np.inf
+    uncertified: tuple[tuple[float, float], ...] = ()
+    exposure_bound: float = np.inf
+    lower_bound: float | None = None
+    gap: float | None = None
+
+    @property
+    def clear(self) -> bool:
+        """Whether the whole motion is proven to be free of collision by the fast checker's spheres."""
+        return self.clearance >= 0.0
+
+    @property
+    def first_uncertified(self) -> float | None:
+        """Where the first stretch begins that could not be shown to be free [s; of a path: rad], if there is one."""
+        return self.uncertified[0][0] if self.uncertified else None
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlanResult:
     """The outcome of `plan`."""
 
@@ -93,6 +124,8 @@ class PlanResult:
     trajectory: Trajectory | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
     verdict: Verdict = field(default_factory=Verdict)
+    certificate: Certificate | None = None
+    """What can be promised of a solved problem's trajectory."""
     trace: tuple[TracePoint, ...] = ()
     detail: str = ""
     """What the status means here: the pair in contact and its depth, the joint at its limit..."""

@@ -158,6 +158,20 @@ class SceneObjective:
         along = np.divide(q1 - q0, length, out=np.zeros_like(d_q0), where=length > 0.0)
         return cost, self.w * d_q0 - along, self.w * d_q1 + along
 
+    def widened(self, metres: float) -> SceneObjective | None:
+        """Return the objective with hits smeared by so much more, None if its impact has no such form.
+
+        A descent that begins wide feels hazards from afar; costs are only true at the width of the objective itself.
+
+        Raises:
+            SettingError: If the width is not a positive number.
+        """
+        if not 0.0 < metres < np.inf:
+            raise SettingError("metres", metres, "a finite number > 0 [m]")
+        impact = self.objective.impact
+        wide = impact.widened(metres) if isinstance(impact, ImpactCost) else None
+        return None if wide is None else replace(self.objective, impact=wide).bind(self.scene)
+
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
         charged = self.charged_states(path, start_time)

@@ -6,15 +6,18 @@
 namespace gp {
 namespace {
 
+// Of edges: as edges() does, or at midpoints of pieces of at most a step, at both paces or at their mean. By turns the paces would
+// not do there: a descent shortens the edges whose pace is the worse one.
+enum class Sampling { kExact, kBoth, kMean };
+
 // Fill in impact, d_q and d_qd of every state, then integrate. An edge is travelled at shares of the velocity at which its
 // slowest joint is at its speed: qd = pace (q1 - q0) / T, T = max_j |q1_j - q0_j| / speed_j.
 class EdgeStates {
  public:
   Point q, qd, impact, d_q, d_qd;  // row by row
 
-  // The samples of edges(), or coarse ones: see Impact::edge_gradients.
-  EdgeStates(const Core& core, const double* speed, const double* pace, const double* q0, const double* q1, size_t n, double step, bool coarse)
-      : dim_(size_t(core.tables().n_joint)), lanes_(core.lanes() / 2), speed_(speed), pace_(pace), q0_(q0), q1_(q1), coarse_(coarse) {
+  EdgeStates(const Core& core, const double* speed, const double* pace, const double* q0, const double* q1, size_t n, double step, Sampling sampling)
+      : dim_(size_t(core.tables().n_joint)), lanes_(core.lanes() / 2), speed_(speed), pace_(pace), q0_(q0), q1_(q1), sampling_(sampling) {
     for (size_t e = 0; e < n; ++e) add_edge(q0 + e * dim_, q1 + e * dim_, step);
     impact.resize(size()), d_q.resize(q.size()), d_qd.resize(q.size());
   }
@@ -52,7 +55,7 @@ class EdgeStates {
       if (seconds > edge.duration) edge.duration = seconds, edge.slowest = j;
     }
     edge.length = std::sqrt(edge.length);
-    if (edge.length > 0) coarse_ ? add_midpoints(edge, a, b, step) : add_trapezoid(edge, a, b, step);
+    if (edge.length > 0) sampling_ == Sampling::kExact ? add_trapezoid(edge, a, b, step) : add_midpoints(edge, a, b, step);
     edge.end = place_.size();
     edge_.push_back(edge);
   }
@@ -62,8 +65,13 @@ class EdgeStates {
   }
   void add_midpoints(const Edge& edge, const double* a, const double* b, double step) {
     const int pieces = int(std::ceil(edge.length / step));
-    for (int k = 0; k < pieces; ++k)
-      for (int fast = 0; fast < 2; ++fast) add_state(edge, a, b, (k + 0.5) / pieces, 0.5 / pieces, pace_[fast]);
+    for (int k = 0; k < pieces; ++k) {
+      const double middle = (k + 0.5) / pieces;
+      if (sampling_ == Sampling::kMean)
+        add_state(edge, a, b, middle, 1.0 / pieces, 0.5 * (pace_[0] + pace_[1]));
+      else
+        for (int fast = 0; fast < 2; ++fast) add_state(edge, a, b, middle, 0.5 / pieces, pace_[fast]);
+    }
   }
   void add_state(const Edge& edge, const double* a, const double* b, double along, double weight, double pace) {
     place_.push_back({along, weight, pace});
@@ -90,7 +98,7 @@ class EdgeStates {
   size_t dim_;
   int lanes_;
   const double *speed_, *pace_, *q0_, *q1_;
-  bool coarse_;
+  Sampling sampling_;
   std::vector<Edge> edge_;
   std::vector<Place> place_;
 };

@@ -14,9 +14,8 @@ class Impact {
   virtual ~Impact() = default;
   virtual void states(const double* q, size_t n, double* impact) const = 0;
   virtual void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const = 0;
-  // edges() with the derivatives of S with respect to both ends; false if the model has none. If `coarse`, sampled at midpoints
-  // of pieces of at most `step`, at both paces: fewer states for the same accuracy, but not the same numbers.
-  virtual bool edge_gradients(const double*, const double*, size_t, double, bool, double*, double*, double*) const { return false; }
+  // edges() with the derivatives of S with respect to both ends; false if the model has none.
+  virtual bool edge_gradients(const double*, const double*, size_t, double, Sampling, double*, double*, double*) const { return false; }
   const Core& core() const { return core_; }
 
   auto states_array(Reals q) const {
@@ -35,7 +34,7 @@ class Impact {
     bool known;
     {
       nb::gil_scoped_release release;
-      known = edge_gradients(q0.data(), q1.data(), q0.shape(0), step, false, cost, d_q0, d_q1);
+      known = edge_gradients(q0.data(), q1.data(), q0.shape(0), step, Sampling::kExact, cost, d_q0, d_q1);
     }
     return known ? nb::object(nb::make_tuple(costs, by_q0, by_q1)) : nb::none();
   }
@@ -228,9 +227,9 @@ class DropImpact final : public Impact {
   void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
     core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, q0, q1, n, step, cost);
   }
-  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, bool coarse, double* cost, double* d_q0,
+  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, Sampling sampling, double* cost, double* d_q0,
                       double* d_q1) const override {
-    EdgeStates states(core_, model_.tables().speed, pace_, q0, q1, n, step, coarse);
+    EdgeStates states(core_, model_.tables().speed, pace_, q0, q1, n, step, sampling);
     core_.kernels().drop_gradient(core_.tables(), model_.tables(), severity_.data(), states.q.data(), states.qd.data(), states.size(),
                                   states.impact.data(), states.d_q.data(), states.d_qd.data());
     states.integrate(cost, d_q0, d_q1);
@@ -258,12 +257,12 @@ class SumImpact final : public Impact {
     first_.edges(q0, q1, n, step, cost), second_.edges(q0, q1, n, step, other.data());
     for (size_t i = 0; i < n; ++i) cost[2 * i + 1] += other[2 * i + 1];  // the length is the same
   }
-  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, bool coarse, double* cost, double* d_q0,
+  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, Sampling sampling, double* cost, double* d_q0,
                       double* d_q1) const override {
     const size_t size = n * size_t(core_.tables().n_joint);
     Point other(2 * n), other_q0(size), other_q1(size);
-    if (!first_.edge_gradients(q0, q1, n, step, coarse, cost, d_q0, d_q1) ||
-        !second_.edge_gradients(q0, q1, n, step, coarse, other.data(), other_q0.data(), other_q1.data()))
+    if (!first_.edge_gradients(q0, q1, n, step, sampling, cost, d_q0, d_q1) ||
+        !second_.edge_gradients(q0, q1, n, step, sampling, other.data(), other_q0.data(), other_q1.data()))
       return false;
     for (size_t i = 0; i < n; ++i) cost[2 * i + 1] += other[2 * i + 1];
     for (size_t i = 0; i < size; ++i) d_q0[i] += other_q0[i], d_q1[i] += other_q1[i];

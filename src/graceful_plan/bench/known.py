@@ -1,0 +1,55 @@
+"""Least total costs that are known of problems, as a file that one comparison writes and another one reads."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from graceful_plan.exceptions import SettingError
+from graceful_plan.yaml_file import read_yaml
+
+NAME = "best_known.yaml"
+_VERSION = 1
+
+
+def read_known(file: str | Path, w: float | None = None) -> dict[str, float]:
+    """Read least total costs by problem.
+
+    Args:
+        file: YAML with `version`, `w` and `best_known`, a mapping from problems to costs.
+        w: Safety weight that they have to be for, if that is to be checked.
+
+    Raises:
+        SceneError: If the file is broken, with the line.
+        SettingError: If they are for another weight.
+    """
+    top = read_yaml(Path(file))
+    top.only("version", "w", "best_known")
+    if top["version"].number() != _VERSION:
+        raise top["version"].error(f"version {top['version'].value}; this version reads {_VERSION}")
+    if w is not None and top["w"].number() != w:
+        raise SettingError("w", w, f"{top['w'].number():g}: {file} is for that weight")
+    return {name: block.number() for name, block in top["best_known"].items()}
+
+
+def write_known(best: Mapping[str, float], w: float, folder: Path) -> Path:
+    """Write what is finite of least total costs."""
+    file = folder / NAME
+    # JSON strings are YAML, whatever a problem is called.
+    lines = [f"  {json.dumps(name)}: {total!r}" for name, total in best.items() if math.isfinite(total)]
+    text = "\n".join([f"version: {_VERSION}", f"w: {w!r}", "best_known:" + ("" if lines else " {}"), *lines])
+    partial = file.with_suffix(".partial")
+    partial.write_text(text + "\n", encoding="utf-8")
+    partial.replace(file)
+    return file
+
+
+def known_costs(*sources: Mapping[str, float]) -> dict[str, float]:
+    """Return the least cost that any source knows, by problem."""
+    found: dict[str, float] = {}
+    for source in sources:
+        for name, total in source.items():
+            found[name] = min(total, found.get(name, math.inf))
+    return found

@@ -1,0 +1,121 @@
+"""What is recorded of a run, and its form as a line of JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.documents import finite
+from graceful_plan.exceptions import FormatError
+from graceful_plan.result import TracePoint
+
+Array = np.ndarray
+
+SOLVED = "SOLVED"
+RAISED, CRASHED, HUNG = "RAISED", "CRASHED", "HUNG"
+"""Outcomes besides those of `PlanStatus`: an exception, the end of the process, and no end at all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One run of a planner on a problem. Pessimistic until filled in: infinite cost, nothing measured.
+
+    | field      | meaning                                                                                          |
+    |------------|--------------------------------------------------------------------------------------------------|
+    | problem    | name of the problem                                                                              |
+    | planner    | label of the planner                                                                             |
+    | seed       | of its random numbers                                                                            |
+    | status     | name of a `PlanStatus`; RAISED, CRASHED or HUNG if it did not end with one                       |
+    | detail     | what the status means here                                                                       |
+    | seconds    | the whole call: when the verified result was there [s]                                           |
+    | first      | when the first path was there [s]; infinite if the call was not solved in the end                |
+    | total      | least total cost J reached, of the verified result                                               |
+    | motion     | its motion cost                                                                                  |
+    | impact     | its impact                                                                                       |
+    | jerk_peak  | greatest joint jerk of the timed trajectory [rad/s^3], see `measures.jerk`                       |
+    | jerk_rms   | root of the mean square over time [rad/s^3]                                                      |
+    | duration   | of the timed trajectory [s]                                                                      |
+    | length     | joint-space length of the path [rad]                                                             |
+    | clearance  | least exact distance of robot and carried object to the surroundings [m], see `measures`         |
+    | self_clearance | the same to each other [m]                                                                   |
+    | certified  | clearance that is proven between samples, self-collision included [m]; see `Certificate`         |
+    | iterations | of the planner                                                                                   |
+    | trace      | improvements: time [s], total, motion, impact; the ways out at both ends are in the costs        |
+    | path       | configurations of the result                                                                     |
+    """
+
+    problem: str
+    planner: str
+    seed: int
+    status: str
+    detail: str = ""
+    seconds: float = math.nan
+    first: float = math.inf
+    total: float = math.inf
+    motion: float = math.inf
+    impact: float = math.inf
+    jerk_peak: float = math.nan
+    jerk_rms: float = math.nan
+    duration: float = math.nan
+    length: float = math.nan
+    clearance: float = math.nan
+    self_clearance: float = math.nan
+    certified: float = math.nan
+    iterations: float = math.nan
+    trace: tuple[TracePoint, ...] = ()
+    path: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def solved(self) -> bool:
+        """Whether a verified result was returned."""
+        return self.status == SOLVED
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """What tells runs apart."""
+        return self.problem, self.planner, self.seed
+
+    def totals_at(self, seconds: ArrayLike) -> Float[Array, "*time"]:
+        """Total cost of the best path by then; infinite if there was none or the call was not solved in the end."""
+        trace = self.trace if self.solved else ()
+        times = np.array([point.time for point in trace])
+        totals = np.minimum.accumulate([math.inf, *(point.total for point in trace)])
+        return totals[np.searchsorted(times, seconds, side="right")]
+
+    def to_json(self) -> str:
+        """Return one line of strict JSON; numbers that are not finite become null."""
+        document = asdict(self)
+        document["trace"] = [[p.time, p.total, p.motion, p.impact] for p in self.trace]
+        return json.dumps(finite(document), allow_nan=False, separators=(",", ":"))
+
+    @classmethod
+    def from_document(cls, document: Any, source: str) -> Run:
+        """Read what `to_json` wrote.
+
+        Raises:
+            FormatError: If it is something else.
+        """
+        defaults = {item.name: item.default for item in fields(cls)}
+        if not isinstance(document, Mapping) or document.keys() != defaults.keys():
+            raise FormatError(source, f"not a run with the keys {', '.join(defaults)}")
+        given: dict[str, Any] = {key: defaults[key] if value is None else value for key, value in document.items()}
+        try:
+            given["trace"] = tuple(
+                TracePoint(time=t, total=total, motion=motion, impact=impact)
+                for t, total, motion, impact in document["trace"]
+            )
+            given["path"] = tuple(tuple(float(x) for x in q) for q in document["path"])
+            given |= {key: float(given[key]) for key, default in defaults.items() if isinstance(default, float)}
+            texts = all(isinstance(given[key], str) for key in ("problem", "planner", "status", "detail"))
+            if not (texts and type(given["seed"]) is int):
+                raise TypeError("names have to be text, and the seed a whole number")
+        except (TypeError, ValueError) as error:
+            raise FormatError(source, f"not a run: {error}") from None
+        return cls(**given)
