@@ -200,6 +200,14 @@ def test_workers_survive_what_planners_do(tmp_path):
     assert found[1].detail == "the process ended with SIGSEGV"
 
 
+def test_what_planners_print_does_not_mix_with_results(tmp_path, capfd):
+    file = planner_file(tmp_path, "print('chatter', flush=True)", "chats")
+    (found,) = workers.done(jobs(tmp_path, file), 1)
+    assert found.status == "SOLVED"
+    out, err = capfd.readouterr()
+    assert out == "" and "chatter" in err
+
+
 def test_a_planner_that_never_returns_is_stopped(tmp_path, monkeypatch):
     file = planner_file(tmp_path, "import time; time.sleep(100)", "hangs")
     monkeypatch.setattr(workers, "TIMES", 0.0)

@@ -7,6 +7,7 @@ takes far longer than its time limit; so a planner in native code can neither en
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import time
 from collections import deque
@@ -126,6 +127,8 @@ def _work(pipe: Connection) -> None:
     """Do jobs until the other end of the pipe is gone."""
     # Ctrl-C reaches the whole group of processes; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Standard output may be one JSON document; what planners print is no part of it.
+    os.dup2(2, 1)
     with suppress(EOFError, OSError):
         while True:
             pipe.send(run(pipe.recv()))
