@@ -22,7 +22,7 @@ class Job:
     """What to plan."""
 
     task: str
-    planner: str = "anytime"
+    planner: str = "auto"
     seed: int = 0
     w: float = W
     time_limit: float = 1.0

@@ -131,10 +131,11 @@ class BodyTwin:
             row = self.tables.link_row[link]
             for o in range(len(self.world.kind)):
                 if row >= 0 and not int(self.world.ignores[o]) >> int(link) & 1:
-                    found[row, o] = min(found[row, o], self._distance(o, centre[s]) - sphere[s, 3])
+                    found[row, o] = min(found[row, o], self.distance_to(o, centre[s]) - sphere[s, 3])
         return found
 
-    def _distance(self, o: int, point: Array) -> float:
+    def distance_to(self, o: int, point: Array) -> float:
+        """Signed distance of a point from an obstacle."""
         world = self.world
         kind, R = world.kind[o], world.pose[o, :9].astype(_f).reshape(3, 3).astype(float)
         p = (point - world.pose[o, 9:].astype(_f)) @ R

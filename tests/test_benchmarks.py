@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.compile import compile_scene
 from graceful_plan.kernels import CHECK_STEP
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import known, planning, report, suite  # noqa: E402 - after the path to them is known
+from benchmarks import gradients, known, planning, report, suite  # noqa: E402 - after the path to them is known
 from benchmarks import run as runner  # noqa: E402
-from benchmarks.subjects import best_known, kernels, planners  # noqa: E402
+from benchmarks.clearance_twin import ClearanceTwin  # noqa: E402
+from benchmarks.subjects import best_known, kernels, optimisers, planners  # noqa: E402
 
 TASK = "tabletop_l1/green_to_blue"
 FILES = sorted(known.FOLDER.glob("*.json"))
@@ -249,3 +251,46 @@ def test_details_are_strict_json(record):
     failed = planning.Record(job=planning.Job(task=TASK), status="TIMEOUT")
     text = json.dumps(planners._details([record, failed], {TASK: np.inf}), allow_nan=False)
     assert json.loads(text)["runs"][0]["total"] is None
+
+
+# --- optimisers -------------------------------------------------------------------------------------------------------
+
+
+def test_gradients_of_every_term_are_exact():
+    found = gradients.examine(TASK, 12)
+    assert {finding.term for finding in found} >= {"edges, V + w S", "clearance, surroundings", "clearance, self"}
+    for finding in found:
+        assert finding.count >= 5
+        assert finding.worst < optimisers.GRADIENT_ERROR, finding
+
+
+def test_the_twin_of_the_clearance_agrees_with_the_kernels():
+    kernels = compile_scene(suite.task(TASK).scene).kernels
+    twin = ClearanceTwin(kernels.robot, kernels.world)
+    q = np.random.default_rng(0).uniform(kernels.robot.lower, kernels.robot.upper, (60, kernels.nq))
+    distances = twin.distances(q)
+    np.testing.assert_allclose(distances.min(axis=1), kernels.clearance(q), atol=1e-5)
+    nearest = distances.argmin(axis=1)
+    assert np.any(nearest >= distances.shape[1] - twin.n_self) and np.any(nearest < distances.shape[1] - twin.n_self)
+    np.testing.assert_allclose(twin.distance(q, nearest), distances.min(axis=1), atol=1e-12)
+
+
+def test_wrong_gradients_are_found():
+    def square(x):
+        return np.square(x).sum(axis=1)
+
+    x = np.random.default_rng(0).normal(size=(20, 3))
+    right = gradients.compared("term", "here", square, x, 2.0 * x)
+    assert right.count == 20 and right.worst < 1e-8
+    assert gradients.compared("term", "here", square, x, 2.001 * x).worst == pytest.approx(1e-3 / 2.001, rel=0.01)
+    kinked = gradients.compared("term", "here", lambda x: np.abs(x).sum(axis=1), np.zeros((4, 3)), np.ones((4, 3)))
+    assert kinked.kinks == 4 and kinked.worst == np.inf
+
+
+def test_optimisers_start_from_the_same_path_and_only_solutions_count():
+    sizes = dataclasses.replace(optimisers.QUICK, seconds=0.3)
+    finding = optimisers.examine(optimisers.Job(task=TASK, sizes=sizes))
+    assert set(finding.improved) == {*optimisers.optimisers(), optimisers.MORE_SHORTCUTS}
+    assert "stomp" in finding.improved and np.isfinite(finding.before)
+    for improvement in finding.improved.values():
+        assert 0.0 < improvement.total <= finding.before

@@ -159,6 +159,15 @@ def test_map_says_where_a_drop_is_worst(run, tmp_path):
     np.testing.assert_array_equal(np.array(document["impact"], dtype=float), found.impact)
 
 
+def test_roadmap_writes_a_file_that_can_be_read(run, tmp_path):
+    file = tmp_path / "table.npz"
+    scene = ["--scene", "tabletop_l1", "--task", "green_to_blue"]
+    code, out, _ = run("roadmap", str(file), *scene, "--nodes", "40")
+    assert code == 0 and "40 nodes" in out and str(file) in out
+    assert len(gp.Roadmap.load(file, gp.load_scene("tabletop_l1").tasks["green_to_blue"].scene)) == 40
+    assert run("roadmap", str(tmp_path / "none" / "table.npz"), *scene, "--nodes", "10")[0] == 2
+
+
 def test_scenes_lists_all_with_their_tasks(run):
     code, out, _ = run("scenes", "--json")
     document = json.loads(out)

@@ -11,17 +11,21 @@ from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners import PLANNERS, PRM, RRT, BITStar, InformedRRTStar, PRMStar, RRTStar
 from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.planner import Budget, Planner, Problem, path_total
 from graceful_plan.planners.questions import Interrupted, Questions
-from graceful_plan.planners.roadmap import Roadmap
 from graceful_plan.problems import DensityObjective, FunctionProblem, analytic_problems, disc, free_space, two_media
 from graceful_plan.testing import PlannerTrial, check_planner
 
 _NAMES = (
-    "anytime", "rrt_connect", "prm", "prm_star", "trrt", "bitrrt", "rrt", "rrt_star", "informed_rrt_star", "bit_star",
+    "auto", "anytime", "rrt_connect", "prm", "prm_star", "trrt", "bitrrt", "rrt", "rrt_star", "informed_rrt_star",
+    "bit_star", "stomp", "chomp", "casadi",
 )  # fmt: skip
 
-_ITERATIONS = {"anytime": 150, "prm": 120, "prm_star": 150, "rrt_star": 150, "informed_rrt_star": 150}
+_ITERATIONS = {
+    "auto": 150, "anytime": 150, "chomp": 200, "casadi": 60, "prm": 120, "prm_star": 150, "rrt_star": 150,
+    "informed_rrt_star": 150,
+}  # fmt: skip
 """Iterations that are ample in the plane; what one is differs from planner to planner."""
 
 _HASTY = {"bit_star": {"samples_per_batch": 40}}
@@ -95,11 +99,11 @@ def test_roadmap_restarts_around_its_best_path() -> None:
     assert _last(planner, instance.problem, instance.objective, 1500) <= _TOLERANCE * instance.optimum
 
 
-def _roadmap(n: int, seed: int, symmetric: bool = True) -> Roadmap:
+def _roadmap(n: int, seed: int, symmetric: bool = True) -> LazyRoadmap:
     problem = disc().problem
     objective = DensityObjective(density=lambda q: q[:, 1] ** 2, step=0.1)
     rng = np.random.default_rng(seed)
-    roadmap = Roadmap(
+    roadmap = LazyRoadmap(
         Questions(problem, objective, Budget()), InformedSampler(problem, 1.0), symmetric, lambda i: np.full(len(i), 5)
     )
     q = rng.uniform(-3, 3, (n, 2))

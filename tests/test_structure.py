@@ -24,12 +24,32 @@ HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
 LAYERS = (
+    {"kernels", "compile"},
+    {"costs", "checks", "symbolic", "explain", "impact_map", "risk", "harm_law", "sensitivity"},
     {"kernels", "compile", "certified_clearance"},
     {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity", "certificate"},
     {"planners"},
-    {"plan", "prefer", "search", "finish", "departure", "ends", "escape", "arguments", "problems", "testing"},
+    {
+        "plan",
+        "prefer",
+        "search",
+        "finish",
+        "departure",
+        "ends",
+        "escape",
+        "arguments",
+        "problems",
+        "testing",
+        "optimise",
+        "motion_program",
+        "motion_rows",
+        "motion_charges",
+        "motion_check",
+        "roadmap",
+    },
+    {"front_archive", "front_descent", "front_refine", "front_search", "pareto_front", "front_file", "tuning"},
     {"__init__"},
-    {"bench", "cli", "demo", "doctor", "viz"},
+    {"bench", "cli", "demo", "doctor", "tune_report", "viz"},
 )
 """From the bottom up; a module that is named nowhere lies below all of them, with the scene and the tables."""
 
@@ -166,7 +186,13 @@ def guide_snippets(guide: str) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / guide).read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("guide", ["comparing-planners.md", "faults-prior.md", "impact-models.md", "moving.md"])
+GUIDES = (
+    "certificate.md", "chomp.md", "comparing-planners.md", "faults-prior.md", "impact-models.md",
+    "moving.md", "optimisers.md", "roadmap.md", "tuning.md",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("guide", GUIDES)
 def test_guides_run(guide, tmp_path, monkeypatch):
     (tmp_path / "faults.yaml").write_text("version: 1\npresets: {mine: {weak_grip: 2, dropout: 1}}\n")
     monkeypatch.chdir(tmp_path)

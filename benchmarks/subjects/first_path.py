@@ -54,7 +54,7 @@ def run(options: suite.Options) -> str:
 def examine(job: tuple[str, int]) -> Finding:
     """Measure one task."""
     name, seeds = job
-    problem = _problem(suite.task(name))
+    problem = problem_of(suite.task(name))
     search: dict[str, list[float]] = {planner: [np.inf] * seeds for planner in PLANNERS}
     straight = False
     if problem is not None:
@@ -68,14 +68,14 @@ def examine(job: tuple[str, int]) -> Finding:
     return Finding(task=name, straight=straight, search=search, calls=[planning.run(job) for job in jobs])
 
 
-def _problem(task: gp.Task) -> SceneProblem | None:
+def problem_of(task: gp.Task, margin: float = 0.0) -> SceneProblem | None:
     """Make the problem that planners see, None if start or goals have no way out."""
     kernels, rng = compile_scene(task.scene).kernels, np.random.default_rng(0)
     start = way_out(task.start, kernels, task.scene, rng)
     goals = [way for goal in task.goal if (way := way_out(goal, kernels, task.scene, rng)) is not None]
     if start is None or not goals:
         return None
-    return SceneProblem(kernels=kernels, start=start.q[-1], goals=np.stack([way.q[-1] for way in goals]))
+    return SceneProblem(kernels=kernels, start=start.q[-1], goals=np.stack([way.q[-1] for way in goals]), margin=margin)
 
 
 def _search(planner: str, problem: SceneProblem, scene: gp.Scene, seeds: int) -> list[float]:

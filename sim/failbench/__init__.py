@@ -8,6 +8,7 @@ from failbench.errors import ExecutionRefused
 from failbench.execution import Execution, execute
 from failbench.faults import faults
 from failbench.faults.fault import Fault
+from failbench.front_validation import FrontValidation, validate_front
 from failbench.onset import AtFraction, AtTime, Uniform
 from failbench.plant import Plant
 from failbench.records import ContactEvent, Job, Rollout
@@ -32,6 +33,7 @@ __all__ = [
     "Execution",
     "ExecutionRefused",
     "Fault",
+    "FrontValidation",
     "Job",
     "Plant",
     "Rollout",
@@ -55,4 +57,5 @@ __all__ = [
     "secondary_impact",
     "steps",
     "validate",
+    "validate_front",
 ]

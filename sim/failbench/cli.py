@@ -24,6 +24,7 @@ from failbench.errors import SweepFailed
 from failbench.executors import Executor, LocalExecutor
 from failbench.faults import to_document
 from failbench.footprint_fit import calibrate_footprint
+from failbench.front_validation import validate_front
 from failbench.replay import replay
 from failbench.scenarios import scenarios, usual_grasp
 from failbench.spill_fit import SpillCalibration, calibrate_spill
@@ -80,6 +81,16 @@ def _parser() -> argparse.ArgumentParser:
     judge.add_argument("-n", type=int, default=400, help="number of failures (default 400)")
     judge.add_argument("--importance", action="store_true", help="fail more often where harm is predicted")
     _add_motion(judge)
+
+    front = _command(commands, "validate-front", _validate_front, "compare the motions of a Pareto front in that way")
+    front.add_argument("front", type=FilePath, help="file of `graceful-plan tune` or of ParetoFront.save")
+    front.add_argument("patterns", nargs="*", default=["drop/*/severe"], help="of scenarios (default drop/*/severe)")
+    front.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    front.add_argument("--task", help="task of the scene (default: its first)")
+    front.add_argument("-n", type=int, default=200, help="number of failures along each motion (default 200)")
+    front.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    front.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
+    front.add_argument("--grasp", choices=("fingers", "weld"), help="what holds the object")
 
     make = _command(commands, "generate", _generate, "do a sweep over scenarios and write its dataset")
     make.add_argument("folder", type=FilePath, help="where journal and dataset go")
@@ -198,6 +209,24 @@ def _validate(args: argparse.Namespace) -> int:
             progress=bar.show,
         )
     _print(args, report.to_document(), str(report))
+    return DONE
+
+
+def _validate_front(args: argparse.Namespace) -> int:
+    task = args.task or next(iter(gp.load_scene(args.scene).tasks), None)
+    grasp = args.grasp or usual_grasp(args.scene, task)
+    with _Bar(args, "motions") as bar:
+        found = validate_front(
+            args.front,
+            scene_of(args.scene, task),
+            args.patterns,
+            n=args.n,
+            horizon=args.horizon,
+            seed=args.seed,
+            settings=SimSettings(grasp=grasp),
+            progress=bar.show,
+        )
+    _print(args, found.to_document(), str(found))
     return DONE
 
 

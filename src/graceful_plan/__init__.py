@@ -27,16 +27,21 @@ from graceful_plan.fault_prior import FaultPrior
 from graceful_plan.fragility import FragilityTable
 from graceful_plan.impact_map import ImpactMap, impact_map
 from graceful_plan.moving import MovingEntity
+from graceful_plan.optimise import OptimisationStatus, OptimisedTrajectory, optimise_trajectory
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
+    CHOMP,
     PLANNERS,
     PRM,
     RRT,
+    STOMP,
     TRRT,
     Anytime,
+    Auto,
     BiTRRT,
     BITStar,
+    CasADi,
     InformedRRTStar,
     Planner,
     PRMStar,
@@ -48,26 +53,34 @@ from graceful_plan.problem_files import ProblemFile, load_problems
 from graceful_plan.result import Certificate, Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
 from graceful_plan.retime import retime
 from graceful_plan.risk import Risk, RiskMeasure, risk
+from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
 from graceful_plan.scene import Scene
 from graceful_plan.scenes import load_scene, scenes
 from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
 from graceful_plan.severity import SeverityTable
 from graceful_plan.trajectory import Trajectory
+from graceful_plan.tuning import Choice, ChoiceStatus, ParetoFront, ParetoPoint, pareto
 from graceful_plan.verify import verify
 
 __all__ = [
     "PLANNERS",
+    "CHOMP",
     "PRM",
     "RRT",
+    "STOMP",
     "TRRT",
     "AllowedContact",
     "Anytime",
+    "Auto",
     "BITStar",
     "BiTRRT",
     "BoxOverlap",
     "Footprint",
+    "CasADi",
     "Certificate",
     "Check",
+    "Choice",
+    "ChoiceStatus",
     "Contribution",
     "Cost",
     "CostBreakdown",
@@ -77,6 +90,7 @@ __all__ = [
     "Explanation",
     "FaultPrior",
     "FragilityTable",
+    "FrontPath",
     "GracefulPlanError",
     "HazardArrays",
     "ImpactCost",
@@ -89,18 +103,26 @@ __all__ = [
     "MovingEntity",
     "NonFiniteError",
     "Objective",
+    "OptimisationStatus",
+    "OptimisedTrajectory",
     "PRMStar",
+    "ParetoFront",
+    "ParetoPoint",
     "Path",
     "PlanResult",
     "PlanStatus",
     "Planner",
     "PlanningFailed",
     "PoseGoal",
+    "QueryResult",
+    "QueryStatus",
     "ProblemFile",
     "RRTConnect",
     "RRTStar",
     "Risk",
     "RiskMeasure",
+    "Roadmap",
+    "RoadmapPlanner",
     "RobotArrays",
     "RobotDynamics",
     "Scene",
@@ -109,6 +131,7 @@ __all__ = [
     "SeveritySensitivity",
     "SeverityTable",
     "ShapeError",
+    "StaleRoadmapError",
     "StateBatch",
     "Task",
     "TracePoint",
@@ -126,6 +149,8 @@ __all__ = [
     "interaction_probability",
     "load_problems",
     "load_scene",
+    "optimise_trajectory",
+    "pareto",
     "plan",
     "retime",
     "risk",

@@ -9,6 +9,7 @@ import argparse
 import dataclasses
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path as FilePath
 from typing import Any
@@ -57,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--start", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     plan.add_argument("--w", type=float, default=1.0, help="safety weight; 0 is an ordinary planner (default 1)")
-    plan.add_argument("--planner", default="anytime", help="see `graceful-plan planners`")
+    plan.add_argument("--planner", default="auto", help="see `graceful-plan planners`")
     plan.add_argument("--output", type=FilePath, metavar="FILE", help="write the trajectory to FILE.json or FILE.csv")
     _add_budget(plan)
 
@@ -93,6 +94,28 @@ def _parser() -> argparse.ArgumentParser:
         "--resolution", type=float, default=0.02, metavar="M", help="width of a cell (default 0.02)"
     )
     impact_map.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
+
+    tune = _command(commands, "tune", _tune, "find the front of motion against impact, to choose a safety weight")
+    tune.add_argument("scene", nargs="?", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    tune.add_argument("task", nargs="?", help="task of the scene; default: its first")
+    tune.add_argument("--points", type=int, default=30, help="most motions on the front (default 30)")
+    tune.add_argument("--seconds", type=float, metavar="S", help="for the whole search (default 10)")
+    tune.add_argument("--iterations", type=int, help="instead: reproducible, unlike a time limit")
+    tune.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+    tune.add_argument("--planner", help="what minimises for single weights; see `graceful-plan planners`")
+    tune.add_argument("--speed", type=float, default=1.0, help="fraction of the velocity limits (default 1)")
+    tune.add_argument("--target-impact", type=float, metavar="S", help="choose the shortest with at most this impact")
+    tune.add_argument("--max-detour", type=float, metavar="R", help="choose among those so much longer, 0.05 is 5 %%")
+    tune.add_argument("--validate", type=int, default=0, metavar="N", help="let FailBench fail N times along each")
+    tune.add_argument(
+        "--out", type=FilePath, default=FilePath("graceful_plan_front"), help="folder for front.html and the like"
+    )
+
+    roadmap = _command(commands, "roadmap", _roadmap, "build a roadmap of a scene and write it to a file")
+    _add_scene(roadmap)
+    roadmap.add_argument("output", type=FilePath, help="file to write, such as table.npz")
+    roadmap.add_argument("--nodes", type=int, default=1500, help="size (default 1500)")
+    roadmap.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
 
     _add_bench(commands)
     _command(commands, "scenes", _scenes, "list the bundled scenes and their tasks")
@@ -255,6 +278,44 @@ def _map(args: argparse.Namespace) -> int:
         draw_impact_map(found, scene, args.output)
         text += f"\n\nwrote {args.output}"
     _print(args, found.to_document(), text)
+    return DONE
+
+
+def _tune(args: argparse.Namespace) -> int:
+    from graceful_plan import tune_report
+
+    task = _task(args)[1]
+    if task is None:
+        raise SettingError("task", None, "a scene with a task")
+    planner = {} if args.planner is None else {"planner": args.planner}
+    with _Progress(args.json) as progress:
+        outcome = tune_report.run(
+            args.scene,
+            task,
+            args.out,
+            target_impact=args.target_impact,
+            max_detour=args.max_detour,
+            failures=args.validate,
+            callback=progress,
+            points=args.points,
+            time_limit=args.seconds,
+            iterations=args.iterations,
+            seed=args.seed,
+            speed=args.speed,
+            **planner,
+        )
+    _print(args, outcome.to_document(), str(outcome))
+    chosen = outcome.choice.status is gp.ChoiceStatus.MET
+    return DONE if chosen and outcome.front.status is gp.PlanStatus.SOLVED else FAILED
+
+
+def _roadmap(args: argparse.Namespace) -> int:
+    started = time.perf_counter()
+    roadmap = gp.Roadmap.build(_task(args)[0], nodes=args.nodes, seed=args.seed)
+    roadmap.save(args.output)
+    found = {"nodes": len(roadmap), "edges": len(roadmap.edges), "seconds": time.perf_counter() - started}
+    text = "{nodes} nodes, {edges} directed edges in {seconds:.1f} s".format(**found)
+    _print(args, {"schema": "graceful_plan.built_roadmap", "version": 1, **found}, f"{text}\n\nwrote {args.output}")
     return DONE
 
 
@@ -440,9 +501,13 @@ class _Progress:
         if self.shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
-    def show(self, point: gp.TracePoint) -> None:
-        """Overwrite the line with the newest improvement."""
-        text = f"{point.time:6.2f} s  total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+    def show(self, point: Any) -> None:
+        """Overwrite the line with the newest improvement, or with how far a search for a front has come."""
+        text = f"{point.time:6.2f} s  "
+        if isinstance(point, gp.TracePoint):
+            text += f"total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+        else:
+            text += f"{point.stage}, {point.candidates} candidates"
         print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
 
 

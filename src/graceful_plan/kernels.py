@@ -205,6 +205,21 @@ class ImpactKernel:
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
         return self.native.edges(first, second, step).reshape(*batch, 2)
 
+    def edge_gradients(
+        self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP
+    ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]] | None:
+        """`edges`, and the derivatives of the integral of the impact with respect to `q0` and `q1`.
+
+        None if the model has none. At kinks (another joint becomes the slowest, two surfaces are equally likely) the
+        derivative is that of one side.
+        """
+        first, second, batch = self.kernels.edge_rows(q0, q1, step)
+        found = self.native.edge_gradients(first, second, step)
+        if found is None:
+            return None
+        costs, d_q0, d_q1 = found
+        return costs.reshape(*batch, 2), d_q0.reshape(*batch, self.kernels.nq), d_q1.reshape(*batch, self.kernels.nq)
+
 
 def _check_margin(margin: float) -> None:
     if not np.isfinite(margin):

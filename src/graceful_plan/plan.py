@@ -57,7 +57,7 @@ def plan(
     scene: Scene,
     w: float | None = None,
     *,
-    planner: str | Planner = "anytime",
+    planner: str | Planner = "auto",
     objective: Objective | None = None,
     time_limit: float | None = None,
     iterations: int | None = None,

@@ -299,4 +299,4 @@ def _unit(given: Value, quaternion: tuple[float, ...] | None = None, *, wxyz: bo
 
 
 def _rigid(position: tuple[float, ...], wxyz: tuple[float, ...]) -> Float[Array, "4 4"]:
-    return PoseGoal.at(position, wxyz).X_WT
+    return PoseGoal.at(np.array(position), np.array(wxyz)).X_WT

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,25 +25,41 @@ EdgeTest = Callable[[Array, Array], Array]
 """Which of the straight edges between configurations [n, nq] are free: bool [n]."""
 Density = Callable[[Array], Array]
 """Impact per unit of joint-space length at configurations [n, nq]: float [n], >= 0."""
+DensityGradient = Callable[[Array], Array]
+"""Derivative of a density at configurations [n, nq]: float [n, nq]."""
+Clearance = Callable[[Array], tuple[Array, Array]]
+"""Signed distance from the obstacles at configurations [n, nq], positive outside, and its gradient: [n], [n, nq]."""
 
 
-def _pieces(
-    q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float
-) -> tuple[Float[Array, "points nq"], Float[Array, " points"], Int[Array, " n"]]:
-    """Subdivide each edge on its own, so that its points do not depend on the batch it came in.
+class _Pieces(NamedTuple):
+    """Points along edges, ends included."""
 
-    Returns:
-        Points including both ends, the trapezoid weight of each [rad], and where each edge's points begin.
-    """
-    length = np.linalg.norm(q1 - q0, axis=1)
-    count = np.maximum(1, np.ceil(length / step).astype(int))
+    q: Float[Array, "points nq"]
+    t: Float[Array, " points"]
+    """Share of the edge before each."""
+    weight: Float[Array, " points"]
+    """Trapezoid weight, as a share of the edge's length."""
+    edge: Int[Array, " points"]
+    """Which edge it is on."""
+    begin: Int[Array, " n"]
+    """Where each edge's points begin."""
+
+
+def _pieces(q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float) -> _Pieces:
+    """Subdivide each edge on its own, so that its points do not depend on the batch it came in."""
+    count = np.maximum(1, np.ceil(np.linalg.norm(q1 - q0, axis=1) / step).astype(int))
     begin = np.concatenate([[0], np.cumsum(count + 1)[:-1]]) if len(count) else np.zeros(0, dtype=int)
     edge = np.repeat(np.arange(len(count)), count + 1)
     place = np.arange(len(edge)) - begin[edge]
-    t = (place / count[edge])[:, None]
+    t = place / count[edge]
     is_end = (place == 0) | (place == count[edge])
-    weight = length[edge] / count[edge] * np.where(is_end, 0.5, 1.0)
-    return (1.0 - t) * q0[edge] + t * q1[edge], weight, begin
+    weight = np.where(is_end, 0.5, 1.0) / count[edge]
+    return _Pieces((1.0 - t)[:, None] * q0[edge] + t[:, None] * q1[edge], t, weight, edge, begin)
+
+
+def _sums(values: Float[Array, "points ..."], pieces: _Pieces) -> Float[Array, "n ..."]:
+    """Sum over each edge's points."""
+    return np.add.reduceat(values, pieces.begin, axis=0) if len(pieces.begin) else values[:0]
 
 
 def _everywhere(q: Array) -> Array:
@@ -60,6 +77,7 @@ class FunctionProblem(Problem):
         upper: Upper limit per joint.
         free: Which configurations are free; all of them by default.
         edge_free: Exact test of straight edges. By default edges are sampled at `step` with `free`.
+        clearance: Signed distance from the obstacles, if it is known; planners that push paths away need it.
         step: Distance between checked points of an edge [rad].
     """
 
@@ -69,6 +87,7 @@ class FunctionProblem(Problem):
     upper: Float[Array, " nq"]
     free: StateTest = _everywhere
     edge_free: EdgeTest | None = None
+    clearance: Clearance | None = None
     step: float = 0.02
 
     def __post_init__(self) -> None:
@@ -94,8 +113,13 @@ class FunctionProblem(Problem):
             return np.asarray(self.edge_free(q0, q1), dtype=bool)
         if self.free is _everywhere:
             return np.ones(len(q0), dtype=bool)
-        points, _, begin = _pieces(q0, q1, self.step)
-        return np.logical_and.reduceat(self.states_free(points), begin) if len(begin) else np.zeros(0, dtype=bool)
+        pieces = _pieces(q0, q1, self.step)
+        free = self.states_free(pieces.q)
+        return np.logical_and.reduceat(free, pieces.begin) if len(pieces.begin) else free
+
+    def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]] | None:
+        """Return the signed distance from the obstacles and its gradient, None if it is not known."""
+        return None if self.clearance is None else self.clearance(q)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,11 +128,13 @@ class DensityObjective:
 
     Args:
         density: Impact per unit of length, >= 0.
+        gradient: Derivative of the density, if it is known.
         w: Safety weight, >= 0.
         step: Longest piece of the trapezoid rule [rad].
     """
 
     density: Density
+    gradient: DensityGradient | None = None
     w: float = 1.0
     step: float = 0.01
 
@@ -120,13 +146,27 @@ class DensityObjective:
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
         """Length V and impact S of each straight edge."""
-        points, weight, begin = _pieces(q0, q1, self.step)
-        impact = np.add.reduceat(weight * self.states(points), begin) if len(begin) else np.zeros(0)
-        return np.stack([np.linalg.norm(q1 - q0, axis=1), impact], axis=1)
+        pieces, length = _pieces(q0, q1, self.step), np.linalg.norm(q1 - q0, axis=1)
+        return np.stack([length, length * _sums(pieces.weight * self.states(pieces.q), pieces)], axis=1)
 
     def states(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
         """Impact density at each configuration."""
         return np.asarray(self.density(q), dtype=np.float64)
+
+    def edge_gradients(
+        self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]
+    ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """`edges`, with the derivatives of V + w S of each edge with respect to both ends, if the density has one."""
+        if self.gradient is None:
+            return None
+        pieces, length = _pieces(q0, q1, self.step), np.linalg.norm(q1 - q0, axis=1)
+        mean = _sums(pieces.weight * self.states(pieces.q), pieces)
+        slope = (pieces.weight * length[pieces.edge])[:, None] * np.asarray(self.gradient(pieces.q))
+        unit = (q1 - q0) / np.where(length > 0.0, length, 1.0)[:, None]
+        longer = (1.0 + self.w * mean)[:, None] * unit
+        d_q0 = self.w * _sums((1.0 - pieces.t)[:, None] * slope, pieces) - longer
+        d_q1 = self.w * _sums(pieces.t[:, None] * slope, pieces) + longer
+        return np.stack([length, length * mean], axis=1), d_q0, d_q1
 
 
 def mechanical_work(density: Density, path: Path, step: float = 0.01) -> float:
@@ -171,7 +211,7 @@ def free_space(dimension: int = 2, density: float = 0.0, w: float = 1.0) -> Anal
     return AnalyticProblem(
         name="free_space" if density == 0.0 else "uniform_density",
         problem=problem,
-        objective=DensityObjective(density=lambda q: np.full(len(q), density), w=w),
+        objective=DensityObjective(density=lambda q: np.full(len(q), density), gradient=np.zeros_like, w=w),
         optimum=(1.0 + w * density) * float(np.linalg.norm(goal - start)),
         note="a straight line is shortest and the density is the same everywhere",
     )
@@ -183,6 +223,12 @@ def _segments_miss_ball(q0: Array, q1: Array, radius: float) -> Array:
     squared = np.einsum("ij,ij->i", direction, direction)
     t = np.clip(-np.einsum("ij,ij->i", q0, direction) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
     return np.linalg.norm(q0 + t[:, None] * direction, axis=1) >= radius
+
+
+def _outside_ball(q: Array, radius: float) -> tuple[Array, Array]:
+    """Distance from a ball around the origin, and its gradient."""
+    distance = np.linalg.norm(q, axis=1)
+    return distance - radius, q / np.where(distance > 0.0, distance, 1.0)[:, None]
 
 
 def disc(dimension: int = 2) -> AnalyticProblem:
@@ -197,13 +243,14 @@ def disc(dimension: int = 2) -> AnalyticProblem:
         upper=np.full(dimension, 3.0),
         free=lambda q: np.linalg.norm(q, axis=1) >= radius,
         edge_free=lambda q0, q1: _segments_miss_ball(q0, q1, radius),
+        clearance=lambda q: _outside_ball(q, radius),
     )
     tangents = 2.0 * np.sqrt(distance**2 - radius**2)
     arc = radius * (np.pi - 2.0 * np.arccos(radius / distance))
     return AnalyticProblem(
         name="disc",
         problem=problem,
-        objective=DensityObjective(density=_free_of_impact),
+        objective=DensityObjective(density=_free_of_impact, gradient=np.zeros_like),
         optimum=float(tangents + arc),
         note="taut string around a ball; 4.511299",
     )
@@ -225,6 +272,11 @@ def two_media(dimension: int = 2) -> AnalyticProblem:
     )
 
 
+def _along_y(slope: Array) -> Array:
+    """Gradient in the plane of what depends on y alone."""
+    return np.stack([np.zeros_like(slope), slope], axis=1)
+
+
 def hyperbolic() -> AnalyticProblem:
     """Cost 1/y, the hyperbolic half-plane, from (0, 1/2) to (1, 1/2): an arc of a circle.
 
@@ -240,7 +292,11 @@ def hyperbolic() -> AnalyticProblem:
     return AnalyticProblem(
         name="hyperbolic",
         problem=problem,
-        objective=DensityObjective(density=lambda q: np.maximum(0.0, 1.0 / q[:, 1] - 1.0), step=0.005),
+        objective=DensityObjective(
+            density=lambda q: np.maximum(0.0, 1.0 / q[:, 1] - 1.0),
+            gradient=lambda q: _along_y(np.where(q[:, 1] < 1.0, -1.0 / q[:, 1] ** 2, 0.0)),
+            step=0.005,
+        ),
         optimum=float(np.arccosh(3.0)),
         note="arccosh(1 + |goal - start|^2 / (2 y0 y1)); 1.762747",
     )
@@ -257,7 +313,10 @@ def catenary() -> AnalyticProblem:
     return AnalyticProblem(
         name="catenary",
         problem=problem,
-        objective=DensityObjective(density=lambda q: np.maximum(0.0, q[:, 1] - 1.0)),
+        objective=DensityObjective(
+            density=lambda q: np.maximum(0.0, q[:, 1] - 1.0),
+            gradient=lambda q: _along_y(np.where(q[:, 1] > 1.0, 1.0, 0.0)),
+        ),
         optimum=3.8144964268080104,
         note="y = c cosh(x / c) with c = 1.696676",
     )
@@ -268,6 +327,13 @@ def saddle_density(q: Float[Array, "n nq"]) -> Float[Array, " n"]:
     ridge = np.exp(-0.5 * (q[:, 0] / 0.35) ** 2)
     gate = np.exp(-0.5 * ((q[:, 1] - 1.0) / 0.3) ** 2)
     return ridge * (4.0 - 3.0 * gate)
+
+
+def _saddle_gradient(q: Array) -> Array:
+    x, y = q[:, 0], q[:, 1]
+    ridge = np.exp(-0.5 * (x / 0.35) ** 2)
+    gate = np.exp(-0.5 * ((y - 1.0) / 0.3) ** 2)
+    return np.stack([-x / 0.35**2 * ridge * (4.0 - 3.0 * gate), ridge * 3.0 * gate * (y - 1.0) / 0.3**2], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -298,7 +364,9 @@ def saddle(scale: float = 1.0, offset: float = 0.0) -> SaddleProblem:
     problem = FunctionProblem(start=start, goals=-start[None], lower=np.array([-2.0, -2.0]), upper=np.array([2.0, 2.0]))
     return SaddleProblem(
         problem=problem,
-        objective=DensityObjective(density=lambda q: scale * saddle_density(q) + offset),
+        objective=DensityObjective(
+            density=lambda q: scale * saddle_density(q) + offset, gradient=lambda q: scale * _saddle_gradient(q)
+        ),
         least_work=scale * (1.0 - float(saddle_density(start[None])[0])),
     )
 

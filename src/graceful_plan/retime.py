@@ -123,10 +123,10 @@ def _refined(
     """Time a curve on finer and finer grids until it hardly exceeds a limit between their points."""
     for density in (1, 2, 4):
         trajectory = _timed(pieces, end, limits, joints, density, inverse_dynamics, regrade)
-        slowdown = _slowdown(trajectory, limits, inverse_dynamics)
-        if slowdown <= _ACCEPTED_SLOWDOWN:
+        factor = slowdown(trajectory, limits, inverse_dynamics)
+        if factor <= _ACCEPTED_SLOWDOWN:
             break
-    return slowed(trajectory, slowdown * (1.0 + _ROUNDING))
+    return slowed(trajectory, factor * (1.0 + _ROUNDING))
 
 
 def _timed(
@@ -165,7 +165,7 @@ def _trajectory(grid: CurveGrid, speeds: Float[Array, " point"], joints: tuple[s
     return Trajectory(t, grid.q, qd, np.concatenate([qdd, last[1:]]), joints)
 
 
-def _slowdown(trajectory: Trajectory, limits: Limits, inverse_dynamics: InverseDynamics | None) -> float:
+def slowdown(trajectory: Trajectory, limits: Limits, inverse_dynamics: InverseDynamics | None) -> float:
     """By what factor, at least 1, to stretch the time so that the cubics between the samples keep all limits."""
     a0, a1 = trajectory.piece_accelerations
     acceleration = np.maximum(np.abs(a0), np.abs(a1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -122,6 +122,17 @@ class ImpactCost(Cost):
         if type(self) is not ImpactCost or batch.scene.moving:  # a subclass may compute otherwise
             return None
         return self.interaction.gradient(batch, self.severity(batch.scene))
+
+    def gradients(self, batch: StateBatch) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """Derivatives with respect to q and to the joint velocities [s/rad], None if the model has none."""
+        if type(self) is not ImpactCost or batch.scene.moving:  # a subclass may compute otherwise
+            return None
+        return self.interaction.gradients(batch, self.severity(batch.scene))
+
+    def widened(self, metres: float) -> ImpactCost | None:
+        """Return a cost that smears hits by so much more, None if there is none; see `InteractionModel.widened`."""
+        wide = self.interaction.widened(metres) if type(self) is ImpactCost else None
+        return None if wide is None else replace(self, model=wide)
 
     def kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
         """Return the native kernel that computes the same, None if there is none; see `InteractionModel.kernel`.

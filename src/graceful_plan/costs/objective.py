@@ -138,6 +138,40 @@ class SceneObjective:
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         return np.stack([motion, samples.integral(checked_state(self.objective.impact, batch), measure)], axis=1)
 
+    def edge_gradients(
+        self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP
+    ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """`edges`, and the derivatives of V + w S of each edge with respect to `q0` and `q1`; see `ImpactKernel`.
+
+        None without a native kernel that has derivatives. An edge without length has none; they are given as 0.
+
+        Args:
+            q0: Where the edges begin.
+            q1: Where they end.
+            step: Largest distance between samples [rad]; `edges` takes `COST_STEP`.
+        """
+        found = None if self.kernel is None else self.kernel.edge_gradients(q0, q1, step)
+        if found is None:
+            return None
+        cost, d_q0, d_q1 = found
+        length = cost[:, :1]
+        along = np.divide(q1 - q0, length, out=np.zeros_like(d_q0), where=length > 0.0)
+        return cost, self.w * d_q0 - along, self.w * d_q1 + along
+
+    def widened(self, metres: float) -> SceneObjective | None:
+        """Return the objective with hits smeared by so much more, None if its impact has no such form.
+
+        A descent that begins wide feels hazards from afar; costs are only true at the width of the objective itself.
+
+        Raises:
+            SettingError: If the width is not a positive number.
+        """
+        if not 0.0 < metres < np.inf:
+            raise SettingError("metres", metres, "a finite number > 0 [m]")
+        impact = self.objective.impact
+        wide = impact.widened(metres) if isinstance(impact, ImpactCost) else None
+        return None if wide is None else replace(self.objective, impact=wide).bind(self.scene)
+
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
         charged = self.charged_states(path, start_time)

@@ -1,28 +1,30 @@
-// The default planner: RRT-Connect for the first path, then refinement of the best path by J, and contests between others that
-// might become better. These come from cost-bounded RRT-Connect (AO-x: whatever it finds beats the incumbent), from
-// RRT-Connect through the valleys of the impact, from plain RRT-Connect and from detours through via points.
+// The default planner's search: RRT-Connect for the first path, then paths that might become better, one after the other. They
+// come from small roadmaps (Scout), from detours of the best path, from RRT-Connect through the valleys of the impact and from
+// cost-bounded RRT-Connect (AO-x: whatever it finds beats the best path). Each is descended along the gradient of J and refined
+// by random moves, for as long as it may still win. Where J has no gradient, several are refined side by side instead.
 #pragma once
 #include <algorithm>
 #include <memory>
 
+#include "challenger.hpp"
 #include "connect.hpp"
-#include "refine.hpp"
+#include "scout.hpp"
 
 namespace gp {
 
 struct AnytimeSettings {
   ConnectSettings connect;
   double spacing = 0.2;
-  int challengers = 8;
+  int challengers = 8;  // in a contest, without gradient
+  bool descents = true, scouts = true;
 };
-
-constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each challenger
 
 class Anytime {
  public:
   Anytime(Space& space, Point start, std::vector<Point> goals, AnytimeSettings settings, uint64_t seed)
-      : space_(space), start_(start), goals_(goals), settings_(settings), random_(seed),
-        connect_(space, std::move(start), std::move(goals), settings.connect, random_.bits()) {}
+      : space_(space), start_(start), goals_(goals), settings_(settings),
+        descends_(settings.descents && space.has_slopes() && space.w > 0), random_(seed),
+        connect_(space, start, goals, settings.connect, random_.bits()), scout_(space, std::move(start), std::move(goals), random_.bits()) {}
 
   // Work until the slice ends; true if the best path changed. Stops early at a proven optimum.
   bool run(Slice& slice) {
@@ -41,62 +43,129 @@ class Anytime {
     return best_.total <= bound * (1 + 1e-9);
   }
 
+  // Go on from a free path of somebody else, if it is better.
+  void adopt(std::vector<Point> path) { take(Polyline::of(space_, std::move(path))); }
+
+  // Look at a path next, free or, with a gradient, not.
+  void suggest(std::vector<Point> path) {
+    if (descends_ || is_free(path, 0, path.size() - 1)) challengers_.insert(challengers_.begin(), challenger(std::move(path), kSuggested));
+  }
+
  private:
+  enum Source { kScoutLine, kScoutBest, kDetour, kToolDetour, kValley, kPlain, kBound, kSources, kSuggested = kSources };
+  static constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each challenger in a contest
+  static constexpr int kFirstScout = 150, kLastScout = 600;       // nodes
+  static constexpr size_t kElite = 6;
+
   bool step() {
     ++steps_;
-    if (best_.q.empty()) return connect_.step() && offer(Polyline::of(space_, connect_.path()));
+    if (best_.q.empty()) return connect_.step() && offer(connect_.path(), kPlain);
     const bool settled = incumbent_->settled() < 0.02;
-    if (steps_ % (settled ? 16 : 2) == 0) return incumbent_->step() && take(incumbent_->path());
-    return contest();
+    if (steps_ % (settled || descends_ ? 16 : 2) == 0) return incumbent_->step() && take(incumbent_->path());
+    return descends_ ? chase() : contest();
+  }
+
+  // One after the other: descend, and give up on those that will not beat the best path.
+  bool chase() {
+    if (challengers_.empty()) return explore();
+    Challenger& one = *challengers_.front();
+    one.step();
+    bool improved = false;
+    if (std::vector<Point> early = one.take_early(); !early.empty()) improved = take(Polyline::of(space_, std::move(early)));
+    if (one.refiner()) improved |= take(one.refiner()->path());
+    if (improved) ++won_;
+    if (one.hopeless(best_.total)) {
+      if (one.refiner()) remember(one.refiner()->path());
+      reward(one.source(), won_ > 0);
+      won_ = 0;
+      challengers_.erase(challengers_.begin());
+    }
+    return improved;
   }
 
   // Rounds of successive halving: gather challengers, refine all of them a little, drop the worse half, refine the rest twice
   // as long, and so on until one is left, which is refined until it wins or settles.
   bool contest() {
-    if (moves_per_round_ == 0) {
+    if (turns_ == 0) {
       if (int(challengers_.size()) < settings_.challengers) return explore();
-      moves_per_round_ = kFirstRound, move_ = 0;
+      turns_ = kFirstRound, turn_ = 0;
     }
     if (challengers_.empty()) return end_contest();
-    std::unique_ptr<Refiner>& refiner = challengers_[size_t(move_++) % challengers_.size()];
-    refiner->step();
-    if (refiner->path().total < best_.total) {
-      std::swap(incumbent_, refiner);
-      return take(incumbent_->path());
+    std::unique_ptr<Challenger>& one = challengers_[size_t(turn_++) % challengers_.size()];
+    one->step();
+    if (one->estimate() < best_.total) {
+      reward(one->source(), true);
+      std::swap(incumbent_, one->refiner());
+      best_ = incumbent_->path();
+      return true;
     }
-    if (move_ < moves_per_round_ * int64_t(challengers_.size())) return false;
-    move_ = 0, moves_per_round_ *= 2;
-    if (challengers_.size() == 1)
-      return challengers_[0]->settled() < 0.02 || challengers_[0]->path().total > 1.1 * best_.total || moves_per_round_ > kLastRound
-                 ? end_contest()
-                 : false;
-    std::stable_sort(challengers_.begin(), challengers_.end(), [](const auto& a, const auto& b) { return a->path().total < b->path().total; });
+    if (turn_ < turns_ * int64_t(challengers_.size())) return false;
+    turn_ = 0, turns_ *= 2;
+    if (challengers_.size() == 1) {
+      const Challenger& last = *challengers_[0];
+      return (last.settled() < 0.02 || last.estimate() > 1.1 * best_.total || turns_ > kLastRound) && end_contest();
+    }
+    std::stable_sort(challengers_.begin(), challengers_.end(), [](const auto& a, const auto& b) { return a->estimate() < b->estimate(); });
     challengers_.resize((challengers_.size() + 1) / 2);
     return false;
   }
   bool end_contest() {
     challengers_.clear();
-    moves_per_round_ = 0;
+    turns_ = 0;
     return false;
   }
 
-  // Look for another path. A tree search goes on across steps until it succeeds or ages.
+  // Sources that improved the best path lately are asked more often.
+  void reward(int source, bool won) {
+    if (source < kSources) score_[source] = won ? 0.9 * score_[source] + 1.0 : 0.95 * score_[source];
+  }
+  Source choose() {
+    // How often each is asked as long as nothing is known.
+    const bool feared = space_.w > 0, scouts = descends_ && settings_.scouts;
+    const double prior[kSources] = {scouts ? 1.0 : 0.0, scouts ? 1.5 : 0.0, 1.0, 1.0, feared ? 0.8 : 0.0, 0.2, 0.3};
+    double weight[kSources], sum = 0;
+    for (int s = 0; s < kSources; ++s) sum += weight[s] = prior[s] * (0.3 + score_[s]);
+    double u = random_.uniform() * sum;
+    for (int s = 0; s < kSources; ++s)
+      if ((u -= weight[s]) < 0) return Source(s);
+    return kDetour;
+  }
+
+  // Look for another path. Searches go on across steps until they succeed or age.
   bool explore() {
-    if (searching_ && ++search_age_ < 300) {
+    if (scouting_) {
+      if (scout_.step()) offer(scout_.path(), source_);
+      scouting_ = !scout_.done();
+      return false;
+    }
+    if (searching_) {
+      searching_ = ++search_age_ < 300;
       if (!connect_.step()) return false;
       searching_ = false;
-      return offer(Polyline::of(space_, connect_.path()));
+      return offer(connect_.path(), source_);
     }
-    searching_ = false;
-    const double u = random_.uniform(), infinite = std::numeric_limits<double>::infinity();
-    if (u < 0.3) return detour();
-    if (u < 0.6) return tool_detour();
-    double impact_limit = infinite;
-    if (u < 0.85 && space_.w > 0) impact_limit = mean_impact() * random_.uniform(0.05, 1.5);
-    connect_.reset(u >= 0.93 ? best_.total : infinite, impact_limit);
+    source_ = scouts_ == 0 && descends_ && settings_.scouts ? kScoutLine : choose();
+    if (source_ == kDetour) return detour();
+    if (source_ == kToolDetour) return tool_detour();
+    if (source_ == kScoutLine || source_ == kScoutBest) return scout();
+    const double infinite = std::numeric_limits<double>::infinity();
+    connect_.reset(source_ == kBound ? best_.total : infinite, source_ == kValley ? mean_impact() * random_.uniform(0.05, 1.5) : infinite);
     connect_.skip_direct();
     searching_ = true;
     search_age_ = 0;
+    return false;
+  }
+
+  // A roadmap around the straight line or the best path, larger every time, with the best paths in it.
+  bool scout() {
+    const bool line = source_ == kScoutLine;
+    const Point& goal = goals_[size_t(random_.below(int(goals_.size())))];
+    std::vector<std::vector<Point>> known;
+    if (scouts_ > 0) known.push_back(best_.q);
+    for (const Polyline& path : elite_) known.push_back(path.q);
+    scout_.begin(line ? std::vector<Point>{start_, goal} : best_.q, known, line ? 0.5 : 0.25, std::min(kLastScout, kFirstScout << std::min(scouts_, 4)));
+    ++scouts_;
+    scouting_ = true;
     return false;
   }
 
@@ -106,7 +175,15 @@ class Anytime {
     return std::max(0.0, best_.total - length) / (space_.w * std::max(length, 1e-9));
   }
 
-  // The straight path, or a stretch of the incumbent, sent through the most promising of some random via points.
+  bool is_free(const std::vector<Point>& points, size_t first, size_t last) {
+    for (size_t k = first; k < last; ++k)
+      if (!space_.edge_free(points[k].data(), points[k + 1].data())) return false;
+    for (size_t k = first; k < last; ++k)
+      if (!space_.edge_certain(points[k].data(), points[k + 1].data())) return false;
+    return true;
+  }
+
+  // The straight path, or a stretch of the best one, sent through the most promising of some random via points.
   bool detour() {
     const std::vector<Point>& q = best_.q;
     size_t i = 0, j = q.size() - 1;
@@ -115,16 +192,13 @@ class Anytime {
       if (i > j) std::swap(i, j);
       if (j - i < 2) return false;
     }
-    const Point via = via_point(q[i], q[j]);
-    if (!space_.edge_free(q[i].data(), via.data()) || !space_.edge_free(via.data(), q[j].data())) return false;
-    if (!space_.edge_certain(q[i].data(), via.data()) || !space_.edge_certain(via.data(), q[j].data())) return false;
     std::vector<Point> points(q.begin(), q.begin() + long(i) + 1);
-    points.push_back(via);
+    points.push_back(via_point(q[i], q[j]));
     points.insert(points.end(), q.begin() + long(j), q.end());
-    return offer(Polyline::of(space_, std::move(points)));
+    return (descends_ || is_free(points, i, i + 2)) && offer(std::move(points), kDetour);
   }
 
-  // A stretch of the incumbent with the tool carried higher, lower or further aside, by steps along its Jacobian.
+  // A stretch of the best path with the tool carried higher, lower or further aside, by steps along its Jacobian.
   bool tool_detour() {
     const int n = int(best_.q.size());
     if (n < 3) return detour();
@@ -146,11 +220,7 @@ class Anytime {
         for (size_t c = 0; c < q.size(); ++c) q[c] = std::clamp(q[c] + d[c], space_.lower[c], space_.upper[c]);
       }
     }
-    for (int k = i; k < j; ++k)
-      if (!space_.edge_free(points[size_t(k)].data(), points[size_t(k) + 1].data())) return false;
-    for (int k = i; k < j; ++k)
-      if (!space_.edge_certain(points[size_t(k)].data(), points[size_t(k) + 1].data())) return false;
-    return offer(Polyline::of(space_, std::move(points)));
+    return (descends_ || is_free(points, size_t(i), size_t(j))) && offer(std::move(points), kToolDetour);
   }
 
   Point via_point(const Point& a, const Point& b) {
@@ -176,36 +246,55 @@ class Anytime {
     return Point(best, best + dim);
   }
 
-  bool offer(Polyline path) {
-    const double total = path.total;
-    auto refiner = std::make_unique<Refiner>(space_, std::move(path), settings_.spacing, random_.bits());
-    if (total < best_.total) {
-      std::swap(incumbent_, refiner);
-      if (refiner) challengers_.push_back(std::move(refiner));
-      return take(incumbent_->path());
+  // Enter a path; it is the best one right away if it is free and there is none, or if nothing is to be descended.
+  bool offer(std::vector<Point> path, Source source) {
+    if (best_.q.empty()) {
+      take(Polyline::of(space_, path));
+      if (!descends_) challengers_.push_back(challenger(std::move(path), source));
+      return true;
     }
-    challengers_.push_back(std::move(refiner));
-    return false;
+    challengers_.push_back(challenger(std::move(path), source));
+    if (descends_ || challengers_.back()->estimate() >= best_.total) return false;
+    std::swap(incumbent_, challengers_.back()->refiner());
+    best_ = incumbent_->path();
+    return true;
+  }
+  std::unique_ptr<Challenger> challenger(std::vector<Point> path, Source source) {
+    return std::make_unique<Challenger>(space_, std::move(path), settings_.spacing, descends_, source, random_.bits());
   }
 
   bool take(const Polyline& path) {
     if (path.total >= best_.total) return false;
+    if (!incumbent_ || &path != &incumbent_->path()) incumbent_ = std::make_unique<Refiner>(space_, path, settings_.spacing, random_.bits());
     best_ = path;
     return true;
+  }
+
+  // Keep a few good paths for roadmaps, where parts of them may be joined.
+  void remember(const Polyline& path) {
+    if (path.total > 1.5 * best_.total) return;
+    elite_.push_back(path);
+    std::stable_sort(elite_.begin(), elite_.end(), [](const Polyline& a, const Polyline& b) { return a.total < b.total; });
+    if (elite_.size() > kElite) elite_.pop_back();
   }
 
   Space& space_;
   Point start_;
   std::vector<Point> goals_;
   AnytimeSettings settings_;
+  const bool descends_;
   Random random_;
   Connect connect_;
+  Scout scout_;
   Polyline best_;
   std::unique_ptr<Refiner> incumbent_;
-  std::vector<std::unique_ptr<Refiner>> challengers_;
-  int64_t steps_ = 0, move_ = 0, moves_per_round_ = 0;
-  bool searching_ = false;
-  int search_age_ = 0;
+  std::vector<std::unique_ptr<Challenger>> challengers_;
+  std::vector<Polyline> elite_;
+  double score_[kSources] = {1, 1, 1, 1, 1, 1, 1};
+  Source source_ = kPlain;
+  int64_t steps_ = 0, turn_ = 0, turns_ = 0;
+  bool scouting_ = false, searching_ = false;
+  int scouts_ = 0, search_age_ = 0, won_ = 0;
 };
 
 }  // namespace gp

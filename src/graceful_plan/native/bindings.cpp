@@ -8,6 +8,8 @@
 #include "body_impact.hpp"
 #include "connect.hpp"
 #include "core.hpp"
+#include "descent.hpp"
+#include "graph_search.hpp"
 #include "impact.hpp"
 
 using namespace nb::literals;
@@ -19,10 +21,11 @@ namespace {
 class SceneSpace final : public Space {
  public:
   SceneSpace(const Core& core, const Impact& impact, Reals low, Reals high, double weight, double check_step, double fine_step,
-             double cost_step, double margin)
-      : core_(core), impact_(impact), check_step_(check_step), fine_step_(fine_step), cost_step_(cost_step), margin_(margin) {
-    lower = point(low), upper = point(high), dim = int(lower.size()), w = weight;
+             double cost_step, double keep)
+      : core_(core), impact_(impact), check_step_(check_step), fine_step_(fine_step), cost_step_(cost_step) {
+    lower = point(low), upper = point(high), dim = int(lower.size()), w = weight, margin = keep;
     require(dim == core.tables().n_joint && upper.size() == lower.size(), "limits");
+    has_slopes_ = impact_.edge_gradients(nullptr, nullptr, 0, 1.0, Sampling::kBoth, nullptr, nullptr, nullptr);
   }
   bool edge_free(const double* a, const double* b) override { return free_at(a, b, check_step_); }
   bool edge_certain(const double* a, const double* b) override { return free_at(a, b, fine_step_); }
@@ -42,17 +45,25 @@ class SceneSpace final : public Space {
   void impacts(const double* points, int n, double* out) override {
     impact_.states(points, size_t(n), out);
   }
+  bool has_slopes() const override { return has_slopes_; }
+  void slopes(const double* points, int n_edge, double step, bool rough, double* cost, double* by_from, double* by_to) override {
+    impact_.edge_gradients(points, points + dim, size_t(n_edge), step, rough ? Sampling::kMean : Sampling::kBoth, cost, by_from, by_to);
+  }
+  void clearances(const double* points, int n, double* out, double* gradient) override {
+    core_.kernels().clearance(core_.tables(), points, size_t(n), out, gradient);
+  }
 
  private:
   bool free_at(const double* a, const double* b, double step) const {
     uint8_t free = 0;
-    core_.kernels().free_edges(core_.tables(), a, b, 1, step, margin_, &free);
+    core_.kernels().free_edges(core_.tables(), a, b, 1, step, margin, &free);
     return free != 0;
   }
 
   const Core& core_;
   const Impact& impact_;
-  double check_step_, fine_step_, cost_step_, margin_;
+  double check_step_, fine_step_, cost_step_;
+  bool has_slopes_;
 };
 
 // Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2], state_costs(q) -> [n].
@@ -126,10 +137,33 @@ class ConnectPlanner {
   bool solved_ = false;
 };
 
+class DescentRun {
+ public:
+  DescentRun(Space& space, Reals path, int pieces, double step, double keep, double push, bool energy)
+      : space_(space), descent_(space, points(path), pieces, {step, keep, push, energy, false}) {}
+  int run(int steps) {
+    nb::gil_scoped_release release;
+    int done = 0;
+    while (done < steps && descent_.step()) ++done;
+    return done;
+  }
+  void harden() { descent_.harden(); }
+  Out<double> path() const { return as_array(descent_.path(), space_.dim); }
+  double value() const { return descent_.value(); }
+
+ private:
+  Space& space_;
+  Descent descent_;
+};
+
 class AnytimePlanner {
  public:
-  AnytimePlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, double spacing, int challengers, uint64_t seed)
-      : space_(space), anytime_(space, point(start), points(goals), {{range, max_nodes}, spacing, challengers}, seed) {}
+  AnytimePlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, double spacing, int challengers, uint64_t seed,
+                 bool descents, bool scouts)
+      : space_(space), anytime_(space, point(start), points(goals), {{range, max_nodes}, spacing, challengers, descents, scouts}, seed) {}
+  void adopt(Reals path) { anytime_.adopt(points(path)); }
+  void suggest(Reals path) { anytime_.suggest(points(path)); }
+  double total() const { return anytime_.best().total; }
   nb::tuple run(int64_t iterations, double seconds) {
     Slice slice(iterations, seconds);
     bool improved;
@@ -198,7 +232,10 @@ NB_MODULE(_native, m) {
       .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
       .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
       .def("dynamics", &BodyModel::dynamics, "q"_a);
-  nb::class_<Impact>(m, "Impact").def("states", &Impact::states_array, "q"_a).def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a);
+  nb::class_<Impact>(m, "Impact")
+      .def("states", &Impact::states_array, "q"_a)
+      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a)
+      .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact").def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
   nb::class_<DropImpact, Impact>(m, "DropImpact")
       .def(nb::init<const DropModel&, Reals, double, double>(), "model"_a, "severity"_a, "slow"_a, "fast"_a, nb::keep_alive<1, 2>());
@@ -207,6 +244,10 @@ NB_MODULE(_native, m) {
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")
       .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a, "fast"_a,
            nb::keep_alive<1, 2>());
+  nb::class_<GraphSearch>(m, "GraphSearch")
+      .def(nb::init<int, Integers, Integers>(), "n"_a, "tail"_a, "head"_a)
+      .def("cheapest", &GraphSearch::cheapest, "cost"_a, "start"_a, "goals"_a)
+      .def("front", &GraphSearch::front, "cost"_a, "start"_a, "goals"_a, "epsilon"_a, "seconds"_a);
   nb::class_<Space>(m, "Space");
   nb::class_<SceneSpace, Space>(m, "SceneSpace")
       .def(nb::init<const Core&, const Impact&, Reals, Reals, double, double, double, double, double>(), "core"_a, "impact"_a, "lower"_a,
@@ -219,9 +260,19 @@ NB_MODULE(_native, m) {
            nb::keep_alive<1, 2>())
       .def("run", &ConnectPlanner::run, "iterations"_a, "seconds"_a)
       .def_prop_ro("path", &ConnectPlanner::path, nb::rv_policy::move);
+  nb::class_<DescentRun>(m, "Descent")
+      .def(nb::init<Space&, Reals, int, double, double, double, bool>(), "space"_a, "path"_a, "pieces"_a, "step"_a, "keep"_a, "push"_a,
+           "energy"_a, nb::keep_alive<1, 2>())
+      .def("run", &DescentRun::run, "steps"_a)
+      .def("harden", &DescentRun::harden)
+      .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
+      .def_prop_ro("value", &DescentRun::value);
   nb::class_<AnytimePlanner>(m, "Anytime")
-      .def(nb::init<Space&, Reals, Reals, double, int, double, int, uint64_t>(), "space"_a, "start"_a, "goals"_a, "range"_a,
-           "max_nodes"_a, "spacing"_a, "challengers"_a, "seed"_a, nb::keep_alive<1, 2>())
+      .def(nb::init<Space&, Reals, Reals, double, int, double, int, uint64_t, bool, bool>(), "space"_a, "start"_a, "goals"_a, "range"_a,
+           "max_nodes"_a, "spacing"_a, "challengers"_a, "seed"_a, "descents"_a, "scouts"_a, nb::keep_alive<1, 2>())
+      .def("adopt", &AnytimePlanner::adopt, "path"_a)
+      .def("suggest", &AnytimePlanner::suggest, "path"_a)
+      .def_prop_ro("total", &AnytimePlanner::total)
       .def("run", &AnytimePlanner::run, "iterations"_a, "seconds"_a)
       .def_prop_ro("path", &AnytimePlanner::path, nb::rv_policy::move)
       .def_prop_ro("optimal", &AnytimePlanner::optimal);

@@ -46,6 +46,9 @@ class Connect {
     }
     if (a_.size() + b_.size() > settings_.max_nodes) reset(bound_, impact_limit_);
     tried_direct_ = true;
+    // The smaller tree grows: where one end sits in a narrow place, its tree would otherwise stay small while the other fills
+    // all of the open space.
+    if (a_.size() != b_.size()) from_start_ = a_.size() < b_.size();
     Tree &grown = from_start_ ? a_ : b_, &other = from_start_ ? b_ : a_;
     from_start_ = !from_start_;
     Point target(size_t(space_.dim));

@@ -115,12 +115,12 @@ static inline int group_of(const Tables& tables, int sphere) {
 }
 
 // Add sign * normal . J to the gradient, J the Jacobian of a point that rides on a link.
-static inline void add_jacobian(const Tables& tables, const Frame<F>* X_W, int lane, int link, const double* point, const double* normal,
+static inline void add_jacobian(const Tables& tables, const Frame<D>* X_W, int lane, int link, const double* point, const double* normal,
                                 double sign, double* gradient) {
   for (int l = link; l >= 0; l = tables.link[l].parent) {
     const Link& joint = tables.link[l];
     if (joint.joint < 0) continue;
-    const Frame<F>& X = X_W[l];
+    const Frame<D>& X = X_W[l];
     const double z[3] = {X.R[2][lane], X.R[5][lane], X.R[8][lane]};
     double velocity[3] = {z[0], z[1], z[2]};
     if (!joint.slide) {
@@ -133,17 +133,17 @@ static inline void add_jacobian(const Tables& tables, const Frame<F>* X_W, int l
   }
 }
 
-static inline void sphere_position(const Tables& tables, const Frame<F>* X_W, int lane, int sphere, const Group& group, double* out) {
-  const Frame<F>& X = X_W[group.frame];
+static inline void sphere_position(const Tables& tables, const Frame<D>* X_W, int lane, int sphere, const Group& group, double* out) {
+  const Frame<D>& X = X_W[group.frame];
   const float* c = tables.sphere + 4 * sphere;
   out[0] = X.p.x[lane] + X.R[0][lane] * c[0] + X.R[1][lane] * c[1] + X.R[2][lane] * c[2];
   out[1] = X.p.y[lane] + X.R[3][lane] * c[0] + X.R[4][lane] * c[1] + X.R[5][lane] * c[2];
   out[2] = X.p.z[lane] + X.R[6][lane] * c[0] + X.R[7][lane] * c[1] + X.R[8][lane] * c[2];
 }
 
-static inline void clearance_gradient(const Tables& tables, const Frame<F>* X_W, const Nearest& pair, int lane, double* gradient) {
+// `a` and `b` name the pair, as in `Nearest`.
+static inline void clearance_gradient(const Tables& tables, const Frame<D>* X_W, int a, int b, int lane, double* gradient) {
   for (int j = 0; j < tables.n_joint; ++j) gradient[j] = 0;
-  const int a = pair.a[lane], b = pair.b[lane];
   if (a < 0) return;
   const Group& group = tables.group[group_of(tables, a)];
   double p[3], other[3], normal[3];

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "core.hpp"
+#include "edge_states.hpp"
 
 namespace gp {
 namespace {
@@ -13,6 +14,8 @@ class Impact {
   virtual ~Impact() = default;
   virtual void states(const double* q, size_t n, double* impact) const = 0;
   virtual void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const = 0;
+  // edges() with the derivatives of S with respect to both ends; false if the model has none.
+  virtual bool edge_gradients(const double*, const double*, size_t, double, Sampling, double*, double*, double*) const { return false; }
   const Core& core() const { return core_; }
 
   auto states_array(Reals q) const {
@@ -21,6 +24,19 @@ class Impact {
     nb::gil_scoped_release release;
     states(q.data(), q.shape(0), out);
     return array;
+  }
+  // V and S, and the derivatives of S with respect to q0 and q1; None if there are none.
+  nb::object edge_gradients_array(Reals q0, Reals q1, double step) const {
+    double *cost, *d_q0, *d_q1;
+    auto costs = make<double>({core_.rows(q0), 2}, cost);
+    auto by_q0 = make<double>({q0.shape(0), q0.shape(1)}, d_q0), by_q1 = make<double>({q0.shape(0), q0.shape(1)}, d_q1);
+    require(core_.rows(q1) == core_.rows(q0), "q0 and q1 differ in length");
+    bool known;
+    {
+      nb::gil_scoped_release release;
+      known = edge_gradients(q0.data(), q1.data(), q0.shape(0), step, Sampling::kExact, cost, d_q0, d_q1);
+    }
+    return known ? nb::object(nb::make_tuple(costs, by_q0, by_q1)) : nb::none();
   }
   auto edges_array(Reals q0, Reals q1, double step) const {
     double* out;
@@ -211,6 +227,14 @@ class DropImpact final : public Impact {
   void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
     core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, q0, q1, n, step, cost);
   }
+  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, Sampling sampling, double* cost, double* d_q0,
+                      double* d_q1) const override {
+    EdgeStates states(core_, model_.tables().speed, pace_, q0, q1, n, step, sampling);
+    core_.kernels().drop_gradient(core_.tables(), model_.tables(), severity_.data(), states.q.data(), states.qd.data(), states.size(),
+                                  states.impact.data(), states.d_q.data(), states.d_qd.data());
+    states.integrate(cost, d_q0, d_q1);
+    return true;
+  }
 
  private:
   const DropModel& model_;
@@ -232,6 +256,17 @@ class SumImpact final : public Impact {
     Point other(2 * n);
     first_.edges(q0, q1, n, step, cost), second_.edges(q0, q1, n, step, other.data());
     for (size_t i = 0; i < n; ++i) cost[2 * i + 1] += other[2 * i + 1];  // the length is the same
+  }
+  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, Sampling sampling, double* cost, double* d_q0,
+                      double* d_q1) const override {
+    const size_t size = n * size_t(core_.tables().n_joint);
+    Point other(2 * n), other_q0(size), other_q1(size);
+    if (!first_.edge_gradients(q0, q1, n, step, sampling, cost, d_q0, d_q1) ||
+        !second_.edge_gradients(q0, q1, n, step, sampling, other.data(), other_q0.data(), other_q1.data()))
+      return false;
+    for (size_t i = 0; i < n; ++i) cost[2 * i + 1] += other[2 * i + 1];
+    for (size_t i = 0; i < size; ++i) d_q0[i] += other_q0[i], d_q1[i] += other_q1[i];
+    return true;
   }
 
  private:

@@ -1,7 +1,5 @@
 // Algorithm 1 of the paper: what lies below the robot's boxes, in double so that it equals a NumPy transcription.
 
-using D = Lanes<double>;
-
 constexpr double kLeastArea = 1e-12;  // of a body seen from above [m2]; what is thinner cannot be hit from above
 
 // Where boxes are over all lanes: the rectangle that they stay in and how high the highest bottom is. Most targets are out

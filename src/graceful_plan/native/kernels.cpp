@@ -75,6 +75,18 @@ static void free_edges(const Tables& tables, const double* q0, const double* q1,
     free[k] = edge_is_free(tables, q0 + k * size_t(tables.n_joint), q1 + k * size_t(tables.n_joint), step, float(margin));
 }
 
+// Those of one block of lanes of `clearance`, whose pairs are known; between near spheres single precision is too coarse.
+static void clearance_gradients(const Tables& tables, const Nearest& pair, const double* q, size_t first, size_t n, double* gradient) {
+  D qs[kMaxJoints];
+  Frame<D> X_W[kMaxLinks];
+  for (int done = 0; done < kLanes<float> && first + size_t(done) < n; done += kLanes<double>) {
+    load<double>(tables, q, first + size_t(done), n, qs);
+    forward_kinematics<double>(tables, qs, X_W);
+    for (int i = 0; i < kLanes<double> && first + size_t(done + i) < n; ++i)
+      clearance_gradient(tables, X_W, pair.a[done + i], pair.b[done + i], i, gradient + (first + size_t(done + i)) * size_t(tables.n_joint));
+  }
+}
+
 static void clearance(const Tables& tables, const double* q, size_t n, double* out, double* gradient) {
   F qs[kMaxJoints];
   Frame<F> X_W[kMaxLinks];
@@ -82,10 +94,9 @@ static void clearance(const Tables& tables, const double* q, size_t n, double* o
     load<float>(tables, q, first, n, qs);
     forward_kinematics<float>(tables, qs, X_W);
     const Nearest pair = nearest(tables, X_W);
-    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) {
+    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i)
       out[first + size_t(i)] = pair.a[i] < 0 ? __builtin_inf() : double(pair.distance[i]);
-      if (gradient) clearance_gradient(tables, X_W, pair, i, gradient + (first + size_t(i)) * size_t(tables.n_joint));
-    }
+    if (gradient) clearance_gradients(tables, pair, q, first, n, gradient);
   }
 }
 

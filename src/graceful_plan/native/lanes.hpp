@@ -23,6 +23,7 @@ template <class T> using Mask = typename Vector<T>::mask;
 template <class T> constexpr int kLanes = kWidth / int(sizeof(T));
 
 using F = Lanes<float>;
+using D = Lanes<double>;
 using MaskF = Mask<float>;
 
 static inline bool any(MaskF m) {

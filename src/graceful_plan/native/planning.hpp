@@ -14,6 +14,7 @@ using Point = std::vector<double>;
 struct Space {
   int dim = 0;
   double w = 0;
+  double margin = 0;  // clearance to keep [m]
   Point lower, upper;
 
   virtual ~Space() = default;
@@ -26,6 +27,13 @@ struct Space {
   virtual bool keep_tool(const double*, double*) { return false; }
   // The smallest displacement that moves the tool by so much, to first order; false if the space knows no tool.
   virtual bool move_tool(const double*, const double*, double*) { return false; }
+  // Whether the two below are known.
+  virtual bool has_slopes() const { return false; }
+  // V and S of the edges between consecutive points, sampled at so long steps, and the derivatives of S with respect to the first
+  // and the second end of each; `rough` halves the work again.
+  virtual void slopes(const double*, int, double, bool, double*, double*, double*) {}
+  // Signed clearances of configurations and their gradients.
+  virtual void clearances(const double*, int, double*, double*) {}
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
   // Whether motion() is the length, so that distances bound the cost from below.
   virtual bool motion_is_length() const { return true; }
@@ -75,13 +83,13 @@ class Random {
   uint64_t state_[4];
 };
 
-// Iterations and seconds that one call may use; the clock is read every few iterations only.
+// Iterations and seconds that one call may use.
 class Slice {
  public:
   Slice(int64_t iterations, double seconds) : limit_(iterations), seconds_(seconds), start_(std::chrono::steady_clock::now()) {}
   bool next() {
     if (used_ == limit_) return false;
-    if ((used_ & 7) == 7 && std::isfinite(seconds_) &&
+    if (used_ > 0 && std::isfinite(seconds_) &&
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count() > seconds_)
       return false;
     ++used_;

@@ -1,15 +1,17 @@
-"""The default planner: RRT-Connect for a first path, then search and refinement by J until the budget ends.
+"""Anytime search in the native core: paths from many sources, each descended along the gradient of J and refined.
 
-A planner of the AO-x family with J = V + w S as edge cost: RRT-Connect runs again and again with the incumbent's cost
-as bound on cost-to-come plus distance-to-go, so that whatever it finds is better. Between these searches it refines the
-incumbent and a few challengers from other homotopy classes by moves that are kept only if J falls and edges are free:
-shortcuts, per-joint shortcuts, perturbed vertices, smooth bumps.
+RRT-Connect finds the first path. From then on, paths that might become better are taken one after the other: from small
+roadmaps that are thrown away, from detours, from RRT-Connect through the valleys of the impact and below the best cost.
+Where the objective has a native gradient, each is descended by L-BFGS in the metric of smooth paths and given up as
+soon as it will not win; the sources that won lately are asked more often. Else several are refined side by side by
+random moves, and the worse half is dropped again and again. `Auto`, the default, runs several of these at once.
 
 References:
     Hauser and Zhou, "Asymptotically optimal planning by feasible kinodynamic planning in a state-cost space", T-RO,
         2016.
     Wilson et al., "AORRTC: almost-surely asymptotically optimal planning with RRT-Connect", RA-L 2025.
     Geraerts and Overmars, "Creating high-quality paths for motion planning", IJRR 2007 (per-joint shortcuts).
+    Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013 (the metric).
 """
 
 from __future__ import annotations
@@ -32,13 +34,16 @@ from graceful_plan.planners.trivial import start_is_goal
 class Anytime(Planner):
     """Improves its path until the budget ends, or until it is proven optimal: a free straight edge at w = 0.
 
-    One iteration is one tree extension or one refinement move.
+    One iteration is one tree extension, one evaluation of a path with its gradient, one refinement move, or a slice of
+    work on a roadmap.
 
     Args:
         range: Longest edge of the trees, as a fraction of the diagonal of the limits.
         spacing: Distance between vertices of a refined path, as a fraction of the diagonal of the limits.
-        challengers: How many paths enter a contest.
+        challengers: How many paths are refined side by side where there is no gradient.
         max_nodes: Trees are dropped and grown anew when they hold more nodes.
+        descents: Whether to use the gradient where there is one.
+        scouts: Whether to look for valleys with roadmaps; only with descents.
     """
 
     name: ClassVar[str] = "anytime"
@@ -48,6 +53,8 @@ class Anytime(Planner):
     spacing: float = 0.018
     challengers: int = 8
     max_nodes: int = 10_000
+    descents: bool = True
+    scouts: bool = True
 
     def __post_init__(self) -> None:
         positive_fraction("range", self.range)
@@ -62,8 +69,14 @@ class Anytime(Planner):
         if start_is_goal(problem):
             yield Path(problem.start[None])
             return
-        space = native_space(problem, objective)
-        core = _native.Anytime(
+        core = self.search(native_space(problem, objective), problem, rng)
+        while not budget.exhausted and not core.optimal:
+            if run_slice(core.run, budget):
+                yield Path(core.path)
+
+    def search(self, space: _native.Space, problem: Problem, rng: np.random.Generator) -> _native.Anytime:
+        """Return the search in the core, not begun."""
+        return _native.Anytime(
             space,
             problem.start,
             problem.goals,
@@ -72,7 +85,6 @@ class Anytime(Planner):
             self.spacing * problem.extent,
             self.challengers,
             seed_from(rng),
+            self.descents,
+            self.scouts,
         )
-        while not budget.exhausted and not core.optimal:
-            if run_slice(core.run, budget):
-                yield Path(core.path)

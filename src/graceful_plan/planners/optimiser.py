@@ -9,10 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from graceful_plan.path import Path
+from graceful_plan.path import Path, finite_array
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.rrt_connect import RRTConnect
 from graceful_plan.planners.trivial import start_is_goal
+
+Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,13 +22,13 @@ class Optimiser(Planner):
     """Improves a path within its class: local, so it needs one to begin with.
 
     Args:
-        initial: Where to begin, leading from the start to a goal; it need not be free. None begins with the path of
-            RRT-Connect after shortcuts.
+        initial: Where to begin: a path, or an array of configurations. It need not be free; where it does not begin at
+            the start or end at a goal, it is joined to them. None begins with the path of RRT-Connect after shortcuts.
     """
 
     anytime: ClassVar[bool] = True
 
-    initial: Path | None = None
+    initial: Path | Array | None = None
 
     @abstractmethod
     def improve(
@@ -44,9 +46,23 @@ class Optimiser(Planner):
         if start_is_goal(problem):
             yield Path(problem.start[None])
             return
-        path = self.initial
+        path = None if self.initial is None else joined_to_ends(self.initial, problem)
         if path is None:
             for path in RRTConnect().solve(problem, objective, budget, rng):
                 yield path
         if path is not None:
             yield from self.improve(path, problem, objective, budget, rng)
+
+
+def joined_to_ends(path: Path | Array, problem: Problem) -> Path:
+    """Return a path from the start along `path` to the nearest goal; straight where `path` does not reach them.
+
+    Raises:
+        ShapeError: If the path does not have the joints of the problem.
+        NonFiniteError: If it holds a NaN or an infinity.
+    """
+    nq = len(problem.start)
+    q = finite_array("initial", path.q if isinstance(path, Path) else path, ndim=2, last=nq)
+    last = q[-1] if len(q) else problem.start
+    goal = problem.goals[np.linalg.norm(problem.goals - last, axis=1).argmin()]
+    return Path(np.concatenate([problem.start[None], q, goal[None]])).without_duplicates()

@@ -42,6 +42,15 @@ class Problem(ABC):
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which straight edges from `q0` to `q1` are free of collision."""
 
+    def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]] | None:
+        """Return the clearance beyond what has to be kept, and its gradient; None, the default, if it is not known.
+
+        Positive where a configuration is free, negative where it is not, and a distance near the border: optimisers
+        push paths away by it.
+        """
+        del q
+        return None
+
 
 @runtime_checkable
 class BoundObjective(Protocol):
@@ -69,6 +78,15 @@ class DifferentiableObjective(BoundObjective, Protocol):
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]
     ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
         """`edges`, and the derivatives of V + w S of each edge with respect to `q0` and `q1`; None if it has none."""
+        ...
+
+
+@runtime_checkable
+class WidenableObjective(BoundObjective, Protocol):
+    """A cost whose hazards can be smeared, so that a descent feels them from afar."""
+
+    def widened(self, metres: float) -> BoundObjective | None:
+        """Return the same with hits smeared by so much more; None if it has no such form."""
         ...
 
 

@@ -19,9 +19,9 @@ import numpy as np
 from graceful_plan.array_types import Int
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.questions import Interrupted, Questions
-from graceful_plan.planners.roadmap import Roadmap
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import MOVES, Shortcut
 from graceful_plan.planners.trivial import start_is_goal
@@ -145,7 +145,7 @@ def _grow(growth: _Growth, questions: Questions, budget: Budget, rng: np.random.
     sampler = InformedSampler(questions.problem, facts.length_bound if growth.informed else 0.0)
     cut_rng = rng.spawn(1)[0]  # so that cutting does not change which samples are drawn
     best, best_path = np.inf, None
-    roadmap = Roadmap(questions, sampler, facts.symmetric, growth.neighbours)
+    roadmap = LazyRoadmap(questions, sampler, facts.symmetric, growth.neighbours)
     while best > sampler.least_cost * (1.0 + _PROVEN) or best_path is None:
         found = roadmap.cheapest(best)
         if found is not None:
@@ -158,7 +158,7 @@ def _grow(growth: _Growth, questions: Questions, budget: Budget, rng: np.random.
         if best_path is not None and growth.first_only:
             return
         if len(roadmap) > growth.max_samples:
-            roadmap = Roadmap(questions, sampler, facts.symmetric, growth.neighbours)
+            roadmap = LazyRoadmap(questions, sampler, facts.symmetric, growth.neighbours)
             if best_path is not None:
                 roadmap.add(best_path.q[1:-1], np.inf)
         samples = sampler.draw(max(growth.batch, len(roadmap) // 10), best, rng)

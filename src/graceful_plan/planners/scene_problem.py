@@ -49,3 +49,8 @@ class SceneProblem(Problem):
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which straight edges are free of collision."""
         return self.kernels.edges_free(q0, q1, self.check_step, self.margin)
+
+    def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
+        """Return the clearance beyond the margin [m] of the nearest pair, self-collision included, and its gradient."""
+        clearance, gradient = self.kernels.clearance_gradient(q)
+        return clearance - self.margin, gradient

@@ -88,7 +88,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
 
@@ -194,12 +194,25 @@ class Footprint(InteractionModel):
 
     def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
         """Return the derivative of sums of P S, None where arms may fail; a subclass may compute otherwise."""
+        found = self.gradients(batch, severity)
+        return None if found is None else found[0]
+
+    def gradients(
+        self, batch: StateBatch, severity: Float[Array, "component entity"]
+    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """Return the derivatives with respect to q and to the joint velocities, None where there are none."""
         if type(self) is not Footprint or self._arm_weights().any():
             return None
         if batch.scene.carried is None:
-            return np.zeros_like(batch.q)
+            return np.zeros_like(batch.q), np.zeros_like(batch.q)
         kernel = footprint_kernel(batch.scene, self.settings, self.spill)
-        return kernel.gradient(batch.q, self._severities(batch.scene, severity), batch.qd)[1]
+        return kernel.gradient(batch.q, self._severities(batch.scene, severity), batch.qd)[1:]
+
+    def widened(self, metres: float) -> Footprint | None:
+        """Return a model whose objects fall from places that are uncertain by so much more, None if arms may fail."""
+        if type(self) is not Footprint or self._arm_weights().any():
+            return None
+        return replace(self, settings=self.settings.widened(metres), spill=self.spill.widened(metres))
 
     def drop(self, batch: StateBatch) -> Drop:
         """Return what becomes of the object, per target and per entity.

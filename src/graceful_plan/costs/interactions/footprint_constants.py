@@ -6,7 +6,7 @@ The shipped ones are `footprint.yaml`; its head says what they were fitted to.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -128,6 +128,16 @@ class FootprintSettings:
         classes.only(*SHAPE_CLASSES)
         own = tuple(constant.name for constant in fields(FootprintConstants) if constant.name not in SHARED)
         return cls(**{name: FootprintConstants(**shared, **_numbers(classes[name], own)) for name in SHAPE_CLASSES})
+
+    def widened(self, metres: float) -> FootprintSettings:
+        """Return constants with the place of release uncertain by so much more: a footprint with softer edges."""
+        every = {name: getattr(self, name) for name in SHAPE_CLASSES}
+        return FootprintSettings(
+            **{
+                name: replace(own, position_spread=math.hypot(own.position_spread, metres))
+                for name, own in every.items()
+            }
+        )
 
     def of(self, shape_class: int) -> FootprintConstants:
         """Return the constants of a class, given as index into `SHAPE_CLASSES`."""

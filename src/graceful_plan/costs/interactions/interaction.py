@@ -88,7 +88,19 @@ class InteractionModel(ABC):
         del scene, severity, paces
         return None
 
+    def widened(self, metres: float) -> InteractionModel | None:
+        """Return a model that smears hits by so much more, None if there is none; for descents from coarse to fine."""
+        del metres
+        return None
+
     def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
         """Return the derivative of sums of P S with respect to q at constant velocity, None if the model has none."""
+        del batch, severity
+        return None
+
+    def gradients(
+        self, batch: StateBatch, severity: Float[Array, "component entity"]
+    ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """Return the derivatives with respect to q and to the joint velocities, None if the model has none."""
         del batch, severity
         return None

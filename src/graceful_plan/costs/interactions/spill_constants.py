@@ -6,7 +6,7 @@ The shipped ones are `spill.yaml`; its head says what they were fitted to.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -89,6 +89,13 @@ class SpillSettings:
         if root["version"].number() != 1:
             raise root["version"].error("only version 1 is known")
         return cls(**{use: _constants(root[use]) for use in USES})
+
+    def widened(self, metres: float) -> SpillSettings:
+        """Return constants with the place where contents land uncertain by so much more."""
+        dropped, held = (
+            replace(own, position_spread=math.hypot(own.position_spread, metres)) for own in (self.dropped, self.held)
+        )
+        return SpillSettings(dropped=dropped, held=held)
 
     def of(self, use: str) -> SpillConstants:
         """Return the constants of one of `USES`."""

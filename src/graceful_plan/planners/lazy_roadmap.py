@@ -22,7 +22,7 @@ _NEIGHBOUR_CHUNK = 150_000  # distances per step, about 3 ms
 _LEAST_COST = 1e-12  # a stored zero would be no edge to the graph search
 
 
-class Roadmap:
+class LazyRoadmap:
     """Nodes, edges to earlier nodes in compressed rows, and the cheapest path among them.
 
     Args:

@@ -1,0 +1,210 @@
+"""plan(w=0) on problems of the MotionBenchMaker type: solved, time of the search, time to a verified path, length."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import report, suite
+from benchmarks.motion_problems import KINDS, make, write
+from graceful_plan.compile import compile_scene
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.ends import ways_out
+from graceful_plan.goals import resolve_goal, resolve_start
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+
+Array = np.ndarray
+
+TITLE = "Problem files: plan(w=0) on problems of the MotionBenchMaker type"
+FILE = "MOTION_PROBLEMS"
+"""Environment variable with the path of a problem file or folder to measure instead of our own problems."""
+SEED = 7
+TIME_LIMIT = 5.0
+MARKS = (0.005, 0.02, 0.1)
+"""Times of the anytime planner at which its path is looked at [s]."""
+LONG = 2.0
+"""Of the long run that lengths are put beside [s]."""
+LONG_EVERY = 4
+"""One in so many problems has a long run."""
+MEASURED = f"""\
+"Search" is RRT-Connect alone, from the call of `solve` to its first collision-free path with 2 mm of clearance, scene
+compiled. "Verified" is a whole call of `plan` that ends with the first path: goals checked by exact geometry, search,
+timing by TOPP-RA, exact verification of the timed motion, certificate. "Length" is joint-space length of the `anytime`
+planner's path at w = 0 so long after its start. "Ratio" is that length divided by the one of a run of {LONG:g} s on the
+same problem and seed, for one problem in {LONG_EVERY}: it depends less on machine and problems than the length does.
+
+Unless `{FILE}` names a file, the problems are **our own**, made by `benchmarks/motion_problems.py` after the
+published description of MotionBenchMaker's seven kinds for the Panda. They are not its problems: sizes, targets and the
+choice among solutions of inverse kinematics differ, so lengths and times do not compare with figures published for
+those (VAMP: median 0.075 ms search, 0.19 ms simplification, length 4.90; AORRTC: 4.40 after 6 to 40 ms). The bar of a
+median length of 4.45 rad within 20 ms is for theirs, and is only measured if `{FILE}` names a file. A problem of ours
+was kept only if RRT-Connect of another seed and range solved it within 10 s, so that some share of the hardest is
+missing, as it is among theirs.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What came of one problem."""
+
+    name: str
+    group: str
+    search: tuple[float, ...]
+    """Seconds of every seed; infinite without a path."""
+    lengths: tuple[float, ...]
+    """Of the first path and at `MARKS` [rad]."""
+    ratios: tuple[float, ...] | None
+    """The same divided by that of the long run."""
+    status: str
+    verified: float
+    """Seconds of the whole call."""
+
+
+def run(options: suite.Options) -> str:
+    """Measure every problem, in one process: times below a millisecond are not to be shared with anybody."""
+    given = os.environ.get(FILE)
+    if given:
+        problems, origin = gp.load_problems(given), f"The problems are those of `{Path(given).name}`."
+    else:
+        problems, origin = _own(2 if options.quick else 100, options), f"Own problems, seed {SEED}."
+    seeds = 2 if options.quick else 5
+    jobs = [(problem, seeds, i % LONG_EVERY == 0) for i, problem in enumerate(problems)]
+    findings = list(suite.spread(examine, jobs, 1, "motion problems"))
+    groups = list(dict.fromkeys(finding.group for finding in findings))
+    rows = [_row(group, [f for f in findings if f.group == group]) for group in groups]
+    rows.append(_row("all", findings))
+    marks = [f"at {1e3 * mark:g} ms" for mark in MARKS]
+    header = ("kind", "problems", "solved", "search [ms]", "95 %", "slowest", "verified [ms]", "first length [rad]",
+              *(f"length {mark}" for mark in marks), *(f"ratio {mark}" for mark in marks))  # fmt: skip
+    told = [f"{f.name}: {f.status}" for f in findings if f.status != "SOLVED"]
+    failed = f"\nNot solved: {'; '.join(told)}.\n" if told else ""
+    targets = report.targets(_targets(findings, own=not given))
+    return f"{MEASURED}\n{origin} {seeds} seeds; medians.\n\n{targets}\n{report.table(header, rows)}{failed}"
+
+
+def _own(count: int, options: suite.Options) -> Sequence[gp.ProblemFile]:
+    """Make our own problems, and read them back as anybody's are read."""
+    made = suite.spread(_make, [(kind, count) for kind in KINDS], options.processes, "making problems")
+    by_kind = {problems[0].group: problems for problems in made}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "problems.yaml"
+        write([problem for kind in KINDS for problem in by_kind[kind]], file)
+        return gp.load_problems(file)
+
+
+def _make(job: tuple[str, int]) -> list[gp.ProblemFile]:
+    return [_without_scene(problem) for problem in make(*job, SEED)]
+
+
+def _without_scene(problem: gp.ProblemFile) -> gp.ProblemFile:
+    """Copy a problem without what it has made meanwhile, so that it can cross processes."""
+    return gp.ProblemFile(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
+
+
+def examine(job: tuple[gp.ProblemFile, int, bool]) -> Finding:
+    """Measure one problem."""
+    problem, seeds, long = job
+    asked = _asked(problem)
+    search: tuple[float, ...] = (np.inf,) * seeds
+    lengths: tuple[float, ...] = (np.inf,) * (1 + len(MARKS))
+    ratios = None
+    if asked is not None:
+        objective = gp.Objective(w=0.0).bind(problem.scene)
+        search = tuple(_search(asked, objective, seed) for seed in [0, *range(seeds)])[1:]  # the first one warms up
+        *lengths_, last = _lengths(asked, objective, LONG if long else MARKS[-1])
+        lengths = tuple(lengths_)
+        ratios = tuple(length / last for length in lengths) if long and np.isfinite(last) else None
+    started = time.perf_counter()
+    result = gp.plan(
+        problem.start, problem.goal, problem.scene, w=0.0, time_limit=TIME_LIMIT, callback=lambda point: True
+    )
+    return Finding(
+        name=problem.name,
+        group=problem.group,
+        search=search,
+        lengths=lengths,
+        ratios=ratios,
+        status=result.status.name,
+        verified=time.perf_counter() - started if result.status is gp.PlanStatus.SOLVED else np.inf,
+    )
+
+
+def _asked(problem: gp.ProblemFile) -> SceneProblem | None:
+    """Make the problem that planners see, as `plan` does; None if start or goals cannot be used."""
+    scene, compiled = problem.scene, compile_scene(problem.scene)
+    start = resolve_start(problem.start, scene).q
+    goals = resolve_goal(problem.goal, scene, problem.start).q
+    if not len(start) or not len(goals):
+        return None
+    ends = ways_out(start[0], goals, compiled, scene, np.random.default_rng(0))
+    if isinstance(ends, gp.PlanResult):
+        return None
+    return SceneProblem(
+        kernels=compiled.kernels,
+        start=ends.departure.q[-1],
+        goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+        margin=min(0.002, 0.5 * ends.clearance),
+    )
+
+
+def _search(problem: SceneProblem, objective: SceneObjective, seed: int) -> float:
+    planner, rng = gp.RRTConnect(shortcut=None), np.random.default_rng(seed)
+    started = time.perf_counter()
+    found = next(iter(planner.solve(problem, objective, Budget(TIME_LIMIT), rng)), None)
+    return time.perf_counter() - started if found is not None else np.inf
+
+
+def _lengths(problem: SceneProblem, objective: SceneObjective, seconds: float) -> list[float]:
+    """Return the length of the first path, those at `MARKS`, and that at the end."""
+    budget = Budget(seconds)
+    trace = [
+        (budget.elapsed, path.length)
+        for path in gp.Anytime().solve(problem, objective, budget, np.random.default_rng(1))
+    ]
+    at_marks = [min((length for at, length in trace if at <= mark), default=np.inf) for mark in MARKS]
+    return [trace[0][1] if trace else np.inf, *at_marks, trace[-1][1] if trace else np.inf]
+
+
+def _row(group: str, findings: list[Finding]) -> list[str]:
+    times = 1e3 * np.array([seconds for finding in findings for seconds in finding.search])
+    lengths = np.median([finding.lengths for finding in findings], axis=0)
+    ratios = [finding.ratios[1:] for finding in findings if finding.ratios is not None]
+    solved = sum(finding.status == "SOLVED" for finding in findings)
+    return [
+        group,
+        str(len(findings)),
+        f"{solved}/{len(findings)}",
+        f"{np.median(times):.3f}",
+        f"{np.percentile(times, 95, method='higher'):.2f}",
+        f"{times.max():.1f}",
+        f"{1e3 * float(np.median([finding.verified for finding in findings])):.0f}",
+        *(f"{length:.2f}" for length in lengths),
+        *(f"{ratio:.3f}" for ratio in (np.median(ratios, axis=0) if ratios else [np.nan] * len(MARKS))),
+    ]
+
+
+def _targets(findings: list[Finding], own: bool) -> Iterator[report.Target]:
+    solved = sum(finding.status == "SOLVED" for finding in findings)
+    yield report.Target(
+        what="problems that plan(w=0) solves",
+        wanted="100 %",
+        measured=f"{report.percent(solved / len(findings))} ({solved} of {len(findings)})",
+        met=solved == len(findings),
+    )
+    median = 1e3 * float(np.median([seconds for finding in findings for seconds in finding.search]))
+    yield report.Target(
+        what="median search to the first path", wanted="< 1 ms", measured=f"{median:.3f} ms", met=median < 1.0
+    )
+    length = float(np.median([finding.lengths[1 + MARKS.index(0.02)] for finding in findings]))
+    if not own:  # the bar is for theirs
+        yield report.Target(
+            what="median length after 20 ms", wanted="<= 4.45 rad", measured=f"{length:.2f} rad", met=length <= 4.45
+        )

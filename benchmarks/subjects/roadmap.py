@@ -1,0 +1,205 @@
+"""Roadmaps: how long they take to build and to ask, and how good their paths are before and after refinement."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import known, report, suite
+from graceful_plan.kernels import COST_STEP
+from graceful_plan.planners.graph import Graph
+from graceful_plan.roadmap.exposure import EXPOSURE_STEP, Exposure
+
+Array = np.ndarray
+Answer = TypeVar("Answer")
+
+TITLE = "Roadmaps: build once, ask in milliseconds"
+BUILD_WITHIN, QUERY_WITHIN, FRONT_WITHIN = 2.0, 0.010, 1.0
+MEASURED = f"""\
+For every task a roadmap of the scene with what is carried, of the default size. "Build": wall clock, and processor
+seconds over all threads. "New w": the same start and goal with another weight; "new severity": another severity of one
+entity; "new ends": both ends 0.05 rad aside, all of it with checks of the ends by exact geometry. Medians of the
+repetitions. "Front": with epsilon = 1 %, and exact. "Gap": total cost at w = 1 above the best known one, of the
+roadmap's path, and of `plan` for one second with the roadmap as planner and with the default planner.
+"Exposure": how far the stored impact of the roadmap's edges, sampled every {EXPOSURE_STEP:g} rad, is from that at
+{COST_STEP:g} rad, root mean square over edges, relative to the mean. "Exact": fronts of random graphs of 7 nodes
+beside the enumeration of all their paths.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What came of one task."""
+
+    task: str
+    build: float
+    processor: float
+    edges: int
+    megabytes: float
+    weight: float
+    severity: float
+    ends: float
+    front: float
+    points: int
+    exact_front: float
+    exact_points: int
+    error: float
+    gap: float
+    refined: float
+    default: float
+
+
+def run(options: suite.Options) -> str:
+    """Measure every task, in one process: builds use all cores."""
+    seconds = options.seconds or (0.3 if options.quick else 1.0)
+    repetitions = 3 if options.quick else 15
+    jobs = [(name, repetitions, seconds) for name in suite.task_names(options)]
+    findings = list(suite.spread(examine, jobs, 1, "roadmap"))
+    graphs = 50 if options.quick else 2000
+    equal = sum(front_is_exact(seed) for seed in range(graphs))
+    header = (
+        "task", "build [s]", "processor [s]", "edges", "file [MB]", "new w [ms]", "new severity [ms]", "new ends [ms]",
+        "front [ms]", "points", "exact [ms]", "points", "exposure", "gap", f"refined, {seconds:g} s", "default planner",
+    )  # fmt: skip
+    rows = [_row(finding) for finding in findings]
+    parts = (MEASURED, report.targets(_targets(findings, equal, graphs)), report.table(header, rows), _gaps(findings))
+    return "\n".join(parts)
+
+
+def examine(job: tuple[str, int, float]) -> Finding:
+    """Measure one task."""
+    name, repetitions, seconds = job
+    task = suite.task(name)
+    scene = task.scene
+    gp.Roadmap.build(scene, nodes=20)  # everything loaded and compiled
+    processor, wall = time.process_time(), time.perf_counter()
+    roadmap = gp.Roadmap.build(scene)
+    wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    rng = np.random.default_rng(0)
+    entity = next(iter(scene.entities))
+    roadmap.query(task.start, task.goal)
+    front_seconds, points = _timed(lambda _: roadmap.front(task.start, task.goal), 3)
+    exact_seconds, exact_points = _timed(lambda _: roadmap.front(task.start, task.goal, epsilon=0.0), 3)
+    return Finding(
+        task=name,
+        build=wall,
+        processor=processor,
+        edges=len(roadmap.edges),
+        megabytes=_size(roadmap),
+        weight=_timed(lambda k: roadmap.query(task.start, task.goal, w=1.0 + k), repetitions)[0],
+        severity=_timed(lambda k: roadmap.query(task.start, task.goal, severity={entity: 1.0 + k}), repetitions)[0],
+        ends=_timed(lambda _: roadmap.query(*_aside(task, rng)), repetitions)[0],
+        front=front_seconds,
+        points=len(points),
+        exact_front=exact_seconds,
+        exact_points=len(exact_points),
+        error=_error(roadmap),
+        gap=_gap(name, roadmap.query(task.start, task.goal, w=1.0).cost.total),
+        refined=_gap(name, _planned(task, gp.RoadmapPlanner(roadmap=roadmap), seconds)),
+        default=_gap(name, _planned(task, None, seconds)),
+    )
+
+
+def front_is_exact(seed: int) -> bool:
+    """Compare the front of a random graph with all of its paths; whole costs, so that sums do not round."""
+    rng = np.random.default_rng(seed)
+    n, m = 7, 24
+    tail, head = rng.integers(n, size=(2, m))
+    cost = rng.integers(0, 9, size=(m, 2)).astype(float)
+    out = [[(int(head[e]), cost[e]) for e in np.flatnonzero(tail == i)] for i in range(n)]
+    every: set[tuple[float, float]] = set()
+
+    def extend(node: int, seen: frozenset[int], total: Array) -> None:
+        if node == n - 1:
+            every.add((float(total[0]), float(total[1])))
+            return
+        for other, price in out[node]:
+            if other not in seen:
+                extend(other, seen | {other}, total + price)
+
+    extend(0, frozenset({0}), np.zeros(2))
+    expected = sorted(p for p in every if not any(o != p and o[0] <= p[0] and o[1] <= p[1] for o in every))
+    return [tuple(row) for row in Graph(n, tail, head).front(cost, 0, [n - 1]).cost.tolist()] == expected
+
+
+def _timed(work: Callable[[int], Answer], repetitions: int) -> tuple[float, Answer]:
+    """Median seconds of some questions, and the answer to the last."""
+    seconds, answers = [], []
+    for k in range(repetitions):
+        started = time.perf_counter()
+        answers = [work(k)]
+        seconds.append(time.perf_counter() - started)
+    return float(np.median(seconds)), answers[0]
+
+
+def _aside(task: gp.Task, rng: np.random.Generator) -> tuple[Array, Array]:
+    lower, upper = task.scene.limits.position.T
+    ends = np.stack([task.start, task.goal[0]])
+    step = rng.normal(size=ends.shape)
+    start, goal = np.clip(ends + 0.05 * step / np.linalg.norm(step, axis=1, keepdims=True), lower, upper)
+    return start, goal
+
+
+def _size(roadmap: gp.Roadmap) -> float:
+    with TemporaryDirectory() as folder:
+        roadmap.save(f"{folder}/roadmap.npz")
+        with open(f"{folder}/roadmap.npz", "rb") as file:
+            return file.seek(0, 2) / 1e6
+
+
+def _error(roadmap: gp.Roadmap) -> float:
+    chosen = np.random.default_rng(0).permutation(len(roadmap.edges))[:1000]
+    severity = roadmap.severity()
+    q0, q1 = roadmap.q[roadmap.edges.tail[chosen]], roadmap.q[roadmap.edges.head[chosen]]
+    fine = Exposure(roadmap.objective, roadmap.scene, COST_STEP).price(q0, q1).impact(severity)
+    stored = roadmap.edges.prices.impact(severity)[chosen]
+    return float(np.sqrt(np.mean((stored - fine) ** 2)) / max(fine.mean(), 1e-12))
+
+
+def _planned(task: gp.Task, planner: gp.Planner | None, seconds: float) -> float:
+    if planner is None:
+        result = gp.plan(task.start, task.goal, task.scene, w=1.0, time_limit=seconds)
+    else:
+        result = gp.plan(task.start, task.goal, task.scene, w=1.0, time_limit=seconds, planner=planner)
+    return result.cost.total if result.status is gp.PlanStatus.SOLVED else np.inf
+
+
+def _gap(name: str, total: float) -> float:
+    best = known.load(name, suite.task(name))
+    return np.nan if best is None else total / best.total - 1.0
+
+
+def _row(f: Finding) -> tuple[str, ...]:
+    times = [report.quantity(1e3 * s, digits=2) for s in (f.weight, f.severity, f.ends, f.front, f.exact_front)]
+    gaps = [report.percent(gap, 0) for gap in (f.error, f.gap, f.refined, f.default)]
+    build = report.quantity(f.build, digits=2), report.quantity(f.processor, digits=2), str(f.edges)
+    fronts = times[3], str(f.points), times[4], str(f.exact_points)
+    return f.task, *build, report.quantity(f.megabytes, digits=2), *times[:3], *fronts, *gaps
+
+
+def _targets(findings: list[Finding], equal: int, graphs: int) -> list[report.Target]:
+    limits = (("build", BUILD_WITHIN), ("weight", QUERY_WITHIN), ("front", FRONT_WITHIN))
+    words = {"build": "slowest build", "weight": "slowest median query for a new w", "front": "slowest front, 1 %"}
+    found = []
+    for name, limit in limits:
+        worst = max(getattr(f, name) for f in findings)
+        scale, unit = (1.0, " s") if limit >= 1.0 else (1e3, " ms")
+        measured = report.quantity(scale * worst, unit, digits=2)
+        found.append(
+            report.Target(what=words[name], wanted=f"< {scale * limit:g}{unit}", measured=measured, met=worst < limit)
+        )
+    exact = f"{equal} of {graphs}"
+    return [*found, report.Target(what="fronts equal to all paths", wanted="all", measured=exact, met=equal == graphs)]
+
+
+def _gaps(findings: list[Finding]) -> str:
+    medians = [
+        report.percent(float(np.nanmedian([getattr(f, k) for f in findings])), 0) for k in ("gap", "refined", "default")
+    ]
+    return "Median gap: {} as it is, {} refined, {} by the default planner.\n".format(*medians)

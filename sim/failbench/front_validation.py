@@ -1,0 +1,154 @@
+"""Does impact fall along a Pareto front as predicted? Observed impact beside predicted, point by point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from failbench.errors import ExecutionRefused
+from failbench.report import ValidationReport
+from failbench.validate import Scenarios, validate
+from failbench.world import SimSettings
+from graceful_plan import ParetoFront, Scene, SettingError, documents
+
+Array = np.ndarray
+
+_SCHEMA = {"schema": "failbench.front_validation", "version": 1}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointValidation:
+    """One point of a front.
+
+    Args:
+        motion: Motion V.
+        impact: Impact S that the planner charges: an integral over the length of the path.
+        report: Predicted and observed impact of a failure; None if the healthy robot cannot carry out the motion.
+        refused: Why it cannot.
+    """
+
+    motion: float
+    impact: float
+    report: ValidationReport | None = None
+    refused: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrontValidation:
+    """A front, validated. Made by `validate_front`.
+
+    Args:
+        scene: Name of the scene.
+        points: From the shortest motion to that of least impact.
+        n: Failures along each.
+        seed: Of everything random; all points share their random numbers.
+    """
+
+    scene: str
+    points: tuple[PointValidation, ...]
+    n: int
+    seed: int
+
+    @property
+    def rank_correlation(self) -> float:
+        """Kendall's tau between predicted and observed impact of a failure; NaN with less than two points."""
+        reports = [point.report for point in self.points if point.report is not None]
+        if len(reports) < 2:
+            return float("nan")
+        predicted, observed = (
+            np.array(x) for x in zip(*((r.predicted, r.observed.mean) for r in reports), strict=True)
+        )
+        i, j = np.triu_indices(len(reports), k=1)
+        signs = np.sign(predicted[i] - predicted[j]), np.sign(observed[i] - observed[j])
+        pairs = [float(np.count_nonzero(sign)) for sign in signs]
+        return float(np.sum(signs[0] * signs[1]) / np.sqrt(pairs[0] * pairs[1])) if min(pairs) > 0.0 else float("nan")
+
+    def to_document(self) -> dict[str, Any]:
+        """Return everything as a document of plain values."""
+        points = [
+            {
+                "motion": point.motion,
+                "impact": point.impact,
+                "predicted": None if point.report is None else point.report.predicted,
+                "observed": None if point.report is None else asdict(point.report.observed),
+                "refused": point.refused,
+            }
+            for point in self.points
+        ]
+        tau = self.rank_correlation
+        return {**_SCHEMA, "scene": self.scene, "n": self.n, "seed": self.seed, "kendall_tau": tau, "points": points}
+
+    def __str__(self) -> str:
+        rows = []
+        for point in self.points:
+            row: list[object] = [f"{point.motion:.4g}", point.impact]
+            if point.report is None:
+                row += ["-", "refused", point.refused]
+            else:
+                seen = point.report.observed
+                row += [point.report.predicted, seen.mean, f"[{seen.low:.3g}, {seen.high:.3g}]"]
+            rows.append(row)
+        head = f"{self.scene}: {self.n} failures along each of {len(self.points)} motions, seed {self.seed}; "
+        head += f"Kendall's tau of predicted and observed impact {self.rank_correlation:.2f}"
+        columns = ["motion V", "impact S", "predicted per failure", "observed", ""]
+        return f"{head}\n\n{documents.table(columns, rows)}"
+
+
+def validate_front(
+    front: ParetoFront | str | FilePath,
+    scene: Scene,
+    scenarios: Scenarios = "drop/*/severe",
+    *,
+    n: int = 200,
+    horizon: float = 1.0,
+    seed: int = 0,
+    threads: int | None = None,
+    settings: SimSettings | None = None,
+    confidence: float = 0.95,
+    progress: Callable[[int, int], None] | None = None,
+) -> FrontValidation:
+    """Let a robot fail along every motion of a front, with the same random numbers along each.
+
+    Args:
+        front: The front, or the file that `ParetoFront.save` wrote.
+        scene: Where, with the carried object attached: `task.scene`.
+        scenarios: What fails, as of `validate`.
+        n: Failures along each motion.
+        horizon: How long is simulated after the onset [s].
+        seed: Of everything random.
+        threads: Threads of the simulation.
+        settings: How it is simulated.
+        confidence: Of the intervals.
+        progress: Called with the number of motions done and of all.
+
+    Raises:
+        SettingError: If the front is empty, or a setting makes no sense.
+        FormatError: If the file holds no front.
+    """
+    loaded = front if isinstance(front, ParetoFront) else ParetoFront.load(front)
+    if not len(loaded):
+        raise SettingError("front", loaded.status.name, "a front with at least one point")
+    points = []
+    for done, point in enumerate(loaded.points, 1):
+        try:
+            report = validate(
+                point.trajectory,
+                scene,
+                scenarios,
+                n=n,
+                horizon=horizon,
+                seed=seed,
+                threads=threads,
+                settings=settings,
+                confidence=confidence,
+            )
+            points.append(PointValidation(motion=point.motion, impact=point.impact, report=report))
+        except ExecutionRefused as error:
+            points.append(PointValidation(motion=point.motion, impact=point.impact, refused=str(error)))
+        if progress is not None:
+            progress(done, len(loaded))
+    return FrontValidation(scene=scene.notes.name, points=tuple(points), n=n, seed=seed)

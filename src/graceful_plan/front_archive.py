@@ -1,0 +1,187 @@
+"""Candidates for a front: those that no other is better than, and the best few of them."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.exceptions import CostError
+from graceful_plan.path import Path
+from graceful_plan.planners.planner import BoundObjective
+from graceful_plan.planners.questions import checked_costs
+
+Array = np.ndarray
+
+EdgeTest = Callable[[Array, Array], Array]
+"""Which straight edges between configurations [n, nq] are free for certain: bool [n]."""
+
+_SAME, _SAME_MOTION = 1e-6, 1e-9
+"""Relative differences of impact and of motion that are none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A free path and what it costs.
+
+    Args:
+        q: Vertices [rad or m].
+        edges: Motion and impact of each edge.
+        made_by: What found it: "weight", "gap" or "roadmap".
+        made_with: The weight, or the impact that had to be undercut.
+        size: Of the moves that were tried on it, relative to its length; they shrink as it settles.
+    """
+
+    q: Float[Array, "n nq"]
+    edges: Float[Array, "edge 2"]
+    made_by: str
+    made_with: float
+    size: float = 0.05
+    cost: Float[Array, " 2"] = field(init=False)
+    """Motion and impact."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cost", self.edges.sum(axis=0) if len(self.edges) else np.zeros(2))
+
+    @classmethod
+    def of(cls, path: Path, objective: BoundObjective, made_by: str, made_with: float) -> Candidate:
+        """Charge a path.
+
+        Raises:
+            CostError: If the objective returns a NaN, an infinity or a negative number.
+        """
+        q = path.without_duplicates().q
+        edges = charged(objective, q[:-1], q[1:])
+        return cls(q=q, edges=edges, made_by=made_by, made_with=made_with)
+
+    def moved_to(self, q: Float[Array, "n nq"], edges: Float[Array, "edge 2"]) -> Candidate:
+        """Return what it has become."""
+        return replace(self, q=q, edges=edges)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Aimed:
+    """A candidate and what is to become of it: less motion and impact inside of a box, or less V + w S.
+
+    Args:
+        candidate: Where it begins.
+        corner: Motion and impact of the corner of the box.
+        weight: w, where that is the aim.
+    """
+
+    candidate: Candidate
+    corner: Float[Array, " 2"]
+    weight: float | None = None
+
+    def merit(self, cost: Float[Array, "n 2"]) -> Float[Array, " n"]:
+        """Area of the box above and to the right of some costs."""
+        room = np.maximum(self.corner - cost, 0.0)
+        return room[:, 0] * room[:, 1]
+
+
+def charged(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
+    """Motion and impact of edges, checked.
+
+    Raises:
+        CostError: If the objective returns a NaN, an infinity or a negative number.
+    """
+    if len(q0) == 0:
+        return np.zeros((0, 2))
+    costs = np.asarray(checked_costs(objective, "edges", objective.edges(q0, q1)), dtype=np.float64)
+    if costs.shape != (len(q0), 2):
+        raise CostError(objective, f"edges must have shape ({len(q0)}, 2), not {costs.shape}")
+    return costs
+
+
+class Archive:
+    """The candidates that no other is better than, sorted by motion."""
+
+    def __init__(self) -> None:
+        self.candidates: list[Candidate] = []
+        self._motion: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self.candidates)
+
+    @property
+    def costs(self) -> Float[Array, "n 2"]:
+        """Motion and impact of each."""
+        return np.array([c.cost for c in self.candidates]).reshape(-1, 2)
+
+    def offer(self, candidate: Candidate) -> bool:
+        """Keep a candidate, and drop those that it is better than, unless one of them is as good."""
+        motion, impact = candidate.cost.tolist()
+        at = bisect.bisect_right(self._motion, motion)
+        if at and self.candidates[at - 1].cost[1] <= impact * (1.0 + _SAME):
+            return False
+        begin = bisect.bisect_left(self._motion, motion * (1.0 - _SAME_MOTION))
+        end = begin
+        while end < len(self.candidates) and self.candidates[end].cost[1] >= impact:
+            end += 1
+        self.candidates[begin:end] = [candidate]
+        self._motion[begin:end] = [motion]
+        return True
+
+    def drop(self, candidate: Candidate) -> None:
+        """Forget a candidate that turned out to be of no use."""
+        at = next(i for i, other in enumerate(self.candidates) if other is candidate)
+        del self.candidates[at], self._motion[at]
+
+    def best_for(self, w: float) -> Candidate:
+        """Return the candidate of least V + w S."""
+        return self.candidates[int(np.argmin(self.costs @ np.array([1.0, w])))]
+
+    def chosen(self, count: int) -> list[Candidate]:
+        """Return the candidates, at most so many, that stand for all of them best; see `best_subset`."""
+        return [self.candidates[i] for i in best_subset(self.costs, count)]
+
+
+def scaled(costs: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """Both axes of a front from 0 to 1, the impact half as it is and half by its logarithm.
+
+    Its lower half matters as much to someone with a risk target as its upper half, and would vanish on a plain axis:
+    impact falls over two orders of magnitude along many a front.
+    """
+    motion, impact = costs[:, 0], costs[:, 1]
+    span = max(float(np.ptp(motion)), 1e-300), max(float(impact.max()), 1e-300)
+    floor = max(float(impact.min()), 1e-3 * span[1])
+    logarithm = np.log1p(impact / floor)
+    logarithm = (logarithm - logarithm.min()) / max(float(np.ptp(logarithm)), 1e-300)
+    return np.column_stack([(motion - motion.min()) / span[0], 0.5 * (impact / span[1] + logarithm)])
+
+
+def best_subset(costs: Float[Array, "n 2"], count: int) -> list[int]:
+    """Pick from a front sorted by motion the points whose dominated area, on `scaled` axes, is greatest; exact.
+
+    Both ends are always among them.
+    """
+    n = len(costs)
+    if n <= count:
+        return list(range(n))
+    if count < 2:
+        return [0][:count]
+    x, y = scaled(costs).T
+    area = (x[None, :] - x[:, None]) * (1.1 - y[:, None])  # of the strip from a point to the next one
+    area[np.tril_indices(n)] = -np.inf
+    best = np.full(n, -np.inf)
+    best[0] = 0.0
+    before: list[Int[Array, " n"]] = []
+    for _ in range(count - 1):
+        reached = best[:, None] + area
+        before.append(np.argmax(reached, axis=0))
+        best = reached[before[-1], np.arange(n)]
+    picked = [n - 1]
+    for step in reversed(before):
+        picked.append(int(step[picked[-1]]))
+    return picked[::-1]
+
+
+def widest_gaps(costs: Float[Array, "n 2"], count: int) -> Sequence[int]:
+    """Return the points of a front sorted by motion after which the largest empty rectangles lie, on `scaled` axes."""
+    if len(costs) < 2:
+        return []
+    steps = np.abs(np.diff(scaled(costs), axis=0))
+    return np.argsort(-steps[:, 0] * steps[:, 1], kind="stable")[:count].tolist()

@@ -1,0 +1,96 @@
+// A path on its way to beat the best one: descended on few vertices, then on more, then refined by random moves.
+#pragma once
+#include <memory>
+#include <utility>
+
+#include "descent.hpp"
+#include "refine.hpp"
+
+namespace gp {
+
+class Challenger {
+ public:
+  // Without descent, the path has to be free.
+  Challenger(Space& space, std::vector<Point> path, double spacing, bool descends, int source, uint64_t seed)
+      : space_(space), spacing_(spacing), source_(source), seed_(seed) {
+    if (descends)
+      descent_ = std::make_unique<Descent>(space, path, kPieces, DescentSettings{.step = kStep, .rough = true});
+    else
+      refine(std::move(path));
+  }
+
+  int source() const { return source_; }
+  // J, as far as a descent knows it.
+  double estimate() const { return failed_ ? std::numeric_limits<double>::infinity() : descent_ ? descent_->value() : refiner_->path().total; }
+  double settled() const { return refiner_ ? refiner_->settled() : 1.0; }
+  // Null while it descends.
+  std::unique_ptr<Refiner>& refiner() { return refiner_; }
+
+  // One evaluation of a descent, or one move of a refiner.
+  void step() {
+    if (failed_) return;
+    ++used_;
+    if (refiner_) {
+      refiner_->step();
+      return;
+    }
+    if (descent_->step() && used_ < limit_) return;
+    if (fine_) return land();
+    if (is_free(descent_->path())) early_ = descent_->path();
+    sharpen();
+  }
+  // A free path that the coarse descent ended with, once; empty otherwise.
+  std::vector<Point> take_early() { return std::exchange(early_, {}); }
+
+  // Whether more work on it would be in vain next to a path of that cost.
+  bool hopeless(double best) const {
+    const double e = estimate();
+    if (failed_) return true;
+    if (refiner_) return used_ >= kMoves;
+    return fine_ ? used_ >= 20 && e > 1.1 * best : used_ >= 15 && e > 2.0 * best;
+  }
+
+ private:
+  static constexpr int kPieces = 20, kFinePieces = 40;
+  static constexpr double kStep = 0.1, kFineStep = 0.05;  // between samples of the impact [rad]
+  static constexpr int kSteps = 30, kFineSteps = 100, kMoreSteps = 30, kMoves = 100;
+
+  // From few vertices to many.
+  void sharpen() {
+    descent_ = std::make_unique<Descent>(space_, descent_->path(), kFinePieces, DescentSettings{.step = kFineStep});
+    fine_ = true, used_ = 0, limit_ = kFineSteps;
+  }
+  void land() {
+    std::vector<Point> path = descent_->path();
+    if (is_free(path)) {
+      descent_.reset();
+      return refine(std::move(path));
+    }
+    failed_ = ++hardened_ > 2;
+    descent_->harden();
+    used_ = 0, limit_ = kMoreSteps;
+  }
+  bool is_free(const std::vector<Point>& path) {
+    for (size_t i = 0; i + 1 < path.size(); ++i)
+      if (!space_.edge_free(path[i].data(), path[i + 1].data())) return false;
+    for (size_t i = 0; i + 1 < path.size(); ++i)
+      if (!space_.edge_certain(path[i].data(), path[i + 1].data())) return false;
+    return true;
+  }
+  void refine(std::vector<Point> path) {
+    used_ = 0;
+    refiner_ = std::make_unique<Refiner>(space_, Polyline::of(space_, std::move(path)), spacing_, seed_);
+  }
+
+  Space& space_;
+  double spacing_;
+  int source_;
+  uint64_t seed_;
+  std::vector<Point> early_;
+  std::unique_ptr<Descent> descent_;
+  std::unique_ptr<Refiner> refiner_;
+  bool fine_ = false, failed_ = false;
+  int used_ = 0, limit_ = kSteps, hardened_ = 0;
+};
+
+}  // namespace gp

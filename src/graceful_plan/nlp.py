@@ -1,0 +1,264 @@
+"""Nonlinear programs in NumPy, solved by IPOPT through CasADi.
+
+A `Program` computes value, gradient, constraints and their Jacobian in one call, so that a batch of native kernels is
+asked once per point, and, if it can, the Hessian of the Lagrangian; otherwise IPOPT builds one up from gradients.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+
+Array = np.ndarray
+
+_FEASIBLE = frozenset({"Solve_Succeeded", "Solved_To_Acceptable_Level"})
+_STOPPED = frozenset({"User_Requested_Stop", "Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded"})
+_INFEASIBLE = frozenset({"Infeasible_Problem_Detected", "Restoration_Failed"})
+
+
+class Values(NamedTuple):
+    """What a program is at one point."""
+
+    cost: float
+    gradient: Float[Array, " variable"]
+    constraints: Float[Array, " constraint"]
+    jacobian: Float[Array, " nonzero"]
+    """Derivatives of the constraints, in the order of `Program.jacobian_pattern`."""
+
+
+class Pattern(NamedTuple):
+    """Where a matrix may differ from zero; no place twice."""
+
+    row: Int[Array, " nonzero"]
+    column: Int[Array, " nonzero"]
+
+
+class Program(ABC):
+    """Minimise a cost of variables within bounds, with constraints within bounds."""
+
+    lower: Float[Array, " variable"]
+    upper: Float[Array, " variable"]
+    least: Float[Array, " constraint"]
+    most: Float[Array, " constraint"]
+    jacobian_pattern: Pattern
+    hessian_pattern: Pattern | None = None
+    """Of the upper triangle; None if there is no Hessian."""
+
+    @abstractmethod
+    def evaluate(self, x: Float[Array, " variable"]) -> Values:
+        """Compute everything but the Hessian at a point."""
+
+    def hessian(
+        self, x: Float[Array, " variable"], factor: float, multipliers: Float[Array, " constraint"]
+    ) -> Float[Array, " nonzero"]:
+        """Hessian of factor * cost + multipliers @ constraints, or something near it, in the order of its pattern."""
+        raise NotImplementedError
+
+
+class Outcome(Enum):
+    """How a solve ended."""
+
+    SOLVED = "a local optimum"
+    STOPPED = "stopped before a local optimum was reached"
+    INFEASIBLE = "no point near keeps all constraints"
+    FAILED = "the solver gave up"
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a solve ended."""
+
+    outcome: Outcome
+    x: Float[Array, " variable"]
+    iterations: int
+    word: str
+    """IPOPT's own word for it."""
+
+
+Watch = Callable[[Array, Values], bool]
+"""Called with every iterate; returning True ends the solve."""
+
+
+def minimise(
+    program: Program,
+    x: Float[Array, " variable"],
+    watch: Watch | None = None,
+    *,
+    iterations: int = 500,
+    tolerance: float = 1e-6,
+    settings: dict[str, Any] | None = None,
+) -> Solution:
+    """Solve a program from a point on. Prints nothing.
+
+    Args:
+        program: What to solve.
+        x: Where to begin.
+        watch: Sees every iterate and may end the solve.
+        iterations: At most so many.
+        tolerance: IPOPT's `tol`.
+        settings: More of IPOPT's settings.
+
+    Raises:
+        Exception: Whatever the program or `watch` raised.
+    """
+    import casadi
+
+    calls = _Calls(program, watch)
+    options = {
+        "print_level": 0,
+        "sb": "yes",
+        "max_iter": iterations,
+        "tol": tolerance,
+        "bound_relax_factor": 0.0,
+        **(settings or {}),
+    }
+    if program.hessian_pattern is None:
+        options["hessian_approximation"] = "limited-memory"
+    functions = _functions(program, calls, casadi)
+    solver = _solver(functions, options, program, casadi)
+    found = solver(x0=x, lbx=program.lower, ubx=program.upper, lbg=program.least, ubg=program.most)
+    if calls.error is not None:
+        raise calls.error
+    stats = solver.stats()
+    word = str(stats["return_status"])
+    return Solution(outcome_of(word), np.asarray(found["x"]).ravel(), int(stats["iter_count"]), word)
+
+
+def outcome_of(word: str) -> Outcome:
+    """Say how a solve ended, given IPOPT's own word for it."""
+    for names, outcome in (
+        (_FEASIBLE, Outcome.SOLVED),
+        (_STOPPED, Outcome.STOPPED),
+        (_INFEASIBLE, Outcome.INFEASIBLE),
+    ):
+        if word in names:
+            return outcome
+    return Outcome.FAILED
+
+
+class _Calls:
+    """Answers what CasADi asks; keeps the last point, and the first exception for later: CasADi would print it."""
+
+    def __init__(self, program: Program, watch: Watch | None) -> None:
+        self._program, self._watch = program, watch
+        self._last: tuple[bytes, Values] | None = None
+        self.error: BaseException | None = None
+
+    def values(self, x: Array) -> Values:
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._program.evaluate(x)
+        return self._last[1]
+
+    def guarded(self, answer: Callable[..., list[Any]], nothing: list[Any]) -> Callable[..., list[Any]]:
+        """Return a function that answers with `nothing` once there is an error."""
+
+        def ask(*inputs: Any) -> list[Any]:
+            if self.error is not None:
+                return nothing
+            try:
+                return answer(*(np.asarray(value, dtype=np.float64).ravel() for value in inputs))
+            except BaseException as error:
+                self.error = error
+                return nothing
+
+        return ask
+
+    def stop(self, x: Array) -> bool:
+        return self._watch is not None and self._watch(x, self.values(x))
+
+
+def _functions(program: Program, calls: _Calls, casadi: Any) -> dict[str, Any]:
+    """Callbacks of the kind that `nlpsol` takes in place of derivatives of its own."""
+    n, m = len(program.lower), len(program.least)
+    x, p, g, one = (casadi.Sparsity.dense(*shape) for shape in ((n, 1), (0, 1), (m, 1), (1, 1)))
+    jacobian, order = _sparsity(program.jacobian_pattern, (m, n), casadi)
+    callback = _callback_class(casadi)
+
+    def function(name: str, answer: Callable[..., list[Any]], inputs: list[Any], outputs: list[Any]) -> Any:
+        nothing = [casadi.DM(sparsity, np.full(sparsity.nnz(), np.nan)) for sparsity in outputs]
+        return callback(name, calls.guarded(answer, nothing), inputs, outputs)
+
+    def gradient(x: Array, _: Array) -> list[Any]:
+        return [calls.values(x).cost, calls.values(x).gradient]
+
+    def slopes(x: Array, _: Array) -> list[Any]:
+        values = calls.values(x)
+        return [values.constraints, casadi.DM(jacobian, values.jacobian[order])]
+
+    made = {
+        "f": function("f", lambda x: [calls.values(x).cost], [x], [one]),
+        "g": function("g", lambda x: [calls.values(x).constraints], [x], [g]),
+        "grad_f": function("grad_f", gradient, [x, p], [one, x]),
+        "jac_g": function("jac_g", slopes, [x, p], [g, jacobian]),
+        "iteration_callback": _iteration(callback, calls, {"x": x, "f": one, "g": g, "lam_x": x, "lam_g": g}, casadi),
+    }
+    if program.hessian_pattern is not None:
+        hessian, places = _sparsity(program.hessian_pattern, (n, n), casadi)
+
+        def curvature(x: Array, _: Array, factor: Array, multipliers: Array) -> list[Any]:
+            return [casadi.DM(hessian, program.hessian(x, float(factor[0]), multipliers)[places])]
+
+        made["hess_lag"] = function("hess_lag", curvature, [x, p, one, g], [hessian])
+    return made
+
+
+def _iteration(callback: Any, calls: _Calls, sparsities: dict[str, Any], casadi: Any) -> Any:
+    """Return the callback that CasADi asks after every iteration whether to stop."""
+    names = [casadi.nlpsol_out(i) for i in range(casadi.nlpsol_n_out())]
+    at = names.index("x")
+    stop = calls.guarded(lambda *values: [float(calls.stop(values[at]))], [1.0])
+    inputs = [sparsities.get(name, casadi.Sparsity(0, 0)) for name in names]
+    return callback("iteration", stop, inputs, [casadi.Sparsity.dense(1, 1)], names)
+
+
+def _solver(functions: dict[str, Any], options: dict[str, Any], program: Program, casadi: Any) -> Any:
+    x = casadi.MX.sym("x", len(program.lower))
+    made = {"x": x, "f": functions["f"](x), "g": functions["g"](x)}
+    given = {name: f for name, f in functions.items() if name not in ("f", "g")}
+    quiet = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "no_nlp_grad": True}
+    return casadi.nlpsol("program", "ipopt", made, {**given, **quiet, "ipopt": options})
+
+
+def _sparsity(pattern: Pattern, shape: tuple[int, int], casadi: Any) -> tuple[Any, Int[Array, " nonzero"]]:
+    """Return CasADi's form of a pattern, and in which order it takes the entries: by columns."""
+    order = np.lexsort((pattern.row, pattern.column))
+    rows, columns = pattern.row[order].tolist(), pattern.column[order].tolist()
+    return casadi.Sparsity.triplet(*shape, rows, columns), order
+
+
+def _callback_class(casadi: Any) -> Any:
+    """CasADi is imported on demand only, so the class that derives from its own is made on demand, too."""
+
+    class Callback(casadi.Callback):
+        def __init__(self, name: str, answer: Any, inputs: Any, outputs: Any, names: Any = None) -> None:
+            casadi.Callback.__init__(self)
+            self.answer, self.inputs, self.outputs, self.names = answer, inputs, outputs, names
+            self.construct(name, {})
+
+        def get_n_in(self) -> int:
+            return len(self.inputs)
+
+        def get_n_out(self) -> int:
+            return len(self.outputs)
+
+        def get_name_in(self, i: int) -> str:
+            return f"i{i}" if self.names is None else self.names[i]
+
+        def get_sparsity_in(self, i: int) -> Any:
+            return self.inputs[i]
+
+        def get_sparsity_out(self, i: int) -> Any:
+            return self.outputs[i]
+
+        def eval(self, arguments: Any) -> Any:
+            return self.answer(*arguments)
+
+    return Callback

@@ -1,0 +1,114 @@
+"""What edges of a graph cost before anybody says how bad an impact is: motion, and exposure by column.
+
+A column is a pair of component and somebody who may be hit, or whatever else a severity belongs to. The impact of an
+edge is the sum of exposure times severity over its columns, so that other severities need no more than a product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+
+Array = np.ndarray
+
+_NO_INDEX = np.zeros(0, dtype=np.int32)
+_TELLING = 8  # edges with exposure that tell whether directions differ
+
+
+@dataclass(frozen=True, eq=False)
+class EdgePrices:
+    """Motion cost and exposure of edges; exposures of 0 are not stored.
+
+    | field    | meaning                             | unit | shape |
+    |----------|-------------------------------------|------|-------|
+    | motion   | V of each edge                      | rad  | edge  |
+    | edge     | edge of each exposure, ascending    |      | entry |
+    | column   | its column                          |      | entry |
+    | exposure | integral of P along the edge, above 0 | rad  | entry |
+    """
+
+    motion: Float[Array, " edge"]
+    edge: Int[Array, " entry"]
+    column: Int[Array, " entry"]
+    exposure: Float[Array, " entry"]
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    @classmethod
+    def of(cls, motion: Float[Array, " edge"], exposure: Float[Array, "edge column"]) -> EdgePrices:
+        """Keep what is not zero."""
+        edge, column = np.nonzero(exposure)
+        return cls(motion, edge.astype(np.int32), column.astype(np.int32), exposure[edge, column])
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[EdgePrices]) -> EdgePrices:
+        """Return the prices of all edges of the parts, one part after the other."""
+        first = np.cumsum([0, *map(len, parts)], dtype=np.int32)
+        return cls(
+            np.concatenate([np.zeros(0), *(part.motion for part in parts)]),
+            np.concatenate([_NO_INDEX, *(part.edge + k for part, k in zip(parts, first[:-1], strict=True))]),
+            np.concatenate([_NO_INDEX, *(part.column for part in parts)]),
+            np.concatenate([np.zeros(0), *(part.exposure for part in parts)]),
+        )
+
+    def impact(self, severity: Float[Array, " column"]) -> Float[Array, " edge"]:
+        """S of each edge under these severities."""
+        impact = np.zeros(len(self.motion))
+        if len(self.edge):
+            impact[self.edge[self.first_entries]] = np.add.reduceat(
+                self.exposure * severity.take(self.column), self.first_entries
+            )
+        return impact
+
+    @cached_property
+    def first_entries(self) -> Int[Array, " priced"]:
+        """First entry of each edge that has any."""
+        return np.flatnonzero(np.diff(self.edge, prepend=-1))
+
+
+Price = Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], EdgePrices]
+"""Prices straight edges in the direction in which they are given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Directed edges with their prices.
+
+    | field  | meaning               | unit | shape |
+    |--------|-----------------------|------|-------|
+    | tail   | node that each leaves |      | edge  |
+    | head   | node that it enters   |      | edge  |
+    | prices | what each costs       |      |       |
+    """
+
+    tail: Int[Array, " edge"]
+    head: Int[Array, " edge"]
+    prices: EdgePrices
+
+    def __len__(self) -> int:
+        return len(self.tail)
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[Edges]) -> Edges:
+        """Return the edges of all parts, one part after the other."""
+        tail, head = ([_NO_INDEX, *(getattr(part, name) for part in parts)] for name in ("tail", "head"))
+        prices = EdgePrices.concatenated([part.prices for part in parts])
+        return cls(np.concatenate(tail, dtype=np.int32), np.concatenate(head, dtype=np.int32), prices)
+
+
+def symmetric(price: Price, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> bool | None:
+    """Tell by some edges whether both directions cost the same; None if too few have any exposure to tell."""
+    there, back = price(q0, q1), price(q1, q0)
+    same = (
+        np.array_equal(there.edge, back.edge)
+        and np.array_equal(there.column, back.column)
+        and np.allclose(there.exposure, back.exposure, rtol=1e-9, atol=1e-12)
+        and np.allclose(there.motion, back.motion, rtol=1e-9, atol=1e-12)
+    )
+    return None if same and len(there.first_entries) < _TELLING else same

@@ -1,0 +1,128 @@
+r"""How rough a path is, in finite differences, and what follows from it: STOMP's noise and CHOMP's metric.
+
+A path has n inner points between two fixed ends. With K the matrix of first or second differences, ends included,
+
+.. math:: \tfrac12 |K q|^2 = \tfrac12 \theta^T A \theta + \theta^T b + c, \qquad A = K_\theta^T K_\theta
+
+per joint, where theta are the inner points. Differences are those of neighbours, not divided by their spacing: A is a
+pure number, and only its shape matters here. A has 2 * order + 1 diagonals, but at the size of a path (about 100
+points) its dense inverse is faster to apply than a banded solver is to call.
+
+References:
+    Kalakrishnan et al., "STOMP: stochastic trajectory optimization for motion planning", ICRA 2011, Sec. II.
+    Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013, Sec. 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
+from graceful_plan.planners.settings import count
+
+Array = np.ndarray
+
+_LIMIT_PASSES = 10
+"""Bumps per joint before what is still outside of the limits is cut off."""
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """The metric of paths with some number of inner points.
+
+    Args:
+        n: Inner points.
+        order: 1 for differences (short paths are smooth), 2 for second differences (straight, evenly spaced ones are).
+        tether: Added to the diagonal of A: what it costs to move a point at all, so that bumps and noise of order 2
+            reach over some 6.7 / tether ** 0.25 points instead of the whole path. `cost` and `gradient` leave it out.
+    """
+
+    n: int
+    order: int = 2
+    tether: float = 0.0
+
+    def __post_init__(self) -> None:
+        count("n", self.n)
+        if self.order not in (1, 2):
+            raise SettingError("order", self.order, "1 or 2")
+        if not 0.0 <= self.tether < np.inf:
+            raise SettingError("tether", self.tether, "a finite number >= 0")
+
+    @cached_property
+    def difference(self) -> Float[Array, "row point"]:
+        """The matrix K on all points, both ends included; the ends' own second differences are not counted."""
+        stencil = np.diff(np.eye(self.order + 1), n=self.order, axis=0)[0]
+        rows = self.n + 2 - self.order
+        matrix = np.zeros((rows, self.n + 2))
+        for offset, value in enumerate(stencil):
+            matrix[np.arange(rows), np.arange(rows) + offset] = value
+        return matrix
+
+    @cached_property
+    def matrix(self) -> Float[Array, "n n"]:
+        """A, on the inner points; positive definite."""
+        inner = self.difference[:, 1:-1]
+        return inner.T @ inner + self.tether * np.eye(self.n)
+
+    @cached_property
+    def factor(self) -> Float[Array, "n n"]:
+        """The lower Cholesky factor L of A = L L^T."""
+        return np.linalg.cholesky(self.matrix)
+
+    @cached_property
+    def inverse(self) -> Float[Array, "n n"]:
+        """The inverse of A; its columns are the smooth bumps that move one point and bend least."""
+        return self._root @ self._root.T
+
+    @cached_property
+    def _root(self) -> Float[Array, "n n"]:
+        return np.linalg.inv(self.factor).T  # L^-T, so that its product with white noise has the covariance A^-1
+
+    def cost(self, q: Float[Array, "*batch point nq"]) -> Float[Array, "*batch"]:
+        """Half the squared differences of whole paths, ends included, summed over joints."""
+        return np.asarray(0.5 * np.square(self.difference @ q).sum(axis=(-2, -1)))
+
+    def gradient(self, q: Float[Array, "*batch point nq"]) -> Float[Array, "*batch n nq"]:
+        """Derivative of `cost` with respect to the inner points of whole paths."""
+        return self.difference[:, 1:-1].T @ (self.difference @ q)
+
+    def solve(self, force: Float[Array, "*batch n nq"]) -> Float[Array, "*batch n nq"]:
+        """Return the motion of the inner points in the direction of a force that bends the path least: A^-1 force."""
+        return self.inverse @ force
+
+    def smoothest(self, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> Float[Array, "point nq"]:
+        """Return the path of least `cost` between two ends, both included."""
+        q = np.zeros((self.n + 2, len(start)))
+        q[0], q[-1] = start, goal
+        q[1:-1] = -np.linalg.solve(self.matrix - self.tether * np.eye(self.n), self.gradient(q))
+        return q
+
+    def noise(self, rollouts: int, nq: int, rng: np.random.Generator) -> Float[Array, "rollout n nq"]:
+        """Draw Gaussian displacements of the inner points of covariance A^-1, for each joint on its own.
+
+        Scaled such that the largest standard deviation of any point is 1. The ends are part of A, so that the noise
+        falls to 0 towards them without a jump.
+        """
+        white = rng.standard_normal((rollouts, self.n, nq))
+        return (self._root / np.sqrt(self.inverse.diagonal().max())) @ white
+
+    def into_limits(
+        self, inner: Float[Array, "*batch n nq"], lower: Float[Array, " nq"], upper: Float[Array, " nq"]
+    ) -> Float[Array, "*batch n nq"]:
+        """Return inner points moved into the limits, smoothly: joint by joint, the worst point with a bump.
+
+        Bumps overlap, so that after some passes what is still outside is cut off at the limit.
+        """
+        moved = inner.copy()
+        for _ in range(_LIMIT_PASSES):
+            excess = moved - np.clip(moved, lower, upper)
+            if not excess.any():
+                return moved
+            worst = np.abs(excess).argmax(axis=-2)[..., None, :]
+            height = np.take_along_axis(excess, worst, axis=-2) / self.inverse.diagonal()[worst]
+            moved -= np.moveaxis(self.inverse[worst[..., 0, :]], -1, -2) * height
+        return np.clip(moved, lower, upper)

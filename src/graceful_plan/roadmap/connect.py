@@ -1,0 +1,114 @@
+"""A start and goals joined to a roadmap: the graph that one question is searched in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.compile import compile_scene
+from graceful_plan.ends import Ends
+from graceful_plan.kernels import FINE_STEP
+from graceful_plan.path import Path
+from graceful_plan.planners.edge_prices import Edges
+from graceful_plan.planners.graph import Graph
+from graceful_plan.planners.growth import nearest
+from graceful_plan.roadmap.exposure import Exposure
+from graceful_plan.roadmap.ground import MARGIN
+
+Array = np.ndarray
+
+NEAREST = 12
+"""Nodes that an end is joined to because they are near."""
+BETWEEN = 12
+"""Nodes that an end is joined to because they lie between start and goal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """A roadmap with a start and goals.
+
+    | field | meaning                                                        | unit     | shape   |
+    |-------|----------------------------------------------------------------|----------|---------|
+    | q     | nodes of the roadmap, then those of the start and of the goals | rad or m | node nq |
+    | base  | edges of the roadmap                                           |          |         |
+    | own   | edges to and between the ends; their ids come after            |          |         |
+    | start | node that paths begin at                                       |          |         |
+    | goals | nodes that they may end at                                     |          | goal    |
+    """
+
+    q: Float[Array, "node nq"]
+    base: Edges
+    own: Edges
+    start: int
+    goals: Int[Array, " goal"]
+
+    @cached_property
+    def graph(self) -> Graph:
+        """Nodes and edges to search in."""
+        tail, head = (np.concatenate([getattr(edges, k) for edges in (self.base, self.own)]) for k in ("tail", "head"))
+        return Graph(len(self.q), tail, head)
+
+    def costs(
+        self, impact: Float[Array, " base_edge"], severity: Float[Array, " column"]
+    ) -> tuple[Float[Array, " edge"], Float[Array, " edge"]]:
+        """Motion and impact of each edge.
+
+        Args:
+            impact: That of the roadmap's edges, known already.
+            severity: By which that of the others is computed.
+        """
+        motion = np.concatenate([self.base.prices.motion, self.own.prices.motion])
+        return motion, np.concatenate([impact, self.own.prices.impact(severity)])
+
+    def ends_of(self, steps: Int[Array, " step"]) -> tuple[Float[Array, "step nq"], Float[Array, "step nq"]]:
+        """Return where some edges begin and end."""
+        return self.q[self.graph.tail[steps]], self.q[self.graph.head[steps]]
+
+    def path(self, steps: Int[Array, " step"]) -> Path:
+        """Return the path over some edges, one after the other."""
+        begin, end = self.ends_of(steps)
+        return Path(np.concatenate([begin[:1], end])).without_duplicates()
+
+
+def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: Ends) -> Joined:
+    """Join a start and goals to a roadmap, and to each other, by free edges of their own.
+
+    Args:
+        q: Nodes of the roadmap.
+        edges: Its edges.
+        exposure: Prices the new edges.
+        ends: Start and goals with the ways out of them, which become part of the graph.
+    """
+    chains = [ends.departure.q, *(arrival.q for arrival in ends.arrivals)]
+    first = len(q) + np.cumsum([0, *map(len, chains)])
+    nodes = np.concatenate([q, *chains])
+    departs, arrives = int(first[1]) - 1, first[1:-1]  # where the ways out of the ends meet the roadmap
+    links = _links(q, nodes[departs], nodes[arrives], departs, arrives)
+    kernels = compile_scene(exposure.scene).kernels
+    free = kernels.edges_free(nodes[links[:, 0]], nodes[links[:, 1]], FINE_STEP, min(MARGIN, 0.5 * ends.clearance))
+    out = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], axis=1) for a, b in pairwise(first.tolist())]
+    tail, head = np.concatenate([links[free], *out]).astype(np.int32).T
+    new = Edges(tail, head, exposure.price(nodes[tail], nodes[head]))
+    return Joined(nodes, edges, new, int(first[0]), first[2:] - 1)
+
+
+def _links(
+    q: Float[Array, "node nq"],
+    start: Float[Array, " nq"],
+    goals: Float[Array, "goal nq"],
+    departs: int,
+    arrives: Int[Array, " goal"],
+) -> Int[Array, "link 2"]:
+    """Which nodes to try to join."""
+    links = [np.stack([np.full(len(goals), departs), arrives], axis=1)]
+    for goal, node in zip(goals, arrives.tolist(), strict=True):
+        between = np.linalg.norm(q - start, axis=1) + np.linalg.norm(q - goal, axis=1)
+        middle = np.argsort(between, kind="stable")[:BETWEEN]
+        leave, enter = (np.union1d(nearest(end[None], q, NEAREST)[0], middle) for end in (start, goal))
+        links += [np.stack([np.full(len(leave), departs), leave], axis=1)]
+        links += [np.stack([enter, np.full(len(enter), node)], axis=1)]
+    return np.unique(np.concatenate(links), axis=0)

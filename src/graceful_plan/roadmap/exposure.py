@@ -1,0 +1,92 @@
+"""Prices of edges in a scene: motion, and exposure by component and by who may be hit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.cost import StateBatch, checked_state
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import EdgeSamples, Objective
+from graceful_plan.exceptions import SettingError
+from graceful_plan.kernels import COST_STEP
+from graceful_plan.planners.edge_prices import EdgePrices
+from graceful_plan.result import CostBreakdown
+from graceful_plan.scene import Scene
+
+Array = np.ndarray
+
+EXPOSURE_STEP = 0.1
+"""Largest joint-space distance between samples of the exposure along an edge [rad]."""
+_NOTHING = 1e-9
+"""Probability below which nothing is stored."""
+
+
+class Exposure:
+    """Prices edges of a scene.
+
+    Args:
+        objective: Motion and impact; its weight does not matter.
+        scene: The scene, with what is carried attached; its severities do not matter.
+        step: Largest joint-space distance between samples [rad].
+
+    Raises:
+        SettingError: If the exposure is counted in waypoints, of which edges have none.
+    """
+
+    def __init__(self, objective: Objective, scene: Scene, step: float = EXPOSURE_STEP) -> None:
+        if objective.exposure == "waypoints":
+            raise SettingError("exposure", objective.exposure, "'length' or 'time' for a roadmap")
+        self.objective, self.scene, self.step = objective, scene, step
+        self.by_hazard = type(objective.impact) is ImpactCost  # a subclass may compute otherwise
+        self.columns: tuple[tuple[str, str], ...] = (("", ""),)
+        if self.by_hazard:
+            counted = [name for name in scene.components if name in objective.impact.components]  # pyright: ignore[reportAttributeAccessIssue]
+            self.columns = tuple((name, hazard) for name in counted for hazard in scene.hazards)
+
+    def severity(self, scene: Scene) -> Float[Array, " column"]:
+        """Severities of a scene by column; 1 if the impact is not one of severities."""
+        impact = self.objective.impact
+        if not (self.by_hazard and isinstance(impact, ImpactCost)):
+            return np.ones(1)
+        return impact.hazard_severity(scene)[self._rows(scene)].ravel()
+
+    def finely(self) -> Exposure:
+        """Return the same with samples as close as those of costs that are reported."""
+        return Exposure(self.objective, self.scene, COST_STEP)
+
+    def price(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> EdgePrices:
+        """Motion cost and exposure of straight edges, travelled from `q0` to `q1`."""
+        if len(q0) == 0:
+            return EdgePrices.of(np.zeros(0), np.zeros((0, len(self.columns))))
+        samples = EdgeSamples(q0, q1, self.scene.limits.velocity, self.objective.paces, self.step)
+        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
+        motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)
+        measure = samples.length if self.objective.exposure == "length" else samples.duration
+        P = self._density(batch)
+        P[P < _NOTHING] = 0.0
+        return EdgePrices.of(motion, np.add.reduceat(P * samples.weights(measure)[:, None], samples.first))
+
+    def breakdown(self, prices: EdgePrices, severity: Float[Array, " column"], w: float) -> CostBreakdown:
+        """Cost of all of these edges together, and where its impact comes from."""
+        parts = np.bincount(prices.column, prices.exposure, len(severity)) * severity
+        motion, impact = float(prices.motion.sum()), float(parts.sum())
+        if not self.by_hazard:
+            return CostBreakdown(motion=motion, impact=impact, w=w)
+        components, hazards = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.scene.hazards, 0.0)
+        for (component, hazard), part in zip(self.columns, parts.tolist(), strict=True):
+            components[component] += part
+            hazards[hazard] += part
+        return CostBreakdown(
+            motion=motion, impact=impact, w=w, impact_by_entity=hazards, impact_by_component=components
+        )
+
+    def _density(self, batch: StateBatch) -> Float[Array, "n column"]:
+        impact = self.objective.impact
+        if not (self.by_hazard and isinstance(impact, ImpactCost)):
+            return checked_state(impact, batch)[:, None]
+        return impact.probability(batch)[:, self._rows(self.scene)].reshape(len(batch), len(self.columns))
+
+    def _rows(self, scene: Scene) -> list[int]:
+        counted = {component for component, _ in self.columns}
+        return [row for row, name in enumerate(scene.components) if name in counted]

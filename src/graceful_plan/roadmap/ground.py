@@ -1,0 +1,89 @@
+"""A scene as the ground that a roadmap grows in, and the ends of motions there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.compile import compile_scene
+from graceful_plan.ends import Ends, ways_out
+from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.kernels import FINE_STEP
+from graceful_plan.planners.growth import Ground
+from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.roadmap.answers import QueryResult, QueryStatus
+from graceful_plan.roadmap.exposure import Exposure
+from graceful_plan.scene import Scene
+
+Array = np.ndarray
+Motion = tuple[Configuration, Goal]
+"""A start and a goal, as `plan` takes them."""
+
+MARGIN = 0.002
+"""Clearance that nodes and edges keep [m]."""
+_MOST_PAIRS = 24
+
+
+def ground_of(exposure: Exposure) -> Ground:
+    """Make the ground of a scene."""
+    scene = exposure.scene
+    kernels, objective = compile_scene(scene).kernels, exposure.objective.bind(scene)
+    lower, upper = scene.limits.position.T
+    return Ground(
+        lower=lower,
+        upper=upper,
+        states_free=lambda q: kernels.free(q, MARGIN),
+        edges_free=lambda q0, q1: kernels.edges_free(q0, q1, FINE_STEP, MARGIN),
+        impact=objective.states,
+        price=exposure.price,
+        severity=exposure.severity(scene),
+        threads=(os.cpu_count() or 1) if objective.kernel is not None else 1,  # costs of one's own may mind
+    )
+
+
+def declared_motions(scene: Scene) -> list[Motion]:
+    """Motions that a scene says are to be planned: its tasks with what is held; without any, between its keyframes."""
+    held = None if scene.notes.held is None else scene.notes.held.body
+    found: list[Motion] = []
+    for task in scene.tasks.values():
+        body = None if task.object_name is None else scene.notes.objects[task.object_name].body
+        if body == held:
+            found.append((task.start, task.goal))
+    return found or [(a, b) for a in scene.keyframes for b in scene.keyframes if a != b]
+
+
+def usable_pairs(motions: Iterable[Motion], scene: Scene, rng: np.random.Generator) -> Float[Array, "pair 2 nq"]:
+    """Return where planners would start and end on these motions, as far as that is possible with clearance."""
+    pairs: list[Array] = []
+    for start, goal in motions:
+        ends = find_ends(start, goal, scene, rng)
+        if not isinstance(ends, QueryResult):
+            pairs += [np.stack([ends[0].departure.q[-1], arrival.q[0]]) for arrival in ends[0].arrivals]
+    found = np.array(pairs).reshape(-1, 2, len(scene.joints))
+    usable = compile_scene(scene).kernels.free(found, MARGIN).all(axis=1) & np.any(found[:, 0] != found[:, 1], axis=1)
+    return rng.permutation(found[usable])[:_MOST_PAIRS]
+
+
+def find_ends(
+    start: Configuration, goal: Goal, scene: Scene, rng: np.random.Generator, seed: int = 0
+) -> tuple[Ends, tuple[int, ...]] | QueryResult:
+    """Return both ends of a motion and which goal each arrival leads to, or an answer that says why there are none.
+
+    Raises:
+        GracefulPlanError: For misuse, as `plan`.
+    """
+    starts = resolve_start(start, scene)
+    if not len(starts.q):
+        return QueryResult(status=QueryStatus.INVALID_START, detail=starts.detail)
+    goals = resolve_goal(goal, scene, starts.q[0], seed=seed)
+    if not len(goals.q):
+        return QueryResult(status=QueryStatus.INVALID_GOAL, detail=goals.detail)
+    ends = ways_out(starts.q[0], goals.q, compile_scene(scene), scene, rng)
+    if isinstance(ends, PlanResult):
+        invalid_start = ends.status is PlanStatus.INVALID_START
+        status = QueryStatus.INVALID_START if invalid_start else QueryStatus.INVALID_GOAL
+        return QueryResult(status=status, detail=ends.detail)
+    return ends, tuple(goals.index[k] for k in ends.goal_index)
