@@ -32,9 +32,9 @@ _SHARE_NOTE = (
     "more than four times the best known lies outside."
 )
 _SPREAD_NOTE = (
-    "Solved runs; bars from quartile to quartile, with the median. Jerk: third difference of positions every 20 "
-    "ms of the timed trajectory. Clearance: least exact distance of the robot and what it carries to the "
-    "surroundings, but for what a carried object stands on at the ends."
+    "Solved runs, a dot each unless they are many; bars from quartile to quartile, with the median. Jerk: third "
+    "difference of positions every 20 ms of the timed trajectory. Clearance: least exact distance of the robot "
+    "and what it carries to the surroundings, but for what a carried object stands on at the ends."
 )
 _PAIRS_NOTE = (
     "Of each problem, the median over its seeds of the total cost of the result, infinite if most seeds were not "
