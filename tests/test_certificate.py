@@ -97,7 +97,7 @@ def test_exposure_in_time_and_over_waypoints(tabletop: Scene):
     trajectory = retime(path, tabletop.limits, tabletop.joints)
     in_time = Objective(exposure="time").bind(tabletop)
     dense = in_time.breakdown(trajectory.sample(trajectory.duration / 20_000)).impact
-    assert dense <= exposure_bound(trajectory, in_time) <= 1.2 * dense
+    assert dense <= exposure_bound(trajectory, in_time) <= 1.1 * dense
     on_path = exposure_bound(path, in_time)
     assert in_time.breakdown(path.resampled(0.002)).impact * (1.0 - 1e-3) <= on_path
     waypoints = Objective(exposure="waypoints").bind(tabletop)
