@@ -128,12 +128,12 @@ def plan(
             preference,
             wait,
         )
+        found = time.perf_counter()
+        certificate = certificate_of(result, bound, goal if isinstance(goal, PoseGoal) else resolved_goal.q)
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
     notes = [*resolved_start.notes, *resolved_goal.notes, *([result.detail] if result.detail else [])]
     index = None if result.goal_index is None else resolved_goal.index[result.goal_index]
-    found = time.perf_counter()
-    certificate = certificate_of(result, bound, goal if isinstance(goal, PoseGoal) else resolved_goal.q)
     ended = time.perf_counter()
     stats = {**result.stats, "certificate_time": ended - found, "total_time": ended - started}
     return replace(result, certificate=certificate, detail="; ".join(notes), goal_index=index, stats=stats)
