@@ -16,6 +16,9 @@ from graceful_plan.planners.trivial import start_is_goal
 
 Array = np.ndarray
 
+_SHARE_OF_SHORTCUTS = 0.1
+"""Of the budget that is left when the first path is found; the rest is the optimiser's."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Optimiser(Planner):
@@ -23,7 +26,8 @@ class Optimiser(Planner):
 
     Args:
         initial: Where to begin: a path, or an array of configurations. It need not be free; where it does not begin at
-            the start or end at a goal, it is joined to them. None begins with the path of RRT-Connect after shortcuts.
+            the start or end at a goal, it is joined to them. None begins with the path of RRT-Connect after shortcuts for a
+            tenth of the budget.
     """
 
     anytime: ClassVar[bool] = True
@@ -48,10 +52,24 @@ class Optimiser(Planner):
             return
         path = None if self.initial is None else joined_to_ends(self.initial, problem)
         if path is None:
-            for path in RRTConnect().solve(problem, objective, budget, rng):
+            for path in _first_paths(problem, objective, budget, rng):
                 yield path
         if path is not None:
             yield from self.improve(path, problem, objective, budget, rng)
+
+
+def _first_paths(
+    problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+) -> Iterator[Path]:
+    """Yield the path of RRT-Connect and shorter cuts of it, for a share of the budget."""
+    seconds = iterations = np.inf
+    for path in RRTConnect().solve(problem, objective, budget, rng):
+        yield path
+        if seconds == np.inf and iterations == np.inf:
+            seconds = budget.elapsed + _SHARE_OF_SHORTCUTS * budget.remaining_seconds
+            iterations = budget.spent + _SHARE_OF_SHORTCUTS * budget.remaining_iterations
+        if budget.elapsed > seconds or budget.spent > iterations:
+            return
 
 
 def joined_to_ends(path: Path | Array, problem: Problem) -> Path:
