@@ -35,7 +35,7 @@ SLOPE_SAFETY = 2.0
 """How much steeper the impact may be between samples than the steepest measured slope around."""
 _STEP = 0.5 * COST_STEP
 """Largest joint-space distance between samples of the impact [rad]."""
-_PERIOD = 0.01
+_PERIOD = 0.004
 """Largest time between samples of the impact, where the exposure is time [s]."""
 
 
