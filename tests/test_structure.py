@@ -185,7 +185,7 @@ def guide_snippets(guide: str) -> list[str]:
 
 
 GUIDES = (
-    "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md", "faults-prior.md", "impact-models.md",
+    "auto.md", "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md", "faults-prior.md", "impact-models.md",
     "moving.md", "optimisers.md", "roadmap.md", "tuning.md",
 )  # fmt: skip
 
