@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,7 +185,7 @@ def test_a_path_is_timed_first_and_one_without_length_is_done(scene: Scene, firs
 
 
 def test_misuse_is_refused(scene: Scene, first: Trajectory) -> None:
-    wrong: list[tuple[type[GracefulPlanError], str, dict]] = [
+    wrong: list[tuple[type[GracefulPlanError], str, dict[str, Any]]] = [
         (UnknownNameError, "speed", {"objective": "speed"}),
         (SettingError, "w = -1", {"w": -1.0}),
         (SettingError, "duration", {"duration": 0.0}),
