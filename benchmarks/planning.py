@@ -22,7 +22,7 @@ class Job:
     """What to plan."""
 
     task: str
-    planner: str = "anytime"
+    planner: str | gp.Planner = "auto"
     seed: int = 0
     w: float = W
     time_limit: float = 1.0
@@ -85,7 +85,8 @@ def warm_planner(name: str) -> None:
 def _run(job: Job) -> Record:
     instance = task(job.task)
     warm_task(job.task)
-    warm_planner(job.planner)
+    if isinstance(job.planner, str):
+        warm_planner(job.planner)
     started = time.perf_counter()
     result = gp.plan(
         instance.start,

@@ -28,6 +28,7 @@ SUBJECTS = (
     "motion_problems",
     "planners",
     "best_known",
+    "auto",
     "optima",
     "optimisers",
     "roadmap",
@@ -49,7 +50,7 @@ SUBJECTS = (
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "trajectory_prediction", "prevention"})
+ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 RESULTS = Path(__file__).with_name("RESULTS.md")
 

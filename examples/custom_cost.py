@@ -24,7 +24,7 @@ class Nearness(gp.Cost):
         return np.exp(-np.sum(offset**2, axis=1) / (2.0 * self.radius**2))
 
 
-def main(planner: str = "anytime", time_limit: float = 1.0) -> dict[str, gp.PlanResult]:
+def main(planner: str = "auto", time_limit: float = 1.0) -> dict[str, gp.PlanResult]:
     """Plan with and without the cost; return both results."""
     task = gp.load_scene("desk").tasks["bring_coffee"]
     laptop = task.scene.data_at(task.start).geom_xpos[task.scene.entities["laptop"].geoms[0]]

@@ -1,10 +1,12 @@
 """The default planner: its searches, what they tell each other, and paths to begin with."""
 
 import hashlib
+import inspect
 import itertools
 import subprocess
 import sys
 
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -23,11 +25,12 @@ def task():
 
 
 def bound(task, w=1.0, impact="footprint"):
-    objective = gp.Objective(impact=gp.ImpactCost(impact), w=w).bind(task.scene)
-    start, goal = (
-        np.asarray(task.scene.keyframes.get(q, q) if isinstance(q, str) else q) for q in (task.start, task.goal)
-    )
-    return SceneProblem(kernels=compile_scene(task.scene).kernels, start=start, goals=goal[None]), objective
+    """From and to where a first path is clear of what the object stands on: way outs are the business of plan()."""
+    kernels = compile_scene(task.scene).kernels
+    q = gp.plan(task.start, task.goal, task.scene, w=0.0, planner="rrt_connect", iterations=500).unwrap().path.q
+    first, last = q[kernels.free(q, 0.005)][[0, -1]]
+    problem = SceneProblem(kernels=kernels, start=first, goals=last[None], margin=0.002)
+    return problem, gp.Objective(impact=gp.ImpactCost(impact), w=w).bind(task.scene)
 
 
 def solved(planner, problem, objective, iterations=ITERATIONS, seed=0):
@@ -46,7 +49,7 @@ print(hashlib.sha256(result.path.q.tobytes()).hexdigest())
 
 
 def test_is_the_default():
-    assert gp.plan.__kwdefaults__["planner"] == "auto"
+    assert inspect.signature(gp.plan).parameters["planner"].default == "auto"
 
 
 def test_same_seed_and_iterations_same_bytes_in_every_process(task):
@@ -75,12 +78,17 @@ def test_what_a_search_leaves_out_it_does_without(task, setting):
     assert not np.array_equal(paths[-1].q, whole[-1].q)
 
 
-@pytest.mark.parametrize(("w", "impact"), [(0.0, "footprint"), (1.0, "aabb")])
-def test_without_fear_or_gradient_there_is_one_search(task, w, impact):
-    problem, objective = bound(task, w, impact)
+def test_without_fear_there_is_one_search(task):
+    problem, objective = bound(task, w=0.0)
     one, _ = solved(gp.Auto(workers=1), problem, objective)
     several, _ = solved(gp.Auto(workers=4), problem, objective)
     assert np.array_equal(one[-1].q, several[-1].q)
+
+
+def test_a_cost_without_gradient_is_lowered_too(task):
+    problem, objective = bound(task, impact="aabb")
+    paths, _ = solved(gp.Auto(), problem, objective, iterations=4000)
+    assert path_total(objective, paths[-1]) < 0.8 * path_total(objective, paths[0])
 
 
 def test_begins_with_a_free_path_and_improves_it(task):
@@ -99,13 +107,14 @@ def test_a_path_that_is_not_free_is_only_a_hint(task):
     assert paths and all(problem.edges_free(path.q[:-1], path.q[1:]).all() for path in paths)
 
 
-def test_an_initial_path_of_another_task_is_refused(task):
+def test_an_initial_path_is_joined_to_the_ends(task):
     problem, objective = bound(task)
-    with pytest.raises(SettingError, match="initial"):
-        solved(gp.Auto(initial=gp.Path(np.stack([problem.goals[0], problem.start]))), problem, objective)
+    given = solved(gp.RRTConnect(), problem, objective)[0][-1].q
+    paths, _ = solved(gp.Auto(initial=given[1:-1]), problem, objective)
+    np.testing.assert_array_equal(paths[0].q[[0, -1]], given[[0, -1]])
 
 
-@pytest.mark.parametrize("settings", [{"workers": 0}, {"search": "anytime"}, {"initial": [[0.0]]}])
+@pytest.mark.parametrize("settings", [{"workers": 0}, {"search": "anytime"}, {"initial": "path"}])
 def test_bad_settings_are_named(settings):
-    with pytest.raises(SettingError, match=next(iter(settings))):
+    with pytest.raises((SettingError, jaxtyping.TypeCheckError), match=next(iter(settings))):
         gp.Auto(**settings)

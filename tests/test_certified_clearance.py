@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import mujoco
 import numpy as np
 import pytest
@@ -52,11 +54,34 @@ _HINGE = """
 """
 
 
+_MIXED = """
+<mujoco>
+  <worldbody>
+    <body name="r/base">
+      <body name="r/a"><joint name="r/a" axis="0 0 1" range="-3 3"/>
+        <geom name="r/a" type="capsule" size="0.04" fromto="0 0 0 0.4 0 0" mass="1"/>
+        <body name="r/b" pos="0.4 0 0"><joint name="r/b" type="slide" axis="1 0 0" range="0 0.4"/>
+          <geom name="r/b" type="sphere" size="0.05" mass="1"/>
+          <body name="r/c" pos="0.1 0 0"><joint name="r/c" axis="0 1 0" range="-2 2"/>
+            <geom name="r/c" type="capsule" size="0.03" fromto="0.08 0 0 0.5 0 0" mass="1"/>
+            <site name="r/tool" pos="0.5 0 0"/>
+          </body>
+        </body>
+      </body>
+    </body>
+    <body name="thing" pos="0.7 0.7 0.2"><geom name="thing" type="sphere" size="0.15"/></body>
+    <body name="board" pos="0.5 -0.6 0"><geom name="board" type="box" size="0.3 0.02 0.3"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
 def _scene(mjcf: str, joints: int) -> Scene:
     velocity, acceleration = [1.0] * joints, [5.0] * joints
     return Scene.from_mjcf(mjcf, robot="r/", tool="r/tool", velocity=velocity, acceleration=acceleration)
 
 
+@cache
 def _kernels(mjcf: str, joints: int) -> Kernels:
     return compile_scene(_scene(mjcf, joints)).kernels
 
@@ -136,6 +161,18 @@ def test_random_paths_of_the_arm_are_never_nearer_than_certified(tabletop: Scene
     assert (found.bound < 0.0) == bool(found.uncertified)
     if found.bound >= 0.0:
         assert found.bound >= found.sampled - TOLERANCE - 2.0 * ROUNDING
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_hinges_that_carry_slides_that_carry_hinges(seed: int):
+    rng = np.random.default_rng(seed)
+    kernels = _kernels(_MIXED, 3)
+    path = Path(rng.uniform([-2.5, 0.0, -2.0], [2.5, 0.4, 2.0], size=(3, 3)))
+    found = certified_clearance(path, kernels)
+    dense = float(kernels.clearance(path.resampled(path.length / 2000).q).min())
+    assert found.bound <= dense + 1e-9
+    assert dense > 0.0 or found.uncertified
 
 
 def test_trajectories_cut_corners_and_are_certified_as_they_run(tabletop: Scene):

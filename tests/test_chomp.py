@@ -125,6 +125,28 @@ def test_memory_refuses_a_step_along_which_the_energy_bends_down() -> None:
     assert not memory.forget()
 
 
+def test_steps_never_lead_to_a_path_that_is_not_allowed() -> None:
+    """The first step would end far beyond the line that must not be crossed."""
+    instance = analytic_problems()["hyperbolic"]
+    problem, line = instance.problem, 0.52
+    q = with_edges(Path(np.array([problem.start, [0.5, 0.2], problem.goals[0]])), 20)
+    energy = PathEnergy(Slopes(problem, instance.objective, Budget()))
+    asked: list[float] = []
+
+    def allowed(tried: np.ndarray) -> bool:
+        asked.append(float(tried[:, 1].max()))
+        return asked[-1] <= line
+
+    descent = Descent(energy, Smoothness(19, 1), (problem.lower, problem.upper), 8, 1.0, allowed)
+    descent.begin(energy(q))
+    first = descent.at.energy
+    for _ in range(40):
+        if descent.attempt() is None:
+            break
+        assert descent.at.q[:, 1].max() <= line
+    assert max(asked) > line and descent.at.energy < 0.7 * first
+
+
 def test_every_path_is_free_inside_the_limits_and_cheaper() -> None:
     """The least cost lies beyond the limits, so that the path runs along them."""
     problem = FunctionProblem(

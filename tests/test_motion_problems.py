@@ -18,7 +18,7 @@ from benchmarks.motion_problems import KINDS, make, write  # noqa: E402 - after 
 from benchmarks.subjects import motion_problems  # noqa: E402
 
 
-@pytest.mark.parametrize("kind", ["bookshelf_thin", "table_pick"])
+@pytest.mark.parametrize("kind", ["bookshelf_thin", "box"])
 def test_problems_come_back_from_the_file_that_they_were_written_to(kind: str, tmp_path: Path):
     made = make(kind, 2, 3)
     write(made, tmp_path / "problems.yaml")

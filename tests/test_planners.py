@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
-from graceful_plan.planners import PLANNERS, PRM, RRT, BITStar, InformedRRTStar, PRMStar, RRTStar
+from graceful_plan.planners import PLANNERS, PRM, RRT, BITStar, InformedRRTStar, PRMStar, RRTConnect, RRTStar
 from graceful_plan.planners.informed import InformedSampler, learn_objective
 from graceful_plan.planners.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.planner import Budget, Planner, Problem, path_total
@@ -82,6 +82,25 @@ def test_a_free_straight_line_is_recognised_as_optimal(planner: Planner) -> None
     )
     assert path.length == pytest.approx(instance.optimum)
     assert budget.spent < 50_000
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_trees_leave_a_narrow_slot(backwards: bool) -> None:
+    """Either end may sit in a slot a fiftieth as wide as it is deep; both trees get their turns."""
+    ends = np.array([[0.0, 0.0], [2.0, 1.5]])
+    start, goal = ends[::-1] if backwards else ends
+    problem = FunctionProblem(
+        start=start,
+        goals=goal[None],
+        lower=np.array([-1.0, -2.0]),
+        upper=np.array([3.0, 2.0]),
+        free=lambda q: (q[:, 0] > 1.0) | (np.abs(q[:, 1]) < 0.01),
+        step=0.005,
+    )
+    objective = DensityObjective(density=lambda q: np.zeros(len(q)), w=0.0)
+    for seed in range(5):
+        rng, budget = np.random.default_rng(seed), Budget(iterations=3000)
+        assert next(iter(RRTConnect(shortcut=None).solve(problem, objective, budget, rng)), None) is not None
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -312,6 +312,10 @@ def test_hostile_yaml_is_refused(tmp_path: Path, text: str, message: str):
         ({"joints": _JOINTS[:6]}, "has to name 'panda_joint7' once"),
         ({"problems": {"shelf": [{"start": _READY, "goals": []}]}}, r"goals has to hold at least one goal"),
         ({"problems": None}, "needs the key 'problems'"),
+        (
+            {"problems": {"shelf": [{"start": _READY, "goals": [_OTHER], "capsule": [{}]}]}},
+            "capsule is an unknown kind",
+        ),
     ],
 )
 def test_broken_problems_of_vamp_are_refused(tmp_path: Path, change: dict[str, Any], message: str):
@@ -346,6 +350,7 @@ def test_other_files_are_refused(tmp_path: Path):
         ("o['header']['frame_id'] = 'camera'", "poses have to be in the frame of the base"),
         ("s['world']['octomap'] = {'octomap': {'data': [1]}}", "octomap is not read"),
         ("r['start_state']['joint_state']['name'].pop()", "has 7 names and 8 positions"),
+        ("r['start_state']['attached_collision_objects'] = [{}]", "only an empty gripper is"),
         ("r['goal_constraints'] = []", "has to hold at least one goal"),
         ("r['goal_constraints'] = [{'position_constraints': []}]", "needs the key 'joint_constraints'"),
     ],
@@ -363,6 +368,11 @@ def test_a_request_without_its_scene_is_refused(tmp_path: Path):
     _write(tmp_path / "request0007.yaml", _moveit()[1])
     with pytest.raises(FormatError, match=r"there is no scene0007\.yaml beside it"):
         load_problems(tmp_path)
+
+
+def test_obstacles_of_other_kinds_are_refused():
+    with pytest.raises(UnknownNameError, match="unknown kind of obstacle 'cone'; valid: box, cylinder, sphere"):
+        Obstacle(name="hat", kind="cone", size=(0.1, 0.1), X_WO=np.eye(4))
 
 
 def test_obstacles_without_size_are_refused_when_the_scene_is_made():

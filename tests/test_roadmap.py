@@ -88,6 +88,7 @@ def test_nodes_and_edges_are_free(task, roadmap):
 def test_every_edge_is_there_in_both_directions_and_once(roadmap):
     there = list(zip(roadmap.edges.tail.tolist(), roadmap.edges.head.tolist(), strict=True))
     assert len(there) > 4 * NODES
+    assert len(set(there)) == len(there)
     assert sorted(there) == sorted((b, a) for a, b in there)
 
 
@@ -215,6 +216,26 @@ def test_the_nearest_of_several_goals_is_taken(task, roadmap):
     far, near = roadmap.q[np.argsort(np.linalg.norm(roadmap.q - task.start, axis=1))[[-1, 3]]]
     result = roadmap.query(task.start, np.stack([far, near]), w=0.0)
     assert result.goal_index == 1
+
+
+def test_a_pose_is_a_goal(task, roadmap):
+    site = task.scene.data_at(roadmap.q[-1]).site(task.scene.tool)
+    X_WT = np.eye(4)
+    X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
+    result = roadmap.query(task.start, gp.PoseGoal(X_WT))
+    assert result.status is gp.QueryStatus.FOUND
+    reached = task.scene.data_at(result.path.q[-1]).site(task.scene.tool).xpos
+    np.testing.assert_allclose(reached, site.xpos, atol=2e-3)
+
+
+@pytest.mark.parametrize("motions", [[], "start to start", "from a collision"])
+def test_motions_that_cannot_be_used_are_skipped(task, motions):
+    if isinstance(motions, str):
+        blocked = task.scene.limits.position[:, 1]
+        motions = [(task.start, task.start) if "start to" in motions else (blocked, task.goal)]
+    roadmap = gp.Roadmap.build(task.scene, motions=motions, nodes=40)
+    assert len(roadmap) == 40
+    assert roadmap.query(task.start, task.goal).status is gp.QueryStatus.FOUND
 
 
 def test_any_two_configurations_can_be_asked_for(roadmap):
@@ -351,8 +372,23 @@ def test_entities_that_move_count(task, exposure):
     expected = gp.evaluate(result.path, scene, objective)
     assert expected.impact_by_entity["walker"] > 0.0
     assert result.cost.impact_by_entity == pytest.approx(expected.impact_by_entity)
+    other = scene.with_moving(gp.MovingEntity("walker", "adult", size=[0.3, 0.5], t=[0.0], position=[place]))
     with pytest.raises(gp.StaleRoadmapError, match="moving entities"):
-        roadmap.query(task.start, task.goal, task.scene)
+        roadmap.query(task.start, task.goal, other)
+
+
+def test_without_those_who_move_they_do_not_count(task):
+    place = task.scene.data_at(0.5 * (task.start + task.goal[0])).site(task.scene.tool).xpos
+    walker = gp.MovingEntity("walker", "adult", size=[0.3, 0.3], t=[0.0], position=[place - [0.0, 0.0, 0.4]])
+    scene = task.scene.with_moving(walker)
+    roadmap = gp.Roadmap.build(scene, nodes=60)
+    result = roadmap.query(task.start, task.goal, task.scene)
+    assert result.cost.impact_by_entity["walker"] == 0.0
+    assert result.cost.impact == pytest.approx(gp.evaluate(result.path, task.scene).impact)
+    with pytest.raises(gp.StaleRoadmapError, match="moving entities"):
+        gp.Roadmap.build(task.scene, nodes=10).query(task.start, task.goal, scene)
+    planned = gp.plan(task.start, task.goal, scene, planner=gp.RoadmapPlanner(roadmap=roadmap), iterations=20)
+    assert planned.status is gp.PlanStatus.SOLVED
 
 
 def test_nothing_carried_means_no_impact(task):
@@ -370,10 +406,23 @@ def test_a_plan_with_a_roadmap_is_verified_and_no_worse(task, roadmap, answer):
     plain = gp.plan(task.start, task.goal, task.scene, planner=as_it_is, iterations=5)
     assert plain.status is gp.PlanStatus.SOLVED
     assert plain.cost.total == pytest.approx(answer.cost.total)
-    better = gp.plan(task.start, task.goal, task.scene, planner=gp.RoadmapPlanner(roadmap=roadmap), iterations=60)
+    better = gp.plan(task.start, task.goal, task.scene, planner=gp.RoadmapPlanner(roadmap=roadmap), iterations=600)
     assert better.status is gp.PlanStatus.SOLVED and better.verdict.passed
     assert better.cost.total < plain.cost.total
     assert better.trace[0].total == pytest.approx(plain.cost.total, rel=1e-3)  # integrated by the kernel
+
+
+def test_an_optimiser_improves_the_path_of_a_roadmap(task, roadmap, answer):
+    optimised = gp.RoadmapPlanner(roadmap=roadmap, optimiser=gp.STOMP())
+    result = gp.plan(task.start, task.goal, task.scene, planner=optimised, iterations=8)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert result.cost.total < answer.cost.total
+
+
+def test_a_plan_without_budget_ends_at_once(task, roadmap):
+    planner = gp.RoadmapPlanner(roadmap=roadmap)
+    for budget in ({"iterations": 0}, {"time_limit": 0.0}):
+        assert gp.plan(task.start, task.goal, task.scene, planner=planner, **budget).status is gp.PlanStatus.TIMEOUT
 
 
 def test_a_planner_refuses_what_its_roadmap_is_not_for(task, roadmap):

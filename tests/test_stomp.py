@@ -280,12 +280,16 @@ def _batch(cost: np.ndarray, blocked: np.ndarray | None = None) -> Rollouts:
 
 @given(seed=st.integers(0, 10_000), k=st.integers(1, 8), n=st.integers(1, 12), share=st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
-def test_weights_are_positive_and_sum_to_one_at_every_point(seed: int, k: int, n: int, share: float) -> None:
+def test_weights_sum_to_one_and_those_of_free_paths_are_the_greatest(seed: int, k: int, n: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     batch = _batch(rng.uniform(size=(k, n + 1)) * 10.0 ** rng.uniform(-9, 9), rng.uniform(size=(k, n + 1)) < share)
-    weight = weights(batch, np.eye(n), 10.0)
+    spread = rng.uniform(0.01, 1.0, (n, n))
+    weight = weights(batch, spread / spread.sum(axis=1, keepdims=True), 10.0)
     assert np.all((weight >= 0.0) & np.isfinite(weight))
     np.testing.assert_allclose(weight.sum(axis=0), 1.0)
+    free = ~(batch.blocked[:, :-1] | batch.blocked[:, 1:])
+    least, most = np.where(free, weight, np.inf).min(axis=0), np.where(free, 0.0, weight).max(axis=0)
+    assert np.all(least >= most * (1.0 - 1e-9))
 
 
 def test_weights_are_those_of_the_paper() -> None:

@@ -44,9 +44,9 @@ def _schedule(tasks: list[str], options: suite.Options) -> list[Job]:
     """All runs, the most promising first, so that an interrupted search has something for every task."""
     long = options.seconds or (0.5 if options.quick else LONG)
     short = options.seconds or (0.5 if options.quick else SHORT)
-    others = [planner for planner in gp.PLANNERS if planner != "anytime"]
-    seeds = (("anytime", seed, short) for seed in range(1, SEEDS))
-    plans = [("anytime", 0, long), *seeds, *((planner, 0, short) for planner in others)]
+    others = [planner for planner in gp.PLANNERS if planner != "auto"]
+    seeds = (("auto", seed, short) for seed in range(1, SEEDS))
+    plans = [("auto", 0, long), *seeds, *((planner, 0, short) for planner in others)]
     return [
         Job(task=task, planner=planner, seed=seed, time_limit=seconds)
         for planner, seed, seconds in plans

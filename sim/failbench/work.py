@@ -41,7 +41,7 @@ class PlanSettings:
     """
 
     w: float = 1.0
-    planner: str = "anytime"
+    planner: str = "auto"
     iterations: int = 2000
     seed: int = 0
     speed: float = 0.5

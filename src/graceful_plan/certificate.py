@@ -35,6 +35,8 @@ SLOPE_SAFETY = 2.0
 """How much steeper the impact may be between samples than the steepest measured slope around."""
 _STEP = 0.5 * COST_STEP
 """Largest joint-space distance between samples of the impact [rad]."""
+_PERIOD = 0.01
+"""Largest time between samples of the impact, where the exposure is time [s]."""
 
 
 def certify(
@@ -114,8 +116,8 @@ def exposure_bound(motion: Path | Trajectory, objective: SceneObjective) -> floa
     if kind == "waypoints":
         return objective.breakdown(motion).impact
     if kind == "time" and isinstance(motion, Trajectory):
-        middles = 0.5 * (motion.t[:-1] + motion.t[1:])
-        t = np.sort(np.concatenate([motion.t, middles]))
+        between = np.linspace(motion.t[0], motion.t[-1], int(np.ceil(motion.duration / _PERIOD)) + 1)
+        t = np.union1d(motion.t, between)
         impact = checked_state(objective.objective.impact, trajectory_batch(objective.scene, motion, t, t))
         return _envelope(impact[:-1], impact[1:], np.diff(t))
     samples, impact = _impact_along(motion, objective)

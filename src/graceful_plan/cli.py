@@ -58,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--start", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     plan.add_argument("--w", type=float, default=1.0, help="safety weight; 0 is an ordinary planner (default 1)")
-    plan.add_argument("--planner", default="anytime", help="see `graceful-plan planners`")
+    plan.add_argument("--planner", default="auto", help="see `graceful-plan planners`")
     plan.add_argument("--output", type=FilePath, metavar="FILE", help="write the trajectory to FILE.json or FILE.csv")
     _add_budget(plan)
 

@@ -15,10 +15,13 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.front_archive import Aimed, Candidate, EdgeTest
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, DifferentiableObjective, Problem
@@ -31,6 +34,7 @@ EDGES = 24
 _MEMORY = 8
 _SLICE = 192
 """Edges that are evaluated between two looks at the clock."""
+_THREADS = 2
 _FIRST_STEP = 0.01
 """Greatest displacement of the first step, relative to the length of the path."""
 _LARGEST_STEP = 0.1
@@ -65,13 +69,15 @@ def descend(
     if not kept:
         return []
     batch = _Batch([m for m, _ in kept], np.array([q for _, q in kept]), problem, objective, certain, budget)
-    try:
-        for _ in range(steps):
-            if not np.any(batch.alive) or not budget.spend():
-                break
-            batch.step()
-    except Interrupted:
-        pass
+    # A scene's kernels may be asked from several threads at once; what users write is not asked to bear that.
+    with ThreadPoolExecutor(_THREADS) if isinstance(objective, SceneObjective) else nullcontext() as batch.pool:
+        try:
+            for _ in range(steps):
+                if not np.any(batch.alive) or not budget.spend():
+                    break
+                batch.step()
+        except Interrupted:
+            pass
     return batch.candidates()
 
 
@@ -80,6 +86,8 @@ def _evened(member: Aimed, certain: EdgeTest) -> Float[Array, "n nq"] | None:
     path = Path(member.candidate.q)
     if len(path) < 2 or path.length == 0.0:
         return None
+    if len(path) == EDGES + 1:
+        return path.q  # as a descent has left it
     arc = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
     at = np.linspace(0.0, arc[-1], EDGES + 1)
     q = np.column_stack([np.interp(at, arc, column) for column in path.q.T])
@@ -114,6 +122,7 @@ class _Batch:
         self.failures = np.zeros(len(q), dtype=int)
         self.scale = np.ones(len(q))
         self.pairs: list[tuple[Array, Array, Array]] = []
+        self.pool: ThreadPoolExecutor | None = None
 
     def step(self) -> None:
         """Move every path that is still alive by one step, or make its next step smaller."""
@@ -149,13 +158,16 @@ class _Batch:
     ) -> tuple[Float[Array, " path"], Float[Array, "path edge 2"], Float[Array, "path inner nq"]]:
         """Compute f of paths, the costs of their edges, and the derivative of f by their inner vertices."""
         q0, q1 = q[:, :-1].reshape(-1, q.shape[2]), q[:, 1:].reshape(-1, q.shape[2])
-        parts = []
-        for first in range(0, len(q0), _SLICE):
+
+        def asked(first: int) -> tuple[Array, Array, Array]:
             if out_of_time(self.budget):
                 raise Interrupted
             part = self.objective.edge_gradients(q0[first : first + _SLICE], q1[first : first + _SLICE])
             assert part is not None, "whoever has derivatives has them everywhere"
-            parts.append(part)
+            return part
+
+        slices = range(0, len(q0), _SLICE)
+        parts = list(map(asked, slices) if self.pool is None else self.pool.map(asked, slices))
         cost, d0, d1 = (np.concatenate(arrays).reshape(*q.shape[:1], EDGES, -1) for arrays in zip(*parts, strict=True))
         checked_costs(self.objective, "edge_gradients", cost)
         along = np.diff(q, axis=1)

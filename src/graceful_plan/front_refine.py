@@ -54,6 +54,8 @@ _CHUNK = 6
 """Paths whose moves are evaluated in one batch."""
 _VERTICES = 24
 """Of a path that moves, about."""
+_WIDE = 2
+"""Reach of the boxes of descents: to space the vertices of a path evenly costs it a little."""
 _RIM = 0.1
 """How far a box in a gap reaches beyond it, relative to its sides."""
 _BEYOND = 1.1
@@ -105,16 +107,16 @@ class Refinement:
             if idle >= _PATIENCE or self.budget.exhausted:
                 return
             before, corner = self.archive.costs, _BEYOND * self.archive.costs.max(axis=0)
-            self._descend(self._boxed())
+            self._descend(self._boxed(_WIDE))
             yield
             self._moves([replace(m, candidate=_spaced(m.candidate, self.objective)) for m in self._boxed()])
             yield
             gain = dominated_area(self.archive.costs, corner) / max(dominated_area(before, corner), 1e-300) - 1.0
             idle = 0 if gain > _GAIN else idle + 1
 
-    def _boxed(self) -> list[Aimed]:
-        gaps = max(2, self.capacity // 4)
-        return [aimed for aimed in boxed(self.archive.chosen(self.capacity), gaps) if len(aimed.candidate.q) > 1]
+    def _boxed(self, reach: int = 1) -> list[Aimed]:
+        gaps, front = max(2, self.capacity // 4), self.archive.chosen(self.capacity)
+        return [aimed for aimed in boxed(front, gaps, reach) if len(aimed.candidate.q) > 1]
 
     def _descend(self, members: list[Aimed]) -> None:
         """Send candidates down their gradients, if there are any."""
@@ -163,11 +165,18 @@ def weighted(archive: Archive, found: Sequence[Candidate] = ()) -> list[Aimed]:
     ]
 
 
-def boxed(front: list[Candidate], gaps: int) -> list[Aimed]:
-    """Give each candidate of a front its box, and send both neighbours of the widest gaps into these."""
+def boxed(front: list[Candidate], gaps: int, reach: int = 1) -> list[Aimed]:
+    """Give each candidate of a front its box, and send both neighbours of the widest gaps into these.
+
+    Args:
+        front: Candidates, sorted by motion.
+        gaps: How many gaps.
+        reach: To which of its neighbours a box reaches, 1 for the next.
+    """
     costs = np.array([c.cost for c in front])
-    rim = _BEYOND * costs.max(axis=0)
-    right, left = np.append(costs[1:, 0], rim[0]), np.append(rim[1], costs[:-1, 1])
+    rim = np.broadcast_to(_BEYOND * costs.max(axis=0), (reach, 2))
+    right = np.append(costs[:, 0], rim[:, 0])[reach:]
+    left = np.append(rim[:, 1], costs[:, 1])[: len(costs)]
     members = [Aimed(candidate=c, corner=np.array(box)) for c, *box in zip(front, right, left, strict=True)]
     for k in widest_gaps(costs, gaps):
         # A little wider than the gap: whoever stands on its rim has to find a way in.

@@ -15,7 +15,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.elements import Notes
-from graceful_plan.exceptions import GracefulPlanError, SceneError
+from graceful_plan.exceptions import GracefulPlanError, SceneError, UnknownNameError
 from graceful_plan.pose_goal import PoseGoal
 from graceful_plan.robots import robot_file
 from graceful_plan.scene import Scene
@@ -28,32 +28,29 @@ ROBOT = "panda/"
 """Prefix of the robot's names in the scene of a problem."""
 
 _GEOM = mujoco.mjtGeom
-_KINDS = MappingProxyType(
-    {
-        "box": (_GEOM.mjGEOM_BOX, 3),
-        "sphere": (_GEOM.mjGEOM_SPHERE, 1),
-        "cylinder": (_GEOM.mjGEOM_CYLINDER, 2),
-        "capsule": (_GEOM.mjGEOM_CAPSULE, 2),
-    }
-)
+_KINDS = MappingProxyType({"box": _GEOM.mjGEOM_BOX, "sphere": _GEOM.mjGEOM_SPHERE, "cylinder": _GEOM.mjGEOM_CYLINDER})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Obstacle:
     """A primitive that stands still.
 
-    | field | meaning                                                                              |
-    |-------|--------------------------------------------------------------------------------------|
-    | name  | what it is called in messages                                                        |
-    | kind  | "box", "sphere", "cylinder" or "capsule"                                             |
-    | size  | three half lengths; radius; radius and half length along z, of a capsule without caps [m] |
-    | X_WO  | its pose in W                                                                        |
+    | field | meaning                                                          |
+    |-------|------------------------------------------------------------------|
+    | name  | what it is called in messages                                    |
+    | kind  | "box", "sphere" or "cylinder"                                    |
+    | size  | three half lengths; radius; radius and half length along z [m]   |
+    | X_WO  | its pose in W                                                    |
     """
 
     name: str
     kind: str
     size: tuple[float, ...]
     X_WO: Float[Array, "4 4"]
+
+    def __post_init__(self) -> None:
+        if self.kind not in _KINDS:
+            raise UnknownNameError("kind of obstacle", self.kind, _KINDS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,9 +90,8 @@ class ProblemFile:
         """
         spec = _robot(self.fingers).spec.copy()
         for obstacle in self.obstacles:
-            kind, _ = _KINDS[obstacle.kind]
             try:
-                add_primitive(spec, obstacle.name, kind, np.asarray(obstacle.size), obstacle.X_WO)
+                add_primitive(spec, obstacle.name, _KINDS[obstacle.kind], np.asarray(obstacle.size), obstacle.X_WO)
             except GracefulPlanError as error:
                 raise SceneError(f"problem {self.name}: {error}") from error
         return Scene.build(spec, _notes(self.name, self.fingers))

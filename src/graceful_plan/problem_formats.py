@@ -5,7 +5,7 @@
   world_frame: panda_link0, obstacles: {cuboid: {name: {dims: [3], pose}}, cylinder: {name: {radius, height, pose}},
   sphere: {name: {radius, pose or position}}}} with pose = [x y z qw qx qy qz]. Other keys of a problem are ignored.
 * VAMP's JSON: {robot: panda, joints: [...], problems: {kind: [{start, goals, sphere: [{name, position, radius}], box:
-  [{name, position, orientation_quat_xyzw, half_extents}], cylinder and capsule: [{..., radius, length}]}]}}.
+  [{name, position, orientation_quat_xyzw, half_extents}], cylinder: [{..., radius, length}]}]}}.
 * MotionBenchMaker's pairs: a MoveIt planning scene (world.collision_objects of primitives: box of three lengths, sphere
   of a radius, cylinder of height and radius; orientations xyzw) and a MoveIt motion plan request
   (start_state.joint_state and goal_constraints[].joint_constraints).
@@ -76,8 +76,8 @@ def _robometrics(problem: Value, name: str, group: str, fingers: float) -> Probl
 
 def _robometrics_obstacles(obstacles: Value) -> Iterator[Obstacle]:
     for kind, group in obstacles.items():
-        if kind not in ("cuboid", "cylinder", "sphere", "capsule"):
-            raise group.error("is an unknown kind of obstacle; known: cuboid, cylinder, sphere, capsule")
+        if kind not in ("cuboid", "cylinder", "sphere"):
+            raise group.error("is an unknown kind of obstacle; known: cuboid, cylinder, sphere")
         for name, given in group.items() if group.plain else ():
             if kind == "cuboid":
                 size = tuple(0.5 * d for d in given["dims"].numbers(3, above=0.0))
@@ -132,6 +132,9 @@ def _vamp(problem: Value, name: str, group: str, order: list[int], fingers: floa
     goals = np.array([q.numbers(NQ) for q in problem["goals"].entries()]).reshape(-1, NQ)
     if not len(goals):
         raise problem["goals"].error("has to hold at least one goal")
+    for key, value in problem.items():
+        if key not in _VAMP_KINDS and isinstance(value.plain, list) and any(isinstance(v, dict) for v in value.plain):
+            raise value.error(f"is an unknown kind of obstacle; known: {', '.join(_VAMP_KINDS)}")
     obstacles = (obstacle for kind in _VAMP_KINDS for obstacle in _vamp_obstacles(problem.get(kind), kind))
     return ProblemFile(
         name=name,
@@ -144,7 +147,7 @@ def _vamp(problem: Value, name: str, group: str, order: list[int], fingers: floa
     )
 
 
-_VAMP_KINDS = ("box", "cylinder", "capsule", "sphere")
+_VAMP_KINDS = ("box", "cylinder", "sphere")
 
 
 def _vamp_obstacles(given: Value | None, kind: str) -> Iterator[Obstacle]:
@@ -191,6 +194,10 @@ def moveit_problem(scene: Value, request: Value, name: str, group: str, fingers:
         wanted = [constraint["joint_name"].text() for constraint in constraints]
         at = [constraint["position"].number() for constraint in constraints]
         goals.append([at[i] for i in _joint_order(wanted, alternative["joint_constraints"])])
+    for place in (request["start_state"], scene.get("robot_state")):
+        attached = None if place is None else place.get("attached_collision_objects")
+        if attached is not None and attached.plain:
+            raise attached.error("are not read; only an empty gripper is")
     world = scene["world"]
     octomap = world.get("octomap")
     if octomap is not None and octomap.plain and _has_data(octomap):

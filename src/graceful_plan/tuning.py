@@ -75,7 +75,7 @@ def pareto(
     scene: Scene,
     *,
     points: int = 30,
-    planner: str | Planner = "anytime",
+    planner: str | Planner = "auto",
     objective: Objective | None = None,
     time_limit: float | None = None,
     iterations: int | None = None,

@@ -56,7 +56,7 @@ def planner_file(folder: Path, act: str = "pass", name: str = "straight") -> Pat
 def suite_file(folder: Path, problems: str = "free_space, uniform_density") -> Path:
     """Write a suite of problems in the plane."""
     file = folder / "plane.yaml"
-    file.write_text(f"version: 1\nseconds: 0.05\nseeds: 2\nproblems: [{{analytic: [{problems}]}}]\n")
+    file.write_text(f"version: 1\nseconds: 0.3\nseeds: 2\nproblems: [{{analytic: [{problems}]}}]\n")
     return file
 
 

@@ -128,7 +128,7 @@ easy:
     )
     (problem,) = bench.load_suite(file).problems
     assert (problem.kind, problem.name.split("/")[0]) == ("file", "easy")
-    argv = ("--suite", str(file), "--planners", "rrt_connect", "--seconds", "0.3", "--seeds", "1", "--json")
+    argv = ("--suite", str(file), "--planners", "rrt_connect", "--seconds", "1.0", "--seeds", "1", "--json")
     code, out, _ = run(*argv)
     assert code == cli.DONE
     document = json.loads(out)

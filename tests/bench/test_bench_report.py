@@ -1,5 +1,6 @@
 import math
 import re
+from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 
@@ -105,6 +106,13 @@ def test_what_the_page_says():
     assert "With 2 problems, no test on pairs can reach" in failed
     _, empty = read("no runs")
     assert "No run is done yet." in empty
+
+
+def test_calls_that_return_late_are_named():
+    runs = [replace(solved("p", "slow", seed, 1.0), seconds=0.6 + 0.2 * seed) for seed in range(2)]
+    summary = bench.summarise(comparison([*runs, solved("p", "quick", 0, 1.0)], ("slow", "quick"), ("p",), seeds=2))
+    assert [planner.late for planner in summary.planners] == [1, 0]
+    assert "returned long after their time limit: slow 1 of 2." in page(summary)
 
 
 def test_figures_have_every_planner():

@@ -1,6 +1,5 @@
 import math
 import signal
-import time
 
 import numpy as np
 import pytest
@@ -128,7 +127,7 @@ def jobs(tmp_path, *files, suite="free_space", planners=(), **kwargs):
 
 
 def test_a_task_is_planned_and_measured(tmp_path):
-    job = jobs(tmp_path, suite="tabletop", planners=["rrt_connect"], seconds=0.3)[0]
+    job = jobs(tmp_path, suite="tabletop", planners=["rrt_connect"], seconds=1.0)[0]
     found = run(job)
     assert found.status == "SOLVED"
     task = gp.load_scene("tabletop").tasks[job.problem.item]
@@ -136,7 +135,7 @@ def test_a_task_is_planned_and_measured(tmp_path):
     assert found.total == pytest.approx(gp.evaluate(path, task.scene).total)
     assert found.total == pytest.approx(found.trace[-1].total)
     assert found.length == pytest.approx(path.length)
-    assert 0.0 < found.first <= found.seconds < 2.0
+    assert 0.0 < found.first <= found.seconds
     assert 0.0 < found.jerk_rms < found.jerk_peak
     assert 0.0 < found.clearance < 1.0
     assert found.certified <= min(found.clearance, found.self_clearance) + 1e-6
@@ -178,13 +177,13 @@ def test_planners_take_turns_at_being_first(tmp_path):
 
 
 def test_importing_is_not_in_the_time_of_a_run(tmp_path):
-    file = planner_file(tmp_path, "import time; getattr(np, '_once', 0) or time.sleep(0.4); np._once = 1", "lazy")
-    try:
-        (found,) = [run(job) for job in jobs(tmp_path, file)]
-    finally:
-        del np._once
-    assert found.status == "SOLVED"
-    assert found.first < 0.2
+    # Whatever the first call does, it is not the one that is recorded.
+    mark = tmp_path / "called"
+    act = (
+        f"import pathlib; mark = pathlib.Path({str(mark)!r}); first = not mark.exists(); mark.touch(); assert not first"
+    )
+    (found,) = [run(job) for job in jobs(tmp_path, planner_file(tmp_path, act, "lazy"))]
+    assert (found.status, found.detail) == ("SOLVED", "")
 
 
 # --- workers ---------------------------------------------------------------------------------------------------------
@@ -200,13 +199,19 @@ def test_workers_survive_what_planners_do(tmp_path):
     assert found[1].detail == "the process ended with SIGSEGV"
 
 
+def test_what_planners_print_does_not_mix_with_results(tmp_path, capfd):
+    file = planner_file(tmp_path, "print('chatter', flush=True)", "chats")
+    (found,) = workers.done(jobs(tmp_path, file), 1)
+    assert found.status == "SOLVED"
+    out, err = capfd.readouterr()
+    assert out == "" and "chatter" in err
+
+
 def test_a_planner_that_never_returns_is_stopped(tmp_path, monkeypatch):
     file = planner_file(tmp_path, "import time; time.sleep(100)", "hangs")
     monkeypatch.setattr(workers, "TIMES", 0.0)
-    begin = time.monotonic()
-    (found,) = workers.done(jobs(tmp_path, file), 1, patience=4.0)
-    assert time.monotonic() - begin < 30.0
-    assert (found.status, found.detail) == ("HUNG", "was still running long after its time limit of 0.05 s")
+    (found,) = workers.done(jobs(tmp_path, file), 1, patience=1.0)
+    assert (found.status, found.detail) == ("HUNG", "was still running long after its time limit of 0.3 s")
 
 
 def test_no_jobs_no_workers():

@@ -133,6 +133,17 @@ def test_a_file_must_not_change_meanwhile(tmp_path):
         note.make()
 
 
+def test_two_planners_of_one_name_and_one_that_prints(tmp_path, capsys):
+    file = planner_file(tmp_path)
+    text = file.read_text()
+    file.write_text(
+        f"print('hello')\n{text}{text[text.index('@dataclass') :].replace('class Straight', 'class Other')}"
+    )
+    with pytest.raises(FormatError, match="two of its planners have one name: Straight, Other"):
+        read_planners(None, [file])
+    assert capsys.readouterr() == ("", "hello\n")
+
+
 def test_names_of_planners_are_not_taken_twice(tmp_path):
     with pytest.raises(FormatError, match="'rrt_star' has the name of another one"):
         read_planners(None, [planner_file(tmp_path, name="rrt_star")])

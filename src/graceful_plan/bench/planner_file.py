@@ -12,6 +12,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -177,7 +178,10 @@ def of_file(file: str) -> Mapping[str, Planner | type[Planner]]:
         for value in public.values()
         if inspect.isclass(value) and issubclass(value, Planner) and value.__module__ == module.__name__
     ]
-    found = {str(getattr(cls, "name", cls.__name__)): cls for cls in classes if not inspect.isabstract(cls)}
+    concrete = [cls for cls in classes if not inspect.isabstract(cls)]
+    found = {str(getattr(cls, "name", cls.__name__)): cls for cls in concrete}
+    if len(found) < len(concrete):
+        raise FormatError(file, f"two of its planners have one name: {', '.join(cls.__name__ for cls in concrete)}")
     if not found:
         abstract = [f"; {cls.__name__} lacks {', '.join(sorted(cls.__abstractmethods__))}" for cls in classes]
         raise FormatError(file, f"no planner in it{''.join(abstract)}; {EXPECTED}")
@@ -198,7 +202,8 @@ def _run(file: Path) -> ModuleType:
     # Dataclasses look their module up by its name.
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        with redirect_stdout(sys.stderr):  # what it prints is no part of what the command prints
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         line = _line_of(error, file)

@@ -32,9 +32,9 @@ _SHARE_NOTE = (
     "more than four times the best known lies outside."
 )
 _SPREAD_NOTE = (
-    "Solved runs; bars from quartile to quartile, with the median. Jerk: third difference of positions every 20 "
-    "ms of the timed trajectory. Clearance: least exact distance of the robot and what it carries to the "
-    "surroundings, but for what a carried object stands on at the ends."
+    "Solved runs, a dot each unless they are many; bars from quartile to quartile, with the median. Jerk: third "
+    "difference of positions every 20 ms of the timed trajectory. Clearance: least exact distance of the robot "
+    "and what it carries to the surroundings, but for what a carried object stands on at the ends."
 )
 _PAIRS_NOTE = (
     "Of each problem, the median over its seeds of the total cost of the result, infinite if most seeds were not "
@@ -95,6 +95,12 @@ def _warnings(summary: Summary) -> Iterator[str]:
     c = summary.comparison
     if len(c.runs) < c.expected:
         yield f'<p class="warn">{len(c.runs)} of {c.expected} runs are done: figures are of those only.</p>'
+    late = [f"{planner.planner} {planner.late} of {planner.runs}" for planner in summary.planners if planner.late]
+    if late:
+        yield (
+            f'<p class="warn">Calls that returned long after their time limit: {_text(", ".join(late))}. '
+            "Their results had more time than those of the others.</p>"
+        )
     unsolved = [problem for problem in c.problems if not math.isfinite(summary.best[problem])]
     if c.runs and unsolved:
         yield f'<p class="warn">Solved by no run, so without a gap: {_text(", ".join(unsolved))}.</p>'
@@ -152,6 +158,7 @@ def _overview(summary: Summary) -> Iterator[str]:
         *(f"gap at {t} s" for t in at),
         "gap of result",
         "verified at [s]",
+        "slowest [s]",
     ]
     header += ["motion / best", "w impact / best", "peak jerk", "rms jerk", "clearance [cm]", "closest [cm]"]
     columns: list[list[float]] = [
@@ -173,7 +180,7 @@ def _overview(summary: Summary) -> Iterator[str]:
             _cell(cell, "best" if math.isclose(column[i], b, rel_tol=1e-3, abs_tol=1e-9) else "")
             for cell, column, b in zip(cells, columns, best, strict=True)
         ]
-        rest = [planner.seconds, planner.motion, planner.impact, planner.jerk_peak, planner.jerk_rms]
+        rest = [planner.seconds, planner.slowest, planner.motion, planner.impact, planner.jerk_peak, planner.jerk_rms]
         rest += [100.0 * planner.clearance, 100.0 * planner.closest]
         rows.append([_cell(_swatch(i) + _text(planner.planner)), *marked, *(_cell(number(value)) for value in rest)])
     yield _table(header, rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -83,6 +84,12 @@ def run(job: Job) -> Run:
         # Whatever is in it, it has to go into files and on a page.
         words = f"{type(error).__name__}: {error}"[:_WORDS].encode(errors="replace").decode()
         return job.outcome(RAISED, words)
+
+
+def load(note: ProblemNote) -> None:
+    """Load a problem, which may take a while and is the fault of no planner. What is wrong with it, `run` will meet."""
+    with suppress(Exception):
+        _problem(note)
 
 
 @lru_cache(maxsize=64)

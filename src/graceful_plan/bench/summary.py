@@ -19,6 +19,8 @@ Array = np.ndarray
 
 CHECKPOINTS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """When gaps are tabulated [s], as far as the time limit goes."""
+LATE = (1.1, 0.1)
+"""A call is late if it takes longer than so many times its limit and so many seconds."""
 GRID = 120
 """Points of the curves over time."""
 
@@ -36,6 +38,7 @@ class PlannerSummary:
     | first     | median time to the first path [s]; runs not solved count as infinite                    |
     | seconds   | median time of the whole call, until the verified result was there [s]                  |
     | slowest   | longest call [s]                                                                        |
+    | late      | number of calls that took more than `LATE` allows                                       |
     | gap       | median gap of the result to the best known                                              |
     | gap_at    | median gap of the best path so far, by seconds                                          |
     | motion    | median over problems of the motion cost over the best known total                       |
@@ -54,6 +57,7 @@ class PlannerSummary:
     first: float
     seconds: float
     slowest: float
+    late: int
     gap: float
     gap_at: Mapping[str, float]
     motion: float
@@ -217,6 +221,7 @@ def _of_planner(comparison: Comparison, planner: str, best: Mapping[str, float])
         first=median([run.first if run.solved else math.inf for run in runs]),
         seconds=median(seconds),
         slowest=max(seconds, default=math.nan),
+        late=sum(value > LATE[0] * comparison.seconds + LATE[1] for value in seconds),
         gap=median([gap(run.total if run.solved else math.inf, best[run.problem]) for run in runs]),
         gap_at={f"{time:g}": median(gaps.tolist()) for time, gaps in zip(at, gaps_at(runs, best, at), strict=True)},
         motion=motion,

@@ -6,7 +6,9 @@ takes far longer than its time limit; so a planner in native code can neither en
 
 from __future__ import annotations
 
+import math
 import multiprocessing
+import os
 import signal
 import time
 from collections import deque
@@ -16,10 +18,13 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 
 from graceful_plan.bench.records import CRASHED, HUNG, Run
-from graceful_plan.bench.runner import Job, run
+from graceful_plan.bench.runner import Job, load, run
 
 TIMES, PATIENCE = 10.0, 60.0
-"""A run is given up after so many times its limit plus so many seconds: loading and compiling may take a while."""
+"""A run is given up after so many times its limit plus so many seconds: compiling may take a while."""
+
+_BEGUN = "begun"
+"""What a worker says once it is a planner's turn."""
 
 
 def done(jobs: Sequence[Job], processes: int, patience: float = PATIENCE) -> Iterator[Run]:
@@ -55,11 +60,12 @@ class _Worker:
         self.process.start()
         theirs.close()
         self.job: Job | None = None
-        self.deadline = 0.0
+        self.allowed, self.deadline = 0.0, math.inf
 
     def give(self, job: Job, patience: float) -> None:
         self.job = job
-        self.deadline = time.monotonic() + TIMES * job.seconds + patience
+        # Starting up and loading the problem are not the planner's doing: until then there is no deadline.
+        self.allowed, self.deadline = TIMES * job.seconds + patience, math.inf
         with suppress(OSError):  # It is dead, which `result` will notice.
             self.pipe.send(job)
 
@@ -68,10 +74,12 @@ class _Worker:
         assert self.job is not None
         job = self.job
         try:
-            if self.pipe.poll():
+            while self.pipe.poll():
                 found = self.pipe.recv()
-                self.job = None
-                return found
+                if found != _BEGUN:
+                    self.job = None
+                    return found
+                self.deadline = time.monotonic() + self.allowed
         except (EOFError, OSError):
             self.process.join(5.0)
             return job.outcome(CRASHED, f"the process ended with {_ending(self.process.exitcode)}")
@@ -126,9 +134,14 @@ def _work(pipe: Connection) -> None:
     """Do jobs until the other end of the pipe is gone."""
     # Ctrl-C reaches the whole group of processes; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Standard output may be one JSON document; what planners print is no part of it.
+    os.dup2(2, 1)
     with suppress(EOFError, OSError):
         while True:
-            pipe.send(run(pipe.recv()))
+            job = pipe.recv()
+            load(job.problem)
+            pipe.send(_BEGUN)
+            pipe.send(run(job))
 
 
 def _ending(code: int | None) -> str:

@@ -260,7 +260,7 @@ class Anytime {
     return true;
   }
   std::unique_ptr<Challenger> challenger(std::vector<Point> path, Source source) {
-    return std::make_unique<Challenger>(space_, std::move(path), settings_.spacing, descends_, source, random_.bits());
+    return std::make_unique<Challenger>(space_, std::move(path), settings_.spacing, descends_, scouts_ > 1, source, random_.bits());
   }
 
   bool take(const Polyline& path) {

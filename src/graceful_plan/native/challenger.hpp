@@ -10,9 +10,9 @@ namespace gp {
 
 class Challenger {
  public:
-  // Without descent, the path has to be free.
-  Challenger(Space& space, std::vector<Point> path, double spacing, bool descends, int source, uint64_t seed)
-      : space_(space), spacing_(spacing), source_(source), seed_(seed) {
+  // Without descent, the path has to be free. A patient one descends further before it is given to the refiner.
+  Challenger(Space& space, std::vector<Point> path, double spacing, bool descends, bool patient, int source, uint64_t seed)
+      : space_(space), spacing_(spacing), patient_(patient), source_(source), seed_(seed) {
     if (descends)
       descent_ = std::make_unique<Descent>(space, path, kPieces, DescentSettings{.step = kStep, .rough = true});
     else
@@ -57,8 +57,8 @@ class Challenger {
 
   // From few vertices to many.
   void sharpen() {
-    descent_ = std::make_unique<Descent>(space_, descent_->path(), kFinePieces, DescentSettings{.step = kFineStep});
-    fine_ = true, used_ = 0, limit_ = kFineSteps;
+    descent_ = std::make_unique<Descent>(space_, descent_->path(), kFinePieces, DescentSettings{.step = kFineStep, .tolerance = patient_ ? 1e-4 : 1e-3});
+    fine_ = true, used_ = 0, limit_ = patient_ ? 2 * kFineSteps : kFineSteps;
   }
   void land() {
     std::vector<Point> path = descent_->path();
@@ -84,6 +84,7 @@ class Challenger {
 
   Space& space_;
   double spacing_;
+  bool patient_;
   int source_;
   uint64_t seed_;
   std::vector<Point> early_;

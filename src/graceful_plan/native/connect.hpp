@@ -12,6 +12,8 @@ struct ConnectSettings {
   int max_nodes = 10000;
 };
 
+constexpr int kPatience = 40;  // attempts of the smaller tree before the other one gets a turn
+
 class Connect {
  public:
   Connect(Space& space, Point start, std::vector<Point> goals, ConnectSettings settings, uint64_t seed)
@@ -47,8 +49,11 @@ class Connect {
     if (a_.size() + b_.size() > settings_.max_nodes) reset(bound_, impact_limit_);
     tried_direct_ = true;
     // The smaller tree grows: where one end sits in a narrow place, its tree would otherwise stay small while the other fills
-    // all of the open space.
-    if (a_.size() != b_.size()) from_start_ = a_.size() < b_.size();
+    // all of the open space. It is not the only one that does, for a tree may be unable to grow at all.
+    const bool patient = stuck_ < kPatience;
+    if (!patient) stuck_ = 0;
+    if (a_.size() != b_.size()) from_start_ = (a_.size() < b_.size()) == patient;
+    ++stuck_;
     Tree &grown = from_start_ ? a_ : b_, &other = from_start_ ? b_ : a_;
     from_start_ = !from_start_;
     Point target(size_t(space_.dim));
@@ -58,6 +63,7 @@ class Connect {
     if (near < 0) return false;
     const int added = extend(grown, near, target.data());
     if (added < 0) return false;
+    stuck_ = 0;
     const Point reached(grown.node(added), grown.node(added) + space_.dim);
     int from = other.nearest(reached.data(), bound_ - grown.cost[size_t(added)]);
     while (from >= 0) {
@@ -172,6 +178,7 @@ class Connect {
   double bound_, impact_limit_;
   double unavoidable_[2] = {0, 0};
   bool from_start_, tried_direct_;
+  int stuck_ = 0;  // iterations since a tree grew
   std::vector<Point> path_;
 };
 

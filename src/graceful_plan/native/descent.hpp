@@ -17,6 +17,7 @@ struct DescentSettings {
   double keep = 0.001;   // clearance to keep on top of the space's margin [m]
   double push = 5.0;     // weight of the penalty, relative to J
   bool energy = false;   // N/2 sum c^2 instead of sum c over the edges' costs c: its minimum has edges of equal cost
+  double tolerance = 1e-3;  // relative fall of the cost over some steps below which it is settled
   bool rough = false;    // half the work an evaluation: one pace, and clearances at the vertices only
 };
 
@@ -218,7 +219,7 @@ class Descent {
     std::swap(x_, trial_), std::swap(slope_, trial_slope_);
     value_ = f;
     if (recent_.size() > 8) {
-      settled_ = recent_.front() - value_ < 1e-3 * value_;
+      settled_ = recent_.front() - value_ < settings_.tolerance * value_;
       recent_.pop_front();
     }
     if (!settled_) descend();

@@ -15,9 +15,12 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.anytime import Anytime
 from graceful_plan.planners.native import native_space
+from graceful_plan.planners.optimiser import joined_to_ends
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import count
 from graceful_plan.planners.trivial import start_is_goal
+
+Array = np.ndarray
 
 _ROUND_SECONDS = 0.01
 """How long all searches work between two exchanges [s]."""
@@ -37,7 +40,7 @@ class Auto(Planner):
     objective is native; else, or if nothing is to be feared (w = 0), there is one.
 
     Args:
-        initial: A path to begin with, leading from the start to a goal; it need not be free.
+        initial: A path to begin with, or an array of configurations; see `Optimiser`. It need not be free.
         workers: How many searches. The result depends on it, not on how many cores there are.
         search: What each of them does.
     """
@@ -45,7 +48,7 @@ class Auto(Planner):
     name: ClassVar[str] = "auto"
     anytime: ClassVar[bool] = True
 
-    initial: Path | None = None
+    initial: Path | Array | None = None
     workers: int = 2
     search: Anytime = field(default_factory=Anytime)
 
@@ -53,8 +56,8 @@ class Auto(Planner):
         count("workers", self.workers)
         if not isinstance(self.search, Anytime):
             raise SettingError("search", self.search, "an Anytime")
-        if self.initial is not None and not isinstance(self.initial, Path):
-            raise SettingError("initial", self.initial, "a Path or None")
+        if not isinstance(self.initial, Path | Array | None):
+            raise SettingError("initial", self.initial, "a Path, an array of configurations or None")
 
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
@@ -67,7 +70,7 @@ class Auto(Planner):
         several = isinstance(space, _native.SceneSpace) and objective.w > 0.0
         cores = [self.search.search(space, problem, rng) for _ in range(self.workers if several else 1)]
         if self.initial is not None:
-            yield from _begin(cores, self.initial, problem)
+            yield from _begin(cores, joined_to_ends(self.initial, problem), problem)
         best = min(core.total for core in cores)
         with ExitStack() as stack:
             pool = stack.enter_context(ThreadPoolExecutor(len(cores))) if len(cores) > 1 else None
@@ -87,13 +90,12 @@ class Auto(Planner):
 
 def _begin(cores: list[_native.Anytime], initial: Path, problem: Problem) -> Iterator[Path]:
     """Let all searches begin with a path: as their best one if it is free, in any case to improve it."""
-    q = initial.without_duplicates().q
-    free = len(q) > 1 and bool(problem.edges_free(q[:-1], q[1:]).all())
+    q = initial.q
+    free = bool(np.all(problem.edges_free(q[:-1], q[1:])))
     for core in cores:
         if free:
             core.adopt(q)
-        if len(q) > 1:
-            core.suggest(q)
+        core.suggest(q)
     if free:
         yield Path(q)
 

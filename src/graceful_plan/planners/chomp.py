@@ -138,9 +138,12 @@ class _Work:
     def descend(self, q: Float[Array, "point nq"]) -> Iterator[Path]:
         """Go down from a path through all stages."""
         for slopes in self.stages:
+            total = np.inf
             for descent in self._steps(q, slopes, self._potential(), self.settings.stage_iterations):
                 q = descent.at.q
-            yield from self.kept.approach(q, self.slopes.path_cost(Path(q)))
+                total = self.slopes.path_cost(Path(q))  # not smeared
+                yield from self.kept.offer(q, total)
+            yield from self.kept.approach(q, total)
         known = self.slopes.clearance_slopes(q[:1]) is not None
         for firmings in range(_FIRMINGS + 1 if known else 1):
             before, total = self.kept.total, np.inf
@@ -167,7 +170,9 @@ class _Work:
         energy = PathEnergy(slopes, potential)
         limits = self.problem.lower, self.problem.upper
         memory = chosen.memory if chosen.method == "lbfgs" else 0
-        descent = Descent(energy, self.metric, limits, memory, chosen.longest_step)
+        # A long step can jump through something thin, and no potential brings a path back from there.
+        allowed = self.kept.is_free if self.kept.is_free(q) else None
+        descent = Descent(energy, self.metric, limits, memory, chosen.longest_step, allowed)
         descent.begin(energy(q))
         yield descent
         while idle < _IDLE and (most is None or spent < most) and self.budget.spend():

@@ -105,6 +105,7 @@ class Descent:
         limits: Lower and upper limits of the joints.
         memory: Steps that L-BFGS remembers; 0 for the covariant gradient.
         longest: No joint of any point moves farther in one step [rad].
+        allowed: Which paths a step may lead to; all if None.
     """
 
     at: Evaluation
@@ -117,9 +118,10 @@ class Descent:
         limits: tuple[Float[Array, " nq"], Float[Array, " nq"]],
         memory: int,
         longest: float,
+        allowed: Callable[[Array], bool] | None = None,
     ) -> None:
         self._evaluate, self._metric, self._limits, self._longest = evaluate, metric, limits, longest
-        self._memory_size = memory
+        self._memory_size, self._allowed = memory, allowed
 
     def begin(self, at: Evaluation) -> None:
         """Start from a path, with nothing learned."""
@@ -143,7 +145,10 @@ class Descent:
         moved = self._into_limits(self.at.q[1:-1] + t * self._heading)
         step = moved - self.at.q[1:-1]
         promised = float(np.vdot(self.at.gradient, step))
-        trial = self._evaluate(np.concatenate([self.at.q[:1], moved, self.at.q[-1:]]))
+        q = np.concatenate([self.at.q[:1], moved, self.at.q[-1:]])
+        if self._allowed is not None and not self._allowed(q):
+            return self._shorten(0.5)
+        trial = self._evaluate(q)
         if promised < 0.0 and trial.energy <= self.at.energy + _SUFFICIENT * promised:
             self._memory.learn(step, trial.gradient - self.at.gradient)
             self.at = trial
@@ -152,7 +157,11 @@ class Descent:
             return True
         excess = trial.energy - self.at.energy - promised
         best = -0.5 * promised / excess if excess > 0.0 and promised < 0.0 else 0.0  # of the parabola through both
-        self._share *= min(0.5, max(0.1, best))
+        return self._shorten(min(0.5, max(0.1, best)))
+
+    def _shorten(self, factor: float) -> bool | None:
+        """Try less of the step next; if that is next to nothing, begin anew, or give up if nothing has been learned."""
+        self._share *= factor
         if self._share > _SHORTEST:
             return False
         if not self._memory.forget():

@@ -95,6 +95,7 @@ class Growth:
         self._parts: list[Edges] = []
         self._impact: list[Float[Array, " edge"]] = []  # of each part
         self._both_ways: bool | None = None  # whether directions differ in price, if that is known
+        self._tried: set[tuple[int, ...]] = set()  # links
         self._turn = 0
 
     @property
@@ -151,14 +152,9 @@ class Growth:
         """Nodes along the best paths between some of the pairs."""
         if not self._parts:
             return []
-        tail, head, motion = (
-            np.concatenate([getattr(of, name) for of in parts])
-            for name, parts in (
-                ("tail", self._parts),
-                ("head", self._parts),
-                ("motion", [part.prices for part in self._parts]),
-            )
-        )
+        tail = np.concatenate([part.tail for part in self._parts])
+        head = np.concatenate([part.head for part in self._parts])
+        motion = np.concatenate([part.prices.motion for part in self._parts])
         graph, impact = Graph(len(self.q), tail, head), np.concatenate(self._impact)
         turn = np.arange(self._turn, self._turn + min(_PAIRS_AT_ONCE, len(self.pairs))) % len(self.pairs)
         self._turn += len(turn)
@@ -192,7 +188,7 @@ class Growth:
         near = nearest(q, nodes, neighbours + 1)  # the nearest is the node itself
         own = np.repeat(np.arange(first, len(nodes)), near.shape[1])
         links = np.unique(np.sort(np.concatenate([links, np.stack([near.ravel(), own], axis=1)]), axis=1), axis=0)
-        links = links[links[:, 0] < links[:, 1]]
+        links = self._untried(links[links[:, 0] < links[:, 1]])
         if self._both_ways is None:
             probes = links[:_PROBES]
             known = symmetric(self.ground.price, nodes[probes[:, 0]], nodes[probes[:, 1]])
@@ -202,9 +198,13 @@ class Growth:
         if len(parts) < len(chunks):
             return False
         self.q = nodes
+        self._tried.update(map(tuple, links.tolist()))
         self._parts += parts
         self._impact += [part.prices.impact(self.ground.severity) for part in parts]
         return True
+
+    def _untried(self, links: Int[Array, "link 2"]) -> Int[Array, "fresh 2"]:
+        return np.array([link for link in links.tolist() if tuple(link) not in self._tried], dtype=int).reshape(-1, 2)
 
     def _priced(self, nodes: Float[Array, "node nq"], links: Int[Array, "link 2"]) -> Edges | None:
         """Price the free ones of some links in both directions; None if the time is over."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.kernels import FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners.questions import Questions
 
@@ -52,11 +53,13 @@ class Incumbent:
     def __init__(self, path: Path, edges: int, questions: Questions) -> None:
         self._questions = questions
         self.q = with_edges(path, edges)
-        self.free = bool(self._edges_free(self.q).all())
+        self.free = self.is_free(self.q)
         """Whether `q` is free: the path to begin with may not be, or not with its corners cut."""
         self.total = np.inf
         """J to be undercut."""
-        if self._edges_free(path.q).all():
+        if questions.edges_free(
+            path.q[:-1], path.q[1:]
+        ).all():  # by the problem's own measure, that of whoever found it
             self.total = questions.path_cost(path)
 
     def offer(self, q: Float[Array, "point nq"], total: float) -> Iterator[Path]:
@@ -96,8 +99,22 @@ class Incumbent:
             share = np.where(away == 0, 0.5 * share, np.minimum(share, drawn + away / _BLEND_SPAN))
         return None
 
+    def is_free(self, q: Float[Array, "point nq"]) -> bool:
+        """Tell whether all edges of a path are free."""
+        return bool(self._edges_free(q).all())
+
     def _edges_free(self, q: Float[Array, "point nq"]) -> Bool[Array, " edge"]:
-        return self._questions.edges_free(q[:-1], q[1:])
+        """Tell which edges are free, also where paths are looked at last: at a fine step."""
+        free = self._questions.edges_free(q[:-1], q[1:])
+        if not free.all() or not len(free):
+            return free
+        pieces = np.maximum(1, np.ceil(np.linalg.norm(np.diff(q, axis=0), axis=1) / FINE_STEP).astype(int))
+        edge = np.repeat(np.arange(len(pieces)), pieces)
+        first = np.cumsum(pieces) - pieces
+        place = (np.arange(len(edge)) - first[edge])[:, None]
+        step = np.diff(q, axis=0)[edge] / pieces[edge][:, None]
+        begin = q[edge] + place * step
+        return np.logical_and.reduceat(self._questions.edges_free(begin, begin + step), first)
 
 
 def _edges_away(points: int, blocked: Int[Array, " n"]) -> Int[Array, " point"]:

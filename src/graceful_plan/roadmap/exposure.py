@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from graceful_plan.array_types import Float
@@ -45,11 +47,12 @@ class Exposure:
             self.columns = tuple((name, hazard) for name in counted for hazard in scene.hazards)
 
     def severity(self, scene: Scene) -> Float[Array, " column"]:
-        """Severities of a scene by column; 1 if the impact is not one of severities."""
+        """Severities of a scene by column, 0 of what it does not have; 1 if the impact is not one of severities."""
         impact = self.objective.impact
         if not (self.by_hazard and isinstance(impact, ImpactCost)):
             return np.ones(1)
-        return impact.hazard_severity(scene)[self._rows(scene)].ravel()
+        known = dict(zip(product(scene.components, scene.hazards), impact.hazard_severity(scene).flat, strict=True))
+        return np.array([known.get(column, 0.0) for column in self.columns], dtype=np.float64)
 
     def finely(self) -> Exposure:
         """Return the same with samples as close as those of costs that are reported."""
@@ -85,8 +88,6 @@ class Exposure:
         impact = self.objective.impact
         if not (self.by_hazard and isinstance(impact, ImpactCost)):
             return checked_state(impact, batch)[:, None]
-        return impact.probability(batch)[:, self._rows(self.scene)].reshape(len(batch), len(self.columns))
-
-    def _rows(self, scene: Scene) -> list[int]:
         counted = {component for component, _ in self.columns}
-        return [row for row, name in enumerate(scene.components) if name in counted]
+        rows = [row for row, name in enumerate(self.scene.components) if name in counted]
+        return impact.probability(batch)[:, rows].reshape(len(batch), len(self.columns))

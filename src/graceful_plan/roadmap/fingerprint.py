@@ -26,6 +26,7 @@ Array = np.ndarray
 Fingerprint = dict[str, str]
 """Hash of each part."""
 
+MOVING = "moving entities"
 _DECIMALS = 9
 """Poses are compared to a nanometre, since other machines round otherwise."""
 _known: weakref.WeakKeyDictionary[Scene, Fingerprint] = weakref.WeakKeyDictionary()
@@ -47,7 +48,7 @@ def scene_fingerprint(scene: Scene) -> Fingerprint:
             "surroundings": _hash(_bodies(scene, data, rest), scene.model.opt.gravity),
             "allowed contacts": _hash(_geom_names(scene, scene.collision_pairs().ravel().tolist())),
             "entities": _hash([(e.name, e.category, _geom_names(scene, e.geoms)) for e in scene.entities.values()]),
-            "moving entities": _hash([_prediction(entity) for entity in scene.moving.values()]),
+            MOVING: _hash([_prediction(entity) for entity in scene.moving.values()]),
         }
     return _known[scene]
 

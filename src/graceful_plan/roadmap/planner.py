@@ -13,11 +13,11 @@ from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.ends import Ends
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.auto import Auto
 from graceful_plan.planners.optimiser import Optimiser
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.planners.questions import Questions, out_of_time
+from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.planners.shortcut import Shortcut
 from graceful_plan.planners.trivial import start_is_goal
 from graceful_plan.roadmap.roadmap import Roadmap
 
@@ -29,11 +29,11 @@ class RoadmapPlanner(Planner):
     """Takes the cheapest path of a roadmap and improves it until the budget ends.
 
     For `plan`, which times and verifies what comes out. It finds nothing where the roadmap is not connected. One
-    iteration is one round of shortcuts, or one of the optimiser.
+    iteration is the search in the roadmap, then what the optimiser or `Auto` says.
 
     Args:
         roadmap: Built in the scene of the plan; severities may differ.
-        optimiser: What improves the path; None for shortcuts by cost.
+        optimiser: What improves the path; None for `Auto`, which begins with it and also searches elsewhere.
         refine: Whether to improve it at all.
 
     Raises:
@@ -60,19 +60,20 @@ class RoadmapPlanner(Planner):
         if not (isinstance(problem, SceneProblem) and isinstance(objective, SceneObjective)):
             raise SettingError("problem", problem, "one of a scene, as `plan` makes it")
         self._check(objective)
+        if not budget.spend():
+            return
         if start_is_goal(problem):
             yield Path(problem.start[None])
             return
         path = self._first(problem, objective, budget)
         if path is None:
             return
-        yield path
-        if not self.refine:
+        if self.refine and self.optimiser is None:
+            yield from Auto(initial=path).solve(problem, objective, budget, rng)  # the path itself comes first
             return
-        if self.optimiser is not None:
+        yield path
+        if self.refine and self.optimiser is not None:
             yield from self.optimiser.improve(path, problem, objective, budget, rng)
-        else:
-            yield from Shortcut(patience=200).improve(path, Questions(problem, objective, budget), budget, rng)
 
     def _check(self, objective: SceneObjective) -> None:
         """Refuse what the roadmap has no prices for. Weight and pace may differ: what is found is priced anew."""

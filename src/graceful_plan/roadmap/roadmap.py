@@ -25,6 +25,7 @@ from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.file import StaleRoadmapError, read, write
 from graceful_plan.roadmap.fingerprint import (
+    MOVING,
     differences,
     fingerprint,
     same_but_for_severity,
@@ -55,7 +56,7 @@ class Roadmap:
     def __init__(self, scene: Scene, objective: Objective, q: Float[Array, "node nq"], edges: Edges) -> None:
         self.scene, self.objective, self.q, self.edges = scene, objective, q, edges
         self.exposure = Exposure(objective, scene)
-        self._joined: OrderedDict[bytes, Joined] = OrderedDict()
+        self._joined: OrderedDict[tuple[bytes, ...], Joined] = OrderedDict()
         self._impact: OrderedDict[bytes, Float[Array, " edge"]] = OrderedDict()
 
     def __len__(self) -> int:
@@ -78,11 +79,11 @@ class Roadmap:
         Args:
             scene: The scene, with what is carried attached.
             objective: Motion and impact; the default `Objective()` if None.
-            nodes: How many nodes.
+            nodes: How many nodes; at least the ends of the motions that it is made for.
             neighbours: How many nearest nodes the first nodes are joined to; the other ones to half as many.
             motions: Starts and goals, as `plan` takes them, that the roadmap is made for: it is dense where good paths
-                between them pass, and serves others, too. Default: the scene's tasks with what is held; without any,
-                the ways between all keyframes.
+                between them pass, and serves others, too. Those that cannot be used are skipped. Default: the scene's
+                tasks with what is held; without any, the ways between all keyframes.
             seed: Of all random numbers; without a time limit, nothing else decides what comes out.
             time_limit: Seconds after which the roadmap stays as it is; it may have fewer nodes then.
 
@@ -138,7 +139,8 @@ class Roadmap:
         Args:
             start: Configuration [rad or m], or the name of a keyframe.
             goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
-            scene: Where severities are from; it may differ from the roadmap's in nothing else.
+            scene: Where severities are from. It may differ from the roadmap's in nothing else, except that entities
+                that move in the one may be missing in the other.
             w: Safety weight; the objective's by default.
             severity: Other severities, as for `Scene.with_severity`.
             seed: Of the random numbers of inverse kinematics.
@@ -215,7 +217,7 @@ class Roadmap:
 
     def joined(self, ends: Ends) -> Joined:
         """Return the graph of the roadmap and these ends; that of the last few ends is kept."""
-        key = b"".join(chain.tobytes() + b"|" for chain in (ends.departure.q, *(way.q for way in ends.arrivals)))
+        key = (ends.departure.q.tobytes(), *(arrival.q.tobytes() for arrival in ends.arrivals))
         found = self._joined.get(key)
         if found is None:
             found = join(self.q, self.edges, self.exposure, ends)
@@ -250,18 +252,19 @@ class Roadmap:
         return self.exposure.severity(chosen if severity is None else chosen.with_severity(severity))
 
     def check(self, scene: Scene) -> None:
-        """Refuse scenes that differ from the roadmap's in more than severities.
+        """Refuse scenes that differ from the roadmap's in more than severities, or in that nobody moves in them.
 
         Raises:
             StaleRoadmapError: With what differs.
         """
         if same_but_for_severity(self.scene, scene):
             return
-        if parts := differences(scene_fingerprint(self.scene), scene_fingerprint(scene)):
+        parts = differences(scene_fingerprint(self.scene), scene_fingerprint(scene))
+        if parts and not (parts == [MOVING] and not scene.moving):
             raise StaleRoadmapError("the roadmap", parts)
 
 
-def _keep(kept: OrderedDict[bytes, Any], key: bytes, value: object) -> None:
+def _keep(kept: OrderedDict[Any, Any], key: object, value: object) -> None:
     """Keep a value, and no more of the others than there is room for."""
     while len(kept) >= _KEPT:
         kept.popitem(last=False)
