@@ -53,7 +53,7 @@ class OptimisationStatus(Enum):
     SOLVED = "A local optimum within all limits."
     STOPPED = "A verified motion within all limits, perhaps not the best: budget or progress ended before an optimum."
     UNCHANGED = "Nothing better than the motion to begin with was found; it keeps all limits."
-    INFEASIBLE = "No motion within all limits was found near the one given; relax what `violated` names, or give it more time."
+    INFEASIBLE = "No motion within all limits was found near the one given; relax what `violated` names, or allow time."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
