@@ -51,7 +51,7 @@ def _torques(motion: Trajectory, scene: Scene) -> np.ndarray:
 
 
 def test_least_time_beats_timing_of_a_fixed_path(scene: Scene, first: Trajectory) -> None:
-    result = optimise_trajectory(first, scene, intervals=_PIECES, time_limit=np.inf)
+    result = optimise_trajectory(first, scene, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert result.status in _BETTER
     assert result.trajectory is not None
     assert result.cost == pytest.approx(result.trajectory.duration, rel=1e-6)
@@ -62,7 +62,7 @@ def test_least_time_beats_timing_of_a_fixed_path(scene: Scene, first: Trajectory
 
 def test_jerk_is_limited_and_acceleration_does_not_jump(scene: Scene, first: Trajectory) -> None:
     jerk = 2000.0
-    result = optimise_trajectory(first, scene, jerk=jerk, intervals=_PIECES, time_limit=np.inf)
+    result = optimise_trajectory(first, scene, jerk=jerk, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert result.trajectory is not None
     assert result.initial_cost == np.inf  # accelerations of the fastest timing jump
     a0, a1 = result.trajectory.piece_accelerations
@@ -76,9 +76,7 @@ def test_jerk_is_limited_and_acceleration_does_not_jump(scene: Scene, first: Tra
 @pytest.mark.parametrize("objective", ["effort", "acceleration"])
 def test_effort_falls_within_the_time_allowed(scene: Scene, first: Trajectory, objective: str) -> None:
     short, long = (
-        optimise_trajectory(
-            first, scene, objective, duration=share * first.duration, intervals=_PIECES, time_limit=np.inf
-        )
+        optimise_trajectory(first, scene, objective, duration=share * first.duration, intervals=_PIECES, iterations=25)
         for share in (1.2, 2.0)
     )
     for result, share in ((short, 1.2), (long, 2.0)):
@@ -106,12 +104,12 @@ def test_torque_limits_hold_with_a_payload(scene: Scene, first: Trajectory) -> N
     held = np.max([np.abs(dynamics(q, rest, rest)) for q in first.q], axis=0)
     weak = _with_limits(scene, torque=np.maximum(0.6 * needed, 1.15 * held + 0.3))
     assert np.any(needed > weak.limits.torque)
-    result = optimise_trajectory(first, weak, intervals=_PIECES, time_limit=np.inf)
+    result = optimise_trajectory(first, weak, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert result.status in _BETTER
     assert result.initial_cost == np.inf
     assert result.trajectory is not None
     assert np.all(np.abs(_torques(result.trajectory, weak)) <= weak.limits.torque * (1.0 + 1e-6))
-    ignored = optimise_trajectory(first, weak, torque=False, intervals=_PIECES, time_limit=np.inf)
+    ignored = optimise_trajectory(first, weak, torque=False, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert ignored.trajectory is not None
     assert ignored.trajectory.duration < 0.95 * result.trajectory.duration
 
