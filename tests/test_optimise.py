@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def _torques(motion: Trajectory, scene: Scene) -> np.ndarray:
 
 
 def test_least_time_beats_timing_of_a_fixed_path(scene: Scene, first: Trajectory) -> None:
-    result = optimise_trajectory(first, scene, intervals=_PIECES)
+    result = optimise_trajectory(first, scene, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert result.status in _BETTER
     assert result.trajectory is not None
     assert result.cost == pytest.approx(result.trajectory.duration, rel=1e-6)
@@ -61,7 +62,7 @@ def test_least_time_beats_timing_of_a_fixed_path(scene: Scene, first: Trajectory
 
 def test_jerk_is_limited_and_acceleration_does_not_jump(scene: Scene, first: Trajectory) -> None:
     jerk = 2000.0
-    result = optimise_trajectory(first, scene, jerk=jerk, intervals=_PIECES)
+    result = optimise_trajectory(first, scene, jerk=jerk, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert result.trajectory is not None
     assert result.initial_cost == np.inf  # accelerations of the fastest timing jump
     a0, a1 = result.trajectory.piece_accelerations
@@ -73,22 +74,21 @@ def test_jerk_is_limited_and_acceleration_does_not_jump(scene: Scene, first: Tra
 
 
 @pytest.mark.parametrize("objective", ["effort", "acceleration"])
-def test_more_time_takes_less_effort(scene: Scene, first: Trajectory, objective: str) -> None:
+def test_effort_falls_within_the_time_allowed(scene: Scene, first: Trajectory, objective: str) -> None:
     short, long = (
-        optimise_trajectory(first, scene, objective, duration=share * first.duration, intervals=_PIECES)
+        optimise_trajectory(first, scene, objective, duration=share * first.duration, intervals=_PIECES, iterations=25)
         for share in (1.2, 2.0)
     )
     for result, share in ((short, 1.2), (long, 2.0)):
         assert result.trajectory is not None
         assert result.trajectory.duration <= share * first.duration * (1.0 + 1e-6)
-    if objective == "acceleration":
-        assert long.cost < short.cost
-    assert long.cost <= short.cost * 1.01
-    assert short.cost < short.initial_cost
+        assert result.cost < result.initial_cost
+    if objective == "acceleration":  # holding the arm up takes torque for as long as it lasts
+        assert long.cost < 0.7 * short.cost
 
 
 def test_exposure_falls(scene: Scene, first: Trajectory) -> None:
-    result = optimise_trajectory(first, scene, w=3.0, intervals=_PIECES, iterations=25)
+    result = optimise_trajectory(first, scene, w=3.0, intervals=_PIECES, iterations=25, time_limit=np.inf)
     assert result.status in _BETTER
     assert result.trajectory is not None
     objective = gp.Objective(exposure="time")
@@ -104,12 +104,12 @@ def test_torque_limits_hold_with_a_payload(scene: Scene, first: Trajectory) -> N
     held = np.max([np.abs(dynamics(q, rest, rest)) for q in first.q], axis=0)
     weak = _with_limits(scene, torque=np.maximum(0.6 * needed, 1.15 * held + 0.3))
     assert np.any(needed > weak.limits.torque)
-    result = optimise_trajectory(first, weak, intervals=_PIECES)
+    result = optimise_trajectory(first, weak, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert result.status in _BETTER
     assert result.initial_cost == np.inf
     assert result.trajectory is not None
     assert np.all(np.abs(_torques(result.trajectory, weak)) <= weak.limits.torque * (1.0 + 1e-6))
-    ignored = optimise_trajectory(first, weak, torque=False, intervals=_PIECES)
+    ignored = optimise_trajectory(first, weak, torque=False, intervals=_PIECES, iterations=60, time_limit=np.inf)
     assert ignored.trajectory is not None
     assert ignored.trajectory.duration < 0.95 * result.trajectory.duration
 
@@ -117,7 +117,9 @@ def test_torque_limits_hold_with_a_payload(scene: Scene, first: Trajectory) -> N
 def test_torque_that_cannot_hold_the_arm_is_named(scene: Scene, first: Trajectory) -> None:
     torque = scene.limits.torque.copy()
     torque[1] = 5.0
-    result = optimise_trajectory(first, _with_limits(scene, torque=torque), intervals=8, iterations=40)
+    result = optimise_trajectory(
+        first, _with_limits(scene, torque=torque), intervals=8, iterations=40, time_limit=np.inf
+    )
     assert (result.status, result.trajectory) == (OptimisationStatus.INFEASIBLE, None)
     assert [(v.limit, v.joint) for v in result.violated][:1] == [("torque", scene.joints[1])]
     assert "torque of " + scene.joints[1] in result.detail
@@ -150,7 +152,7 @@ def test_a_collision_that_cannot_be_left_is_named(scene: Scene, first: Trajector
     """A post through the gripper where the motion ends: no path in between is of any help."""
     hand = scene.data_at(first.q[-1]).site(scene.tool).xpos
     blocked = scene.add_sphere("post", 0.05, [float(x) for x in hand])
-    result = optimise_trajectory(first, blocked, intervals=6, iterations=10)
+    result = optimise_trajectory(first, blocked, intervals=6, iterations=10, time_limit=np.inf)
     assert (result.status, result.trajectory) == (OptimisationStatus.INFEASIBLE, None)
     assert "clearance" in [violation.limit for violation in result.violated]
     assert not result.verdict.passed
@@ -184,7 +186,7 @@ def test_a_path_is_timed_first_and_one_without_length_is_done(scene: Scene, firs
 
 
 def test_misuse_is_refused(scene: Scene, first: Trajectory) -> None:
-    wrong: list[tuple[type[GracefulPlanError], str, dict]] = [
+    wrong: list[tuple[type[GracefulPlanError], str, dict[str, Any]]] = [
         (UnknownNameError, "speed", {"objective": "speed"}),
         (SettingError, "w = -1", {"w": -1.0}),
         (SettingError, "duration", {"duration": 0.0}),

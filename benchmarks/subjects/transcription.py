@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,12 @@ def measure(job: tuple[str, int, float]) -> Case:
     aware = gp.plan(
         task.start, task.goal, scene, objective=objective, iterations=iterations, speed="failure_aware"
     ).trajectory
-    wanted = {"time": {}, "jerk": {"jerk": JERK}, "effort": {"objective": "effort"}, "F": {"w": 1.0}}
+    wanted: dict[str, dict[str, Any]] = {
+        "time": {},
+        "jerk": {"jerk": JERK},
+        "effort": {"objective": "effort", "duration": LONGER * first.duration},
+        "F": {"w": 1.0},
+    }
     found = {
         key: gp.optimise_trajectory(first, scene, time_limit=seconds, iterations=1000, **settings)
         for key, settings in wanted.items()

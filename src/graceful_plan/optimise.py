@@ -53,7 +53,7 @@ class OptimisationStatus(Enum):
     SOLVED = "A local optimum within all limits."
     STOPPED = "A verified motion within all limits, perhaps not the best: budget or progress ended before an optimum."
     UNCHANGED = "Nothing better than the motion to begin with was found; it keeps all limits."
-    INFEASIBLE = "No motion within all limits was found near the one to begin with; relax what `violated` names."
+    INFEASIBLE = "No motion within all limits was found near the one given; relax what `violated` names, or allow time."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,7 +152,6 @@ class _Optimisation:
     def __init__(self, task: MotionTask, first: Trajectory, budget: Budget, iterations: int) -> None:
         self.task, self.first, self.budget, self.iterations = task, first, budget, iterations
         self.spent, self.solves = 0, 0
-        self.collision: Violation | None = None
 
     def run(self) -> OptimisedTrajectory:
         before = self._fate(self.first)
