@@ -49,6 +49,8 @@ _MARGIN = 0.002
 """Clearance to keep [m]."""
 _JUDGING = 0.05
 """Seconds that timing and judging a point may take, at first guess."""
+_LONGER = 2.5
+"""How much longer it takes than for the shortest path."""
 _JUDGING_SHARE = 0.35
 """Share of the time limit that is kept for it at most."""
 _LATE = 3
@@ -148,6 +150,9 @@ class _Tuner:
         self.points, self.speed, self.budget = points, speed, budget
         self.pose = goal if isinstance(goal, PoseGoal) else None
         self.archive = Archive()
+        self.passed: dict[int, ParetoPoint] = {}
+        """Points by the identity of their candidates, which `kept` keeps alive."""
+        self.kept: list[Candidate] = []
         self.refused = 0
 
     def at(self, w: float) -> SceneObjective:
@@ -172,6 +177,8 @@ class _Tuner:
         settings = FrontSettings(planner=self.planner, capacity=max(8, self.points))
         seeds = self._roadmap(problem, int(rng.integers(2**31)))
         for stage in search_front(problem, self.at, certain, settings, self.budget, rng, self.archive, seeds):
+            if not self.passed and len(self.archive) and np.isfinite(limit):
+                self.budget.time_limit = limit - self._reserve(limit)
             now = Progress(time=self.budget.elapsed, stage=stage, candidates=len(self.archive))
             if callback is not None and callback(now):
                 break
@@ -187,6 +194,17 @@ class _Tuner:
         }
         status, detail = self._outcome(found)
         return ParetoFront(status=status, points=found, detail=detail, scene=self.scene.notes.name, stats=stats)
+
+    def _reserve(self, limit: float) -> float:
+        """Judge the shortest path to see how long that takes here and now; return what to keep for all points [s]."""
+        began, shortest = time.perf_counter(), self.archive.candidates[0]
+        point = self._point(shortest, self.at(self.objective.w))
+        if point is not None:
+            self.passed[id(shortest)] = point
+            self.kept.append(shortest)
+        # Paths around something have more corners to time and more places to look at than the shortest.
+        each = max(_JUDGING, _LONGER * (time.perf_counter() - began))
+        return min(each * self.points, _JUDGING_SHARE * limit)
 
     def _roadmap(self, problem: SceneProblem, seed: int) -> Callable[[float], list[Path]] | None:
         """Make what builds a roadmap for these ends and takes its front: paths of many classes, none of them smooth."""
@@ -219,8 +237,7 @@ class _Tuner:
 
     def _judged(self) -> list[ParetoPoint]:
         """Time and judge the candidates that stand for all best; others take the place of those that are refused."""
-        passed: dict[int, ParetoPoint] = {}
-        plain = self.at(self.objective.w)
+        passed, plain = self.passed, self.at(self.objective.w)
         while True:
             chosen = self.archive.chosen(self.points)
             # From coarse to fine: whenever time is over, what was judged covers the front.
@@ -236,6 +253,7 @@ class _Tuner:
                     self.refused += 1
                     break
                 passed[id(candidate)] = point
+                self.kept.append(candidate)
         return [passed[id(candidate)] for candidate in self.archive.chosen(self.points)]
 
     def _point(self, candidate: Candidate, objective: SceneObjective) -> ParetoPoint | None:
