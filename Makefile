@@ -36,7 +36,7 @@ sheet: $(VENV)/.package
 	$(BIN)/python -m failbench.contact_sheet docs/images/faults.png
 
 test: $(VENV)/.package $(VENV)/.dev
-	$(BIN)/python -m pytest -q -n auto --dist loadfile $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile $(ARGS)
 
 lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -61,7 +61,9 @@ class EdgePrices:
         """S of each edge under these severities."""
         impact = np.zeros(len(self.motion))
         if len(self.edge):
-            impact[self.edge[self.first_entries]] = np.add.reduceat(self.exposure * severity.take(self.column), self.first_entries)
+            impact[self.edge[self.first_entries]] = np.add.reduceat(
+                self.exposure * severity.take(self.column), self.first_entries
+            )
         return impact
 
     @cached_property

@@ -26,8 +26,8 @@ class Optimiser(Planner):
 
     Args:
         initial: Where to begin: a path, or an array of configurations. It need not be free; where it does not begin at
-            the start or end at a goal, it is joined to them. None begins with the path of RRT-Connect after shortcuts for a
-            tenth of the budget.
+            the start or end at a goal, it is joined to them. None begins with the path of RRT-Connect after shortcuts
+            for a tenth of the budget.
     """
 
     anytime: ClassVar[bool] = True
