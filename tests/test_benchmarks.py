@@ -141,12 +141,12 @@ def test_a_path_that_is_no_solution_is_not_taken(stored):
 
 def test_runs_that_were_done_are_not_repeated(stored, monkeypatch):
     monkeypatch.setattr(suite, "task_names", lambda options: [TASK])
-    monkeypatch.setattr(gp, "PLANNERS", {name: gp.PLANNERS[name] for name in ("anytime", "rrt_connect")})
+    monkeypatch.setattr(gp, "PLANNERS", {name: gp.PLANNERS[name] for name in ("auto", "rrt_connect")})
     options = suite.Options(seconds=0.5)
     body = best_known.run(options)
     first = known.load(TASK, suite.task(TASK))
     assert first is not None and f"{first.total:.5g}" in body
-    wanted = [("rrt_connect", 0), *(("anytime", seed) for seed in range(best_known.SEEDS))]
+    wanted = [("rrt_connect", 0), *(("auto", seed) for seed in range(best_known.SEEDS))]
     assert sorted((run.planner, run.seed) for run in first.runs) == sorted(wanted)
     monkeypatch.setattr(planning, "run", lambda job: pytest.fail(f"{job} again"))
     assert best_known.run(options) == body
