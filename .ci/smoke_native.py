@@ -8,6 +8,8 @@ import graceful_plan as gp
 from graceful_plan import _native
 from graceful_plan.compile import compile_scene
 from graceful_plan.kernels import Kernels, instruction_sets
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.scene_problem import SceneProblem
 
 COUNTS = (1, 7, 65)  # less than a block of lanes, a ragged block, several
 
@@ -30,6 +32,21 @@ def drive(scene: gp.Scene, isa: str) -> None:
         kernels.edge_costs(q0, q1, severity)
 
 
+def descend(task: gp.Task) -> None:
+    """From the start straight to somewhere else, with few pieces and with many, and with gradients of edges."""
+    objective = gp.Objective().bind(task.scene)
+    low, high = task.scene.limits.position.T
+    path = np.stack([np.asarray(task.start), np.random.default_rng(0).uniform(low, high)])
+    assert objective.edge_gradients(path[:1], path[1:]) is not None
+    problem = SceneProblem(kernels=objective.kernels, start=path[0], goals=path[1:])
+    for pieces in (1, 2, 20):
+        run = _native.Descent(native_space(problem, objective), path, pieces, 0.1, 0.001, 5.0)
+        run.run(20)
+        run.harden()
+        run.run(5)
+        assert np.isfinite(run.path).all() and np.isfinite(run.value)
+
+
 def main() -> None:
     print(_native.__file__)
     assert "libasan" in Path("/proc/self/maps").read_text(), "the sanitizers are not there to watch"
@@ -39,7 +56,8 @@ def main() -> None:
         for task in [*scene.tasks.values()][:1]:
             for isa in instruction_sets():
                 drive(task.scene, isa)
-            for planner in ("rrt_connect", "anytime"):
+            descend(task)
+            for planner in ("rrt_connect", "anytime", "auto"):
                 result = gp.plan(task.start, task.goal, task.scene, w=1.0, planner=planner, iterations=300)
                 print(f"{name} {task.name} {planner}: {result.status.name}", flush=True)
 

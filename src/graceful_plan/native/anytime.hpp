@@ -48,7 +48,7 @@ class Anytime {
 
   // Look at a path next, free or, with a gradient, not.
   void suggest(std::vector<Point> path) {
-    if (descends_ || is_free(path, 0, path.size() - 1)) challengers_.insert(challengers_.begin(), challenger(std::move(path), kSuggested));
+    if (descends_ || space_.path_free(path)) challengers_.insert(challengers_.begin(), challenger(std::move(path), kSuggested));
   }
 
  private:
@@ -175,14 +175,6 @@ class Anytime {
     return std::max(0.0, best_.total - length) / (space_.w * std::max(length, 1e-9));
   }
 
-  bool is_free(const std::vector<Point>& points, size_t first, size_t last) {
-    for (size_t k = first; k < last; ++k)
-      if (!space_.edge_free(points[k].data(), points[k + 1].data())) return false;
-    for (size_t k = first; k < last; ++k)
-      if (!space_.edge_certain(points[k].data(), points[k + 1].data())) return false;
-    return true;
-  }
-
   // The straight path, or a stretch of the best one, sent through the most promising of some random via points.
   bool detour() {
     const std::vector<Point>& q = best_.q;
@@ -195,7 +187,7 @@ class Anytime {
     std::vector<Point> points(q.begin(), q.begin() + long(i) + 1);
     points.push_back(via_point(q[i], q[j]));
     points.insert(points.end(), q.begin() + long(j), q.end());
-    return (descends_ || is_free(points, i, i + 2)) && offer(std::move(points), kDetour);
+    return (descends_ || space_.path_free(points, i, i + 2)) && offer(std::move(points), kDetour);
   }
 
   // A stretch of the best path with the tool carried higher, lower or further aside, by steps along its Jacobian.
@@ -220,7 +212,7 @@ class Anytime {
         for (size_t c = 0; c < q.size(); ++c) q[c] = std::clamp(q[c] + d[c], space_.lower[c], space_.upper[c]);
       }
     }
-    return (descends_ || is_free(points, size_t(i), size_t(j))) && offer(std::move(points), kToolDetour);
+    return (descends_ || space_.path_free(points, size_t(i), size_t(j))) && offer(std::move(points), kToolDetour);
   }
 
   Point via_point(const Point& a, const Point& b) {

@@ -117,6 +117,12 @@ Out<double> as_array(const std::vector<Point>& rows, int dim) {
   return array;
 }
 
+// A path of somebody else's.
+std::vector<Point> path_in(const Space& space, const Reals& path) {
+  require(path.ndim() == 2 && path.shape(0) >= 2 && path.shape(1) == size_t(space.dim), "a path is [n >= 2, nq]");
+  return points(path);
+}
+
 class ConnectPlanner {
  public:
   ConnectPlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, uint64_t seed)
@@ -139,8 +145,9 @@ class ConnectPlanner {
 
 class DescentRun {
  public:
-  DescentRun(Space& space, Reals path, int pieces, double step, double keep, double push, bool energy)
-      : space_(space), descent_(space, points(path), pieces, {step, keep, push, energy, false}) {}
+  DescentRun(Space& space, Reals path, int pieces, double step, double keep, double push)
+      : space_(space), descent_(checked(space, pieces, step, keep), path_in(space, path), pieces, {.step = step, .keep = keep, .push = push}) {}
+  // At most so many evaluations; after how many of them there was still something to gain.
   int run(int steps) {
     nb::gil_scoped_release release;
     int done = 0;
@@ -152,6 +159,12 @@ class DescentRun {
   double value() const { return descent_.value(); }
 
  private:
+  static Space& checked(Space& space, int pieces, double step, double keep) {
+    require(space.has_slopes(), "the space has no slopes");
+    require(pieces >= 1 && step > 0 && keep > 0, "settings of a descent");
+    return space;
+  }
+
   Space& space_;
   Descent descent_;
 };
@@ -161,8 +174,13 @@ class AnytimePlanner {
   AnytimePlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, double spacing, int challengers, uint64_t seed,
                  bool descents, bool scouts)
       : space_(space), anytime_(space, point(start), points(goals), {{range, max_nodes}, spacing, challengers, descents, scouts}, seed) {}
-  void adopt(Reals path) { anytime_.adopt(points(path)); }
-  void suggest(Reals path) { anytime_.suggest(points(path)); }
+  bool admits(Reals path) {
+    const std::vector<Point> q = path_in(space_, path);
+    nb::gil_scoped_release release;
+    return space_.path_free(q);
+  }
+  void adopt(Reals path) { anytime_.adopt(path_in(space_, path)); }
+  void suggest(Reals path) { anytime_.suggest(path_in(space_, path)); }
   double total() const { return anytime_.best().total; }
   nb::tuple run(int64_t iterations, double seconds) {
     Slice slice(iterations, seconds);
@@ -261,8 +279,8 @@ NB_MODULE(_native, m) {
       .def("run", &ConnectPlanner::run, "iterations"_a, "seconds"_a)
       .def_prop_ro("path", &ConnectPlanner::path, nb::rv_policy::move);
   nb::class_<DescentRun>(m, "Descent")
-      .def(nb::init<Space&, Reals, int, double, double, double, bool>(), "space"_a, "path"_a, "pieces"_a, "step"_a, "keep"_a, "push"_a,
-           "energy"_a, nb::keep_alive<1, 2>())
+      .def(nb::init<Space&, Reals, int, double, double, double>(), "space"_a, "path"_a, "pieces"_a, "step"_a, "keep"_a, "push"_a,
+           nb::keep_alive<1, 2>())
       .def("run", &DescentRun::run, "steps"_a)
       .def("harden", &DescentRun::harden)
       .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
@@ -270,6 +288,7 @@ NB_MODULE(_native, m) {
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(nb::init<Space&, Reals, Reals, double, int, double, int, uint64_t, bool, bool>(), "space"_a, "start"_a, "goals"_a, "range"_a,
            "max_nodes"_a, "spacing"_a, "challengers"_a, "seed"_a, "descents"_a, "scouts"_a, nb::keep_alive<1, 2>())
+      .def("admits", &AnytimePlanner::admits, "path"_a)
       .def("adopt", &AnytimePlanner::adopt, "path"_a)
       .def("suggest", &AnytimePlanner::suggest, "path"_a)
       .def_prop_ro("total", &AnytimePlanner::total)

@@ -36,7 +36,7 @@ class Challenger {
     }
     if (descent_->step() && used_ < limit_) return;
     if (fine_) return land();
-    if (is_free(descent_->path())) early_ = descent_->path();
+    if (std::vector<Point> path = descent_->path(); space_.path_free(path)) early_ = std::move(path);
     sharpen();
   }
   // A free path that the coarse descent ended with, once; empty otherwise.
@@ -53,7 +53,9 @@ class Challenger {
  private:
   static constexpr int kPieces = 20, kFinePieces = 40;
   static constexpr double kStep = 0.1, kFineStep = 0.05;  // between samples of the impact [rad]
+  // Evaluations while coarse, while fine, and after each time that the path was not free in the end; moves of the refiner.
   static constexpr int kSteps = 30, kFineSteps = 100, kMoreSteps = 30, kMoves = 100;
+  static constexpr int kHardenings = 2;  // then it is given up
 
   // From few vertices to many.
   void sharpen() {
@@ -62,20 +64,15 @@ class Challenger {
   }
   void land() {
     std::vector<Point> path = descent_->path();
-    if (is_free(path)) {
+    if (space_.path_free(path)) {
       descent_.reset();
       return refine(std::move(path));
     }
-    failed_ = ++hardened_ > 2;
+    failed_ = hardened_ == kHardenings;
+    if (failed_) return;
+    ++hardened_;
     descent_->harden();
     used_ = 0, limit_ = kMoreSteps;
-  }
-  bool is_free(const std::vector<Point>& path) {
-    for (size_t i = 0; i + 1 < path.size(); ++i)
-      if (!space_.edge_free(path[i].data(), path[i + 1].data())) return false;
-    for (size_t i = 0; i + 1 < path.size(); ++i)
-      if (!space_.edge_certain(path[i].data(), path[i + 1].data())) return false;
-    return true;
   }
   void refine(std::vector<Point> path) {
     used_ = 0;

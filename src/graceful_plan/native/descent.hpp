@@ -16,13 +16,13 @@ struct DescentSettings {
   double step = 0.06;    // between samples of the impact [rad]
   double keep = 0.001;   // clearance to keep on top of the space's margin [m]
   double push = 5.0;     // weight of the penalty, relative to J
-  bool energy = false;   // N/2 sum c^2 instead of sum c over the edges' costs c: its minimum has edges of equal cost
   double tolerance = 1e-3;  // relative fall of the cost over some steps below which it is settled
   bool rough = false;    // half the work an evaluation: one pace, and clearances at the vertices only
 };
 
 class Descent {
  public:
+  // In a space that has slopes.
   Descent(Space& space, const std::vector<Point>& path, int pieces, DescentSettings settings)
       : space_(space), settings_(settings), dim_(size_t(space.dim)), n_(size_t(pieces)), push_(settings.push) {
     respace(path);
@@ -50,7 +50,6 @@ class Descent {
   }
 
   double value() const { return value_; }
-  bool settled() const { return settled_; }
   // Press harder against what is in the way.
   void harden() {
     push_ *= 4.0;
@@ -71,7 +70,7 @@ class Descent {
   static constexpr size_t kHistory = 8;
   static constexpr double kLongest = 0.25;  // of a vertex in one step [rad]
 
-  // The path cut into pieces of equal length.
+  // The path cut into pieces of equal length, within the limits.
   void respace(const std::vector<Point>& path) {
     first_ = path.front(), last_ = path.back();
     std::vector<double> at{0.0};
@@ -84,16 +83,16 @@ class Descent {
       const double gap = at[i + 1] - at[i], share = gap > 0 ? std::min(1.0, (s - at[i]) / gap) : 0.0;
       for (size_t j = 0; j < dim_; ++j) x_.push_back(path[i][j] + share * (path[i + 1][j] - path[i][j]));
     }
+    clip(x_);
   }
 
   void begin() {
     history_.clear();
     recent_.clear();
-    settled_ = n_ < 2;
-    if (settled_) return;
     scale_ = 0;
     value_ = evaluate(x_, slope_);
-    descend();
+    settled_ = n_ < 2;
+    if (!settled_) descend();
   }
   void restart() {
     if (history_.empty()) settled_ = true;
@@ -112,24 +111,22 @@ class Descent {
     all.insert(all.end(), x.begin(), x.end()), all.insert(all.end(), last_.begin(), last_.end());
     if (space_.w > 0) space_.slopes(all.data(), int(n_), settings_.step, settings_.rough, cost_.data(), by_from_.data(), by_to_.data());
     std::fill(slope.begin(), slope.end(), 0.0);
-    double total = 0, squares = 0;
+    double total = 0;
     for (size_t e = 0; e < n_; ++e) {
       const double length = space_.distance(&all[e * dim_], &all[(e + 1) * dim_]), c = length + (space_.w > 0 ? space_.w * cost_[2 * e + 1] : 0.0);
-      const double weight = settings_.energy ? double(n_) * c : 1.0;
-      total += c, squares += c * c;
+      total += c;
       for (size_t j = 0; j < dim_; ++j) {
         const double along = length > 0 ? (all[(e + 1) * dim_ + j] - all[e * dim_ + j]) / length : 0.0;
-        if (e > 0) slope[(e - 1) * dim_ + j] += weight * ((space_.w > 0 ? space_.w * by_from_[e * dim_ + j] : 0.0) - along);
-        if (e + 1 < n_) slope[e * dim_ + j] += weight * ((space_.w > 0 ? space_.w * by_to_[e * dim_ + j] : 0.0) + along);
+        if (e > 0) slope[(e - 1) * dim_ + j] += (space_.w > 0 ? space_.w * by_from_[e * dim_ + j] : 0.0) - along;
+        if (e + 1 < n_) slope[e * dim_ + j] += (space_.w > 0 ? space_.w * by_to_[e * dim_ + j] : 0.0) + along;
       }
     }
-    const double f = settings_.energy ? 0.5 * double(n_) * squares : total;
-    if (scale_ == 0) scale_ = push_ * (settings_.energy ? f : total) / double(n_);
+    if (scale_ == 0) scale_ = push_ * total / double(n_);
     const double penalty = collide(all, slope);
     // Nothing is gained by going on into a limit.
     for (size_t i = 0; i < x.size(); ++i)
       if ((x[i] <= space_.lower[i % dim_] && slope[i] > 0) || (x[i] >= space_.upper[i % dim_] && slope[i] < 0)) slope[i] = 0;
-    return f + penalty;
+    return total + penalty;
   }
 
   // Vertices and the middles of edges that come too close to something.
@@ -140,17 +137,17 @@ class Descent {
     for (size_t k = 0; k < n; ++k)
       for (size_t j = 0; j < dim_; ++j) probe_[k * dim_ + j] = 0.5 * (all[before(k) * dim_ + j] + all[after(k) * dim_ + j]);
     space_.clearances(probe_.data(), int(n), clearance_.data(), by_clearance_.data());
-    const double wanted = space_.margin + settings_.keep;
+    const double wanted = space_.margin + settings_.keep, unit = std::max(wanted, settings_.keep);
     const double weight = settings_.rough ? 2.0 * scale_ : scale_;
     double sum = 0;
     for (size_t k = 0; k < n; ++k) {
-      const double lack = (wanted - clearance_[k]) / wanted;
+      const double lack = (wanted - clearance_[k]) / unit;
       if (!(lack > 0)) continue;
       // Beyond a few margins it grows evenly: how deep the nearest pair is says little then.
       const double knee = 5.0, depth = std::min(lack, knee);
       sum += weight * (depth * depth + 2 * knee * (lack - depth));
       for (size_t j = 0; j < dim_; ++j) {
-        const double d = -2.0 * weight * depth / wanted * by_clearance_[k * dim_ + j];
+        const double d = -2.0 * weight * depth / unit * by_clearance_[k * dim_ + j];
         for (const size_t v : {before(k), after(k)})
           if (v > 0 && v < n_) slope[(v - 1) * dim_ + j] += 0.5 * d;
       }

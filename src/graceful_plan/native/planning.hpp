@@ -32,7 +32,7 @@ struct Space {
   // V and S of the edges between consecutive points, sampled at so long steps, and the derivatives of S with respect to the first
   // and the second end of each; `rough` halves the work again.
   virtual void slopes(const double*, int, double, bool, double*, double*, double*) {}
-  // Signed clearances of configurations and their gradients.
+  // Signed clearances of configurations and their gradients; infinite where there is nothing to hit.
   virtual void clearances(const double*, int, double*, double*) {}
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
   // Whether motion() is the length, so that distances bound the cost from below.
@@ -54,6 +54,15 @@ struct Space {
     return w > 0 ? v + w * impact(a, b) : v;
   }
   double extent() const { return distance(lower.data(), upper.data()); }
+  // Whether the edges between the vertices `first` and `last` of a path are free and certain: the cheap question for all first.
+  bool path_free(const std::vector<Point>& path, size_t first, size_t last) {
+    for (size_t k = first; k < last; ++k)
+      if (!edge_free(path[k].data(), path[k + 1].data())) return false;
+    for (size_t k = first; k < last; ++k)
+      if (!edge_certain(path[k].data(), path[k + 1].data())) return false;
+    return true;
+  }
+  bool path_free(const std::vector<Point>& path) { return path_free(path, 0, path.size() - 1); }
 };
 
 // xoshiro256++ by Blackman and Vigna (public domain algorithm), seeded by splitmix64.

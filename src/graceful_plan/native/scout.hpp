@@ -21,8 +21,8 @@ class Scout {
     nodes_.insert(nodes_.end(), goals_.begin(), goals_.end());
     for (const std::vector<Point>& path : known)
       for (size_t i = 1; i + 1 < path.size(); ++i) nodes_.push_back(path[i]);
-    price_nodes(0);
-    found_ = 0, tried_ = 0, priced_ = 0;
+    price_nodes();
+    found_ = 0, tried_ = 0, priced_ = 0, searched_ = 0;
     sampled_.clear(), pairs_.clear(), edges_.clear(), near_.clear();
     stage_ = kSample;
   }
@@ -47,28 +47,31 @@ class Scout {
     Point q;
     double impact, promise;
   };
-  static constexpr int kChunk = 32, kNeighbours = 10, kPaths = 4;
+  static constexpr int kChunk = 32;       // of the work that one step does
+  static constexpr int kNeighbours = 10;  // of a node
+  static constexpr int kPaths = 4, kSearches = 200;  // until the roadmap is thrown away, whichever comes first
+  static constexpr double kLeastRadius = 0.1;        // of the tube, per joint [rad]
   static constexpr double kRepulsion = 2.0;  // of the edges of a path that was found, so that the next one is another
 
-  void price_nodes(size_t first) {
+  void price_nodes() {
     impact_.resize(nodes_.size());
     std::vector<double> rows;
-    for (size_t i = first; i < nodes_.size(); ++i) rows.insert(rows.end(), nodes_[i].begin(), nodes_[i].end());
-    space_.impacts(rows.data(), int(nodes_.size() - first), impact_.data() + first);
+    for (const Point& node : nodes_) rows.insert(rows.end(), node.begin(), node.end());
+    space_.impacts(rows.data(), int(nodes_.size()), impact_.data());
   }
 
   Point near_axis() {
     const size_t k = size_t(random_.below(int(axis_.size()) - 1)), dim = start_.size();
     const double s = random_.uniform();
     const double extent = space_.distance(axis_.front().data(), axis_.back().data());
-    const double radius = width_ * std::abs(random_.normal()) * extent / std::sqrt(double(dim)) + 0.1;
+    const double radius = width_ * std::abs(random_.normal()) * extent / std::sqrt(double(dim)) + kLeastRadius;
     Point q(dim);
     for (size_t j = 0; j < dim; ++j)
       q[j] = std::clamp(axis_[k][j] + s * (axis_[k + 1][j] - axis_[k][j]) + radius * random_.normal(), space_.lower[j], space_.upper[j]);
     return q;
   }
 
-  // Half again as many free configurations as there will be nodes; the more promising ones stay.
+  // Twice as many free configurations as there will be nodes; the more promising ones stay.
   void sample() {
     std::vector<double> rows;
     std::vector<Point> fresh;
@@ -153,8 +156,8 @@ class Scout {
         if (c + edge.cost < cost[size_t(to)]) cost[size_t(to)] = c + edge.cost, by[size_t(to)] = e, open.push({cost[size_t(to)], to});
       }
     }
-    if (reached < 0 || ++searched_ > 200) {
-      stage_ = kDone, searched_ = 0;
+    if (reached < 0 || ++searched_ > kSearches) {
+      stage_ = kDone;
       return false;
     }
     std::vector<int> used;
@@ -172,7 +175,7 @@ class Scout {
     if (!free) return false;
     std::reverse(path_.begin(), path_.end());
     for (const int e : used) edges_[size_t(e)].cost *= kRepulsion;
-    if (++found_ >= kPaths) stage_ = kDone, searched_ = 0;
+    if (++found_ >= kPaths) stage_ = kDone;
     return true;
   }
 

@@ -89,9 +89,9 @@ class Auto(Planner):
 
 
 def _begin(cores: list[_native.Anytime], initial: Path, problem: Problem) -> Iterator[Path]:
-    """Let all searches begin with a path: as their best one if it is free, in any case to improve it."""
-    q = initial.q
-    free = bool(np.all(problem.edges_free(q[:-1], q[1:])))
+    """Let all searches begin with a path in the limits: as their best one if it is free, in any case to improve it."""
+    q = np.ascontiguousarray(Path(np.clip(initial.q, problem.lower, problem.upper)).without_duplicates().q)
+    free = cores[0].admits(q)
     for core in cores:
         if free:
             core.adopt(q)
@@ -101,7 +101,10 @@ def _begin(cores: list[_native.Anytime], initial: Path, problem: Problem) -> Ite
 
 
 def _work(cores: list[_native.Anytime], pool: ThreadPoolExecutor | None, budget: Budget, seconds: float) -> None:
-    """Let searches work for one round of the budget."""
+    """Let searches work for one round of the budget, and no more of them than there are iterations left."""
+    cores = cores[: int(min(len(cores), budget.remaining_iterations))]
+    if not cores:  # the time was up, or somebody cancelled, but a moment ago
+        return
     timed = budget.iterations is None or np.isfinite(budget.time_limit)
     share = budget.remaining_iterations / len(cores)
     iterations = int(min(np.inf if timed else _ROUND_ITERATIONS, max(1.0, share), 1e6))
