@@ -118,8 +118,10 @@ def test_an_initial_path_is_brought_into_the_limits(task):
 def test_an_initial_path_that_grazes_something_between_two_checks_is_only_a_hint(task):
     problem, objective = bound(task)
     coarse = replace(problem, check_step=10.0)  # looks at little more than the ends of edges
-    through = np.stack([problem.start, problem.goals[0]])
-    assert coarse.edges_free(through[:1], through[1:]).all() and not problem.edges_free(through[:1], through[1:]).all()
+    via = np.random.default_rng(0).uniform(problem.lower, problem.upper, (3000, len(problem.lower)))
+    start, goal = np.broadcast_to(problem.start, via.shape), np.broadcast_to(problem.goals[0], via.shape)
+    seems, is_free = (p.edges_free(start, via) & p.edges_free(via, goal) for p in (coarse, problem))
+    through = np.stack([problem.start, via[seems & ~is_free][0], problem.goals[0]])
     paths, _ = solved(gp.Auto(initial=through), coarse, objective)
     assert paths and all(problem.edges_free(path.q[:-1], path.q[1:]).all() for path in paths)
 
