@@ -132,20 +132,6 @@ def test_a_space_without_slopes_is_refused(task, problem):
         descent(space, straight(problem))
 
 
-def test_roadmaps_find_what_a_descent_of_the_first_path_does_not(task, problem):
-    """With the same iterations, on average over seeds."""
-    objective = gp.Objective(w=1.0).bind(task.scene)
-    totals = {}
-    for scouts in (False, True):
-        search = gp.Anytime(scouts=scouts)
-        found = [
-            list(search.solve(problem, objective, Budget(iterations=1200), np.random.default_rng(seed)))[-1]
-            for seed in range(3)
-        ]
-        totals[scouts] = np.mean([path_total(objective, path) for path in found])
-    assert totals[True] < 1.1 * totals[False]
-
-
 def test_a_search_that_nobody_waits_for_leaves_no_threads(task, problem):
     before = set(threading.enumerate())
     found = gp.Auto(workers=3).solve(problem, gp.Objective().bind(task.scene), Budget(), np.random.default_rng(0))
