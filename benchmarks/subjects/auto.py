@@ -43,7 +43,7 @@ class Sizes:
     other_limit: float
 
 
-FULL = Sizes(seeds=10, part_seeds=2, other_seeds=1, other_limit=10.0)
+FULL = Sizes(seeds=10, part_seeds=1, other_seeds=1, other_limit=5.0)
 QUICK = Sizes(seeds=1, part_seeds=1, other_seeds=1, other_limit=1.0)
 
 
