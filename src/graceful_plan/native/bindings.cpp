@@ -43,7 +43,7 @@ class SceneSpace final : public Space {
     return true;
   }
   void impacts(const double* points, int n, double* out) override {
-    impact_.states(points, size_t(n), out);
+    impact_.rough_states(points, size_t(n), out);
   }
   bool has_slopes() const override { return has_slopes_; }
   void slopes(const double* points, int n_edge, double step, bool rough, double* cost, double* by_from, double* by_to) override {
@@ -243,7 +243,7 @@ NB_MODULE(_native, m) {
       .def("add_contents", &DropModel::add_contents, "container"_a, "stands"_a, "visible"_a, "constants"_a)
       .def("probability", &DropModel::probability, "q"_a, "qd"_a)
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
-      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a);
+      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false);
   nb::class_<BodyModel>(m, "BodyModel")
       .def(nb::init<const Core&, Reals, Reals, Integers, Integers, int, int, int, Reals>(), "core"_a, "inertia"_a, "drive"_a, "row"_a,
            "entity"_a, "n_row"_a, "n_entity"_a, "n_step"_a, "constants"_a, nb::keep_alive<1, 2>())

@@ -360,7 +360,7 @@ struct Arm {
     const int link = body.drive[joint].link;
     for (int j = 0; j < tables.n_joint; ++j) x[j] = j == joint ? at : reference[s][j];
     for (int l = 0; l < link; ++l) X_W[l] = expected[s][l];
-    forward_kinematics<double>(tables, x, X_W, link);
+    forward_kinematics(tables, x, X_W, link);
   }
 
   // Where the arm would be, as far as is known.
@@ -379,7 +379,7 @@ struct Arm {
         for (int j = 0; j < nq; ++j) reference[s][j][i] = ahead[(state * size_t(reference_steps) + size_t(s - 1)) * size_t(nq) + size_t(j)];
       }
     }
-    for (int s = 0; s <= reference_steps; ++s) forward_kinematics<double>(tables, reference[s], expected[s]);
+    for (int s = 0; s <= reference_steps; ++s) forward_kinematics(tables, reference[s], expected[s]);
     inertia_known = false;
     around.look(tables, body, expected[0]);
     home.begin(body, kStray, nullptr);
@@ -395,12 +395,12 @@ struct Arm {
     way.begin(body, kCollapse, &home);
     for (int s = 0; s < steps; ++s) {
       fall_together(tables, body, s ? X_W : expected[0], body.constants.brake_time / steps, x, v);
-      forward_kinematics<double>(tables, x, X_W);
+      forward_kinematics(tables, x, X_W);
       meet_at(X_W, 0, 0);
     }
     for (int j = 0; j < tables.n_joint; ++j)
       x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
-    forward_kinematics<double>(tables, x, X_W);
+    forward_kinematics(tables, x, X_W);
     meet_at(X_W, 0, 0);
   }
   void loose(int joint, const D* qd) {

@@ -4,8 +4,6 @@
 constexpr double kGravity = 9.81;
 constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
 constexpr double kHalfRoot = 0.70710678118654752440;
-constexpr double kTail = 29.0;      // scales of noise beyond which nothing happens: e^-29 is 3e-13
-constexpr double kNothing = 1e-13;  // a probability that does not matter
 constexpr double kTouch = 0.008;    // how sharply a part passes the height of a top [m]
 constexpr double kAbove = -kTouch * (1.0 + kTail * kBeta);  // lower above a top than that, a part does not come down on it
 constexpr double kLeastMass = 1e-6;
@@ -24,15 +22,15 @@ static inline Vec<D> cross(const Vec<D>& a, const Vec<D>& b) {
 }
 
 // e^x, held at what is nothing in a probability.
-static inline D tail(D x) { return exponential(maximum(x, D{} - 60.0)); }
-static inline D odds(D x) { return tail(minimum(x, D{} + 60.0)); }
+static inline D tail(D x) { return exponential(maximum(x, D{} - kHeld)); }
+static inline D odds(D x) { return tail(minimum(x, D{} + kHeld)); }
 
 // A product of probabilities with one division for all of them: no factor of `under` is below 1.
 struct Chance {
   D over = D{} + 1.0, under = D{} + 1.0;
 
   // P(|x + noise| < A), for logistic noise of the given scale.
-  void within(D x, D A, D inverse_scale) {
+  [[gnu::always_inline]] void within(D x, D A, D inverse_scale) {
     A = maximum(A, D{} + 1e-4);
     const D inside = (A - absolute(x)) * inverse_scale;
     if (!any(inside < kTail)) return;  // certain: the ground, large tables
@@ -118,7 +116,7 @@ static inline void release(const Tables& tables, const DropTables& drop, const F
   }
   for (int p = 0; p < drop.n_part; ++p) {
     const D above = (flight.part[p].bottom - flight.low) * (1.0 / 0.012);
-    flight.part[p].stands = exponential(maximum(-above * above, D{} - 700.0));
+    flight.part[p].stands = tail(-above * above);
   }
   flight.tilt = tilt_of(drop.part[drop.main].shape, flight.part[drop.main].axis);
   flight.speed = square_root(flight.v.x * flight.v.x + flight.v.y * flight.v.y + 1e-4);
@@ -159,7 +157,12 @@ struct Passage {
   bool detailed = false;
   struct {
     D x, y, inverse_scale, passes;  // of each part when it is down there; 1 + e^.. of the gate that it has to be above
-    Mask<double> above;
+    decltype(D{} > D{}) above;
+
+    // Whether anything may happen to it at a place in a surface's axes, given half sizes.
+    bool may_meet(const Point2& at, D a, D b) const {
+      return any(((absolute(at.x) - a) * inverse_scale < kTail) & ((absolute(at.y) - b) * inverse_scale < kTail) & above);
+    }
   } part[kMaxDropParts];
 
   void move_to(const DropTables& drop, const Flight& flight, double height) {
@@ -173,7 +176,7 @@ struct Passage {
     near = drop.radius * (1.0 + flight.turn_speed * (late + k.delay)) + flight.speed * flight.late +
            kTail * kBeta * (k.position_spread + k.velocity_spread * late);
     near *= 1.4142135623730951;  // a margin in the surface's axes is less than that in W's
-    near = flight.highest_bottom - top > kAbove ? near : D{} - 1e9;
+    near = where(flight.highest_bottom - top > kAbove, near, D{} - 1e9);
   }
   void detail(const DropTables& drop, const Flight& flight) {
     if (detailed) return;
@@ -197,9 +200,10 @@ static inline bool may_meet(const Surface& s, const Passage& passage) {
   return any((absolute(passage.x - s.centre[0]) < s.bound[0] + passage.near) & (absolute(passage.y - s.centre[1]) < s.bound[1] + passage.near));
 }
 
-// D: P that the object is over a surface when it passes the height of its top.
-static inline D overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage, Reaches& reaches) {
+// D: P that the object is over a surface when it passes the height of its top; `foremost` is the part that decides it.
+static inline D overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage, Reaches& reaches, D& foremost) {
   D best = {};
+  foremost = D{} - 1.0;
   if (!may_meet(s, passage)) return best;
   passage.detail(drop, flight);
   reaches.turn_to(drop, flight, s);
@@ -208,15 +212,16 @@ static inline D overlap(const DropTables& drop, const Flight& flight, const Surf
     const auto& r = reaches.part[p];
     const Point2 at = placed(s, part.x, part.y);
     const D a = s.half[0] + r.x, b = s.half[1] + r.y;
-    const auto near_x = (absolute(at.x) - a) * part.inverse_scale < kTail, near_y = (absolute(at.y) - b) * part.inverse_scale < kTail;
-    if (!any(near_x & near_y & part.above)) continue;
+    if (!part.may_meet(at, a, b)) continue;
     Chance chance;
     chance.within(at.x, a, part.inverse_scale);
     chance.within(at.y, b, part.inverse_scale);
     chance.within((at.x + at.y) * kHalfRoot, s.diagonal + r.left, part.inverse_scale);
     chance.within((at.y - at.x) * kHalfRoot, s.diagonal + r.right, part.inverse_scale);
     chance.under *= part.passes;
-    best = maximum(best, chance.value());
+    const D value = chance.value();
+    foremost = where(value > best, D{} + double(p), foremost);
+    best = maximum(best, value);
   }
   return best;
 }
@@ -272,6 +277,7 @@ static inline D leaves(const DropTables& drop, const Flight& flight, const Momen
 
 struct Landing {
   D overlap[kMaxSurfaces], contact[kMaxSurfaces], time[kMaxSurfaces];  // D, C, tc
+  D foremost[kMaxSurfaces];                                            // which part it is whose overlap D is
   D arrives[kMaxSurfaces], first[kMaxSurfaces], leaving[kMaxSurfaces];  // per level: A, sum of F, M
   Point2 away[kMaxSurfaces];                                        // per level: n
   D landed, total, mean_time, height, fallen;                       // sum of F, that + 1e-6, tl, zs, hs
@@ -287,7 +293,7 @@ static inline void meet_level(const DropTables& drop, const Flight& flight, int 
     const Surface& s = drop.surface[k];
     passage.move_to(drop, flight, s.top);
     landing.time[k] = passage.time;
-    const D overlaps = arrives ? overlap(drop, flight, s, passage, reaches) : D{};
+    const D overlaps = arrives ? overlap(drop, flight, s, passage, reaches, landing.foremost[k]) : D{};
     landing.overlap[k] = landing.contact[k] = overlaps;
     sum += overlaps, missed *= 1.0 - overlaps;
   }
@@ -351,10 +357,14 @@ struct Tumble {
     x = start.x + drift.x * moved, y = start.y + drift.y * moved;
     return true;
   }
+  // Whether anything may happen at a place in a surface's axes.
+  bool may_meet(const Surface& s, const Point2& at) const {
+    return any(((absolute(at.x) - s.near[0]) * inverse_scale < kTail) & ((absolute(at.y) - s.near[1]) * inverse_scale < kTail));
+  }
   // G, if it is wanted, and whether it goes on.
   D hit(const DropTables& drop, const Surface& s, bool wanted) {
     const Point2 at = placed(s, x, y);
-    if (!any(((absolute(at.x) - s.near[0]) * inverse_scale < kTail) & ((absolute(at.y) - s.near[1]) * inverse_scale < kTail))) return D{};
+    if (!may_meet(s, at)) return D{};
     Chance hits, caught;
     if (wanted) hits.within(at.x, D{} + s.reached[0], inverse_scale);
     if (wanted) hits.within(at.y, D{} + s.reached[1], inverse_scale);

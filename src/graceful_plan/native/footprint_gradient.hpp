@@ -4,10 +4,14 @@
 struct FlightSlope {
   Vec<D> c = {D{}, D{}, D{}}, v = {D{}, D{}, D{}}, w = {D{}, D{}, D{}};
   D low = {}, high = {}, tilt = {}, speed = {};
-  struct {
-    Vec<D> o = {D{}, D{}, D{}}, u = {D{}, D{}, D{}};
-    D axis[9] = {}, bottom = {}, stands = {};
+  struct Part {
+    Vec<D> o, u;
+    D axis[9], bottom, stands;
   } part[kMaxDropParts];
+
+  explicit FlightSlope(const DropTables& drop) {
+    for (int p = 0; p < drop.n_part; ++p) part[p] = Part{};
+  }
 };
 
 struct LandingSlope {
@@ -33,13 +37,13 @@ static inline void back_turned(const Surface& s, const Point2& d, D& d_x, D& d_y
 struct Within {
   D value, x, A, inverse_scale;
 
-  Within(D at, D half, D scale) {
+  [[gnu::always_inline]] Within(D at, D half, D scale) {
     const D a = maximum(half, D{} + 1e-4), r = absolute(at);
     const D upper = reciprocal(1.0 + odds((r - a) * scale)), h = tail(-(r + a) * scale), lower = h * reciprocal(1.0 + h);
     const D up = upper * (1.0 - upper), low = lower * (1.0 - lower);
     value = upper - lower;
-    x = (at < 0.0 ? up - low : low - up) * scale;
-    A = half > 1e-4 ? (up + low) * scale : D{};
+    x = where(at < 0.0, up - low, low - up) * scale;
+    A = where(half > 1e-4, (up + low) * scale, D{});
     inverse_scale = (a - r) * up + (a + r) * low;
   }
 };
@@ -61,11 +65,11 @@ static inline void back_reach(const DropPart& part, const D d[3], D d_reach, D d
   d_d[0] = d_d[1] = d_d[2] = D{};
   if (part.shape == kBall) return;
   if (part.shape == kFlat) {
-    for (int i = 0; i < 3; ++i) d_d[i] = d[i] < 0.0 ? -d_reach * part.half[i] : d_reach * part.half[i];
+    for (int i = 0; i < 3; ++i) d_d[i] = where(d[i] < 0.0, -d_reach, d_reach) * part.half[i];
     return;
   }
-  const D left = 1.0 - d[2] * d[2], slope = left > 1e-12 ? d[2] * inverse_root(maximum(left, D{} + 1e-12)) : D{};
-  d_d[2] = d_reach * ((d[2] < 0.0 ? D{} - part.half[2] : D{} + part.half[2]) - part.half[0] * slope);
+  const D left = 1.0 - d[2] * d[2], slope = where(left > 1e-12, d[2] * inverse_root(maximum(left, D{} + 1e-12)), D{});
+  d_d[2] = d_reach * (where(d[2] < 0.0, D{} - part.half[2], D{} + part.half[2]) - part.half[0] * slope);
 }
 
 // How far a part reaches in a horizontal direction.
@@ -76,6 +80,37 @@ static inline void back_reach_along(const DropTables& drop, const Flight& flight
   back_reach(drop.part[p], d, d_reach, d_d);
   for (int i = 0; i < 3; ++i) slope.part[p].axis[i] += d_d[i] * ux, slope.part[p].axis[3 + i] += d_d[i] * uy;
 }
+
+// With respect to Reaches, gathered over surfaces that are turned alike.
+struct ReachSlope {
+  const Surface* alike = nullptr;
+  struct {
+    D x, y, left, right;
+  } part[kMaxDropParts];
+
+  explicit ReachSlope(const DropTables& drop) { clear(drop); }
+  void turn_to(const DropTables& drop, const Flight& flight, const Surface& s, FlightSlope& slope) {
+    if (alike && alike->turn == s.turn) return;
+    flush(drop, flight, slope);
+    alike = &s;
+  }
+  void flush(const DropTables& drop, const Flight& flight, FlightSlope& slope) {
+    if (!alike) return;
+    const double c = alike->axis[0], n = alike->axis[1], lx = (c - n) * kHalfRoot, ly = (c + n) * kHalfRoot;
+    for (int p = 0; p < drop.n_part; ++p) {
+      back_reach_along(drop, flight, p, c, n, part[p].x, slope);
+      back_reach_along(drop, flight, p, -n, c, part[p].y, slope);
+      back_reach_along(drop, flight, p, lx, ly, part[p].left, slope);
+      back_reach_along(drop, flight, p, -ly, lx, part[p].right, slope);
+    }
+    clear(drop);
+  }
+
+ private:
+  void clear(const DropTables& drop) {
+    for (int p = 0; p < drop.n_part; ++p) part[p] = {D{}, D{}, D{}, D{}};
+  }
+};
 
 // Where the centre of mass is at a time, in the axes of a surface.
 static inline void back_passing(const Flight& flight, const Surface& s, D time, const Point2& d, FlightSlope& slope, D& d_time) {
@@ -157,6 +192,7 @@ static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int
   for (int k = first; k < last; ++k) {
     before[k] = keep;
     const Point2 at = placed(drop.surface[k], tumble.x, tumble.y);
+    if (!tumble.may_meet(drop.surface[k], at)) continue;
     const Within x(at.x, D{} + drop.surface[k].inside[0], tumble.inverse_scale), y(at.y, D{} + drop.surface[k].inside[1], tumble.inverse_scale);
     keep *= 1.0 - drop.constants.catches * x.value * y.value;
   }
@@ -166,6 +202,7 @@ static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int
   for (int k = last; k-- > first;) {
     const Surface& s = drop.surface[k];
     const Point2 at = placed(s, tumble.x, tumble.y);
+    if (!tumble.may_meet(s, at)) continue;
     const Within in_x(at.x, D{} + s.inside[0], tumble.inverse_scale), in_y(at.y, D{} + s.inside[1], tumble.inverse_scale);
     const Within hit_x(at.x, D{} + s.reached[0], tumble.inverse_scale), hit_y(at.y, D{} + s.reached[1], tumble.inverse_scale);
     const D d_caught = -drop.constants.catches * d_keep * before[k] * after, d_hit = d_G[k] * tumble.mass;
@@ -209,7 +246,7 @@ static inline void back_leaves(const DropTables& drop, const Flight& flight, con
   d_flight.c.z += d_height, d_flight.low -= d_height;
   const D along = d_away.x * ex + d_away.y * ey;
   const D d_off = 2.0 * k.leave_offset * d_u - along * inverse, d_d2 = d_off * 3.0 * part * part, d_quadric = d_d2 * inverse_det;
-  const D d_det = plain > 1e-11 ? -d_log * inverse_det - d_d2 * d2 * inverse_det : D{};
+  const D d_det = where(plain > 1e-11, -d_log * inverse_det - d_d2 * d2 * inverse_det, D{});
   const D cube = off * along * inverse * inverse * inverse;
   D d_ex = -off * inverse * d_away.x + cube * ex + 2.0 * d_quadric * (yy * ex - xy * ey);
   D d_ey = -off * inverse * d_away.y + cube * ey + 2.0 * d_quadric * (xx * ey - xy * ex);
@@ -224,16 +261,17 @@ static inline void back_leaves(const DropTables& drop, const Flight& flight, con
 static inline void back_interval(D o, D r, double carries, D at, D d_middle, D d_width, D& d_o, D& d_r, D& d_at) {
   const D d0 = 0.5 * d_middle - d_width, d1 = 0.5 * d_middle + d_width;
   const auto own0 = o - r > -carries - at, own1 = o + r < carries - at;
-  d_o += (own0 ? d0 : D{}) + (own1 ? d1 : D{});
-  d_r += (own1 ? d1 : D{}) - (own0 ? d0 : D{});
-  d_at -= (own0 ? D{} : d0) + (own1 ? D{} : d1);
+  d_o += where(own0, d0, D{}) + where(own1, d1, D{});
+  d_r += where(own1, d1, D{}) - where(own0, d0, D{});
+  d_at -= where(own0, D{}, d0) + where(own1, D{}, d1);
 }
 
-static inline void back_moments(const DropTables& drop, const Flight& flight, const Surface& s, D time, Reaches& reaches, const Moments& d,
-                                FlightSlope& d_flight, D& d_time) {
+static inline void back_moments(const DropTables& drop, const Flight& flight, const Surface& s, D time, Reaches& reaches, ReachSlope& d_reaches,
+                                const Moments& d, FlightSlope& d_flight, D& d_time) {
   const Point2 at = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time);
   if (!any((absolute(at.x) < s.carries[0] + drop.radius) & (absolute(at.y) < s.carries[1] + drop.radius))) return;
   reaches.turn_to(drop, flight, s);
+  d_reaches.turn_to(drop, flight, s, d_flight);
   const double c = s.axis[0], n = s.axis[1];
   Point2 d_at = {D{}, D{}};
   for (int p = 0; p < drop.n_part; ++p) {
@@ -249,49 +287,45 @@ static inline void back_moments(const DropTables& drop, const Flight& flight, co
                       d.yy * (uy * uy + n * n * qx + c * c * qy) + d.xy * (ux * uy + c * n * (qx - qy));
     const D d_ux = patch * (d.x + 2.0 * d.xx * ux + d.xy * uy), d_uy = patch * (d.y + 2.0 * d.yy * uy + d.xy * ux);
     const D d_qx = patch * (d.xx * c * c + d.yy * n * n + d.xy * c * n), d_qy = patch * (d.xx * n * n + d.yy * c * c - d.xy * c * n);
-    const D d_wx = x1 > x0 ? d_patch * part.stands * wy + d_qx * wx * (1.0 / 6) : D{};
-    const D d_wy = y1 > y0 ? d_patch * part.stands * wx + d_qy * wy * (1.0 / 6) : D{};
+    const D d_wx = where(x1 > x0, d_patch * part.stands * wy + d_qx * wx * (1.0 / 6), D{});
+    const D d_wy = where(y1 > y0, d_patch * part.stands * wx + d_qy * wy * (1.0 / 6), D{});
     d_flight.part[p].stands += d_patch * wx * wy;
     Point2 d_o = {D{}, D{}};
     D d_rx = {}, d_ry = {};
     back_interval(o.x, r.x, s.carries[0], at.x, c * d_ux + n * d_uy, d_wx, d_o.x, d_rx, d_at.x);
     back_interval(o.y, r.y, s.carries[1], at.y, c * d_uy - n * d_ux, d_wy, d_o.y, d_ry, d_at.y);
     back_turned(s, d_o, d_flight.part[p].o.x, d_flight.part[p].o.y);
-    back_reach_along(drop, flight, p, c, n, d_rx, d_flight);
-    back_reach_along(drop, flight, p, -n, c, d_ry, d_flight);
+    d_reaches.part[p].x += d_rx, d_reaches.part[p].y += d_ry;
   }
   back_passing(flight, s, time, d_at, d_flight, d_time);
 }
 
 // --- 1. first contact -----------------------------------------------------------------------------------------------
 
-static inline void back_overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage, Reaches& reaches, D overlap,
-                                D d_D, FlightSlope& d_flight) {
+static inline void back_overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage, Reaches& reaches,
+                                ReachSlope& d_reaches, D foremost, D d_D, FlightSlope& d_flight) {
   const DropConstants& k = drop.constants;
   passage.move_to(drop, flight, s.top);
   passage.detail(drop, flight);
   reaches.turn_to(drop, flight, s);
+  d_reaches.turn_to(drop, flight, s, d_flight);
   for (int p = 0; p < drop.n_part; ++p) {
     const FlyingPart& flying = flight.part[p];
     const auto& part = passage.part[p];
     const auto& r = reaches.part[p];
+    const auto decides = foremost == double(p);
+    if (!any(decides)) continue;
     const Point2 at = placed(s, part.x, part.y);
     const Within x(at.x, s.half[0] + r.x, part.inverse_scale), y(at.y, s.half[1] + r.y, part.inverse_scale);
     const Within left((at.x + at.y) * kHalfRoot, s.diagonal + r.left, part.inverse_scale);
     const Within right((at.y - at.x) * kHalfRoot, s.diagonal + r.right, part.inverse_scale);
     const D h = flying.bottom - s.top;
     const Below gate(h * (1.0 / kTouch) + 1.0);
-    const D upright = x.value * y.value, slanted = left.value * right.value, value = upright * slanted * gate.value;
-    // The part that overlaps most is the one that counts; both computations of it differ by rounding.
-    const D d = absolute(value - overlap) < 1e-12 ? d_D : D{};
-    d_D -= d;
+    const D upright = x.value * y.value, slanted = left.value * right.value, d = where(decides, d_D, D{});
     const D gated = d * gate.value, d_x = gated * y.value * slanted, d_y = gated * x.value * slanted;
     const D d_left = gated * upright * right.value, d_right = gated * upright * left.value;
-    back_reach_along(drop, flight, p, s.axis[0], s.axis[1], d_x * x.A, d_flight);
-    back_reach_along(drop, flight, p, -s.axis[1], s.axis[0], d_y * y.A, d_flight);
-    const double lx = (s.axis[0] - s.axis[1]) * kHalfRoot, ly = (s.axis[0] + s.axis[1]) * kHalfRoot;
-    back_reach_along(drop, flight, p, lx, ly, d_left * left.A, d_flight);
-    back_reach_along(drop, flight, p, -ly, lx, d_right * right.A, d_flight);
+    auto& d_reach = d_reaches.part[p];
+    d_reach.x += d_x * x.A, d_reach.y += d_y * y.A, d_reach.left += d_left * left.A, d_reach.right += d_right * right.A;
     D wx = {}, wy = {};
     back_turned(s, {d_x * x.x + (d_left * left.x - d_right * right.x) * kHalfRoot, d_y * y.x + (d_left * left.x + d_right * right.x) * kHalfRoot}, wx,
                 wy);
@@ -339,6 +373,7 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
   const D d_total = d.total - share * (d.mean_time * landing.mean_time + d.height * landing.height + d.fallen * landing.fallen);
   Passage passage;
   Reaches reaches;
+  ReachSlope d_reaches(drop);
   D d_F[kMaxSurfaces], d_overlap[kMaxSurfaces], d_arrives = {};
   for (int l = drop.n_level; l-- > 0;) {
     const int first = drop.level_start[l], last = drop.level_start[l + 1];
@@ -356,20 +391,22 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
       d_first += d.leaving[l] * leaves(drop, flight, moments, away);
       back_leaves(drop, flight, moments, d.leaving[l] * landing.first[l], d.away[l], d_moments, d_flight);
       for (int i = first; i < last; ++i)
-        back_moments(drop, flight, drop.surface[i], landing.time[i], reaches, d_moments, d_flight, d.time[i]);
+        back_moments(drop, flight, drop.surface[i], landing.time[i], reaches, d_reaches, d_moments, d_flight, d.time[i]);
     }
     for (int i = first; i < last; ++i) {
       const Surface& s = drop.surface[i];
       const D fallen = flight.low - s.top, F = per_overlap * landing.overlap[i];
       d_F[i] = d_first + share * (d.mean_time * landing.time[i] + d.height * s.top + d.fallen * relu(fallen));
       d.time[i] += d.mean_time * share * F;
-      d_flight.low += fallen > 0.0 ? d.fallen * share * F : D{};
+      d_flight.low += where(fallen > 0.0, d.fallen * share * F, D{});
       back_fall(flight.v.z, fallen, d.time[i], d_flight.v.z, d_flight.low);
     }
     d_arrives = back_level(drop, landing, l, d_arrives, d.contact, d_F, d_overlap);
     for (int i = first; i < last; ++i)
-      if (any(landing.overlap[i] > 0.0)) back_overlap(drop, flight, drop.surface[i], passage, reaches, landing.overlap[i], d_overlap[i], d_flight);
+      if (any(landing.overlap[i] > 0.0))
+        back_overlap(drop, flight, drop.surface[i], passage, reaches, d_reaches, landing.foremost[i], d_overlap[i], d_flight);
   }
+  d_reaches.flush(drop, flight, d_flight);
 }
 
 // --- the state at release -------------------------------------------------------------------------------------------
@@ -398,8 +435,8 @@ static inline Vec<D> back_release(const DropTables& drop, const Flight& flight, 
     const FlyingPart& part = flight.part[p];
     auto& slope = d.part[p];
     const D up = reach(drop.part[p], part.axis + 6), top = flight.c.z + part.o.z + up;
-    const D d_bottom = slope.bottom + (part.bottom == flight.low ? d.low : D{}), d_top = top == flight.high ? d.high : D{};
-    d.low = part.bottom == flight.low ? D{} : d.low, d.high = top == flight.high ? D{} : d.high;
+    const D d_bottom = slope.bottom + where(part.bottom == flight.low, d.low, D{}), d_top = where(top == flight.high, d.high, D{});
+    d.low = where(part.bottom == flight.low, D{}, d.low), d.high = where(top == flight.high, D{}, d.high);
     d.c.z += d_bottom + d_top, slope.o.z += d_bottom + d_top;
     D d_up[3];
     back_reach(drop.part[p], part.axis + 6, d_top - d_bottom, d_up);

@@ -13,6 +13,8 @@ class Impact {
  public:
   virtual ~Impact() = default;
   virtual void states(const double* q, size_t n, double* impact) const = 0;
+  // The same, good enough to choose what to look at.
+  virtual void rough_states(const double* q, size_t n, double* impact) const { states(q, n, impact); }
   virtual void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const = 0;
   // edges() with the derivatives of S with respect to both ends; false if the model has none.
   virtual bool edge_gradients(const double*, const double*, size_t, double, Sampling, double*, double*, double*) const { return false; }
@@ -143,7 +145,7 @@ class DropModel {
     return array;
   }
   // The impact with its derivatives with respect to q and to qd.
-  auto gradient(Reals severity, Reals q, Reals qd) const {
+  auto gradient(Reals severity, Reals q, Reals qd, bool rough) const {
     double *impact, *d_q, *d_qd;
     auto values = make<double>({core_.rows(q)}, impact);
     auto by_q = make<double>({q.shape(0), q.shape(1)}, d_q), by_qd = make<double>({q.shape(0), q.shape(1)}, d_qd);
@@ -151,7 +153,8 @@ class DropModel {
     require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
     {
       nb::gil_scoped_release release;
-      core_.kernels().drop_gradient(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), impact, d_q, d_qd);
+      const auto compute = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
+      compute(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), impact, d_q, d_qd);
     }
     return nb::make_tuple(values, by_q, by_qd);
   }
@@ -224,14 +227,18 @@ class DropImpact final : public Impact {
   void states(const double* q, size_t n, double* impact) const override {
     core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), q, nullptr, n, impact);
   }
+  void rough_states(const double* q, size_t n, double* impact) const override {
+    core_.kernels().rough_drop_impact(core_.tables(), model_.tables(), severity_.data(), q, nullptr, n, impact);
+  }
   void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
     core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, q0, q1, n, step, cost);
   }
   bool edge_gradients(const double* q0, const double* q1, size_t n, double step, Sampling sampling, double* cost, double* d_q0,
                       double* d_q1) const override {
     EdgeStates states(core_, model_.tables().speed, pace_, q0, q1, n, step, sampling);
-    core_.kernels().drop_gradient(core_.tables(), model_.tables(), severity_.data(), states.q.data(), states.qd.data(), states.size(),
-                                  states.impact.data(), states.d_q.data(), states.d_qd.data());
+    const auto gradient = sampling == Sampling::kExact ? core_.kernels().drop_gradient : core_.kernels().rough_drop_gradient;
+    gradient(core_.tables(), model_.tables(), severity_.data(), states.q.data(), states.qd.data(), states.size(), states.impact.data(),
+             states.d_q.data(), states.d_qd.data());
     states.integrate(cost, d_q0, d_q1);
     return true;
   }
@@ -250,6 +257,11 @@ class SumImpact final : public Impact {
   void states(const double* q, size_t n, double* impact) const override {
     Point other(n);
     first_.states(q, n, impact), second_.states(q, n, other.data());
+    for (size_t i = 0; i < n; ++i) impact[i] += other[i];
+  }
+  void rough_states(const double* q, size_t n, double* impact) const override {
+    Point other(n);
+    first_.rough_states(q, n, impact), second_.rough_states(q, n, other.data());
     for (size_t i = 0; i < n; ++i) impact[i] += other[i];
   }
   void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {

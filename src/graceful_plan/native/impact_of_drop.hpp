@@ -32,7 +32,7 @@ static inline void drop_probability(const Tables& tables, const DropTables& drop
   Frame<D> X_W[kMaxLinks];
   Flight flight;
   Landing landing;
-  forward_kinematics<double>(tables, q, X_W);
+  forward_kinematics(tables, q, X_W);
   release(tables, drop, X_W, qd, flight);
   land(drop, flight, landing);
   for (int e = 0; e < kDropRows * drop.n_entity; ++e) P[e] = D{};
@@ -81,7 +81,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   Frame<D> X_W[kMaxLinks];
   Flight flight;
   Landing landing;
-  forward_kinematics<double>(tables, q, X_W);
+  forward_kinematics(tables, q, X_W);
   release(tables, drop, X_W, qd, flight);
   land(drop, flight, landing);
   // Forwards, as in drop_probability, with a record.
@@ -106,7 +106,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
     left -= landing.first[l];
   }
   // Backwards.
-  FlightSlope d_flight;
+  FlightSlope d_flight(drop);
   LandingSlope d_landing(drop);
   TumbleSlope d_tumble;
   SweepSlope d_sweep;
@@ -120,15 +120,15 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
       d_G[k] = D{};
       if (s.entity < 0) continue;
       const auto greatest = hit[k] == P[s.entity];
-      const D d = greatest ? open[s.entity] : D{}, C = landing.contact[k];
-      open[s.entity] = greatest ? D{} : open[s.entity];
+      const D d = where(greatest, open[s.entity], D{}), C = landing.contact[k];
+      open[s.entity] = where(greatest, D{}, open[s.entity]);
       d_landing.contact[k] += d * (1.0 - G[k]) * (1.0 - H[k]);
       d_G[k] = d * (1.0 - C) * (1.0 - H[k]);
       if (!any(H[k] > 0.0)) continue;
       D d_beside = {};
       back_sweep_hit(drop, flight, sweep, s, landing.time[k], relu(lower[l] - C), d * (1.0 - C) * (1.0 - G[k]), d_sweep, d_flight, d_landing.time[k],
                      d_beside);
-      d_beside = lower[l] > C ? d_beside : D{};
+      d_beside = where(lower[l] > C, d_beside, D{});
       d_landing.contact[k] -= d_beside, d_lowers[l] += d_beside;
     }
   }
@@ -145,4 +145,36 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   d_turn = {d_turn.x + d_pour.x, d_turn.y + d_pour.y, d_turn.z + d_pour.z};
   back_joints(tables, drop.link, X_W, qd, flight, d_flight, d_turn, d_q, d_qd);
   return impact;
+}
+
+// --- many states ----------------------------------------------------------------------------------------------------
+
+template <class Visit> static inline void for_each_release(const Tables& tables, const double* q, const double* qd, size_t n, Visit visit) {
+  D qs[kMaxJoints], rates[kMaxJoints];
+  for (size_t first = 0; first < n; first += kAbreast<D>) {
+    load(tables, q, first, n, qs);
+    if (qd) load(tables, qd, first, n, rates);
+    visit(first, qs, qd ? rates : nullptr);
+  }
+}
+
+static void drop_impact(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
+                        double* out) {
+  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+    const D value = drop_impact_of(tables, drop, severity, qs, rates);
+    for (int i = 0; i < kAbreast<D> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
+  });
+}
+
+static void drop_gradient(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
+                          double* impact, double* d_q, double* d_qd) {
+  D slope_q[kMaxJoints], slope_qd[kMaxJoints];
+  const size_t nq = size_t(tables.n_joint);
+  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+    const D value = drop_impact_gradient(tables, drop, severity, qs, rates, slope_q, slope_qd);
+    for (int i = 0; i < kAbreast<D> && first + size_t(i) < n; ++i) {
+      impact[first + size_t(i)] = value[i];
+      for (size_t j = 0; j < nq; ++j) d_q[(first + size_t(i)) * nq + j] = slope_q[j][i], d_qd[(first + size_t(i)) * nq + j] = slope_qd[j][i];
+    }
+  });
 }

@@ -118,7 +118,7 @@ template <class Visit> static inline void for_each_interaction(const Tables& tab
 
 static inline D impact_of(const Tables& tables, const Hazard& hazard, const D* q) {
   Frame<D> X_W[kMaxLinks];
-  forward_kinematics<double>(tables, q, X_W);
+  forward_kinematics(tables, q, X_W);
   D impact = {};
   for_each_interaction(tables, X_W, hazard, [&](int r, int e, D P) { impact += P * hazard.of(tables, r, e); });
   return impact;

@@ -11,10 +11,16 @@ namespace gp {
 namespace GP_ISA {
 
 #include "lanes.hpp"
+#include "single.hpp"
 #include "kinematics.hpp"
 #include "clearance.hpp"
 #include "gradient.hpp"
 #include "interaction.hpp"
+
+constexpr double kTail = 29.0;        // scales of noise beyond which nothing happens: e^-29 is 3e-13
+constexpr double kHeld = 60.0;        // exponents are held within
+constexpr double kNothing = 1e-13;    // a probability that does not matter
+constexpr double kTiny = 1e-300;
 #include "footprint.hpp"
 #include "footprint_gradient.hpp"
 #include "spill.hpp"
@@ -22,12 +28,23 @@ namespace GP_ISA {
 #include "impact_of_drop.hpp"
 #include "body.hpp"
 
+// The drop model in single precision, with shorter tails.
+namespace rough {
+using D = Single;
+constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kTiny = 1e-30;  // products of five e^kHeld are finite
+#include "footprint.hpp"
+#include "footprint_gradient.hpp"
+#include "spill.hpp"
+#include "spill_gradient.hpp"
+#include "impact_of_drop.hpp"
+}  // namespace rough
+
 static void link_poses(const Tables& tables, const double* q, size_t n, double* X_WL) {
   D qs[kMaxJoints];
   Frame<D> X_W[kMaxLinks];
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load<double>(tables, q, first, n, qs);
-    forward_kinematics<double>(tables, qs, X_W);
+    forward_kinematics(tables, qs, X_W);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
       for (int l = 0; l < tables.n_link; ++l) {
         const Frame<D>& X = X_W[tables.link[l].frame];
@@ -48,7 +65,7 @@ static void free_states(const Tables& tables, const double* q, size_t n, double 
   Frame<F> X_W[kMaxLinks];
   for (size_t first = 0; first < n; first += kLanes<float>) {
     load<float>(tables, q, first, n, qs);
-    forward_kinematics<float>(tables, qs, X_W);
+    forward_kinematics(tables, qs, X_W);
     MaskF hit = collides<false>(tables, X_W, float(margin));
     for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) free[first + size_t(i)] = !hit[i];
   }
@@ -64,7 +81,7 @@ static bool edge_is_free(const Tables& tables, const double* q0, const double* q
   const float spacing = 1.f / float(W * n_block - 1);
   for (int b = 0; b < n_block; ++b) {
     interpolate<float>(tables, q0, q1, (lane * float(n_block) + float(b)) * spacing, qs);
-    forward_kinematics<float>(tables, qs, X_W);
+    forward_kinematics(tables, qs, X_W);
     if (any(collides<true>(tables, X_W, margin))) return false;
   }
   return true;
@@ -81,7 +98,7 @@ static void clearance_gradients(const Tables& tables, const Nearest& pair, const
   Frame<D> X_W[kMaxLinks];
   for (int done = 0; done < kLanes<float> && first + size_t(done) < n; done += kLanes<double>) {
     load<double>(tables, q, first + size_t(done), n, qs);
-    forward_kinematics<double>(tables, qs, X_W);
+    forward_kinematics(tables, qs, X_W);
     for (int i = 0; i < kLanes<double> && first + size_t(done + i) < n; ++i)
       clearance_gradient(tables, X_W, pair.a[done + i], pair.b[done + i], i, gradient + (first + size_t(done + i)) * size_t(tables.n_joint));
   }
@@ -92,7 +109,7 @@ static void clearance(const Tables& tables, const double* q, size_t n, double* o
   Frame<F> X_W[kMaxLinks];
   for (size_t first = 0; first < n; first += kLanes<float>) {
     load<float>(tables, q, first, n, qs);
-    forward_kinematics<float>(tables, qs, X_W);
+    forward_kinematics(tables, qs, X_W);
     const Nearest pair = nearest(tables, X_W);
     for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i)
       out[first + size_t(i)] = pair.a[i] < 0 ? __builtin_inf() : double(pair.distance[i]);
@@ -106,7 +123,7 @@ static void interaction(const Tables& tables, const double* q, size_t n, double*
   const size_t stride = size_t(tables.n_component) * size_t(tables.n_entity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load<double>(tables, q, first, n, qs);
-    forward_kinematics<double>(tables, qs, X_W);
+    forward_kinematics(tables, qs, X_W);
     for_each_interaction(tables, X_W, Hazard(tables, nullptr), [&](int r, int e, D P) {
       for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
         probability[(first + size_t(i)) * stride + size_t(r * tables.n_entity + e)] = P[i];
@@ -154,43 +171,13 @@ static void edge_costs(const Tables& tables, const double* severity, const doubl
 
 // --- the drop model -------------------------------------------------------------------------------------------------
 
-template <class Visit> static inline void for_each_release(const Tables& tables, const double* q, const double* qd, size_t n, Visit visit) {
-  D qs[kMaxJoints], rates[kMaxJoints];
-  for (size_t first = 0; first < n; first += kLanes<double>) {
-    load<double>(tables, q, first, n, qs);
-    if (qd) load<double>(tables, qd, first, n, rates);
-    visit(first, qs, qd ? rates : nullptr);
-  }
-}
-
 static void drop(const Tables& tables, const DropTables& drop, const double* q, const double* qd, size_t n, double* probability) {
   D P[kDropRows * kMaxEntities];
   const size_t count = size_t(kDropRows * drop.n_entity);
   for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
     drop_probability(tables, drop, nullptr, qs, rates, P);
-    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
+    for (int i = 0; i < kAbreast<D> && first + size_t(i) < n; ++i)
       for (size_t e = 0; e < count; ++e) probability[(first + size_t(i)) * count + e] = P[e][i];
-  });
-}
-
-static void drop_impact(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
-                        double* out) {
-  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
-    const D value = drop_impact_of(tables, drop, severity, qs, rates);
-    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
-  });
-}
-
-static void drop_gradient(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
-                          double* impact, double* d_q, double* d_qd) {
-  D slope_q[kMaxJoints], slope_qd[kMaxJoints];
-  const size_t nq = size_t(tables.n_joint);
-  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
-    const D value = drop_impact_gradient(tables, drop, severity, qs, rates, slope_q, slope_qd);
-    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) {
-      impact[first + size_t(i)] = value[i];
-      for (size_t j = 0; j < nq; ++j) d_q[(first + size_t(i)) * nq + j] = slope_q[j][i], d_qd[(first + size_t(i)) * nq + j] = slope_qd[j][i];
-    }
   });
 }
 
@@ -291,7 +278,7 @@ static void body_dynamics(const Tables& tables, const BodyTables& body, const do
   const size_t nq = size_t(tables.n_joint);
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load<double>(tables, q, first, n, qs);
-    forward_kinematics<double>(tables, qs, X_W);
+    forward_kinematics(tables, qs, X_W);
     mass_and_weight(tables, body, X_W, M, g);
     for (size_t i = 0; i < size_t(kLanes<double>) && first + i < n; ++i)
       for (size_t a = 0; a < nq; ++a) {
@@ -322,7 +309,7 @@ extern const Kernels GP_JOIN(kernels_, GP_ISA) = {GP_TEXT(GP_ISA),   GP_ISA::kLa
                                                  GP_ISA::free_states, GP_ISA::free_edges,   GP_ISA::clearance,
                                                  GP_ISA::interaction, GP_ISA::impact,       GP_ISA::edge_costs,
                                                  GP_ISA::drop,        GP_ISA::drop_impact,  GP_ISA::drop_gradient,
-                                                 GP_ISA::drop_edge_costs, GP_ISA::body,      GP_ISA::body_impact,
+                                                 GP_ISA::drop_edge_costs, GP_ISA::rough::drop_impact, GP_ISA::rough::drop_gradient, GP_ISA::body,      GP_ISA::body_impact,
                                                  GP_ISA::body_edge_costs, GP_ISA::body_dynamics, GP_ISA::elementary};
 
 }  // namespace gp

@@ -2,8 +2,8 @@
 
 // Poses of all links that own a frame: the base and every link with a joint, whose axis is its local z. Those before
 // `first` are known.
-template <class T> static inline void forward_kinematics(const Tables& tables, const Lanes<T>* q, Frame<Lanes<T>>* X_W, int first = 0) {
-  using V = Lanes<T>;
+template <class V> static inline void forward_kinematics(const Tables& tables, const V* q, Frame<V>* X_W, int first = 0) {
+  using T = Scalar<V>;
   for (int l = first; l < tables.n_link; ++l) {
     const Link& link = tables.link[l];
     if (link.frame != l) continue;
@@ -42,6 +42,13 @@ template <class T> static inline void load(const Tables& tables, const double* q
     const double* row = q + (first + size_t(i) < n ? first + size_t(i) : n - 1) * size_t(tables.n_joint);
     for (int j = 0; j < tables.n_joint; ++j) out[j][i] = T(row[j]);
   }
+}
+
+static inline void load(const Tables& tables, const double* q, size_t first, size_t n, D* out) { load<double>(tables, q, first, n, out); }
+static inline void load(const Tables& tables, const double* q, size_t first, size_t n, Single* out) {
+  F single[kMaxJoints];
+  load<float>(tables, q, first, n, single);
+  for (int j = 0; j < tables.n_joint; ++j) out[j] = Single(single[j]);
 }
 
 template <class T> static inline void interpolate(const Tables& tables, const double* q0, const double* q1, Lanes<T> s, Lanes<T>* out) {

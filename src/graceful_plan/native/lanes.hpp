@@ -26,6 +26,13 @@ using F = Lanes<float>;
 using D = Lanes<double>;
 using MaskF = Mask<float>;
 
+// Of a type that holds W numbers: what they are, and W.
+template <class V> struct Content;
+template <> struct Content<F> { using type = float; };
+template <> struct Content<D> { using type = double; };
+template <class V> using Scalar = typename Content<V>::type;
+template <class V> constexpr int kAbreast = kLanes<Scalar<V>>;
+
 static inline bool any(MaskF m) {
 #if defined(__AVX512F__)
   return _mm512_movepi32_mask((__m512i)m) != 0;
@@ -54,6 +61,7 @@ static inline bool any(Mask<double> m) {
 #endif
 }
 
+static inline D where(Mask<double> m, D a, D b) { return m ? a : b; }
 template <class V> static inline V relu(V a) { return a > 0 ? a : V{}; }
 template <class V> static inline V absolute(V a) { return a < 0 ? -a : a; }
 template <class V> static inline V minimum(V a, V b) { return a < b ? a : b; }
@@ -127,7 +135,7 @@ static inline Lanes<double> square_root(Lanes<double> x) {
 
 // e^x for |x| <= 700, good to 1e-15: x = k ln 2 + r, a polynomial in r that is best in the sense of Chebyshev, and k put
 // into the exponent of a double. The rounding trick leaves k + 1023 in the low bits of the sum.
-static inline Lanes<double> exponential(Lanes<double> x) {
+[[gnu::always_inline]] static inline Lanes<double> exponential(Lanes<double> x) {
   using D = Lanes<double>;
   const double magic = 6755399441055744.0 + 1023.0;  // 1.5 * 2^52 and the bias of exponents
   const D shifted = x * 1.4426950408889634074 + magic;

@@ -16,10 +16,11 @@ struct SpillSlope {
 
 // P that a point is within half sizes of a surface's centre, with its derivatives; x and y are those of W.
 struct Upon {
-  D value, x = {}, y = {}, half, inverse_scale;
+  D value = {}, x = {}, y = {}, half = {}, inverse_scale = {};
 
   Upon(const Surface& s, D at_x, D at_y, D a, D b, D scale) {
     const Point2 at = placed(s, at_x, at_y);
+    if (!may_be_upon(at, a, b, scale)) return;
     const Within along(at.x, a, scale), across(at.y, b, scale);
     value = along.value * across.value;
     back_turned(s, {along.x * across.value, along.value * across.x}, x, y);
@@ -43,7 +44,7 @@ static inline void back_standing(const DropTables& drop, const Spill& spill, int
   d.inverse_scale += d_upon * upon.inverse_scale;
   d.x += d_upon * upon.x, d.y += d_upon * upon.y;
   const D d_x = d_upon * upon.x * share, d_y = d_upon * upon.y * share;
-  const D d_U = (U < 1.0 ? d_D * upon.value : D{}) - d_x * x - d_y * y;
+  const D d_U = where(U < 1.0, d_D * upon.value, D{}) - d_x * x - d_y * y;
   // Of sums over levels: differences here, summed up in back_spill.
   d.lands[stands.first] += d_U, d.land_x[stands.first] += d_x, d.land_y[stands.first] += d_y;
   d.lands[stands.end] -= d_U, d.land_x[stands.end] -= d_x, d.land_y[stands.end] -= d_y;
@@ -59,15 +60,21 @@ static inline void back_over(const DropTables& drop, const Spill& spill, int l, 
   const SpillLevel& at = spill.level[l];
   if (!any(at.lands > kNothing)) return;
   const D share = reciprocal(at.lands + kLeastMass), x = at.land_x * share, y = at.land_y * share;
-  for (int i = drop.level_start[l]; i < drop.level_start[l + 1]; ++i) {
+  const int first = drop.level_start[l], last = drop.level_start[l + 1];
+  const auto upon_inner = [&](const Surface& s) {
+    return Upon(s, spill.x + x, spill.y + y, D{} + (s.half[0] - spill.inner), D{} + (s.half[1] - spill.inner), spill.inverse_scale);
+  };
+  D before[kMaxSurfaces], past = D{} + 1.0, after = D{} + 1.0;
+  for (int i = first; i < last; ++i) {
+    before[i] = past;
+    if (spill.is_wide(drop.surface[i])) past *= 1.0 - upon_inner(drop.surface[i]).value;
+  }
+  for (int i = last; i-- > first;) {
     const Surface& s = drop.surface[i];
     if (!spill.is_wide(s)) continue;
-    const Upon upon(s, spill.x + x, spill.y + y, D{} + (s.half[0] - spill.inner), D{} + (s.half[1] - spill.inner), spill.inverse_scale);
-    D others = D{} + 1.0;
-    for (int j = drop.level_start[l]; j < drop.level_start[l + 1]; ++j)
-      if (j != i && spill.is_wide(drop.surface[j]))
-        others *= 1.0 - Upon(drop.surface[j], spill.x + x, spill.y + y, D{} + (drop.surface[j].half[0] - spill.inner), D{} + (drop.surface[j].half[1] - spill.inner),
-                             spill.inverse_scale).value;
+    const Upon upon = upon_inner(s);
+    const D others = before[i] * after;
+    after *= 1.0 - upon.value;
     const D d_upon = -d_over * others, px = d_upon * upon.x * share, py = d_upon * upon.y * share;
     d.inverse_scale += d_upon * upon.inverse_scale;
     d.x += d_upon * upon.x, d.y += d_upon * upon.y;
@@ -93,7 +100,7 @@ static inline void back_flow(const DropTables& drop, const Spill& spill, int l, 
   d_past -= d_stays * at.flows;
   const bool arrives = any(at.arrives > kNothing), flows = any(at.flows > kNothing);
   const int first = drop.level_start[l], last = drop.level_start[l + 1];
-  const D inverse_flows = reciprocal(maximum(at.flows, D{} + 1e-300));
+  const D inverse_flows = reciprocal(maximum(at.flows, D{} + kTiny));
   D before[kMaxSurfaces], past = D{} + 1.0, after = D{} + 1.0;
   for (int i = first; i < last; ++i) before[i - first] = past, past *= 1.0 - spill.flown[i] * inverse_flows;
   for (int i = last; i-- > first;) {
@@ -148,7 +155,7 @@ static inline void back_filling(const DropTables& drop, const Landing& landing, 
   const D d_fill = -d.rho * filling.rho * tables.power * cube * reciprocal(1.0 + cube * filling.fill);
   const D d_x = d_fill * (1.0 + filling.x * (2.0 + 5.1 * filling.x)) * (1.0 / tables.full), d_lean = d_x * (tables.rim / tables.depth);
   d_mouth.speed2 += d_lean * k.slosh * 0.5 * reciprocal(filling.speed);
-  const D d_slope = filling.slope > tables.repose ? d_lean : D{}, inverse_up = reciprocal(mouth.up);
+  const D d_slope = where(filling.slope > tables.repose, d_lean, D{}), inverse_up = reciprocal(mouth.up);
   const D inverse_side = inverse_root(1.0051 - mouth.up * mouth.up);
   d_mouth.up -= d_slope * (inverse_side + filling.slope * inverse_up);
 }
@@ -163,8 +170,8 @@ static inline D severest(const DropTables& drop, const Spill& spill, const doubl
     d_fallen[i] = d_flown[i] = d_stood[i] = D{};
     if (entity < 0) continue;
     const auto greatest = spill.probability(i) == P[entity];
-    const D d = greatest ? open[entity] : D{};
-    open[entity] = greatest ? D{} : open[entity];
+    const D d = where(greatest, open[entity], D{});
+    open[entity] = where(greatest, D{}, open[entity]);
     d_fallen[i] = d * (1.0 - spill.flown[i]) * (1.0 - spill.stood[i]);
     d_flown[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.stood[i]);
     d_stood[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.flown[i]);

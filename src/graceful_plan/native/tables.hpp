@@ -177,6 +177,11 @@ struct Kernels {
                         double* d_q, double* d_qd);
   void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const double* q0, const double* q1,
                           size_t n, double step, double* cost);
+  // The same in single precision, and with shorter tails: good to some 1e-5 of the greatest severity.
+  void (*rough_drop_impact)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n,
+                            double* impact);
+  void (*rough_drop_gradient)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n,
+                              double* impact, double* d_q, double* d_qd);
   // The body model; weight is [mode, row], severity [row, entity], ahead null or [n, n_reference, n_joint].
   void (*body)(const Tables&, const BodyTables&, const double* q, const double* qd, const double* ahead, size_t n, double* distance);
   void (*body_impact)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* q, const double* qd, size_t n,
