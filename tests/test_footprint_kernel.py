@@ -15,6 +15,8 @@ from graceful_plan.costs.interactions import footprint_kernel as footprint_kerne
 from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
 from graceful_plan.costs.interactions.footprint_kernel import CONSTANTS, FootprintKernel, footprint_kernel
 from graceful_plan.costs.interactions.footprint_tables import SHAPE_CLASSES, footprint_tables
+from graceful_plan.costs.interactions.spill_constants import SpillSettings
+from graceful_plan.costs.interactions.spill_tables import spill_tables
 from graceful_plan.exceptions import NonFiniteError, ShapeError
 from graceful_plan.kernels import Kernels, instruction_sets
 from graceful_plan.planners.native import native_space
@@ -215,6 +217,40 @@ def test_gradient_is_the_finite_difference(name):
         q, qd = _states(scene, 40, seed=20 + k)
         q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
         _check_gradient(kernel, q, qd, severity)
+
+
+def _kernel_of(scene, isa):
+    compiled, tables = compile_scene(scene), footprint_tables(scene)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    contents = None if scene.contents is None else (spill_tables(scene), SpillSettings.shipped())
+    constants = SETTINGS.of(tables.shape_class)
+    return FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents)
+
+
+@pytest.mark.parametrize("name", gp.scenes())
+@pytest.mark.parametrize("isa", instruction_sets())
+def test_in_single_precision_it_is_nearly_the_same(name, isa):
+    for k, task in enumerate(gp.load_scene(name).tasks.values()):
+        scene = task.scene
+        kernel = _kernel_of(scene, isa)
+        severity = np.random.default_rng(k).uniform(size=(3, len(scene.entities)))
+        q, qd = _states(scene, 200, seed=50 + k)
+        exact, rough = (kernel.native.gradient(severity, q, qd, rough=rough) for rough in (False, True))
+        assert np.ptp(exact[0]) > 0.1
+        np.testing.assert_allclose(rough[0], exact[0], atol=3e-5)
+        for mine, theirs in zip(rough[1:], exact[1:], strict=True):
+            error = np.linalg.norm(mine - theirs, axis=1) / (1e-2 + np.linalg.norm(theirs, axis=1))
+            assert np.median(error) < 1e-4
+            assert np.quantile(error, 0.97) < 1e-2  # the others are at kinks
+
+
+@pytest.mark.parametrize("scale", [0.0, 1.0, 30.0])
+def test_single_precision_bears_extreme_speeds(scene, scale):
+    kernel = footprint_kernel(scene, SETTINGS)
+    q, qd = _states(scene, 500, seed=3)
+    severity = np.full((3, len(scene.entities)), 50.0)
+    for array in kernel.native.gradient(severity, q, scale * qd, rough=True):
+        assert np.isfinite(array).all()
 
 
 def test_the_cost_has_the_gradient_of_its_model(scene):

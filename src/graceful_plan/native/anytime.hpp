@@ -1,7 +1,8 @@
 // The default planner's search: RRT-Connect for the first path, then paths that might become better, one after the other. They
 // come from small roadmaps (Scout), from detours of the best path, from RRT-Connect through the valleys of the impact and from
 // cost-bounded RRT-Connect (AO-x: whatever it finds beats the best path). Each is descended along the gradient of J and refined
-// by random moves, for as long as it may still win. Where J has no gradient, several are refined side by side instead.
+// by random moves, for as long as it may still win; whatever becomes the best path is polished on finer vertices. Where J has no
+// gradient, several are refined side by side instead.
 #pragma once
 #include <algorithm>
 #include <memory>
@@ -48,11 +49,12 @@ class Anytime {
 
   // Look at a path next, free or, with a gradient, not.
   void suggest(std::vector<Point> path) {
-    if (descends_ || space_.path_free(path)) challengers_.insert(challengers_.begin(), challenger(std::move(path), kSuggested));
+    const bool free = space_.path_free(path);
+    if (descends_ || free) challengers_.insert(challengers_.begin(), challenger(std::move(path), free ? kPolish : kSuggested));
   }
 
  private:
-  enum Source { kScoutLine, kScoutBest, kDetour, kToolDetour, kValley, kPlain, kBound, kSources, kSuggested = kSources };
+  enum Source { kScoutLine, kScoutBest, kDetour, kToolDetour, kValley, kPlain, kBound, kPolish, kSources, kSuggested = kSources };
   static constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each challenger in a contest
   static constexpr int kFirstScout = 150, kLastScout = 600;       // nodes
   static constexpr size_t kElite = 6;
@@ -61,7 +63,7 @@ class Anytime {
     ++steps_;
     if (best_.q.empty()) return connect_.step() && offer(connect_.path(), kPlain);
     const bool settled = incumbent_->settled() < 0.02;
-    if (steps_ % (settled || descends_ ? 16 : 2) == 0) return incumbent_->step() && take(incumbent_->path());
+    if (steps_ % (descends_ ? 64 : settled ? 16 : 2) == 0) return incumbent_->step() && take(incumbent_->path());
     return descends_ ? chase() : contest();
   }
 
@@ -76,6 +78,7 @@ class Anytime {
     if (improved) ++won_;
     if (one.hopeless(best_.total)) {
       if (one.refiner()) remember(one.refiner()->path());
+      unpolished_ |= won_ > 0 && one.source() != kPolish;
       reward(one.source(), won_ > 0);
       won_ = 0;
       challengers_.erase(challengers_.begin());
@@ -122,7 +125,7 @@ class Anytime {
   Source choose() {
     // How often each is asked as long as nothing is known.
     const bool feared = space_.w > 0, scouts = descends_ && settings_.scouts;
-    const double prior[kSources] = {scouts ? 1.0 : 0.0, scouts ? 1.5 : 0.0, 1.0, 1.0, feared ? 0.8 : 0.0, 0.2, 0.3};
+    const double prior[kSources] = {scouts ? 1.0 : 0.0, scouts ? 1.5 : 0.0, 1.0, 1.0, feared ? 0.8 : 0.0, 0.2, 0.3, descends_ ? 3.0 : 0.0};
     double weight[kSources], sum = 0;
     for (int s = 0; s < kSources; ++s) sum += weight[s] = prior[s] * (0.3 + score_[s]);
     double u = random_.uniform() * sum;
@@ -144,7 +147,12 @@ class Anytime {
       searching_ = false;
       return offer(connect_.path(), source_);
     }
+    if (unpolished_) {
+      unpolished_ = false;
+      return offer(best_.q, kPolish);
+    }
     source_ = scouts_ == 0 && descends_ && settings_.scouts ? kScoutLine : choose();
+    if (source_ == kPolish) return offer(best_.q, kPolish);
     if (source_ == kDetour) return detour();
     if (source_ == kToolDetour) return tool_detour();
     if (source_ == kScoutLine || source_ == kScoutBest) return scout();
@@ -252,7 +260,8 @@ class Anytime {
     return true;
   }
   std::unique_ptr<Challenger> challenger(std::vector<Point> path, Source source) {
-    return std::make_unique<Challenger>(space_, std::move(path), settings_.spacing, descends_, scouts_ > 1, source, random_.bits());
+    const auto beginning = !descends_ ? Challenger::kMove : source == kPolish ? Challenger::kPolish : Challenger::kCoarse;
+    return std::make_unique<Challenger>(space_, std::move(path), settings_.spacing, beginning, scouts_ > 1, source, random_.bits());
   }
 
   bool take(const Polyline& path) {
@@ -282,10 +291,10 @@ class Anytime {
   std::unique_ptr<Refiner> incumbent_;
   std::vector<std::unique_ptr<Challenger>> challengers_;
   std::vector<Polyline> elite_;
-  double score_[kSources] = {1, 1, 1, 1, 1, 1, 1};
+  double score_[kSources] = {1, 1, 1, 1, 1, 1, 1, 1};
   Source source_ = kPlain;
   int64_t steps_ = 0, turn_ = 0, turns_ = 0;
-  bool scouting_ = false, searching_ = false;
+  bool scouting_ = false, searching_ = false, unpolished_ = false;
   int scouts_ = 0, search_age_ = 0, won_ = 0;
 };
 

@@ -145,8 +145,8 @@ class ConnectPlanner {
 
 class DescentRun {
  public:
-  DescentRun(Space& space, Reals path, int pieces, double step, double keep, double push)
-      : space_(space), descent_(checked(space, pieces, step, keep), path_in(space, path), pieces, {.step = step, .keep = keep, .push = push}) {}
+  DescentRun(Space& space, Reals path, int pieces, double step)
+      : space_(space), descent_(checked(space, pieces, step), path_in(space, path), pieces, {.step = step}) {}
   // At most so many evaluations; after how many of them there was still something to gain.
   int run(int steps) {
     nb::gil_scoped_release release;
@@ -157,11 +157,12 @@ class DescentRun {
   void harden() { descent_.harden(); }
   Out<double> path() const { return as_array(descent_.path(), space_.dim); }
   double value() const { return descent_.value(); }
+  double energy() const { return descent_.energy(); }
 
  private:
-  static Space& checked(Space& space, int pieces, double step, double keep) {
+  static Space& checked(Space& space, int pieces, double step) {
     require(space.has_slopes(), "the space has no slopes");
-    require(pieces >= 1 && step > 0 && keep > 0, "settings of a descent");
+    require(pieces >= 1 && step > 0, "settings of a descent");
     return space;
   }
 
@@ -279,12 +280,12 @@ NB_MODULE(_native, m) {
       .def("run", &ConnectPlanner::run, "iterations"_a, "seconds"_a)
       .def_prop_ro("path", &ConnectPlanner::path, nb::rv_policy::move);
   nb::class_<DescentRun>(m, "Descent")
-      .def(nb::init<Space&, Reals, int, double, double, double>(), "space"_a, "path"_a, "pieces"_a, "step"_a, "keep"_a, "push"_a,
-           nb::keep_alive<1, 2>())
+      .def(nb::init<Space&, Reals, int, double>(), "space"_a, "path"_a, "pieces"_a, "step"_a, nb::keep_alive<1, 2>())
       .def("run", &DescentRun::run, "steps"_a)
       .def("harden", &DescentRun::harden)
       .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
-      .def_prop_ro("value", &DescentRun::value);
+      .def_prop_ro("value", &DescentRun::value)
+      .def_prop_ro("energy", &DescentRun::energy);
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(nb::init<Space&, Reals, Reals, double, int, double, int, uint64_t, bool, bool>(), "space"_a, "start"_a, "goals"_a, "range"_a,
            "max_nodes"_a, "spacing"_a, "challengers"_a, "seed"_a, "descents"_a, "scouts"_a, nb::keep_alive<1, 2>())

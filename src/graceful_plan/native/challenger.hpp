@@ -10,13 +10,18 @@ namespace gp {
 
 class Challenger {
  public:
-  // Without descent, the path has to be free. A patient one descends further before it is given to the refiner.
-  Challenger(Space& space, std::vector<Point> path, double spacing, bool descends, bool patient, int source, uint64_t seed)
+  // How it begins: with moves of a path that is free, with a coarse descent, or with a last one on many vertices.
+  enum Beginning { kMove, kCoarse, kPolish };
+
+  // A patient one descends further before it is given to the refiner.
+  Challenger(Space& space, std::vector<Point> path, double spacing, Beginning beginning, bool patient, int source, uint64_t seed)
       : space_(space), spacing_(spacing), patient_(patient), source_(source), seed_(seed) {
-    if (descends)
-      descent_ = std::make_unique<Descent>(space, path, kPieces, DescentSettings{.step = kStep, .rough = true});
-    else
+    if (beginning == kMove)
       refine(std::move(path));
+    else if (beginning == kCoarse)
+      descent_ = std::make_unique<Descent>(space, path, kPieces, DescentSettings{.step = kStep, .push = 5.0, .rough = true});
+    else
+      polish(path);
   }
 
   int source() const { return source_; }
@@ -47,20 +52,27 @@ class Challenger {
     const double e = estimate();
     if (failed_) return true;
     if (refiner_) return used_ >= kMoves;
-    return fine_ ? used_ >= 20 && e > 1.1 * best : used_ >= 15 && e > 2.0 * best;
+    return fine_ ? used_ >= 30 && e > 1.2 * best : used_ >= 15 && e > 2.0 * best;
   }
 
  private:
-  static constexpr int kPieces = 20, kFinePieces = 40;
-  static constexpr double kStep = 0.1, kFineStep = 0.05;  // between samples of the impact [rad]
-  // Evaluations while coarse, while fine, and after each time that the path was not free in the end; moves of the refiner.
-  static constexpr int kSteps = 30, kFineSteps = 100, kMoreSteps = 30, kMoves = 100;
+  static constexpr int kPieces = 14, kFinePieces = 40, kLastPieces = 100;
+  static constexpr double kStep = 0.15, kFineStep = 0.05, kLastStep = 0.04;  // between samples of the impact [rad]
+  // Evaluations while coarse, while fine, at last, and after each time that the path was not free in the end; moves of the refiner.
+  static constexpr int kSteps = 30, kFineSteps = 50, kLastSteps = 200, kMoreSteps = 30, kMoves = 30;
   static constexpr int kHardenings = 2;  // then it is given up
 
   // From few vertices to many.
   void sharpen() {
     descent_ = std::make_unique<Descent>(space_, descent_->path(), kFinePieces, DescentSettings{.step = kFineStep, .tolerance = patient_ ? 1e-4 : 1e-3});
     fine_ = true, used_ = 0, limit_ = patient_ ? 2 * kFineSteps : kFineSteps;
+  }
+  // On other vertices every time: a path settles where it does by how it is cut, too.
+  void polish(const std::vector<Point>& path) {
+    Random random(seed_);
+    const int pieces = int(kLastPieces * random.uniform(0.75, 1.35));
+    descent_ = std::make_unique<Descent>(space_, path, pieces, DescentSettings{.step = kLastStep * random.uniform(0.75, 1.35), .tolerance = 1e-4});
+    fine_ = true, limit_ = kLastSteps;
   }
   void land() {
     std::vector<Point> path = descent_->path();

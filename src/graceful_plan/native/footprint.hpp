@@ -116,7 +116,7 @@ static inline void release(const Tables& tables, const DropTables& drop, const F
   }
   for (int p = 0; p < drop.n_part; ++p) {
     const D above = (flight.part[p].bottom - flight.low) * (1.0 / 0.012);
-    flight.part[p].stands = tail(-above * above);
+    flight.part[p].stands = exponential(maximum(-above * above, D{} - 60.0));
   }
   flight.tilt = tilt_of(drop.part[drop.main].shape, flight.part[drop.main].axis);
   flight.speed = square_root(flight.v.x * flight.v.x + flight.v.y * flight.v.y + 1e-4);

@@ -2,8 +2,8 @@
 
 RRT-Connect finds the first path. From then on, paths that might become better are taken one after the other: from small
 roadmaps that are thrown away, from detours, from RRT-Connect through the valleys of the impact and below the best cost.
-Where the objective has a native gradient, each is descended by L-BFGS in the metric of smooth paths and given up as
-soon as it will not win; the sources that won lately are asked more often. Else several are refined side by side by
+Where the objective has a native gradient, each is descended along it and given up as soon as it will not win, and the
+best path is polished; the sources that won lately are asked more often. Else several are refined side by side by
 random moves, and the worse half is dropped again and again. `Auto`, the default, runs several of these at once.
 
 References:
@@ -11,7 +11,8 @@ References:
         2016.
     Wilson et al., "AORRTC: almost-surely asymptotically optimal planning with RRT-Connect", RA-L 2025.
     Geraerts and Overmars, "Creating high-quality paths for motion planning", IJRR 2007 (per-joint shortcuts).
-    Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013 (the metric).
+    Griewank and Toint, "Partitioned variable metric updates for large structured optimization problems", Numerische
+        Mathematik 1982 (the descents).
 """
 
 from __future__ import annotations
