@@ -1,5 +1,6 @@
 // The drop model: whom the carried object hits if it is let go here, at this velocity. The specification, with the letters
-// used here, is in costs/interactions/footprint.py. What is left out to save time adds less than some 1e-13 to any result.
+// used here, is in costs/interactions/footprint.py. It is compiled for two precisions: D, and what is left out to save time (kTail,
+// kHeld, kNothing), stand in kernels.cpp.
 
 constexpr double kGravity = 9.81;
 constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
