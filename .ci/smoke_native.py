@@ -40,7 +40,7 @@ def descend(task: gp.Task) -> None:
     assert objective.edge_gradients(path[:1], path[1:]) is not None
     problem = SceneProblem(kernels=objective.kernels, start=path[0], goals=path[1:])
     for pieces in (1, 2, 20):
-        run = _native.Descent(native_space(problem, objective), path, pieces, 0.1, 0.001, 5.0)
+        run = _native.Descent(native_space(problem, objective), path, pieces, 0.1)
         run.run(20)
         run.harden()
         run.run(5)
