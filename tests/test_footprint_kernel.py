@@ -56,6 +56,14 @@ def _states(scene, n, seed, fastest=1.5):
     return q, scene.limits.velocity * rng.uniform(-1.0, 1.0, q.shape) * rng.uniform(0.0, fastest, (n, 1))
 
 
+def _kernel_of(scene, isa):
+    compiled, tables = compile_scene(scene), footprint_tables(scene)
+    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
+    contents = None if scene.contents is None else (spill_tables(scene), SpillSettings.shipped())
+    constants = SETTINGS.of(tables.shape_class)
+    return FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents)
+
+
 def _numpy(scene, q, qd):
     speed = np.linalg.norm(qd, axis=1)
     direction = qd / np.where(speed > 0.0, speed, 1.0)[:, None]
@@ -105,14 +113,11 @@ def test_constants_of_all_sizes(scene, seed, scale, fastest):
 
 @pytest.mark.parametrize("isa", instruction_sets())
 def test_instruction_sets_agree(scene, kernel, isa):
-    compiled, tables = compile_scene(scene), footprint_tables(scene)
-    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
-    constants = SETTINGS.of(tables.shape_class)
-    other = FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities))
+    other = _kernel_of(scene, isa)
     q, qd = _states(scene, 301, seed=1)
     np.testing.assert_allclose(other.probability(q, qd)[:, 0], kernel.probability(q, qd)[:, 0], atol=_P)
     x = np.concatenate([np.linspace(-700.0, 700.0, 4001), np.linspace(-1.0, 1.0, 999), [0.0, 5e-324, -5e-324]])
-    exponential, logarithm = kernels.core.elementary(x)
+    exponential, logarithm = other.kernels.core.elementary(x)
     np.testing.assert_allclose(exponential, np.exp(x), rtol=1e-13)
     np.testing.assert_allclose(logarithm, x, rtol=1e-13, atol=3e-16)
 
@@ -217,14 +222,6 @@ def test_gradient_is_the_finite_difference(name):
         q, qd = _states(scene, 40, seed=20 + k)
         q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
         _check_gradient(kernel, q, qd, severity)
-
-
-def _kernel_of(scene, isa):
-    compiled, tables = compile_scene(scene), footprint_tables(scene)
-    kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
-    contents = None if scene.contents is None else (spill_tables(scene), SpillSettings.shipped())
-    constants = SETTINGS.of(tables.shape_class)
-    return FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents)
 
 
 @pytest.mark.parametrize("name", gp.scenes())

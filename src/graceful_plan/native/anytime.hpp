@@ -147,11 +147,8 @@ class Anytime {
       searching_ = false;
       return offer(connect_.path(), source_);
     }
-    if (unpolished_) {
-      unpolished_ = false;
-      return offer(best_.q, kPolish);
-    }
-    source_ = scouts_ == 0 && descends_ && settings_.scouts ? kScoutLine : choose();
+    source_ = unpolished_ ? kPolish : scouts_ == 0 && descends_ && settings_.scouts ? kScoutLine : choose();
+    unpolished_ = false;
     if (source_ == kPolish) return offer(best_.q, kPolish);
     if (source_ == kDetour) return detour();
     if (source_ == kToolDetour) return tool_detour();

@@ -22,6 +22,11 @@ static inline Vec<D> cross(const Vec<D>& a, const Vec<D>& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
+// Where a noisy point may be within half sizes of a centre, given its place in their axes.
+template <class A> static inline auto may_be_within(const Point2& at, const A& a, const A& b, D inverse_scale) {
+  return ((absolute(at.x) - a) * inverse_scale < kTail) & ((absolute(at.y) - b) * inverse_scale < kTail);
+}
+
 // e^x, held at what is nothing in a probability.
 static inline D tail(D x) { return exponential(maximum(x, D{} - kHeld)); }
 static inline D odds(D x) { return tail(minimum(x, D{} + kHeld)); }
@@ -162,7 +167,7 @@ struct Passage {
 
     // Whether anything may happen to it at a place in a surface's axes, given half sizes.
     bool may_meet(const Point2& at, D a, D b) const {
-      return any(((absolute(at.x) - a) * inverse_scale < kTail) & ((absolute(at.y) - b) * inverse_scale < kTail) & above);
+      return any(may_be_within(at, a, b, inverse_scale) & above);
     }
   } part[kMaxDropParts];
 
@@ -360,7 +365,7 @@ struct Tumble {
   }
   // Whether anything may happen at a place in a surface's axes.
   bool may_meet(const Surface& s, const Point2& at) const {
-    return any(((absolute(at.x) - s.near[0]) * inverse_scale < kTail) & ((absolute(at.y) - s.near[1]) * inverse_scale < kTail));
+    return any(may_be_within(at, s.near[0], s.near[1], inverse_scale));
   }
   // G, if it is wanted, and whether it goes on.
   D hit(const DropTables& drop, const Surface& s, bool wanted) {

@@ -43,7 +43,7 @@ static void link_poses(const Tables& tables, const double* q, size_t n, double* 
   D qs[kMaxJoints];
   Frame<D> X_W[kMaxLinks];
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load<double>(tables, q, first, n, qs);
+    load(tables, q, first, n, qs);
     forward_kinematics(tables, qs, X_W);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
       for (int l = 0; l < tables.n_link; ++l) {
@@ -64,7 +64,7 @@ static void free_states(const Tables& tables, const double* q, size_t n, double 
   F qs[kMaxJoints];
   Frame<F> X_W[kMaxLinks];
   for (size_t first = 0; first < n; first += kLanes<float>) {
-    load<float>(tables, q, first, n, qs);
+    load(tables, q, first, n, qs);
     forward_kinematics(tables, qs, X_W);
     MaskF hit = collides<false>(tables, X_W, float(margin));
     for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) free[first + size_t(i)] = !hit[i];
@@ -97,7 +97,7 @@ static void clearance_gradients(const Tables& tables, const Nearest& pair, const
   D qs[kMaxJoints];
   Frame<D> X_W[kMaxLinks];
   for (int done = 0; done < kLanes<float> && first + size_t(done) < n; done += kLanes<double>) {
-    load<double>(tables, q, first + size_t(done), n, qs);
+    load(tables, q, first + size_t(done), n, qs);
     forward_kinematics(tables, qs, X_W);
     for (int i = 0; i < kLanes<double> && first + size_t(done + i) < n; ++i)
       clearance_gradient(tables, X_W, pair.a[done + i], pair.b[done + i], i, gradient + (first + size_t(done + i)) * size_t(tables.n_joint));
@@ -108,7 +108,7 @@ static void clearance(const Tables& tables, const double* q, size_t n, double* o
   F qs[kMaxJoints];
   Frame<F> X_W[kMaxLinks];
   for (size_t first = 0; first < n; first += kLanes<float>) {
-    load<float>(tables, q, first, n, qs);
+    load(tables, q, first, n, qs);
     forward_kinematics(tables, qs, X_W);
     const Nearest pair = nearest(tables, X_W);
     for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i)
@@ -122,7 +122,7 @@ static void interaction(const Tables& tables, const double* q, size_t n, double*
   Frame<D> X_W[kMaxLinks];
   const size_t stride = size_t(tables.n_component) * size_t(tables.n_entity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load<double>(tables, q, first, n, qs);
+    load(tables, q, first, n, qs);
     forward_kinematics(tables, qs, X_W);
     for_each_interaction(tables, X_W, Hazard(tables, nullptr), [&](int r, int e, D P) {
       for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
@@ -135,7 +135,7 @@ static void impact(const Tables& tables, const double* severity, const double* q
   D qs[kMaxJoints];
   const Hazard hazard(tables, severity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load<double>(tables, q, first, n, qs);
+    load(tables, q, first, n, qs);
     const D value = impact_of(tables, hazard, qs);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
   }
@@ -223,8 +223,8 @@ static void body(const Tables& tables, const BodyTables& body, const double* q, 
   ArmRoom* room = new ArmRoom(tables, body, nullptr);
   const size_t row = size_t(body.n_entity), mode_size = size_t(body.n_row) * row, state = size_t(2 * tables.n_joint + 2) * mode_size;
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load<double>(tables, q, first, n, qs);
-    load<double>(tables, qd, first, n, rates);
+    load(tables, q, first, n, qs);
+    load(tables, qd, first, n, rates);
     room->arm.begin(qs, rates, ahead, first, n);
     room->arm.fail(rates, nullptr, [&](int mode, int) {
       for (int r = 0; r < body.n_row; ++r)
@@ -243,8 +243,8 @@ static void body_impact(const Tables& tables, const BodyTables& body, const doub
   D qs[kMaxJoints], rates[kMaxJoints] = {};
   ArmRoom* room = new ArmRoom(tables, body, severity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load<double>(tables, q, first, n, qs);
-    if (qd) load<double>(tables, qd, first, n, rates);
+    load(tables, q, first, n, qs);
+    if (qd) load(tables, qd, first, n, rates);
     const D value = body_impact_of(room->arm, weight, qs, rates);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
   }
@@ -277,7 +277,7 @@ static void body_dynamics(const Tables& tables, const BodyTables& body, const do
   Frame<D> X_W[kMaxLinks];
   const size_t nq = size_t(tables.n_joint);
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load<double>(tables, q, first, n, qs);
+    load(tables, q, first, n, qs);
     forward_kinematics(tables, qs, X_W);
     mass_and_weight(tables, body, X_W, M, g);
     for (size_t i = 0; i < size_t(kLanes<double>) && first + i < n; ++i)

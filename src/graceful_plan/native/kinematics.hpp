@@ -37,18 +37,14 @@ template <class V> static inline void forward_kinematics(const Tables& tables, c
 }
 
 // Load up to W configurations; the lanes past the end repeat the last one.
-template <class T> static inline void load(const Tables& tables, const double* q, size_t first, size_t n, Lanes<T>* out) {
+template <class V> static inline void load(const Tables& tables, const double* q, size_t first, size_t n, V* out) {
+  using T = Scalar<V>;
+  Lanes<T> values[kMaxJoints];
   for (int i = 0; i < kLanes<T>; ++i) {
     const double* row = q + (first + size_t(i) < n ? first + size_t(i) : n - 1) * size_t(tables.n_joint);
-    for (int j = 0; j < tables.n_joint; ++j) out[j][i] = T(row[j]);
+    for (int j = 0; j < tables.n_joint; ++j) values[j][i] = T(row[j]);
   }
-}
-
-static inline void load(const Tables& tables, const double* q, size_t first, size_t n, D* out) { load<double>(tables, q, first, n, out); }
-static inline void load(const Tables& tables, const double* q, size_t first, size_t n, Single* out) {
-  F single[kMaxJoints];
-  load<float>(tables, q, first, n, single);
-  for (int j = 0; j < tables.n_joint; ++j) out[j] = Single(single[j]);
+  for (int j = 0; j < tables.n_joint; ++j) out[j] = V(values[j]);
 }
 
 template <class T> static inline void interpolate(const Tables& tables, const double* q0, const double* q1, Lanes<T> s, Lanes<T>* out) {

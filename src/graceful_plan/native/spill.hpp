@@ -34,14 +34,10 @@ struct Filling {
 
 // --- down the levels ------------------------------------------------------------------------------------------------
 
-static inline bool may_be_upon(const Point2& at, D a, D b, D inverse_scale) {
-  return any(((absolute(at.x) - a) * inverse_scale < kTail) & ((absolute(at.y) - b) * inverse_scale < kTail));
-}
-
 // P that a point is within half sizes of a surface's centre.
 static inline D upon(const Surface& s, D x, D y, D a, D b, D inverse_scale) {
   const Point2 at = placed(s, x, y);
-  if (!may_be_upon(at, a, b, inverse_scale)) return D{};
+  if (!any(may_be_within(at, a, b, inverse_scale))) return D{};
   Chance chance;
   chance.within(at.x, a, inverse_scale);
   chance.within(at.y, b, inverse_scale);

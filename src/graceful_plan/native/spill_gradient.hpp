@@ -20,7 +20,7 @@ struct Upon {
 
   Upon(const Surface& s, D at_x, D at_y, D a, D b, D scale) {
     const Point2 at = placed(s, at_x, at_y);
-    if (!may_be_upon(at, a, b, scale)) return;
+    if (!any(may_be_within(at, a, b, scale))) return;
     const Within along(at.x, a, scale), across(at.y, b, scale);
     value = along.value * across.value;
     back_turned(s, {along.x * across.value, along.value * across.x}, x, y);
