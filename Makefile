@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Wheels only: a source distribution would run its own, unpinned build.
 PINNED := $(PIP) install -q --require-hashes --only-binary :all:
-NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(wildcard src/graceful_plan/native/*)
+NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(shell find src/graceful_plan/core/native -type f)
 
 unexport PYTHONPATH
 
@@ -33,7 +33,7 @@ picture: $(VENV)/.package
 
 # The failures in the README; needs OpenGL, off-screen.
 sheet: $(VENV)/.package
-	$(BIN)/python -m failbench.contact_sheet docs/images/faults.png
+	$(BIN)/python -m failbench.pictures.contact_sheet docs/images/faults.png
 
 test: $(VENV)/.package $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile $(ARGS)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 import graceful_plan as gp
-from graceful_plan import _native
-from graceful_plan.compile import compile_scene
-from graceful_plan.kernels import Kernels, instruction_sets
+from graceful_plan.core import _native
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from graceful_plan.arrays import OBSTACLE_TYPES, RobotArrays, WorldArrays
+from graceful_plan.core.arrays import OBSTACLE_TYPES, RobotArrays, WorldArrays
 
 Array = np.ndarray
 

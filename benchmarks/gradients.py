@@ -10,9 +10,9 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import suite
 from benchmarks.clearance_twin import ClearanceTwin
-from graceful_plan.compile import compile_scene
+from graceful_plan.compare.problems.analytic import analytic_problems
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.planners.planner import DifferentiableObjective
-from graceful_plan.problems import analytic_problems
 
 Array = np.ndarray
 

@@ -27,11 +27,11 @@ if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
 from benchmarks import machine  # noqa: E402 - after the path to it is known
-from failbench.dataset import read_dataset  # noqa: E402
-from failbench.faults import faults, to_document  # noqa: E402
-from failbench.journal import Journal  # noqa: E402
-from failbench.sweep import JOURNAL  # noqa: E402
-from failbench.work import Motion, PlanSettings, Sweep  # noqa: E402
+from failbench.fault.registry import faults, to_document  # noqa: E402
+from failbench.sweeps.dataset import read_dataset  # noqa: E402
+from failbench.sweeps.journal import Journal  # noqa: E402
+from failbench.sweeps.sweep import JOURNAL  # noqa: E402
+from failbench.sweeps.work import Motion, PlanSettings, Sweep  # noqa: E402
 
 FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")
 """One of each category."""

@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper, moved to where ballistics takes the object: the least that speed and height can change.
 
 For each geom of an entity, the carried object's boxes are moved by the way that its centre of mass goes until the
-lowest of them is as low as that geom's top. Everything else is as printed: see `graceful_plan.reference_cost`.
+lowest of them is as low as that geom's top. Everything else is as printed: see `graceful_plan.judge.reference_cost`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 import graceful_plan as gp
 from graceful_plan.array_types import Float
-from graceful_plan.placement import Placement
+from graceful_plan.scene.placement import Placement
 
 Array = np.ndarray
 

@@ -7,8 +7,8 @@ import platform
 from pathlib import Path
 
 import graceful_plan as gp
-from graceful_plan.bench.machine import memory_gb, processor, version
-from graceful_plan.kernels import instruction_sets
+from graceful_plan.compare.runs.machine import memory_gb, processor, version
+from graceful_plan.core.kernels import instruction_sets
 
 PACKAGES = ("numpy", "mujoco", "ompl", "toppra", "mink", "scipy")
 

@@ -22,12 +22,12 @@ import numpy as np
 import yaml
 
 import graceful_plan as gp
-from graceful_plan.compile import compile_scene
-from graceful_plan.exact import state_contacts
-from graceful_plan.ik import solve_ik
-from graceful_plan.motion_problem import Obstacle, ProblemFile
+from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.judge.exact import state_contacts
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.ik import solve_ik
 
 Array = np.ndarray
 

@@ -26,11 +26,11 @@ import failbench  # noqa: E402 - after the path to it is known
 import graceful_plan as gp  # noqa: E402
 from benchmarks import machine, report  # noqa: E402
 from benchmarks.paper_cost import as_coded  # noqa: E402
-from failbench.faults import GripperFailure  # noqa: E402
-from failbench.sampling import draw  # noqa: E402
-from failbench.score import observed_impact  # noqa: E402
-from failbench.statistics import Estimate, estimate_difference, estimate_mean  # noqa: E402
-from failbench.validate import predicted_impact  # noqa: E402
+from failbench.basics.statistics import Estimate, estimate_difference, estimate_mean  # noqa: E402
+from failbench.fault.registry import GripperFailure  # noqa: E402
+from failbench.recording.score import observed_impact  # noqa: E402
+from failbench.rollouts.sampling import draw  # noqa: E402
+from failbench.validation import predicted_impact  # noqa: E402
 
 Array = np.ndarray
 

@@ -10,8 +10,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks.suite import task
+from graceful_plan.compare.problems.analytic import disc
 from graceful_plan.planners.planner import Budget
-from graceful_plan.problems import disc
 
 W = 1.0
 """Safety weight of every benchmark that does not say otherwise."""

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 import graceful_plan as gp
-from graceful_plan.elements import ObjectNote, TaskNote
+from graceful_plan.scene.elements import ObjectNote, TaskNote
 
 Array = np.ndarray
 

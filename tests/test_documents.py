@@ -11,7 +11,7 @@ from graceful_plan import documents
 from graceful_plan.exceptions import FormatError, NonFiniteError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.result import Check, CostBreakdown, PlanResult, PlanStatus, Verdict
-from graceful_plan.trajectory import Trajectory
+from graceful_plan.timing.trajectory import Trajectory
 
 NUMBERS = st.floats(-1e6, 1e6)
 

@@ -1,13 +1,13 @@
 """The examples run, and do what they say."""
 
 import importlib.util
-from pathlib import Path
 
 import pytest
+from places import ROOT
 
 import graceful_plan as gp
 
-_EXAMPLES = Path(__file__).parents[1] / "examples"
+_EXAMPLES = ROOT / "examples"
 
 
 def _load(name):

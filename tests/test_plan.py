@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.arguments import checked_objective, checked_planner, checked_seed, checked_time_limit
-from graceful_plan.exact import Judge, first_collision
-from graceful_plan.exceptions import NonFiniteError, PlanningFailed, SettingError, ShapeError, UnknownNameError
-from graceful_plan.reference_cost import reference_cost
+from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnknownNameError
+from graceful_plan.judge.exact import Judge, first_collision
+from graceful_plan.judge.reference_cost import reference_cost
+from graceful_plan.query.arguments import checked_objective, checked_planner, checked_seed, checked_time_limit
+from graceful_plan.result import PlanningFailed
 
 _NAMES = sorted(gp.PLANNERS)
 

@@ -8,72 +8,75 @@ import inspect
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from places import LIBRARY, ROOT
 
+import failbench
 import graceful_plan as gp
-from failbench import execution, plant, robot, world
-from graceful_plan import Explanation, ImpactMap, arrays, elements
+from failbench.simulated import execution, plant, robot, world
+from graceful_plan import Explanation, ImpactMap
+from graceful_plan.core import arrays
+from graceful_plan.scene import elements
 
-ROOT = Path(__file__).parents[1]
-LIBRARY = ROOT / "src" / "graceful_plan"
 FILES = sorted(LIBRARY.rglob("*.py"))
 HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
-LAYERS = (
-    {"kernels", "compile", "certified_clearance"},
-    {"costs", "checks", "explain", "impact_map", "risk", "harm_law", "sensitivity", "certificate", "symbolic"},
-    {"planners"},
-    {
-        "plan",
-        "prefer",
-        "search",
-        "finish",
-        "departure",
-        "ends",
-        "escape",
-        "arguments",
-        "problems",
-        "testing",
-        "optimise",
-        "motion_program",
-        "motion_rows",
-        "motion_charges",
-        "motion_check",
-        "roadmap",
-    },
-    {"front_archive", "front_descent", "front_refine", "front_search", "pareto_front", "front_file", "tuning"},
-    {"__init__"},
-    {"bench", "cli", "demo", "doctor", "tune_report", "viz"},
+BASICS = {"_version", "array_types", "exceptions", "path", "yaml_file"}
+"""Modules at the root that every room may use."""
+FLOORS = (
+    {"basics"},
+    {"scene"},
+    {"core", "timing"},
+    {"result"},
+    {"documents"},
+    {"costs"},
+    {"planners", "judge"},
+    {"analysis", "transcription"},
+    {"query"},
+    {"plan", "roadmap"},
+    {"tuning"},
+    {"viz"},
+    {"compare"},
+    {"graceful_plan"},
+    {"testing", "tools"},
 )
-"""From the bottom up; a module that is named nowhere lies below all of them, with the scene and the tables."""
+"""From the bottom up: a room uses rooms of lower floors, not its neighbours. "graceful_plan" is the package itself."""
+HARNESS_FLOORS = (
+    {"basics"},
+    {"simulated"},
+    {"fault"},
+    {"recording"},
+    {"rollouts"},
+    {"scenario", "report"},
+    {"validation"},
+    {"front_validation"},
+    {"sweeps", "calibrations", "pictures"},
+    {"failbench"},
+    {"testing", "cli"},
+)
+MOST_FILES = 15
+"""In a folder."""
 
 HEAVY = ("scipy", "toppra", "ompl", "mink", "casadi", "fcl", "matplotlib", "qpsolvers", "pyarrow", "ray", "PIL")
 
 
-def layer(module: str) -> int:
-    return next((i for i, names in enumerate(LAYERS, start=1) if module in names), 0)
+def module_name(file: Path) -> str:
+    """Name a module of either package: planners/trees/trrt.py is graceful_plan.planners.trees.trrt."""
+    root = LIBRARY if file.is_relative_to(LIBRARY) else HARNESS
+    return ".".join([root.name, *file.relative_to(root).with_suffix("").parts]).removesuffix(".__init__")
 
 
-def module_of(file: Path) -> str:
-    """Name a module by its place directly below the package: planners/prm.py is `planners`."""
-    return file.relative_to(LIBRARY).with_suffix("").parts[0]
+MODULES = {module_name(file): file for file in FILES + HARNESS_FILES}
 
 
 def imports(tree: ast.Module) -> Iterator[str]:
-    """Yield the full name of everything imported, but for types only."""
-    for_types = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for inner in ast.walk(node)
-    }
+    """Yield the full name of everything imported, for types and inside of functions too."""
     for node in ast.walk(tree):
-        if id(node) in for_types:
-            continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -81,36 +84,122 @@ def imports(tree: ast.Module) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def imported_modules(file: Path) -> set[str]:
-    """Name the modules below graceful_plan that a file imports; `__init__` stands for the package itself."""
+def imported_modules(name: str) -> set[str]:
+    """Name the modules of both packages that a module imports; a name in a module stands for the module."""
     found = set()
-    for name in imports(ast.parse(file.read_text())):
-        first, *rest = name.split(".")
-        if first == "graceful_plan":
-            inside = rest and ((LIBRARY / rest[0]).is_dir() or (LIBRARY / f"{rest[0]}.py").exists())
-            found.add(rest[0] if inside or rest[:1] == ["_native"] else "__init__")
-    return found
+    for full in imports(ast.parse(MODULES[name].read_text())):
+        parts = full.split(".")
+        known = [".".join(parts[:n]) for n in range(len(parts), 0, -1) if ".".join(parts[:n]) in MODULES]
+        found.update(known[:1])
+    return found - {name}
 
 
-def test_imports_point_downwards():
-    upwards = [
-        f"{file.relative_to(LIBRARY)} imports {name}"
-        for file in FILES
-        for name in imported_modules(file)
-        if name != module_of(file) and layer(name) > layer(module_of(file))
+IMPORTS = {name: imported_modules(name) for name in MODULES}
+
+
+def room(module: str) -> str:
+    """Name the room of a module, which may be a module itself."""
+    package, *rest = module.split(".")
+    return package if not rest else "basics" if rest[0] in BASICS and package == LIBRARY.name else rest[0]
+
+
+def above(package: str, floors: tuple[set[str], ...]) -> list[str]:
+    """List imports within a package that lead to a neighbour or upwards."""
+    floor = {name: i for i, names in enumerate(floors) for name in names}
+    return [
+        f"{module} imports {other}"
+        for module, others in IMPORTS.items()
+        for other in others
+        if module.split(".")[0] == other.split(".")[0] == package
+        and room(module) != room(other)
+        and floor[room(other)] >= floor[room(module)]
     ]
-    assert not upwards
 
 
-def test_layers_name_real_modules():
-    modules = {module_of(file) for file in FILES}
-    assert set().union(*LAYERS) <= modules
+def circles() -> list[set[str]]:
+    """Return groups of modules that import each other, directly or not (Tarjan's strong components)."""
+    order: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found = []
+
+    def visit(module: str) -> None:
+        order[module] = low[module] = len(order)
+        stack.append(module)
+        for other in IMPORTS[module]:
+            if other not in order:
+                visit(other)
+            if other in stack:
+                low[module] = min(low[module], low[other])
+        if low[module] == order[module]:
+            start = stack.index(module)
+            found.append(set(stack[start:]))
+            del stack[start:]
+
+    for module in MODULES:
+        if module not in order:
+            visit(module)
+    return [group for group in found if len(group) > 1]
 
 
-@pytest.mark.parametrize("judge", ["verify", "exact"])
-def test_the_judge_shares_nothing_with_the_planners(judge):
-    shared = imported_modules(LIBRARY / f"{judge}.py") & {"kernels", "compile", "planners", "plan", "_native"}
-    assert not shared
+@pytest.mark.parametrize(("package", "floors"), [("graceful_plan", FLOORS), ("failbench", HARNESS_FLOORS)])
+def test_rooms_use_lower_floors_only(package, floors):
+    assert not above(package, floors)
+
+
+@pytest.mark.parametrize(("package", "floors"), [("graceful_plan", FLOORS), ("failbench", HARNESS_FLOORS)])
+def test_every_module_is_on_a_floor_and_every_room_exists(package, floors):
+    rooms = {room(module) for module in MODULES if module.split(".")[0] == package}
+    named = [name for names in floors for name in names]
+    assert len(named) == len(set(named)) and rooms | {"basics"} == set(named) | {"basics"}
+
+
+def test_no_module_imports_itself_through_others():
+    assert circles() == []
+
+
+def test_circles_are_found(monkeypatch):
+    monkeypatch.setitem(IMPORTS, "graceful_plan.path", IMPORTS["graceful_plan.path"] | {"graceful_plan.result"})
+    assert any({"graceful_plan.path", "graceful_plan.result"} <= group for group in circles())
+
+
+def test_an_import_upwards_is_found(monkeypatch):
+    monkeypatch.setitem(IMPORTS, "graceful_plan.scene.roles", {"graceful_plan.core.compile"})
+    assert above("graceful_plan", FLOORS) == ["graceful_plan.scene.roles imports graceful_plan.core.compile"]
+
+
+@pytest.mark.parametrize(("root", "most"), [(LIBRARY, 12), (HARNESS, 8)], ids=["library", "harness"])
+def test_roots_are_small(root, most):
+    assert len(list(root.glob("*.py"))) <= most
+
+
+@pytest.mark.parametrize("tree", ["src", "sim", "tests"])
+def test_folders_are_small(tree):
+    files = [file for file in (ROOT / tree).rglob("*") if file.is_file() and "__pycache__" not in file.parts]
+    counted = Counter(file.parent for file in files)
+    assert {str(folder): n for folder, n in counted.items() if n > MOST_FILES} == {}
+
+
+def test_public_names_are_few_and_no_module_has_the_name_of_a_public_function():
+    assert len(gp.__all__) <= 60
+    functions = {
+        (package.__name__, name)
+        for package in (gp, failbench)
+        for name in package.__all__
+        if inspect.isfunction(getattr(package, name))
+    }
+    shared = {(m.split(".")[0], m.split(".")[-1]) for m in MODULES} & functions
+    assert shared == {("graceful_plan", "plan")}  # plan.py is where the story is told
+
+
+def test_the_judge_shares_nothing_with_the_planners():
+    judges = [module for module in MODULES if room(module) == "judge"]
+    seen, queue = set(judges), list(judges)
+    while queue:
+        new = IMPORTS[queue.pop()] - seen
+        seen |= new
+        queue += new
+    assert judges and not {room(module) for module in seen} & {"core", "costs", "planners", "plan", "query"}
 
 
 def test_library_never_imports_what_is_built_on_it():

@@ -10,10 +10,10 @@ import numpy as np
 import failbench
 import graceful_plan as gp
 from benchmarks import report, suite
-from failbench.faults import faults
-from failbench.sampling import make_jobs
-from failbench.score import energy_impact
-from failbench.validate import predicted_impact
+from failbench.fault.registry import faults
+from failbench.recording.score import energy_impact
+from failbench.rollouts.sampling import make_jobs
+from failbench.validation import predicted_impact
 from graceful_plan.costs.consequence import (
     BODY_ENERGY,
     BODY_SPREAD,

@@ -9,9 +9,9 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
-from graceful_plan.compile import compile_scene
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.kernels import COST_STEP
 
 TITLE = "Discretisation: halving the sub-steps of J"
 CHANGE_BELOW = 0.005

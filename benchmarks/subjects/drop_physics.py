@@ -13,10 +13,10 @@ import numpy as np
 import failbench
 import graceful_plan as gp
 from benchmarks import materials, report, suite
-from failbench.closeup import Closeup
-from failbench.execution import STATE
-from failbench.faults import GripperFailure
-from failbench.sampling import make_jobs
+from failbench.fault.registry import GripperFailure
+from failbench.recording.closeup import Closeup
+from failbench.rollouts.sampling import make_jobs
+from failbench.simulated.execution import STATE
 
 TITLE = "Drop physics: flight against ballistics, and how the shipped objects bounce, slide and roll"
 MEASURED = """\

@@ -10,10 +10,10 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import landing, report, suite, variants
-from failbench import skill
-from failbench.calibrate import scenes_of
-from failbench.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
-from graceful_plan.costs.interactions.footprint import Footprint
+from failbench.calibrations import skill
+from failbench.calibrations.calibrate import scenes_of
+from failbench.calibrations.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
+from graceful_plan.costs.models.mixture.mixture import Footprint
 
 Array = np.ndarray
 

@@ -13,8 +13,8 @@ import numpy as np
 import failbench
 from benchmarks import machine, report, suite
 from benchmarks.subjects.failbench_speed import prepared
-from failbench.faults import DEGREES, faults
-from failbench.sampling import make_jobs
+from failbench.fault.registry import DEGREES, faults
+from failbench.rollouts.sampling import make_jobs
 
 TITLE = "FailBench: ten thousand rollouts"
 MEASURED = """\

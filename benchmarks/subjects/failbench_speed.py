@@ -14,10 +14,11 @@ from mujoco.batch import Batch
 import failbench
 import graceful_plan as gp
 from benchmarks import report, suite
-from failbench.execution import CHECKPOINT
-from failbench.faults import GripperFailure, faults
-from failbench.recorder import Recorder
-from failbench.sampling import make_jobs
+from failbench.fault.registry import GripperFailure, faults
+from failbench.recording.recorder import Recorder
+from failbench.rollouts import rollout
+from failbench.rollouts.sampling import make_jobs
+from failbench.simulated.execution import CHECKPOINT
 
 TITLE = "FailBench: rollouts a second"
 MEASURED = """\
@@ -146,8 +147,10 @@ def _time(timing: Timing, count: int, do: Callable[[], object]) -> None:
     """Time one round, and keep it if it is the fastest so far."""
     parts = {"simulation": 0.0, "recorder": 0.0}
     with (
-        mock.patch("failbench.rollout.Batch", _told(Batch, ("rollout",), parts, "simulation")),
-        mock.patch("failbench.rollout.Recorder", _told(Recorder, ("__init__", "observe", "finish"), parts, "recorder")),
+        mock.patch(f"{rollout.__name__}.Batch", _told(Batch, ("rollout",), parts, "simulation")),
+        mock.patch(
+            "failbench.rollouts.rollout.Recorder", _told(Recorder, ("__init__", "observe", "finish"), parts, "recorder")
+        ),
     ):
         started = time.perf_counter()
         do()

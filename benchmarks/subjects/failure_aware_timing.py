@@ -12,10 +12,10 @@ import numpy as np
 import failbench
 import graceful_plan as gp
 from benchmarks import report, suite
-from failbench import skill
+from failbench.calibrations import skill
 from graceful_plan.array_types import Float
-from graceful_plan.failure_aware import ImpactOfStates, timed_cost
-from graceful_plan.finish import DEVIATIONS
+from graceful_plan.query.finish import DEVIATIONS
+from graceful_plan.timing.failure_aware import ImpactOfStates, timed_cost
 
 TITLE = "Failure-aware timing: harm of the same failures on the same paths"
 MEASURED = """\

@@ -9,13 +9,13 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite, variants
-from failbench import skill
-from failbench.calibrate import scenes_of
-from failbench.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
-from failbench.faults import faults
-from failbench.faults.fault import Fault
-from graceful_plan.costs.interactions.body import BodyModel, mode_names
-from graceful_plan.costs.interactions.body_tables import ROWS
+from failbench.calibrations import skill
+from failbench.calibrations.calibrate import scenes_of
+from failbench.calibrations.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
+from failbench.fault.fault import Fault
+from failbench.fault.registry import faults
+from graceful_plan.costs.models.body.body import BodyModel, mode_names
+from graceful_plan.costs.models.body.tables import ROWS
 
 Array = np.ndarray
 

@@ -10,10 +10,10 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
-from graceful_plan.compile import compile_scene
-from graceful_plan.escape import way_out
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.escape import way_out
 
 TITLE = "First path: plan(w=0) on every task"
 PLANNERS = ("anytime", "rrt_connect")

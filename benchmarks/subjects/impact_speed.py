@@ -9,9 +9,9 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
-from graceful_plan.costs.interactions.footprint_kernel import ROWS, footprint_kernel
-from graceful_plan.kernels import COST_STEP
+from graceful_plan.core.kernels import COST_STEP
+from graceful_plan.costs.models.drop.constants import FootprintSettings
+from graceful_plan.costs.models.drop.kernel import ROWS, footprint_kernel
 
 Array = np.ndarray
 

@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 
 from benchmarks import report, suite
-from graceful_plan.compile import CompiledScene, compile_scene
+from graceful_plan.core.compile import CompiledScene, compile_scene
+from graceful_plan.core.kernels import CHECK_STEP, COST_STEP, Kernels, instruction_sets
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.interactions.footprint_constants import FootprintSettings
-from graceful_plan.costs.interactions.footprint_kernel import ROWS, FootprintKernel
-from graceful_plan.costs.interactions.footprint_tables import footprint_tables
-from graceful_plan.kernels import CHECK_STEP, COST_STEP, Kernels, instruction_sets
-from graceful_plan.robots import robot_file
-from graceful_plan.scene import Scene
+from graceful_plan.costs.models.drop.constants import FootprintSettings
+from graceful_plan.costs.models.drop.kernel import ROWS, FootprintKernel
+from graceful_plan.costs.models.drop.tables import footprint_tables
+from graceful_plan.scene.loading.robot_models import robot_file
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 

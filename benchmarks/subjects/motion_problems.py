@@ -14,12 +14,12 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.motion_problems import KINDS, make, write
-from graceful_plan.compile import compile_scene
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.ends import ways_out
-from graceful_plan.goals import resolve_goal, resolve_start
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.ends import ways_out
+from graceful_plan.query.goals import resolve_goal, resolve_start
 
 Array = np.ndarray
 

@@ -10,9 +10,9 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from failbench.skill import Figures, brier, figures
-from graceful_plan.costs.interactions.footprint_tables import footprint_tables
-from graceful_plan.trajectory import State
+from failbench.calibrations.skill import Figures, brier, figures
+from graceful_plan.costs.models.drop.tables import footprint_tables
+from graceful_plan.timing.trajectory import State
 
 TITLE = "Moving entities: predicted against simulated hits of those who walk past"
 MEASURED = """\

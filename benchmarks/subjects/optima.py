@@ -9,8 +9,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems, disc, two_media
 from graceful_plan.planners.planner import Budget, path_total
-from graceful_plan.problems import AnalyticProblem, analytic_problems, disc, two_media
 
 TITLE = "Optima: J / J* on problems with a known optimum"
 FINER = 50

@@ -10,14 +10,14 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import gradients, planning, report, suite
 from benchmarks.subjects.first_path import problem_of
+from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.planners.optimiser import Optimiser
+from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.planner import Budget, Planner, path_total
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import Shortcut
-from graceful_plan.problems import analytic_problems
-from graceful_plan.search import is_solution
+from graceful_plan.query.search import is_solution
 
 Array = np.ndarray
 

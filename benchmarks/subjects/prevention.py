@@ -14,13 +14,13 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from failbench.errors import ExecutionRefused
-from failbench.failures import DROP
-from failbench.faults.fault import Fault
+from failbench.basics.errors import ExecutionRefused
+from failbench.calibrations.failures import DROP
+from failbench.fault.fault import Fault
 from failbench.report import ValidationReport
-from failbench.scenarios import usual_grasp
-from failbench.validate import chosen_faults, compare, validate
-from failbench.world import SimSettings
+from failbench.scenario import usual_grasp
+from failbench.simulated.world import SimSettings
+from failbench.validation import chosen_faults, compare, validate
 
 Array = np.ndarray
 

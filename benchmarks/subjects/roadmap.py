@@ -12,8 +12,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import known, report, suite
-from graceful_plan.kernels import COST_STEP
-from graceful_plan.planners.graph import Graph
+from graceful_plan.core.kernels import COST_STEP
+from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.roadmap.exposure import EXPOSURE_STEP, Exposure
 
 Array = np.ndarray

@@ -9,9 +9,9 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from graceful_plan.compile import compile_scene
-from graceful_plan.exact import Judge
-from graceful_plan.reference_cost import reference_probability
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.judge.exact import Judge
+from graceful_plan.judge.reference_cost import reference_probability
 
 Array = np.ndarray
 

@@ -13,8 +13,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import landing, report, suite, variants
-from failbench import skill
-from failbench.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
+from failbench.calibrations import skill
+from failbench.calibrations.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
 
 Array = np.ndarray
 

@@ -11,8 +11,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from graceful_plan.failure_aware import timed_cost
-from graceful_plan.symbolic import SymbolicRobot, symbolic_robot
+from graceful_plan.timing.failure_aware import timed_cost
+from graceful_plan.transcription.symbolic import SymbolicRobot, symbolic_robot
 
 TITLE = "Direct transcription: trajectories optimised as a whole, against TOPP-RA on the same path"
 MEASURED = """\

@@ -12,8 +12,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
-from graceful_plan.front_search import sweep_weights
-from graceful_plan.pareto_front import dominated_area, non_dominated
+from graceful_plan.tuning.points import dominated_area, non_dominated
+from graceful_plan.tuning.search import sweep_weights
 
 Array = np.ndarray
 

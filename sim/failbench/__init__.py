@@ -3,25 +3,25 @@
 It uses what is public in `graceful_plan`, which never imports it.
 """
 
-from failbench.dataset import Dataset, read_dataset
-from failbench.errors import ExecutionRefused
-from failbench.execution import Execution, execute
-from failbench.faults import faults
-from failbench.faults.fault import Fault
+from failbench.basics.errors import ExecutionRefused
+from failbench.basics.onset import AtFraction, AtTime, Uniform
+from failbench.basics.statistics import Estimate
+from failbench.fault.fault import Fault
+from failbench.fault.registry import faults
 from failbench.front_validation import FrontValidation, validate_front
-from failbench.onset import AtFraction, AtTime, Uniform
-from failbench.plant import Plant
-from failbench.records import ContactEvent, Job, Rollout
-from failbench.replay import replay
+from failbench.pictures.playback import replay
+from failbench.recording.records import ContactEvent, Job, Rollout
+from failbench.recording.score import energy_impact, observed_impact, secondary_impact
 from failbench.report import EntityReport, ValidationReport
-from failbench.rollout import run
-from failbench.scenarios import Scenario, scenarios
-from failbench.score import energy_impact, observed_impact, secondary_impact
-from failbench.single import steps
-from failbench.statistics import Estimate
-from failbench.sweep import generate, resume
-from failbench.validate import compare, validate
-from failbench.world import SimSettings, World, build_world
+from failbench.rollouts.rollout import run
+from failbench.rollouts.single import steps
+from failbench.scenario import Scenario, scenarios
+from failbench.simulated.execution import Execution, execute
+from failbench.simulated.plant import Plant
+from failbench.simulated.world import SimSettings, World, build_world
+from failbench.sweeps.dataset import Dataset, read_dataset
+from failbench.sweeps.sweep import generate, resume
+from failbench.validation import compare, validate
 
 __all__ = [
     "AtFraction",

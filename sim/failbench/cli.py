@@ -15,23 +15,23 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
-from failbench import summary
-from failbench.body_fit import BodyCalibration, calibrate_body
-from failbench.calibrate import Calibration
-from failbench.chunks import Rows
-from failbench.effects_fit import EffectsCalibration, calibrate_effects
-from failbench.errors import SweepFailed
-from failbench.executors import Executor, LocalExecutor
-from failbench.faults import to_document
-from failbench.footprint_fit import calibrate_footprint
+from failbench.basics.chunks import Rows
+from failbench.basics.errors import SweepFailed
+from failbench.calibrations.body_fit import BodyCalibration, calibrate_body
+from failbench.calibrations.calibrate import Calibration
+from failbench.calibrations.drop_fit import calibrate_footprint
+from failbench.calibrations.effects_fit import EffectsCalibration, calibrate_effects
+from failbench.calibrations.spill_fit import SpillCalibration, calibrate_spill
+from failbench.fault.registry import to_document
 from failbench.front_validation import validate_front
-from failbench.replay import replay
-from failbench.scenarios import scenarios, usual_grasp
-from failbench.spill_fit import SpillCalibration, calibrate_spill
-from failbench.sweep import JOURNAL, Generated, Progress, generate, read_sweep, resume, sweep_of
-from failbench.validate import validate
-from failbench.work import Motion, PlanSettings, Sweep, execution_of, jobs_of, run_chunk, scene_of
-from failbench.world import SimSettings
+from failbench.pictures.playback import replay
+from failbench.scenario import scenarios, usual_grasp
+from failbench.simulated.world import SimSettings
+from failbench.sweeps import summary
+from failbench.sweeps.executors import Executor, LocalExecutor
+from failbench.sweeps.sweep import JOURNAL, Generated, Progress, generate, read_sweep, resume, sweep_of
+from failbench.sweeps.work import Motion, PlanSettings, Sweep, execution_of, jobs_of, run_chunk, scene_of
+from failbench.validation import validate
 from graceful_plan import GracefulPlanError, PlanningFailed, SettingError, documents
 
 DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -356,7 +356,7 @@ def _sweep(args: argparse.Namespace) -> Sweep:
 def _executor(args: argparse.Namespace) -> Executor:
     if args.executor == "local":
         return LocalExecutor(workers=args.workers)
-    from failbench.ray_executor import RayExecutor
+    from failbench.sweeps.ray_executor import RayExecutor
 
     return RayExecutor(workers=args.workers)
 

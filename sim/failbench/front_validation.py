@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from failbench.errors import ExecutionRefused
+from failbench.basics.errors import ExecutionRefused
 from failbench.report import ValidationReport
-from failbench.validate import Scenarios, validate
-from failbench.world import SimSettings
+from failbench.simulated.world import SimSettings
+from failbench.validation import Scenarios, validate
 from graceful_plan import ParetoFront, Scene, SettingError, documents
 
 Array = np.ndarray

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from failbench.records import Job
-from failbench.statistics import Estimate
+from failbench.basics.statistics import Estimate
+from failbench.recording.records import Job
 from graceful_plan import documents
 from graceful_plan.array_types import Float
 

@@ -21,12 +21,12 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
-from failbench.execution import STATE, Execution, execute
-from failbench.faults import faults, from_document, to_document
-from failbench.faults.fault import CATEGORIES, DEGREES, Fault
-from failbench.injection import Injection
-from failbench.records import Job
-from failbench.world import build_world
+from failbench.fault.fault import CATEGORIES, DEGREES, Fault
+from failbench.fault.registry import faults, from_document, to_document
+from failbench.recording.records import Job
+from failbench.rollouts.injection import Injection
+from failbench.simulated.execution import STATE, Execution, execute
+from failbench.simulated.world import build_world
 from graceful_plan import GracefulPlanError, UnknownNameError, load_scene
 from graceful_plan.testing import ContractError
 

@@ -1,33 +1,33 @@
 """graceful_plan: motion planning that chooses paths along which a failure at any moment does little harm."""
 
 from graceful_plan._version import __version__
-from graceful_plan.arrays import HazardArrays, RobotArrays, WorldArrays
-from graceful_plan.certificate import certify
-from graceful_plan.checks import clearance, interaction_probability
+from graceful_plan.analysis.certificate import certify
+from graceful_plan.analysis.checks import clearance, interaction_probability
+from graceful_plan.analysis.explanation import Contribution, Explanation, explain
+from graceful_plan.analysis.impact_maps import ImpactMap, impact_map
+from graceful_plan.analysis.risk_measures import Risk, RiskMeasure, risk
+from graceful_plan.analysis.sensitivity import SeveritySensitivity, severity_sensitivity
+from graceful_plan.compare.problems.problem_files import ProblemFile, load_problems
+from graceful_plan.core.arrays import HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.costs.cost import Cost, StateBatch
+from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.interactions import BoxOverlap, Footprint, InteractionModel
+from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
-from graceful_plan.dynamics import RobotDynamics
-from graceful_plan.elements import AllowedContact, Dry, EntityNote, Limits, Liquid, Task
 from graceful_plan.exceptions import (
     CostError,
     GracefulPlanError,
     NonFiniteError,
-    PlanningFailed,
     SceneError,
     SettingError,
     ShapeError,
     UnknownNameError,
     UnsupportedError,
 )
-from graceful_plan.explain import Contribution, Explanation, explain
-from graceful_plan.fault_prior import FaultPrior
-from graceful_plan.fragility import FragilityTable
-from graceful_plan.impact_map import ImpactMap, impact_map
-from graceful_plan.moving import MovingEntity
-from graceful_plan.optimise import OptimisationStatus, OptimisedTrajectory, optimise_trajectory
+from graceful_plan.judge.verification import verify
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import (
@@ -48,19 +48,33 @@ from graceful_plan.planners import (
     RRTConnect,
     RRTStar,
 )
-from graceful_plan.pose_goal import PoseGoal
-from graceful_plan.problem_files import ProblemFile, load_problems
-from graceful_plan.result import Certificate, Check, CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
-from graceful_plan.retime import retime
-from graceful_plan.risk import Risk, RiskMeasure, risk
+from graceful_plan.result import (
+    Certificate,
+    Check,
+    CostBreakdown,
+    PlanningFailed,
+    PlanResult,
+    PlanStatus,
+    TracePoint,
+    Verdict,
+)
 from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
-from graceful_plan.scene import Scene
-from graceful_plan.scenes import load_scene, scenes
-from graceful_plan.sensitivity import SeveritySensitivity, severity_sensitivity
-from graceful_plan.severity import SeverityTable
-from graceful_plan.trajectory import Trajectory
-from graceful_plan.tuning import Choice, ChoiceStatus, ParetoFront, ParetoPoint, pareto
-from graceful_plan.verify import verify
+from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Limits, Liquid
+from graceful_plan.scene.harm.fragility import FragilityTable
+from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.loading.bundled import load_scene, scenes
+from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene, Task
+from graceful_plan.timing.dynamics import RobotDynamics
+from graceful_plan.timing.retiming import retime
+from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.transcription.trajectory_optimisation import (
+    OptimisationStatus,
+    OptimisedTrajectory,
+    optimise_trajectory,
+)
+from graceful_plan.tuning.fronts import Choice, ChoiceStatus, ParetoFront, ParetoPoint, pareto
 
 __all__ = [
     "PLANNERS",

@@ -12,7 +12,7 @@ from typing import Any
 from graceful_plan.exceptions import FormatError
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
-from graceful_plan.trajectory import Trajectory
+from graceful_plan.timing.trajectory import Trajectory
 
 _PATH_SCHEMA = {"schema": "graceful_plan.path", "version": 1}
 

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from graceful_plan.result import PlanResult
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -99,13 +95,3 @@ class CostError(GracefulPlanError, ValueError):
     def __init__(self, cost: object, problem: str) -> None:
         self.cost, self.problem = cost, problem
         super().__init__(f"{type(cost).__name__}: {problem}")
-
-
-class PlanningFailed(GracefulPlanError, RuntimeError):
-    """Raised by `PlanResult.unwrap` when there is no trajectory."""
-
-    def __init__(self, result: PlanResult) -> None:
-        self.result = result
-        super().__init__(
-            f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else "")
-        )

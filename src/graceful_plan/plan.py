@@ -8,7 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.arguments import (
+from graceful_plan.analysis.certificate import certificate_of
+from graceful_plan.analysis.risk_measures import RiskMeasure
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
+from graceful_plan.costs.cost import NonFiniteCostError
+from graceful_plan.costs.objective import Objective, SceneObjective
+from graceful_plan.path import Path
+from graceful_plan.planners import Planner
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.arguments import (
     FAILURE_AWARE,
     checked_cancelled,
     checked_objective,
@@ -19,25 +29,15 @@ from graceful_plan.arguments import (
     checked_time_limit,
     checked_wait,
 )
-from graceful_plan.certificate import certificate_of
-from graceful_plan.compile import compile_scene
-from graceful_plan.costs.cost import NonFiniteCostError
-from graceful_plan.costs.objective import Objective, SceneObjective
-from graceful_plan.departure import RESERVE, search_among_moving
-from graceful_plan.ends import Ends, ways_out
-from graceful_plan.finish import Finished, finish
-from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
-from graceful_plan.kernels import CHECK_STEP, FINE_STEP
-from graceful_plan.path import Path
-from graceful_plan.planners import Planner
-from graceful_plan.planners.planner import Budget
-from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.pose_goal import PoseGoal
-from graceful_plan.prefer import Preference
+from graceful_plan.query.departure import RESERVE, search_among_moving
+from graceful_plan.query.ends import Ends, ways_out
+from graceful_plan.query.finish import Finished, finish
+from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.query.prefer import Preference
+from graceful_plan.query.search import Callback, Search, search
 from graceful_plan.result import PlanResult, PlanStatus
-from graceful_plan.risk import RiskMeasure
-from graceful_plan.scene import Scene
-from graceful_plan.search import Callback, Search, search
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 

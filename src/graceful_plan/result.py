@@ -8,9 +8,9 @@ from enum import Enum
 
 import numpy as np
 
-from graceful_plan.exceptions import PlanningFailed
+from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.path import Path
-from graceful_plan.trajectory import Trajectory
+from graceful_plan.timing.trajectory import Trajectory
 
 
 class PlanStatus(Enum):
@@ -143,3 +143,13 @@ class PlanResult:
         if self.status is not PlanStatus.SOLVED or self.trajectory is None:
             raise PlanningFailed(self)
         return self.trajectory
+
+
+class PlanningFailed(GracefulPlanError, RuntimeError):
+    """Raised by `PlanResult.unwrap` when there is no trajectory."""
+
+    def __init__(self, result: PlanResult) -> None:
+        self.result = result
+        super().__init__(
+            f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else "")
+        )

@@ -10,8 +10,8 @@ from processes import all_end, children_of
 
 import graceful_plan as gp
 from failbench import cli
-from failbench.dataset import MANIFEST, read_dataset
-from failbench.sweep import JOURNAL
+from failbench.sweeps.dataset import MANIFEST, read_dataset
+from failbench.sweeps.sweep import JOURNAL
 
 DROP = "tabletop/lift_to_goal/gripper_failure/severe"
 QUICK = ("--iterations", "50", "--horizon", "0.04")

@@ -7,8 +7,8 @@ import pytest
 
 import graceful_plan as gp
 from failbench import Job, SimSettings, build_world, execute, run
-from failbench.faults import CATEGORIES, DEGREES, faults
-from failbench.scenarios import Scenario, _file, read_file, scenarios
+from failbench.fault.registry import CATEGORIES, DEGREES, faults
+from failbench.scenario import Scenario, _file, read_file, scenarios
 from graceful_plan import SceneError, UnknownNameError
 
 _ALL = scenarios()

@@ -14,10 +14,10 @@ import pytest
 
 import graceful_plan as gp
 from failbench import AtFraction, ContactEvent, Fault, Job, Rollout, Uniform
-from failbench.faults import GripperFailure, Noise, PowerLoss
+from failbench.fault.registry import GripperFailure, Noise, PowerLoss
 from failbench.report import ValidationReport
-from failbench.scenarios import scenarios
-from failbench.validate import chosen_faults, compare, predicted_impact, validate
+from failbench.scenario import scenarios
+from failbench.validation import chosen_faults, compare, predicted_impact, validate
 from graceful_plan import ImpactCost, Objective, PlanningFailed, PlanResult, PlanStatus, SettingError, UnknownNameError
 
 _EXACT = 1e-9
@@ -160,7 +160,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
                 for job in jobs
             ]
 
-        monkeypatch.setattr(sys.modules["failbench.validate"], "run", run)
+        monkeypatch.setattr(sys.modules["failbench.validation"], "run", run)
 
     return replace
 

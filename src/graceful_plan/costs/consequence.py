@@ -28,13 +28,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.interactions.footprint_drop import release
-from graceful_plan.costs.interactions.footprint_functions import part_reach
-from graceful_plan.costs.interactions.footprint_tables import FootprintTables, footprint_tables
-from graceful_plan.costs.interactions.interaction import InteractionModel
-from graceful_plan.costs.interactions.moving_footprint import MovingSettings
-from graceful_plan.fragility import Fragility, FragilityTable
-from graceful_plan.scene import Scene
+from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.costs.models.drop.drop import release
+from graceful_plan.costs.models.drop.functions import part_reach
+from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.moving.footprint import MovingSettings
+from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.compile import CompiledScene, compile_scene
+from graceful_plan.core.compile import CompiledScene, compile_scene
 from graceful_plan.exceptions import CostError, ShapeError
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 

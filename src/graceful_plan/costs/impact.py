@@ -10,17 +10,21 @@ from operator import add
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.consequence import Damage
 from graceful_plan.costs.cost import Cost, StateBatch
-from graceful_plan.costs.interactions import MODELS, BoxOverlap, InteractionModel
-from graceful_plan.elements import COMPONENTS
+from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.fragility import FragilityTable
-from graceful_plan.kernels import ImpactKernel
-from graceful_plan.scene import Scene
+from graceful_plan.scene.elements import COMPONENTS
+from graceful_plan.scene.harm.fragility import FragilityTable
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
+MODELS: dict[str, type[InteractionModel]] = {"aabb": BoxOverlap, "footprint": Footprint}
+"""Interaction models by the word that selects them in `ImpactCost(model=...)`."""
 CONSEQUENCES = ("contact", "energy")
 """Words for what counts in `ImpactCost(consequence=...)`."""
 OF_MODEL = ("those of the model",)
@@ -35,7 +39,7 @@ class ImpactCost(Cost):
     has neither gradient nor native kernel: planners fall back to NumPy and do far fewer iterations in the same time.
 
     Args:
-        model: An interaction model, or the word for one of `costs.interactions.MODELS`.
+        model: An interaction model, or the word for one of `MODELS`.
         components: Which parts of the robot count: "body", "carried", "contents"; by default those that the model
             says (`InteractionModel.components`); () for none. Those that a scene does not have contribute nothing.
         consequence: What P is about: "contact"; "energy", damage by the energy of the contact and the shipped table of

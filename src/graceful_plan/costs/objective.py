@@ -14,16 +14,16 @@ from functools import cached_property
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.compile import compile_scene
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import COST_STEP, ImpactKernel
 from graceful_plan.costs.cost import AHEAD, Cost, StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.kernels import COST_STEP, ImpactKernel
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown
-from graceful_plan.scene import Scene
-from graceful_plan.trajectory import Trajectory
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 

@@ -1,16 +1,16 @@
 """Planners: each a frozen settings object with one method, `solve`. `PLANNERS` lists them by name."""
 
-from graceful_plan.planners.anytime import Anytime
-from graceful_plan.planners.auto import Auto
-from graceful_plan.planners.bitrrt import BiTRRT
-from graceful_plan.planners.chomp import CHOMP
-from graceful_plan.planners.ompl import RRT, BITStar, InformedRRTStar, RRTStar
+from graceful_plan.planners.anytime.anytime import Anytime
+from graceful_plan.planners.anytime.auto import Auto
+from graceful_plan.planners.ompl.planners import RRT, BITStar, InformedRRTStar, RRTStar
+from graceful_plan.planners.optimisers.chomp import CHOMP
+from graceful_plan.planners.optimisers.ipopt import CasADi
+from graceful_plan.planners.optimisers.stomp import STOMP
 from graceful_plan.planners.planner import Planner
-from graceful_plan.planners.prm import PRM, PRMStar
-from graceful_plan.planners.rrt_connect import RRTConnect
-from graceful_plan.planners.stomp import STOMP
-from graceful_plan.planners.transcription import CasADi
-from graceful_plan.planners.trrt import TRRT
+from graceful_plan.planners.roadmaps.prm import PRM, PRMStar
+from graceful_plan.planners.trees.bitrrt import BiTRRT
+from graceful_plan.planners.trees.rrt_connect import RRTConnect
+from graceful_plan.planners.trees.trrt import TRRT
 
 _ALL = (
     Auto,

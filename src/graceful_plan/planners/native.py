@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan import _native
+from graceful_plan.core import _native
+from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import ShapeError
-from graceful_plan.kernels import COST_STEP, FINE_STEP
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.planners.questions import checked_costs
 from graceful_plan.planners.scene_problem import SceneProblem

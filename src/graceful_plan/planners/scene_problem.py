@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.kernels import CHECK_STEP, Kernels
+from graceful_plan.core.kernels import CHECK_STEP, Kernels
 from graceful_plan.planners.planner import Problem
 
 Array = np.ndarray

@@ -9,13 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.compile import compile_scene
-from graceful_plan.ends import Ends
-from graceful_plan.kernels import FINE_STEP
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.path import Path
-from graceful_plan.planners.edge_prices import Edges
-from graceful_plan.planners.graph import Graph
-from graceful_plan.planners.growth import nearest
+from graceful_plan.planners.roadmaps.edge_prices import Edges
+from graceful_plan.planners.roadmaps.graph import Graph
+from graceful_plan.planners.roadmaps.growth import nearest
+from graceful_plan.query.ends import Ends
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.ground import MARGIN
 

@@ -7,14 +7,14 @@ from itertools import product
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import EdgeSamples, Objective
 from graceful_plan.exceptions import SettingError
-from graceful_plan.kernels import COST_STEP
-from graceful_plan.planners.edge_prices import EdgePrices
+from graceful_plan.planners.roadmaps.edge_prices import EdgePrices
 from graceful_plan.result import CostBreakdown
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 

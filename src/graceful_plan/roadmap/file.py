@@ -18,7 +18,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import FormatError, GracefulPlanError
-from graceful_plan.planners.edge_prices import EdgePrices, Edges
+from graceful_plan.planners.roadmaps.edge_prices import EdgePrices, Edges
 from graceful_plan.roadmap.fingerprint import Fingerprint, differences
 
 Array = np.ndarray

@@ -16,11 +16,11 @@ import numpy as np
 
 from graceful_plan._version import __version__
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.interactions import Footprint
+from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError
-from graceful_plan.moving import MovingEntity
-from graceful_plan.scene import Scene
+from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 Fingerprint = dict[str, str]

@@ -8,15 +8,15 @@ from collections.abc import Iterable
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.compile import compile_scene
-from graceful_plan.ends import Ends, ways_out
-from graceful_plan.goals import Configuration, Goal, resolve_goal, resolve_start
-from graceful_plan.kernels import FINE_STEP
-from graceful_plan.planners.growth import Ground
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import FINE_STEP
+from graceful_plan.planners.roadmaps.growth import Ground
+from graceful_plan.query.ends import Ends, ways_out
+from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.roadmap.answers import QueryResult, QueryStatus
 from graceful_plan.roadmap.exposure import Exposure
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 Motion = tuple[Configuration, Goal]

@@ -8,17 +8,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from graceful_plan.compile import compile_scene
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.ends import Ends
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
-from graceful_plan.planners.auto import Auto
-from graceful_plan.planners.optimiser import Optimiser
+from graceful_plan.planners.anytime.auto import Auto
+from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.query.ends import Ends
 from graceful_plan.roadmap.roadmap import Roadmap
 
 Array = np.ndarray

@@ -10,30 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from graceful_plan.arguments import checked_objective, checked_seed, checked_time_limit
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import Objective
-from graceful_plan.ends import Ends
 from graceful_plan.exceptions import SettingError
-from graceful_plan.goals import Configuration, Goal
-from graceful_plan.planners.edge_prices import Edges
-from graceful_plan.planners.graph import non_dominated, spread_out
-from graceful_plan.planners.growth import Growth
+from graceful_plan.planners.roadmaps.edge_prices import Edges
+from graceful_plan.planners.roadmaps.graph import non_dominated, spread_out
+from graceful_plan.planners.roadmaps.growth import Growth
 from graceful_plan.planners.settings import count
+from graceful_plan.query.arguments import checked_objective, checked_seed, checked_time_limit
+from graceful_plan.query.ends import Ends
+from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.file import StaleRoadmapError, read, write
-from graceful_plan.roadmap.fingerprint import (
-    MOVING,
-    differences,
-    fingerprint,
-    same_but_for_severity,
-    scene_fingerprint,
-)
+from graceful_plan.roadmap.fingerprint import MOVING, differences, fingerprint, same_but_for_severity, scene_fingerprint
 from graceful_plan.roadmap.ground import Motion, declared_motions, find_ends, ground_of, usable_pairs
-from graceful_plan.scene import Scene
-from graceful_plan.severity import SeverityTable
+from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 Severity = SeverityTable | Mapping[str, float | Mapping[str, float]]

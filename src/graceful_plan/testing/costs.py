@@ -9,7 +9,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Cost, StateBatch, checked_state
 from graceful_plan.exceptions import GracefulPlanError
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
 from graceful_plan.testing.contract import ContractError
 
 Array = np.ndarray

@@ -10,10 +10,10 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.interactions.footprint import FALLING
+from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.costs.objective import MEAN_PACE, Objective, SceneObjective
 from graceful_plan.path import Path
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.drop import drop_impact
 from graceful_plan.viz.footprints import object_positions, outline, surface_points
 from graceful_plan.viz.outlines import draw_entities

@@ -9,7 +9,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.path import Path
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 

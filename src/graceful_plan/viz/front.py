@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.pareto_front import Choice, ParetoFront, ParetoPoint
+from graceful_plan.tuning.pareto_front import Choice, ParetoFront
+from graceful_plan.tuning.points import ParetoPoint
 from graceful_plan.viz.style import HALO, PATH_COLOURS, STYLE
 
 _LINE, _CHOSEN, _KNEE = PATH_COLOURS[1], PATH_COLOURS[3], PATH_COLOURS[2]

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.costs.interactions.footprint import FALLING
+from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.exceptions import SettingError
-from graceful_plan.pareto_front import Choice, ParetoFront, ParetoPoint
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
+from graceful_plan.tuning.pareto_front import Choice, ParetoFront
+from graceful_plan.tuning.points import ParetoPoint
 from graceful_plan.viz.footprints import object_positions, outline, surface_points
 
 Array = np.ndarray

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.costs.interactions.footprint import FALLING
-from graceful_plan.scene import Scene
+from graceful_plan.costs.models.mixture.mixture import FALLING
+from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.footprints import entity_outlines
 
 Array = np.ndarray

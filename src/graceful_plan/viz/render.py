@@ -13,7 +13,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float, UInt8
 from graceful_plan.path import Path
-from graceful_plan.scene import Scene
+from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.footprints import object_positions
 from graceful_plan.viz.style import PATH_COLOURS
 

@@ -1,0 +1,1 @@
+"""Constants of impact models, fitted to rollouts."""

@@ -1,0 +1,262 @@
+"""Fit the margins of the body model to failures, by maximum likelihood.
+
+How an arm moves when it fails is physics and is not fitted; how sure that is, is: an offset and a spread for each
+generator and row. Joints fail one at a time and it is known which one did, so each event came about in one way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path as FilePath
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+
+import graceful_plan as gp
+from failbench.calibrations.body_margins import REACH, FittedMargin, Touches, fit_touches
+from failbench.calibrations.calibrate import HEAD, VERSION, Progress, fetch, scenes_of
+from failbench.calibrations.failures import Failures
+from failbench.calibrations.skill import Figures
+from failbench.fault.fault import Fault
+from failbench.fault.registry import PowerLoss, faults
+from graceful_plan import Scene, SettingError, StateBatch
+from graceful_plan.array_types import Float
+from graceful_plan.costs.cost import AHEAD
+from graceful_plan.costs.models.body.body import FAR, BodyModel, mode_names
+from graceful_plan.costs.models.body.constants import GENERATORS, MOTION, BodySettings, Margin
+from graceful_plan.costs.models.body.tables import ROWS
+
+Array = np.ndarray
+
+SINGLE: Mapping[str, str] = {"complete_shutdown": "joint", "stuck_position": "stuck"}
+"""Faults of one joint, and the generators that are fitted to them."""
+WHOLE: Mapping[str, str] = {
+    "power_loss": "collapse",
+    **dict.fromkeys(("noise", "bias_drift", "control_delay", "dead_zone", "dropout"), "stray"),
+}
+"""Faults that do not strike one joint, and the generators that are fitted to them."""
+_DIGITS = 4
+_RESAMPLES = 100
+
+
+def feared(joints: Sequence[str]) -> list[Fault]:
+    """Return the faults that the model is fitted to; the gripper is self-locking, so that what is held stays held."""
+    known = faults()
+    single = [known[name](degree="severe", targets=(joint,)) for name in SINGLE for joint in joints]
+    whole = [known[name](degree="severe") for name in WHOLE if name != PowerLoss.NAME]
+    return [*single, PowerLoss(degree="severe", grip="kept"), *whole]
+
+
+# --- distances -------------------------------------------------------------------------------------------------------
+
+
+def wide(settings: BodySettings) -> BodySettings:
+    """Return settings whose margins do not cut any distance below `REACH`."""
+    margin = Margin(offset=0.0, spread=REACH / FAR)
+    return replace(settings, **{g: replace(getattr(settings, g), body=margin, carried=margin) for g in GENERATORS})
+
+
+def fit_distances(
+    settings: BodySettings, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
+) -> Float[Array, "n mode row entity"]:
+    """Return the distances of all ways to fail, up to `REACH`, that margins are fitted to."""
+    return BodyModel(wide(settings)).distances(batch, ahead)
+
+
+def touches(
+    settings: BodySettings, failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene]
+) -> dict[tuple[str, str], Touches]:
+    """Put distances beside what happened, by generator and row.
+
+    What is dropped in a collapse is left out of "carried": others tell where it falls.
+
+    Args:
+        settings: Constants of the motion and of what stops it; the step has to be that of `AHEAD`.
+        failures: Of any faults; those that are not fitted to are passed over. Each entry is one motion.
+        scenes: By name of the scene and the task, with the object attached.
+
+    Raises:
+        SettingError: If the step is another one.
+    """
+    if not np.isclose(settings.step, AHEAD[0]):
+        raise SettingError("step", settings.step, f"{AHEAD[0]:g} s, as the motion to come is known")
+    found: dict[tuple[str, str], list[Touches]] = {}
+    for motion, whole in enumerate(failures):
+        scene = scenes[whole.scene, whole.task]
+        modes = mode_names(scene)
+        told = {index: mode for index, label in enumerate(whole.faults) if (mode := _mode(label)) in modes}
+        part = whole.where(np.isin(whole.fault, list(told)))
+        if not len(part):
+            continue
+        batch = part.states(scene)
+        d = fit_distances(settings, batch, batch.ahead)
+        mode = np.array([modes.index(told[index]) for index in part.fault])
+        for name in {told[index].split("/")[0] for index in part.fault}:
+            mine = np.array([told[index].split("/")[0] == name for index in part.fault])
+            for row, component in enumerate(ROWS):
+                if component not in part.components:
+                    continue
+                held = ~part.dropped if (name, component) == ("collapse", "carried") else True
+                rows, of = np.flatnonzero(mine & held), part.components.index(component)
+                near, hit = d[rows, mode[rows], row][:, part.counted[of]], part.hit[rows, of][:, part.counted[of]]
+                n = near.size
+                here = Touches(near.ravel(), hit.ravel(), np.full(n, motion), np.full(n, part.scene))
+                found.setdefault((name, component), []).append(here)
+    return {key: Touches(*map(np.concatenate, zip(*parts, strict=True))) for key, parts in found.items()}
+
+
+def _mode(label: str) -> str | None:
+    """Return the name of the way to fail that a fault acts like, as in `mode_names`."""
+    name, *targets = label.split()
+    if name in SINGLE and len(targets) == 1:
+        return f"{SINGLE[name]}/{targets[0]}"
+    return WHOLE.get(name) if not targets else None
+
+
+# --- calibration -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyCalibration:
+    """Margins of the body model, and why they are what they are. Made by `calibrate_body`.
+
+    Args:
+        base: Constants of the motion, and of what stops it, which are not fitted.
+        margins: By generator and row; what had nothing to be fitted to keeps the margin of `base`.
+        provenance: Scenes, failures, seed, versions.
+    """
+
+    base: BodySettings
+    margins: Mapping[tuple[str, str], FittedMargin]
+    provenance: Mapping[str, Any]
+
+    def settings(self) -> BodySettings:
+        """Return the constants as the model's settings."""
+        fitted: dict[str, Any] = {g: getattr(self.base, g) for g in GENERATORS}
+        for (generator, row), found in self.margins.items():
+            fitted[generator] = replace(fitted[generator], **{row: found.margin})
+        return replace(self.base, **fitted)
+
+    def to_document(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        settings = self.settings()
+        named = {f"{generator}.{row}": found for (generator, row), found in self.margins.items()}
+        intervals = {
+            name: {of: [_rounded(x.low), _rounded(x.high)] for of, x in (("offset", m.offset), ("spread", m.spread))}
+            for name, m in named.items()
+        }
+        provenance = {
+            **self.provenance,
+            "fitted": {name: _figures(m.fitted) for name, m in named.items()},
+            "held_out": {name: _figures(m.held_out) for name, m in named.items() if m.held_out is not None},
+            "intervals": intervals,
+        }
+        margins = {name: _rounded_all(asdict(getattr(settings, name))) for name in GENERATORS}
+        motion = {name: getattr(settings, name) for name in MOTION}
+        return {"version": VERSION, "provenance": provenance, "motion": motion, "margins": margins}
+
+    def to_yaml(self) -> str:
+        """Return it as YAML text that `BodySettings.load` reads."""
+        return HEAD + yaml.safe_dump(self.to_document(), sort_keys=False, default_flow_style=None, width=120)
+
+    def __str__(self) -> str:
+        lines = [f"{'held-out scenes':<18} {'events':>8} {'hits':>6} {'skill':>6} {'AUC':>6} {'ECE':>6} {'ratio':>6}"]
+        for (generator, row), found in self.margins.items():
+            x = found.fitted if found.held_out is None else found.held_out
+            lines.append(
+                f"{f'{generator}, {row}':<18} {x.events:>8} {x.happened:>6} {x.brier_skill:>6.3f} {x.auc:>6.3f}"
+                f" {x.calibration_error:>6.3f} {x.ratio:>6.2f}"
+            )
+        return "\n".join(lines)
+
+
+def fit_body(
+    failures: Sequence[Failures],
+    scenes: Mapping[tuple[str, str], Scene] | None = None,
+    *,
+    base: BodySettings | None = None,
+    about: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    resamples: int | None = None,
+) -> BodyCalibration:
+    """Fit the margins to failures.
+
+    Args:
+        failures: Of the faults in `SINGLE`, each with its joint, and in `WHOLE`.
+        scenes: By name of the scene and the task; the bundled ones if None.
+        base: Constants that are not fitted; the shipped ones if None.
+        about: What else to put down: how the failures were made.
+        seed: Of the intervals.
+        resamples: For the intervals; 100 if None.
+    """
+    draws = _RESAMPLES if resamples is None else resamples
+    base = BodySettings.shipped() if base is None else base
+    events = touches(base, failures, scenes_of(failures, gp.load_scene) if scenes is None else scenes)
+    order = [(generator, row) for generator in GENERATORS for row in ROWS if (generator, row) in events]
+    told = [key for key in order if 0 < events[key].hit.sum() < len(events[key].hit)]
+    return BodyCalibration(
+        base=base,
+        margins={key: fit_touches(events[key], resamples=draws, seed=seed) for key in told},
+        provenance={
+            "model": "body",
+            "faults": [*SINGLE, *WHOLE],
+            "scenes": sorted({part.scene for part in failures}),
+            "motions": len(failures),
+            "failures": sum(len(part) for part in failures),
+            **(about or {}),
+            "seed": seed,
+            "versions": {"graceful_plan": gp.__version__, "mujoco": mujoco.__version__},
+        },
+    )
+
+
+def calibrate_body(
+    scenes: Sequence[str],
+    *,
+    n: int = 30,
+    repeats: int = 2,
+    seed: int = 0,
+    processes: int = 1,
+    drops: str | FilePath | None = None,
+    progress: Progress | None = None,
+) -> BodyCalibration:
+    """Let robots fail in bundled scenes, or take failures from a file, and calibrate with them.
+
+    Args:
+        scenes: Names of bundled scenes.
+        n: Failures along each motion.
+        repeats: Motions of each kind for each task.
+        seed: Of everything random.
+        processes: How many to let fail in; the fit is done in this one.
+        drops: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
+        progress: Called after each motion.
+
+    Raises:
+        UnknownNameError: If there is no such scene.
+        FormatError: If the file is there and holds something else.
+    """
+
+    def struck() -> list[Fault]:
+        return feared(gp.load_scene(scenes[0]).joints)
+
+    failures, without = fetch(
+        scenes, struck, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
+    )
+    about: dict[str, Any] = {"horizon": 1.0}
+    about |= {"failures_from": FilePath(str(drops)).name} if without is None else {"motions_without": without}
+    return fit_body(failures, about=about, seed=seed)
+
+
+def _figures(found: Figures) -> dict[str, Any]:
+    return {name: value if isinstance(value, int) else _rounded(value) for name, value in found._asdict().items()}
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def _rounded_all(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: _rounded_all(x) if isinstance(x, dict) else _rounded(x) for name, x in values.items()}

@@ -1,0 +1,125 @@
+"""The drop model `Footprint` as something whose constants can be fitted.
+
+Priors are what the constants would be taken to be without any drops: a gripper needs some hundredths of a second to let
+go and does not do it quite evenly; what falls off something moves by about its own size. Their spreads say how far off
+that may well be; drops decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from failbench.calibrations.calibrate import Calibration, Progress, calibrate, fetch
+from failbench.calibrations.failures import DROP
+from failbench.calibrations.fitting import Constant, Family, Fitted, Prior
+from graceful_plan import Scene, StateBatch
+from graceful_plan.array_types import Float
+from graceful_plan.costs.models.drop.constants import SHARED, FootprintConstants, FootprintSettings
+from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, footprint_tables
+from graceful_plan.costs.models.mixture.mixture import Footprint
+
+Array = np.ndarray
+
+
+_PRIORS: Mapping[str, Prior] = {
+    "delay": Prior(0.03, 0.02, 0.0, 0.2, "s"),
+    "velocity_spread": Prior(0.04, 0.5, 0.005, 0.3, "m/s"),
+    "height_spread": Prior(0.1, 0.05, 0.0, 1.0, "m/m"),
+    "carry_spread": Prior(0.1, 0.07, 0.0, 1.0, "s"),
+    "side_spread": Prior(0.5, 0.3, 0.0, 3.0, "size"),
+    "side_reach": Prior(0.0, 0.3, -1.5, 1.5, "size"),
+    "side_height": Prior(0.05, 0.5, 0.005, 0.3, "m"),
+    "catch": Prior(0.7, 0.2, 0.0, 1.0),
+    "leave_tilt": Prior(1.5, 0.7, -3.0, 6.0),
+    "position_spread": Prior(0.01, 0.4, 0.001, 0.1, "m"),
+    "size_spread": Prior(1.0, 0.4, 0.0, 4.0, "size"),
+    "tumble_reach": Prior(1.0, 0.4, -1.0, 4.0, "size"),
+    "catch_margin": Prior(-0.4, 0.3, -2.0, 1.0, "size"),
+    "leave": Prior(-0.3, 0.7, -5.0, 5.0),
+    "leave_offset": Prior(1.5, 0.6, -1.0, 6.0),
+    "leave_narrow": Prior(0.2, 0.4, -2.0, 3.0),
+    "leave_speed": Prior(1.2, 0.6, -2.0, 6.0, "s/m"),
+    "drift": Prior(1.0, 0.4, -1.0, 4.0, "size"),
+    "carry": Prior(0.08, 0.05, -0.5, 1.0, "s"),
+    "slide": Prior(0.1, 0.05, -0.5, 1.0, "s"),
+    "topple_reach": Prior(0.6, 0.3, -1.0, 3.0, "size"),
+}
+
+
+class _Prepared(NamedTuple):
+    scene: Scene
+    q: Float[Array, "n nq"]
+    direction: Float[Array, "n nq"]
+    speed: Float[Array, " n"]
+
+
+class FootprintFamily(Family):
+    """`Footprint`, one set of constants for each of `SHAPE_CLASSES`, some of them shared."""
+
+    constants = tuple(Constant(name=name, shared=name in SHARED, **prior._asdict()) for name, prior in _PRIORS.items())
+
+    def shape(self, scene: Scene) -> str:
+        """Return the shape class of the carried object."""
+        return SHAPE_CLASSES[footprint_tables(scene).shape_class]
+
+    def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> _Prepared:
+        """Return the states as a batch wants them."""
+        speed = np.linalg.norm(qd, axis=1)
+        return _Prepared(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+
+    def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
+        """Return what `Footprint` predicts for the carried object."""
+        constants = FootprintConstants(**values)
+        model = Footprint(settings=FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
+        found = model.probability(StateBatch(*prepared))
+        return found[:, list(prepared.scene.components).index("carried")]
+
+
+def calibrate_footprint(
+    scenes: Sequence[str],
+    *,
+    n: int = 30,
+    repeats: int = 2,
+    seed: int = 0,
+    processes: int = 1,
+    drops: str | FilePath | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Drop things in bundled scenes, or take drops from a file, and calibrate the drop model with them.
+
+    Args:
+        scenes: Names of bundled scenes, two at least.
+        n: Drops along each motion.
+        repeats: Motions of each kind for each task.
+        seed: Of everything random.
+        processes: How many to drop in; the fit is done in this one.
+        drops: File that the drops are kept in, or taken from if it is there. Then only those in `scenes` count.
+        progress: Called after each motion.
+
+    Raises:
+        UnknownNameError: If there is no such scene.
+        SettingError: If there is but one scene, or too little to drop.
+        FormatError: If the file is there and holds something else.
+    """
+    dropped, without = fetch(
+        scenes, lambda: DROP, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
+    )
+    about: dict[str, Any] = {"horizon": 1.0, "motions_without": without or []}
+    if without is None:
+        about["drops_from"] = FilePath(str(drops)).name
+    family = FootprintFamily()
+    return calibrate(family, dropped, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
+
+
+def settings_of(constants: Mapping[str, Mapping[str, Fitted]]) -> FootprintSettings:
+    """Return fitted constants as the model's settings."""
+    return FootprintSettings(
+        **{
+            shape: FootprintConstants(**{name: x.value for name, x in constants[shape].items()})
+            for shape in SHAPE_CLASSES
+        }
+    )

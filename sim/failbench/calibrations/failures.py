@@ -1,0 +1,396 @@
+"""What failures do, event by event: what models of them are fitted on and judged by.
+
+For each rollout: configuration and velocity at the onset, what failed, and for every entity whether the robot's body,
+the carried object or its contents touched it. What entities do to each other afterwards is not counted, nor what is
+touched in the healthy run.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+import graceful_plan as gp
+from failbench.basics.errors import ExecutionRefused
+from failbench.fault.end_effector import GripperFailure
+from failbench.fault.fault import Fault
+from failbench.recording.records import Rollout
+from failbench.rollouts.rollout import run
+from failbench.rollouts.sampling import make_jobs
+from failbench.simulated.execution import Execution, execute
+from failbench.simulated.world import SimSettings, build_world
+from graceful_plan import GracefulPlanError, Path, Scene, SettingError, StateBatch, Task, Trajectory
+from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.costs.cost import AHEAD
+from graceful_plan.costs.objective import moving_batch
+from graceful_plan.exceptions import FormatError
+
+Array = np.ndarray
+
+_SCHEMA, _VERSION = "failbench.failures", 1
+DROP: tuple[Fault, ...] = (GripperFailure(degree="critical"),)
+"""The gripper lets go at once."""
+_VIA_SPREAD = 0.35
+"""How far via points are from the straight way [rad], standard deviation of each joint."""
+_VIA_ROOM = 0.01
+"""Least clearance at a via point [m]."""
+_VIA_TRIES = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionKind:
+    """How a motion along which things fail is made.
+
+    Args:
+        way: A planner, or "via": over a random configuration near the straight way.
+        w: Safety weight of the planner; of none for "via".
+        speed: Fraction of the velocity limits.
+        iterations: Of the planner.
+    """
+
+    way: str
+    w: float = 0.0
+    speed: float = 0.5
+    iterations: int = 100
+
+    def __str__(self) -> str:
+        return f"{self.way}, w {self.w:g}, speed {self.speed:g}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Failures:
+    """The failures along one motion. Made by `fail_along`.
+
+    | field      | meaning                                                               | shape              |
+    | ---------- | --------------------------------------------------------------------- | ------------------ |
+    | scene      | name of the scene                                                     |                    |
+    | task       | name of the task, whose object is carried                             |                    |
+    | motion     | how the motion was made, if it is known                               |                    |
+    | grasp      | what held the object: "fingers" or "weld"                             |                    |
+    | components | names of the components, in the order of the scene                    | component          |
+    | entities   | names of the entities, in the order of the scene                      | entity             |
+    | categories | their classes                                                         | entity             |
+    | faults     | labels of the faults, see `fault_label`                               | fault              |
+    | counted    | whether the pair counts: not one that touches in the healthy run, too | component entity   |
+    | fault      | what failed, as an index into `faults`                                | n                  |
+    | q          | configuration at the onset [rad or m]                                 | n nq               |
+    | qd         | velocity there                                                        | n nq               |
+    | ahead      | where the robot was to be `AHEAD` later [rad or m]                    | n step nq          |
+    | hit        | whether the component touched the entity                              | n component entity |
+    | dropped    | whether the object left the gripper                                   | n                  |
+    | spilled    | lost part of the contents                                             | n                  |
+    | lost       | rollouts that diverged and are left out                               |                    |
+    """
+
+    scene: str
+    task: str
+    motion: str
+    grasp: str
+    components: tuple[str, ...]
+    entities: tuple[str, ...]
+    categories: tuple[str, ...]
+    faults: tuple[str, ...]
+    counted: Bool[Array, "component entity"]
+    fault: Int[Array, " n"]
+    q: Float[Array, "n nq"]
+    qd: Float[Array, "n nq"]
+    ahead: Float[Array, "n step nq"]
+    hit: Bool[Array, "n component entity"]
+    dropped: Bool[Array, " n"]
+    spilled: Float[Array, " n"]
+    lost: int = 0
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def states(self, scene: Scene) -> StateBatch:
+        """Return the states in which the robot failed, in the scene that it failed in."""
+        found = moving_batch(scene, self.q, self.qd)
+        return StateBatch(scene, self.q, found.direction, found.speed, ahead=self.ahead)
+
+    def only(self, faults: Iterable[str]) -> Failures:
+        """Return those that some faults caused, by the faults' labels."""
+        return self.where(np.isin(self.fault, [self.faults.index(name) for name in faults if name in self.faults]))
+
+    def where(self, rows: Bool[Array, " n"]) -> Failures:
+        """Return some of them."""
+        names = ("fault", "q", "qd", "ahead", "hit", "dropped", "spilled")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    def events(self, components: Sequence[str]) -> tuple[Bool[Array, "n entity"], Bool[Array, " entity"]]:
+        """Return which entities one of some components touched, and which of them count for none of these."""
+        rows = [self.components.index(name) for name in components]
+        return np.any(self.hit[:, rows], axis=1), np.all(self.counted[rows], axis=0)
+
+
+def fault_label(fault: Fault) -> str:
+    """Return what failures of a fault are called: its name, and what it strikes where that is given."""
+    return " ".join((fault.NAME, *fault.targets))
+
+
+def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
+    """Plan a motion for a task; None if none is found.
+
+    Args:
+        task: What to do.
+        kind: How.
+        seed: Of everything random; with iterations instead of time, it decides everything.
+    """
+    if kind.way != "via":
+        result = gp.plan(
+            task.start,
+            task.goal,
+            task.scene,
+            w=kind.w,
+            planner=kind.way,
+            iterations=kind.iterations,
+            seed=seed,
+            speed=kind.speed,
+        )
+        return result.trajectory
+    rng, scene = np.random.default_rng(seed), task.scene
+    for _ in range(_VIA_TRIES):
+        goal = task.goal[rng.integers(len(task.goal))]
+        via = _via(scene, task.start, goal, rng)
+        if via is None:
+            continue
+        try:
+            parts = [_planned(a, b, scene, kind, seed) for a, b in ((task.start, via), (via, goal))]
+            motion = gp.retime(Path(np.vstack(parts)), scene.limits, scene.joints, speed=kind.speed)
+        except GracefulPlanError:
+            continue
+        if gp.verify(motion, scene).passed:
+            return motion
+    return None
+
+
+def _planned(start: Array, goal: Array, scene: Scene, kind: MotionKind, seed: int) -> Float[Array, "point nq"]:
+    result = gp.plan(start, goal, scene, w=0.0, planner="rrt_connect", iterations=kind.iterations, seed=seed)
+    result.unwrap()
+    assert result.path is not None
+    return result.path.q
+
+
+def _via(scene: Scene, start: Array, goal: Array, rng: np.random.Generator) -> Float[Array, " nq"] | None:
+    low, high = scene.limits.position.T
+    near = start + rng.uniform(0.2, 0.8) * (goal - start) + rng.normal(scale=_VIA_SPREAD, size=len(start))
+    via = np.clip(near, low + 0.02, high - 0.02)
+    return via if gp.clearance(scene, via) >= _VIA_ROOM else None
+
+
+def fail_along(
+    motion: Trajectory,
+    scene: Scene,
+    faults: Sequence[Fault] = DROP,
+    *,
+    n: int,
+    seed: int = 0,
+    task: str = "",
+    horizon: float = 1.0,
+    threads: int = 1,
+) -> Failures:
+    """Let a robot fail many times along a motion, and tell what is hit.
+
+    The object is held by the fingers where they can, otherwise by a weld.
+
+    Args:
+        motion: What is carried out.
+        scene: Where, with the object attached if there is one.
+        faults: What fails, each under a label of its own; by default, the gripper lets go.
+        n: Number of failures, rounded up to a multiple of the number of faults.
+        seed: Of everything random.
+        task: Name of the task, for the record.
+        horizon: How long is simulated after the onset [s].
+        threads: Of the simulation; the result does not depend on it.
+
+    Raises:
+        ExecutionRefused: If the healthy robot cannot carry the motion out in either way.
+        SettingError: If nothing is carried, and nothing fails but the gripper.
+    """
+    if scene.carried is None and all(fault.NAME == GripperFailure.NAME for fault in faults):
+        raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
+    execution = _held(motion, scene)
+    jobs = make_jobs(faults, execution.duration, n=n, seed=seed)
+    rollouts = run(execution, jobs, horizon=horizon, threads=threads)
+    completed = [rollout for rollout in rollouts if rollout.status == "completed"]
+    # What a planner would know: where the motion is to be, not where the servos have brought the arm.
+    onset = motion.t[0] + np.array([rollout.onset for rollout in completed])
+    state = motion.at(onset)
+    names = tuple(dict.fromkeys(fault_label(fault) for fault in faults))
+    components, entities = tuple(scene.components), tuple(scene.entities)
+    return Failures(
+        scene=scene.name,
+        task=task,
+        motion="",
+        grasp=execution.world.settings.grasp,
+        components=components,
+        entities=entities,
+        categories=tuple(entity.category for entity in scene.entities.values()),
+        faults=names,
+        counted=np.array(
+            [[(part, name) not in execution.baseline for name in entities] for part in components], dtype=bool
+        ).reshape(len(components), len(entities)),
+        fault=np.array([names.index(fault_label(rollout.job.fault)) for rollout in completed], dtype=np.int64),
+        q=state.q,
+        qd=state.qd,
+        ahead=motion.at(onset[:, None] + AHEAD).q,
+        hit=_hits(completed, components, entities),
+        dropped=np.array([rollout.dropped for rollout in completed], dtype=bool),
+        spilled=np.array([rollout.spilled for rollout in completed], dtype=float),
+        lost=len(rollouts) - len(completed),
+    )
+
+
+def _held(motion: Trajectory, scene: Scene) -> Execution:
+    try:
+        return execute(motion, build_world(scene, SimSettings(grasp="fingers")))
+    except ExecutionRefused:
+        return execute(motion, build_world(scene, SimSettings(grasp="weld")))
+
+
+def _hits(
+    rollouts: Sequence[Rollout], components: tuple[str, ...], entities: tuple[str, ...]
+) -> Bool[Array, "n component entity"]:
+    hit = np.zeros((len(rollouts), len(components), len(entities)), dtype=bool)
+    row, column = ({name: i for i, name in enumerate(names)} for names in (components, entities))
+    for mine, rollout in zip(hit, rollouts, strict=True):
+        for event in rollout.events:
+            if not event.secondary:
+                mine[row[event.striker], column[event.entity]] = True
+    return hit
+
+
+# --- many ------------------------------------------------------------------------------------------------------------
+
+KINDS = (
+    MotionKind(way="rrt_connect", speed=0.6),
+    MotionKind(way="anytime", w=0.5, speed=0.4),
+    MotionKind(way="via", speed=0.3),
+    MotionKind(way="via", speed=0.7),
+    MotionKind(way="via", speed=1.0),
+)
+"""Motions along which a model of failures is fitted and judged: planned with regard for failures, without, and not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailureJob:
+    """The failures along one motion that is still to be made.
+
+    Args:
+        load: Loads a scene by name; a function of a module, so that other processes find it.
+        scene: Name of the scene.
+        task: Name of the task.
+        kind: How the motion is made.
+        faults: What fails.
+        n: Number of failures.
+        seed: Of everything random.
+        horizon: How long is simulated after each onset [s].
+    """
+
+    load: Callable[[str], Scene]
+    scene: str
+    task: str
+    kind: MotionKind
+    faults: tuple[Fault, ...]
+    n: int
+    seed: int
+    horizon: float = 1.0
+
+
+def failure_jobs(
+    load: Callable[[str], Scene],
+    scenes: Sequence[str],
+    faults: Sequence[Fault] = DROP,
+    *,
+    n: int,
+    seed: int = 0,
+    kinds: Sequence[MotionKind] = KINDS,
+    repeats: int = 1,
+    horizon: float = 1.0,
+) -> list[FailureJob]:
+    """Return jobs for every kind of motion on every task of some scenes that carries something.
+
+    Args:
+        load: Loads a scene by name.
+        scenes: Names of scenes.
+        faults: What fails.
+        n: Failures along each motion.
+        seed: Of everything random; each motion gets its own.
+        kinds: Of motions.
+        repeats: Motions of each kind.
+        horizon: How long is simulated after each onset [s].
+    """
+    tasks = [
+        (scene, name) for scene in scenes for name, task in load(scene).tasks.items() if task.object_name is not None
+    ]
+    todo = [(scene, task, kind) for scene, task in tasks for kind in kinds for _ in range(repeats)]
+    seeds = np.random.default_rng(seed).integers(2**31, size=len(todo))
+    return [
+        FailureJob(
+            load=load, scene=scene, task=task, kind=kind, faults=tuple(faults), n=n, seed=int(s), horizon=horizon
+        )
+        for (scene, task, kind), s in zip(todo, seeds, strict=True)
+    ]
+
+
+def do_job(job: FailureJob) -> Failures | str:
+    """Make the motion and fail along it; where that cannot be done, return why."""
+    task, about = job.load(job.scene).tasks[job.task], f"{job.scene}/{job.task}, {job.kind}"
+    motion = make_motion(task, job.kind, job.seed)
+    if motion is None:
+        return f"{about}: no motion"
+    try:
+        failures = fail_along(
+            motion, task.scene, job.faults, n=job.n, seed=job.seed, task=job.task, horizon=job.horizon
+        )
+    except ExecutionRefused as error:
+        return f"{about}: {error}"
+    return replace(failures, scene=job.scene, motion=str(job.kind))
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+_TEXTS = ("scene", "task", "motion", "grasp", "components", "entities", "categories", "faults", "lost")
+_ARRAYS = ("counted", "fault", "q", "qd", "ahead", "hit", "dropped", "spilled")
+
+
+def write_failures(file: str | FilePath, failures: Iterable[Failures]) -> None:
+    """Write failures into one compressed NumPy file."""
+    arrays: dict[str, Array] = {}
+    about: list[dict[str, Any]] = []
+    for i, part in enumerate(failures):
+        about.append({name: getattr(part, name) for name in _TEXTS})
+        arrays |= {f"{i}.{name}": getattr(part, name) for name in _ARRAYS}
+    document = {"schema": _SCHEMA, "version": _VERSION, "motions": about}
+    with FilePath(file).open("wb") as out:
+        np.savez_compressed(out, about=np.array(json.dumps(document)), **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def read_failures(file: str | FilePath) -> list[Failures]:
+    """Read what `write_failures` wrote.
+
+    Raises:
+        FormatError: If it is something else.
+    """
+    try:
+        with FilePath(file).open("rb") as source, np.load(source, allow_pickle=False) as data:
+            document = json.loads(str(data["about"]))
+            if (document["schema"], document["version"]) != (_SCHEMA, _VERSION):
+                raise FormatError(str(file), f"not {_SCHEMA} of version {_VERSION}")
+            return [
+                Failures(
+                    **{name: tuple(x) if isinstance(x, list) else x for name, x in about.items()},
+                    **{name: data[f"{i}.{name}"] for name in _ARRAYS},
+                )
+                for i, about in enumerate(document["motions"])
+            ]
+    except FormatError:
+        raise
+    except (ValueError, KeyError, TypeError, OSError, EOFError, BadZipFile) as error:
+        raise FormatError(str(file), f"no file of failures: {error}") from None

@@ -1,0 +1,346 @@
+"""Fit the constants of a model of failures to rollouts, by maximum likelihood, and say how sure they are.
+
+A model is a `Family`: named constants, and probabilities that depend on them. Events of one motion are alike and no
+model is true, so the likelihood is tempered: a prior weighs as if `trust` events told as much as one. Intervals draw
+whole motions.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from failbench.basics.statistics import check_confidence
+from failbench.calibrations.failures import Failures
+from failbench.calibrations.skill import SMALLEST
+from graceful_plan import Scene, SettingError
+from graceful_plan.array_types import Bool, Float, Int
+
+Array = np.ndarray
+
+_STEP = 1e-5
+"""Of finite differences, in units of a prior's spread."""
+_ENOUGH = 0.05
+"""An expected gain of the log-likelihood [nat] that is not worth another step."""
+_SHORTEST = 1e-3
+"""Least share of a step."""
+_FARTHEST = 4.0
+"""How many spreads a constant may be from its prior, within its own bounds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant:
+    """A number of a model that is fitted.
+
+    Args:
+        name: What it is called.
+        prior: What it is taken to be before anything is seen.
+        spread: How far from that it may well be, as a standard deviation: of its logarithm if it is positive by
+            nature, which is the case if `low` is.
+        low: Least value.
+        high: Greatest value.
+        unit: Of the value.
+        meaning: In words.
+        shared: Whether all shape classes have the same.
+    """
+
+    name: str
+    prior: float
+    spread: float
+    low: float = -np.inf
+    high: float = np.inf
+    unit: str = ""
+    meaning: str = ""
+    shared: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.prior <= self.high:
+            raise SettingError(f"prior of {self.name}", self.prior, f"between {self.low:g} and {self.high:g}")
+        if not 0.0 < self.spread < np.inf:
+            raise SettingError(f"spread of {self.name}", self.spread, "finite and above 0")
+
+    @property
+    def positive(self) -> bool:
+        """Whether it is fitted by its logarithm."""
+        return self.low > 0.0
+
+    def value(self, z: float, centre: float) -> float:
+        """Return the value that is `z` spreads from `centre`."""
+        found = centre * np.exp(z * self.spread) if self.positive else centre + z * self.spread
+        return float(np.clip(found, self.low, self.high))
+
+    def bounds(self, centre: float) -> tuple[float, float]:
+        """Return the least and the greatest number of spreads from `centre`."""
+        ends = [np.log(x / centre) if self.positive else x - centre for x in (self.low, self.high)]
+        return max(-_FARTHEST, float(ends[0] / self.spread)), min(_FARTHEST, float(ends[1] / self.spread))
+
+
+class Prior(NamedTuple):
+    """What a `Constant` is made of besides its name, for tables of many."""
+
+    prior: float
+    spread: float
+    low: float = -np.inf
+    high: float = np.inf
+    unit: str = ""
+
+
+class Family(ABC):
+    """A model of failures whose constants can be fitted."""
+
+    constants: tuple[Constant, ...]
+    """What is fitted: once if it is shared, otherwise for each shape class."""
+    faults: tuple[str, ...] = ("gripper_failure",)
+    """Names of the faults that the model is about."""
+    components: tuple[str, ...] = ("carried",)
+    """What strikes the entities in the events that it is fitted to; any of these."""
+
+    @abstractmethod
+    def shape(self, scene: Scene) -> str:
+        """Return the shape class of the carried object."""
+
+    @abstractmethod
+    def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Any:
+        """Return whatever of some states does not depend on the constants."""
+
+    @abstractmethod
+    def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
+        """Return P(one of the components hits the entity | one of the faults) for each of the states."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sample:
+    """All failures of one task, prepared.
+
+    | field    | meaning                                        | shape    |
+    |----------|------------------------------------------------|----------|
+    | scene    | name of the scene                              |          |
+    | task     | name of the task                               |          |
+    | shape    | shape class of what is dropped                 |          |
+    | prepared | what the family makes of the states            |          |
+    | hit      | what happened                                  | n entity |
+    | counted  | which of it counts                             | n entity |
+    | motion   | which motion each failure is of                   | n        |
+    """
+
+    scene: str
+    task: str
+    shape: str
+    prepared: Any
+    hit: Bool[Array, "n entity"]
+    counted: Bool[Array, "n entity"]
+    motion: Int[Array, " n"]
+
+
+class Fitted(NamedTuple):
+    """A constant that was fitted, with its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def samples_of(family: Family, failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene]) -> list[Sample]:
+    """Prepare those failures that a family is about.
+
+    Args:
+        family: Whose constants are to be fitted.
+        failures: What happened.
+        scenes: The scene of each scene's name and task's name, with the object attached.
+    """
+    groups: dict[tuple[str, str], list[tuple[int, Failures]]] = {}
+    for i, whole in enumerate(failures):
+        part = whole.only(family.faults)
+        if len(part) and not set(family.components).isdisjoint(part.components):
+            groups.setdefault((part.scene, part.task), []).append((i, part))
+    found = []
+    for (scene, task), members in groups.items():
+        where = scenes[scene, task]
+        parts = [part for _, part in members]
+        q, qd = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "qd"))
+        events = [part.events([c for c in family.components if c in part.components]) for part in parts]
+        found.append(
+            Sample(
+                scene=scene,
+                task=task,
+                shape=family.shape(where),
+                prepared=family.prepare(where, q, qd),
+                hit=np.concatenate([hit for hit, _ in events]),
+                counted=np.concatenate([np.tile(counted, (len(hit), 1)) for hit, counted in events]),
+                motion=np.repeat([i for i, _ in members], [len(part) for part in parts]),
+            )
+        )
+    return found
+
+
+def predictions(
+    family: Family, samples: Sequence[Sample], values: Mapping[str, Mapping[str, float]]
+) -> list[Float[Array, "n entity"]]:
+    """Return what a family predicts for samples, with the constants of each one's shape class."""
+    return [family.probability(values[sample.shape], sample.prepared) for sample in samples]
+
+
+class Layout(NamedTuple):
+    """Which constants of which shape classes are fitted, in the order of a vector of spreads from their centres."""
+
+    family: Family
+    slots: tuple[tuple[Constant, str | None], ...]
+    """None: of all shapes."""
+    centres: tuple[float, ...]
+
+    def values(self, z: Float[Array, " slot"], shape: str) -> dict[str, float]:
+        """Return the constants of a shape class."""
+        return {self.slots[i][0].name: self.value(i, float(z[i])) for i in self.columns(shape)}
+
+    def value(self, slot: int, z: float) -> float:
+        """Return one constant."""
+        return self.slots[slot][0].value(z, self.centres[slot])
+
+    def columns(self, shape: str) -> list[int]:
+        """Return the slots that matter to a shape class."""
+        return [i for i, (_, own) in enumerate(self.slots) if own in (None, shape)]
+
+    def bounds(self) -> Float[Array, "2 slot"]:
+        """Return least and greatest spreads."""
+        return np.array([c.bounds(x) for (c, _), x in zip(self.slots, self.centres, strict=True)]).T
+
+
+def fit(
+    family: Family,
+    samples: Sequence[Sample],
+    *,
+    trust: float = 25.0,
+    resamples: int = 500,
+    seed: int = 0,
+    confidence: float = 0.95,
+    iterations: int = 30,
+    shapes: Sequence[str] = (),
+) -> dict[str, dict[str, Fitted]]:
+    """Fit the constants: first for all shapes alike, then for each, with what fits all as its prior.
+
+    Args:
+        family: The model.
+        samples: What happened; see `samples_of`.
+        trust: How many events weigh as much as one independent one.
+        resamples: How often motions are drawn for the intervals.
+        seed: Of the draws.
+        confidence: Of the intervals.
+        iterations: Of the search, at most.
+        shapes: Shape classes that get constants even if nothing of the kind was dropped: those that fit all.
+
+    Returns:
+        Constants by shape class and name.
+    """
+    check_confidence(confidence)
+    if not samples:
+        raise SettingError("samples", 0, "at least one")
+    alike = Layout(family, tuple((c, None) for c in family.constants), tuple(c.prior for c in family.constants))
+    z = optimum(alike, samples, trust, iterations)
+    centre = {c.name: alike.value(i, float(z[i])) for i, c in enumerate(family.constants)}
+    dropped = sorted({sample.shape for sample in samples})
+    slots = [(c, None) for c in family.constants if c.shared]
+    slots += [(c, shape) for shape in dropped for c in family.constants if not c.shared]
+    apart = Layout(family, tuple(slots), tuple(centre[c.name] for c, _ in slots))
+    ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
+    fitted: list[dict[tuple[str, str | None], Fitted]] = []
+    for layout, best in ((alike, z), (apart, optimum(apart, samples, trust, iterations))):
+        low, high = np.quantile(_bootstrap(layout, samples, best, trust, resamples, seed), ends, axis=0)
+        numbers = [Fitted(*(layout.value(i, float(x[i])) for x in (best, low, high))) for i in range(len(best))]
+        fitted.append({(c.name, shape): x for (c, shape), x in zip(layout.slots, numbers, strict=True)})
+
+    def of(constant: Constant, shape: str) -> Fitted:
+        own = fitted[1].get((constant.name, None if constant.shared else shape))
+        return fitted[0][constant.name, None] if own is None else own
+
+    return {shape: {c.name: of(c, shape) for c in family.constants} for shape in sorted({*shapes, *dropped})}
+
+
+def optimum(layout: Layout, samples: Sequence[Sample], trust: float, iterations: int) -> Float[Array, " slot"]:
+    """Return where prior and tempered likelihood are greatest.
+
+    By Fisher's scoring within bounds: a quasi-Newton method needs several times as many gradients, which are finite
+    differences here.
+    """
+    low, high = layout.bounds()
+    z = np.zeros(len(low))
+    for _ in range(iterations):
+        here, gradient, fisher, _ = quadratic(layout, samples, z, trust)
+        free = ~((z <= low) & (gradient > 0.0) | (z >= high) & (gradient < 0.0))
+        step = np.zeros(len(z))
+        step[free] = -np.linalg.solve(fisher[np.ix_(free, free)], gradient[free])
+        gain, length = -float(gradient @ step), 1.0
+        if gain < 2.0 * _ENOUGH:
+            break
+        while length > _SHORTEST:
+            there = np.clip(z + length * step, low, high)
+            if loss(layout, samples, there, trust) < here - 1e-4 * length * gain:
+                break
+            length *= 0.5
+        else:
+            break
+        z = there
+    return z
+
+
+def _clipped(p: Float[Array, "n entity"]) -> Float[Array, "n entity"]:
+    return np.clip(p, SMALLEST, 1.0 - SMALLEST)
+
+
+def loss(layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float) -> float:
+    """Return the negative log-likelihood with that of the prior [nat]."""
+    found = 0.5 * trust * float(z @ z)
+    for sample in samples:
+        found += _surprise(_clipped(layout.family.probability(layout.values(z, sample.shape), sample.prepared)), sample)
+    return found
+
+
+def _surprise(p: Float[Array, "n entity"], sample: Sample) -> float:
+    return float(-np.log(np.where(sample.hit, p, 1.0 - p))[sample.counted].sum())
+
+
+def quadratic(
+    layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float
+) -> tuple[float, Float[Array, " slot"], Float[Array, "slot slot"], dict[int, Float[Array, " slot"]]]:
+    """Return the loss, its gradient, Fisher's information with the prior's, and each motion's share in the gradient."""
+    here, fisher = 0.5 * trust * float(z @ z), trust * np.eye(len(z))
+    shares: dict[int, Float[Array, " slot"]] = {}
+    for sample in samples:
+        columns = layout.columns(sample.shape)
+        p, slopes = _slopes(layout, sample, z, columns)
+        here += _surprise(p, sample)
+        weight = np.where(sample.counted, 1.0 / (p * (1.0 - p)), 0.0)
+        each = np.einsum("ne,cne->nc", weight * (p - sample.hit), slopes)
+        fisher[np.ix_(columns, columns)] += np.einsum("ane,bne,ne->ab", slopes, slopes, weight, optimize=True)
+        for motion in np.unique(sample.motion).tolist():
+            share = shares.setdefault(motion, np.zeros(len(z)))
+            share[columns] += each[sample.motion == motion].sum(axis=0)
+    return here, trust * z + np.sum(list(shares.values()), axis=0), fisher, shares
+
+
+def _slopes(
+    layout: Layout, sample: Sample, z: Float[Array, " slot"], columns: Sequence[int]
+) -> tuple[Float[Array, "n entity"], Float[Array, "column n entity"]]:
+    """Return probabilities and their derivatives with respect to the constants, in spreads."""
+
+    def at(point: Float[Array, " slot"]) -> Float[Array, "n entity"]:
+        return _clipped(layout.family.probability(layout.values(point, sample.shape), sample.prepared))
+
+    here, axes = at(z), _STEP * np.eye(len(z))
+    return here, np.stack([(at(z + axes[i]) - here) / _STEP for i in columns])
+
+
+def _bootstrap(
+    layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float, resamples: int, seed: int
+) -> Float[Array, "resample slot"]:
+    """Draw whole motions with replacement, and take one Newton step from the optimum to that of each draw."""
+    _, _, fisher, shares = quadratic(layout, samples, z, trust)
+    pushes = np.array(list(shares.values()))
+    n = len(pushes)
+    drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=resamples)
+    # Less that of all motions once, which the prior balances but for what bounds hold back.
+    steps = np.linalg.solve(fisher, ((drawn - 1.0) @ pushes).T).T
+    return np.clip(z - steps, *layout.bounds())

@@ -1,0 +1,302 @@
+"""How good predicted probabilities are, given what happened: scores, calibration, ranking, and their uncertainty.
+
+Per event: Brier score with its decomposition, logarithmic loss, area under the ROC curve, calibration error and
+reliability curve. Per trajectory: rank correlations. Events of one motion are alike, so intervals draw whole motions.
+
+References:
+    [Brier1950] Verification of forecasts expressed in terms of probability.
+    [Murphy1973] A new vector partition of the probability score.
+    [Stephenson2008] Two extra components in the Brier score decomposition.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from failbench.basics.statistics import Estimate, check_confidence, cluster_bootstrap
+from graceful_plan import SettingError, ShapeError
+from graceful_plan.array_types import Float, Int
+from graceful_plan.path import finite_array
+
+Array = np.ndarray
+
+SMALLEST = 1e-4
+"""Probabilities nearer to 0 or 1 than this count as this near in the logarithmic loss, which knows no certainty."""
+
+
+class BrierParts(NamedTuple):
+    """The Brier score, taken apart by bins of the prediction.
+
+    score = reliability - resolution + uncertainty + within, exactly.
+    """
+
+    score: float
+    reliability: float
+    """How far the bins' frequencies are from what was predicted; 0 is best."""
+    resolution: float
+    """How far they are from the base rate; the greater the better."""
+    uncertainty: float
+    """Score of the base rate, which always predicts the same."""
+    within: float
+    """What predictions differ, and rightly or wrongly so, within the bins."""
+
+
+class Reliability(NamedTuple):
+    """A reliability curve: bins of events in the order of their predicted probability."""
+
+    predicted: Float[Array, " bin"]
+    """Mean prediction of each bin."""
+    observed: Float[Array, " bin"]
+    """How often it happened."""
+    low: Float[Array, " bin"]
+    """Lower end of the band."""
+    high: Float[Array, " bin"]
+    """Upper end of the band."""
+    events: Int[Array, " bin"]
+    """How many."""
+
+
+class Figures(NamedTuple):
+    """How good predicted probabilities are, at a glance."""
+
+    events: int
+    """How many."""
+    happened: int
+    """How many of them did."""
+    brier_skill: float
+    """Over the base rate."""
+    auc: float
+    """Area under the ROC curve."""
+    calibration_error: float
+    """By bins of equal counts."""
+    ratio: float
+    """Predicted over observed."""
+    log_loss: float
+    """Mean [nat]."""
+
+
+def figures(predicted: ArrayLike, happened: ArrayLike, bins: int = 10) -> Figures:
+    """Judge predicted probabilities."""
+    p, y = _events(predicted, happened)
+    return Figures(
+        events=len(y),
+        happened=int(y.sum()),
+        brier_skill=brier_skill(p, y),
+        auc=auc(p, y),
+        calibration_error=calibration_error(p, y, bins),
+        ratio=predicted_ratio(p, y),
+        log_loss=log_loss(p, y),
+    )
+
+
+def brier(predicted: ArrayLike, happened: ArrayLike) -> float:
+    """Return the mean squared difference of predicted probability and outcome; 0 is best."""
+    p, y = _events(predicted, happened)
+    return float(np.mean((p - y) ** 2))
+
+
+def brier_skill(predicted: ArrayLike, happened: ArrayLike) -> float:
+    """Return 1 - (Brier score) / (that of the base rate): 1 is perfect, 0 is as good as the base rate.
+
+    NaN where everything happened, or nothing.
+    """
+    p, y = _events(predicted, happened)
+    base = y.mean()
+    return float(1.0 - np.mean((p - y) ** 2) / (base * (1.0 - base))) if 0.0 < base < 1.0 else math.nan
+
+
+def brier_parts(predicted: ArrayLike, happened: ArrayLike, bins: int = 10) -> BrierParts:
+    """Take the Brier score apart by bins of equal counts."""
+    p, y = _events(predicted, happened)
+    base, n = y.mean(), len(y)
+    reliability = resolution = within = 0.0
+    for members in _bins(p, bins):
+        mean, rate = p[members].mean(), y[members].mean()
+        reliability += len(members) / n * (mean - rate) ** 2
+        resolution += len(members) / n * (rate - base) ** 2
+        off = p[members] - mean
+        within += float(off @ off - 2.0 * off @ (y[members] - rate)) / n
+    score = float(np.mean((p - y) ** 2))
+    return BrierParts(score, float(reliability), float(resolution), float(base * (1.0 - base)), within)
+
+
+def log_loss(predicted: ArrayLike, happened: ArrayLike) -> float:
+    """Return the mean negative logarithm of what was predicted for what happened [nat]; see `SMALLEST`."""
+    p, y = _events(predicted, happened)
+    p = np.clip(p, SMALLEST, 1.0 - SMALLEST)
+    return float(-np.mean(np.where(y > 0.0, np.log(p), np.log1p(-p))))
+
+
+def auc(predicted: ArrayLike, happened: ArrayLike) -> float:
+    """Return the probability that an event that happened was predicted likelier than one that did not; ties count half.
+
+    NaN where everything happened, or nothing.
+    """
+    from scipy.stats import rankdata
+
+    p, y = _events(predicted, happened)
+    hits = int(np.count_nonzero(y))
+    misses = len(y) - hits
+    if hits == 0 or misses == 0:
+        return math.nan
+    return float((rankdata(p)[y > 0.0].sum() - 0.5 * hits * (hits + 1)) / (hits * misses))
+
+
+def calibration_error(predicted: ArrayLike, happened: ArrayLike, bins: int = 10) -> float:
+    """Return the mean distance of predicted probability and observed frequency, by bins of equal counts (ECE)."""
+    p, y = _events(predicted, happened)
+    return float(sum(len(m) * abs(p[m].mean() - y[m].mean()) for m in _bins(p, bins)) / len(p))
+
+
+def predicted_ratio(predicted: ArrayLike, happened: ArrayLike) -> float:
+    """Return how many events were predicted for each that happened; NaN if none did."""
+    p, y = _events(predicted, happened)
+    return float(p.sum() / y.sum()) if y.any() else math.nan
+
+
+def reliability(
+    predicted: ArrayLike,
+    happened: ArrayLike,
+    clusters: ArrayLike,
+    *,
+    bins: int = 10,
+    by_hits: bool = False,
+    resamples: int = 1000,
+    seed: int = 0,
+    confidence: float = 0.95,
+) -> Reliability:
+    """Compute the reliability curve with bootstrap bands.
+
+    Args:
+        predicted: Probabilities.
+        happened: Outcomes.
+        clusters: Which motion each event is of; whole motions are drawn with replacement.
+        bins: How many, of equal counts.
+        by_hits: Whether equally many hits are predicted in each bin, instead of equally many events: most events are
+            all but impossible, and bins of equal counts tell little about those that are not.
+        resamples: How often to draw.
+        seed: Of the draws.
+        confidence: Of each bin's band.
+    """
+    check_confidence(confidence)
+    p, y = _events(predicted, happened)
+    members = _clusters(clusters, len(p))
+    parts = _bins_of_hits(p, bins) if by_hits else _bins(p, bins)
+    shape = (len(parts), int(members.max()) + 1)
+    hits, counts = np.zeros(shape), np.zeros(shape)
+    for i, part in enumerate(parts):
+        hits[i] = np.bincount(members[part], weights=y[part], minlength=shape[1])
+        counts[i] = np.bincount(members[part], minlength=shape[1])
+    # How often each cluster is drawn; a bin none of whose clusters is drawn says nothing in that resample.
+    drawn = np.random.default_rng(seed).multinomial(shape[1], np.full(shape[1], 1.0 / shape[1]), size=resamples)
+    totals = counts @ drawn.T
+    rates = np.divide(hits @ drawn.T, totals, out=np.full(totals.shape, np.nan), where=totals > 0.0)
+    low, high = np.nanquantile(rates, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence], axis=1)
+    observed = hits.sum(axis=1) / counts.sum(axis=1)
+    return Reliability(np.array([p[m].mean() for m in parts]), observed, low, high, counts.sum(axis=1).astype(int))
+
+
+def spearman(predicted: ArrayLike, observed: ArrayLike) -> float:
+    """Return Spearman's rank correlation, ties sharing their ranks; NaN if all of either are alike."""
+    from scipy.stats import rankdata
+
+    a, b = (rankdata(finite_array(name, x, ndim=1)) for name, x in (("predicted", predicted), ("observed", observed)))
+    _check_pairs(a, b)
+    a, b = a - a.mean(), b - b.mean()
+    scale = math.sqrt(float(a @ a) * float(b @ b))
+    return float(a @ b) / scale if scale else math.nan
+
+
+def kendall(predicted: ArrayLike, observed: ArrayLike) -> float:
+    """Return Kendall's tau-b, which is corrected for ties; NaN if all of either are alike."""
+    from scipy.stats import kendalltau
+
+    a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
+    _check_pairs(a, b)
+    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return math.nan
+    return float(np.asarray(kendalltau(a, b))[0])
+
+
+def slope(predicted: ArrayLike, observed: ArrayLike) -> float:
+    """Return the slope of the least-squares line of what was observed over what was predicted; NaN if that is alike."""
+    a, b = finite_array("predicted", predicted, ndim=1), finite_array("observed", observed, ndim=1)
+    _check_pairs(a, b)
+    a = a - a.mean()
+    return float(a @ b / (a @ a)) if a.any() else math.nan
+
+
+def bootstrap(
+    statistic: Callable[[Array, Array], float],
+    predicted: ArrayLike,
+    observed: ArrayLike,
+    clusters: ArrayLike | None = None,
+    *,
+    resamples: int = 1000,
+    seed: int = 0,
+    confidence: float = 0.95,
+) -> Estimate:
+    """Estimate any of these figures with its percentile interval.
+
+    Args:
+        statistic: Of (predicted, observed).
+        predicted: What was predicted.
+        observed: What happened.
+        clusters: Which motion each belongs to, and whole motions are drawn; None if each stands for itself.
+        resamples: How often to draw. Resamples where the figure is NaN are left out.
+        seed: Of the draws.
+        confidence: Probability that the interval covers the truth.
+    """
+    a, b = np.asarray(predicted, dtype=float), np.asarray(observed, dtype=float)
+    _check_pairs(a, b)
+    return cluster_bootstrap(
+        np.column_stack([a, b]),
+        np.arange(len(a)) if clusters is None else clusters,
+        lambda pairs: statistic(pairs[:, 0], pairs[:, 1]),
+        resamples=resamples,
+        seed=seed,
+        confidence=confidence,
+    )
+
+
+def _bins(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"]]:
+    if not 1 <= bins <= len(p):
+        raise SettingError("bins", bins, f"between 1 and the number of events, {len(p)}")
+    return np.array_split(np.argsort(p, kind="stable"), bins)
+
+
+def _bins_of_hits(p: Float[Array, " n"], bins: int) -> list[Int[Array, " member"]]:
+    order = np.argsort(p, kind="stable")
+    reached = np.cumsum(p[order])
+    cuts = np.searchsorted(reached, reached[-1] * np.arange(1, bins) / bins)
+    cuts = np.searchsorted(p[order], p[order[cuts]])  # what is predicted alike stays together
+    return [part for part in np.split(order, cuts) if len(part)]
+
+
+def _events(predicted: ArrayLike, happened: ArrayLike) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    p, y = finite_array("predicted", predicted, ndim=1), finite_array("happened", happened, ndim=1)
+    _check_pairs(p, y)
+    if not len(p):
+        raise ShapeError("predicted", p.shape, "at least one event")
+    for name, values, wrong in (("predicted", p, (p < 0.0) | (p > 1.0)), ("happened", y, (y != 0.0) & (y != 1.0))):
+        if wrong.any():
+            valid = "probabilities in [0, 1]" if name == "predicted" else "true or false"
+            raise SettingError(name, float(values[wrong][0]), valid)
+    return p, y
+
+
+def _check_pairs(a: Array, b: Array) -> None:
+    if a.ndim != 1 or a.shape != b.shape:
+        raise ShapeError("observed", b.shape, f"{a.shape}, one for each prediction")
+
+
+def _clusters(clusters: ArrayLike, n: int) -> Int[Array, " n"]:
+    labels = np.asarray(clusters)
+    if labels.shape != (n,):
+        raise ShapeError("clusters", labels.shape, f"({n},), one for each event")
+    return np.unique(labels, return_inverse=True)[1]

@@ -1,0 +1,246 @@
+"""A rollout to look at: the last moments before the failure, then what came of it, step by step.
+
+The rollout is simulated again from its job, bit by bit the same as it was in a batch, and drawn. Nothing of it has to
+be stored.
+"""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from failbench.basics.errors import NoPicture
+from failbench.pictures.drawing import Touches
+from failbench.pictures.film import captioned, check_output, write_film
+from failbench.pictures.offscreen import Offscreen, find_camera, has_display
+from failbench.recording.records import Job, Rollout
+from failbench.rollouts import single
+from failbench.simulated.execution import CHECKPOINT, STATE, Execution, warnings_counted_only
+from graceful_plan import SettingError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Array = np.ndarray
+
+_BEFORE, _AFTER = "#2a7f4f", "#c2185b"
+"""Colours of the caption's strip before and after the onset."""
+_NAMES = 4
+"""How many entities a caption names."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moment:
+    """One step of a film. Model and data are changed in place by the next one.
+
+    Args:
+        time: Since the onset [s], < 0 before it.
+        model: As it is simulated now.
+        data: After the step; what is derived from the state belongs to the state before it.
+        diverged: Whether the simulation has just blown up; then it is the last moment.
+    """
+
+    time: float
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    diverged: bool = False
+
+
+def replay(
+    execution: Execution,
+    rollout: Job | Rollout,
+    *,
+    output: str | Path | None = None,
+    horizon: float = 1.0,
+    lead: float = 0.5,
+    fps: float = 30.0,
+    size: tuple[int, int] = (640, 480),
+    camera: str | mujoco.MjvCamera | None = None,
+    slow: float = 1.0,
+) -> tuple[Path, ...]:
+    """Show a failure, with the last moments before it.
+
+    Entities that are hit turn yellow, furniture excepted. Arrows point at where they are hit, in the direction of the
+    force; their length grows with the root of the force. Things that lie on one another get none.
+
+    Args:
+        execution: The healthy run.
+        rollout: What failed, or is to fail; a rollout stands for its job.
+        output: A folder for numbered PNG frames, or a file whose suffix says what it becomes: .gif, .webp, .apng, .mp4.
+            None opens MuJoCo's viewer, which plays it again and again until it is closed.
+        horizon: How long is shown after the onset [s].
+        lead: How long is shown before it [s], where the motion is that long.
+        fps: Frames per second.
+        size: Width and height of the frames [pixels].
+        camera: Name of one of the scene's cameras, or a camera. None is "overview" or, in scenes without, one that
+            sees everything.
+        slow: How many times slower than in reality it is played.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        SettingError: If a number is out of range, or the rollout is one of another execution.
+        FormatError: If the suffix is none of those.
+        UnknownNameError: If the scene has no such camera.
+        NoPicture: If there is no OpenGL, no display to open a window on, or no encoder for MP4.
+    """
+    job = _job(execution, rollout)
+    _check(execution, horizon, lead, fps, size, slow)
+    seen_from = find_camera(execution.world.model, camera)
+    if output is None:
+        _play(execution, job, horizon, lead, fps * slow, slow, seen_from)
+        return ()
+    output = Path(output)
+    check_output(output)
+    with Offscreen(execution.world.model, *size) as offscreen, warnings_counted_only():
+        moments = film(execution, job, horizon=horizon, lead=lead)
+        return write_film(_frames(execution, job, moments, fps * slow, offscreen, seen_from), output, fps)
+
+
+def film(execution: Execution, job: Job, *, horizon: float, lead: float) -> Iterator[Moment]:
+    """Yield each step of a rollout, from `lead` [s] before the onset to `horizon` [s] after it."""
+    onset = execution.checkpoint(job.onset)
+    first = max(0, onset - math.ceil(lead / (CHECKPOINT * execution.dt) - 1e-9))
+    before = (onset - first) * CHECKPOINT
+    for step, (model, data) in enumerate(healthy(execution, first, before)):
+        yield Moment(time=(step - before) * execution.dt, model=model, data=data)
+    last = None
+    for step, (model, data) in enumerate(single.steps(execution, job, horizon=horizon)):
+        diverged = bool(data.warning.number.any())
+        if diverged and last is not None:
+            # MuJoCo has gone back to its initial state; what is to be seen is the last one that made sense.
+            data.qpos[:] = last
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            mujoco.mj_collision(model, data)
+        yield Moment(time=step * execution.dt, model=model, data=data, diverged=diverged)
+        if diverged:
+            return
+        last = data.qpos.copy()
+
+
+def healthy(execution: Execution, checkpoint: int, count: int) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
+    """Yield model and data after each of `count` steps of the healthy robot from a checkpoint on."""
+    model = execution.world.model
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, execution.states[checkpoint], STATE)
+    for command in execution.commands(checkpoint * CHECKPOINT, count):
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data)
+        yield model, data
+
+
+def struck_parts(execution: Execution, job: Job) -> str:
+    """Return in words what a job's fault strikes."""
+    robot = execution.world.robot
+    rng = np.random.default_rng(job.seed)  # the draw that the injection makes
+    joints, gripper = robot.struck(job.fault.targets or job.fault.TARGETS, rng)
+    if len(joints) == len(robot.joints):
+        return "whole robot" if gripper else "all joints"
+    return ", ".join([robot.joints[j].rpartition("/")[2] for j in joints] + ["gripper"] * gripper)
+
+
+def _job(execution: Execution, rollout: Job | Rollout) -> Job:
+    if isinstance(rollout, Job):
+        job = rollout
+    else:
+        job = rollout.job
+        start = execution.states[execution.checkpoint(job.onset)]
+        if rollout.state is not None and not np.array_equal(rollout.state, start, equal_nan=True):
+            raise SettingError("rollout", f"one of {job.fault.NAME!r}", "a rollout of this execution")
+    execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS)
+    return job
+
+
+def _check(execution: Execution, horizon: float, lead: float, fps: float, size: tuple[int, int], slow: float) -> None:
+    dt = execution.dt
+    for name, value, least in (("horizon", horizon, dt), ("lead", lead, 0.0), ("fps", fps, 0.1), ("slow", slow, 0.01)):
+        if not (math.isfinite(value) and value >= least):
+            raise SettingError(name, value, f"a finite number >= {least:g}")
+    if fps * slow > 1.0 / dt:
+        raise SettingError("fps * slow", fps * slow, f"at most one frame for each time step of {dt:g} s")
+    if min(size) < 16 or max(size) > 8192:
+        raise SettingError("size", size, "width and height between 16 and 8192 pixels")
+
+
+def _sampled(touches: Touches, moments: Iterator[Moment], rate: float) -> Iterator[Moment]:
+    """Yield `rate` moments per simulated second and the last one of a simulation that blows up; see all touches."""
+    shown, start = 0, None
+    for moment in moments:
+        touches.observe(moment.model, moment.data, moment.time)
+        start = moment.time if start is None else start
+        if (moment.time - start) * rate >= shown - 1e-6 or moment.diverged:
+            shown += 1
+            yield moment
+
+
+def _frames(
+    execution: Execution,
+    job: Job,
+    moments: Iterator[Moment],
+    rate: float,
+    offscreen: Offscreen,
+    camera: mujoco.MjvCamera,
+) -> Iterator[Image]:
+    touches = Touches(execution.world, execution.baseline)
+    heading = f"{job.fault.NAME}, {job.fault.degree}: {struck_parts(execution, job)}"
+    for moment in _sampled(touches, moments, rate):
+        touches.paint(offscreen.model)
+        pixels = offscreen.picture(moment.data, camera, touches.draw)
+        late = moment.time >= 0.0
+        text = f"{abs(moment.time):.3f} s {'after' if late else 'before'} the onset"
+        if touches.struck:
+            text += f", hit: {_listed(sorted(touches.struck))}"
+        if moment.diverged:
+            text += "; the simulation blew up"
+        yield captioned(pixels, heading, text, _AFTER if late else _BEFORE)
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - _NAMES
+    return ", ".join(names[:_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+def _play(
+    execution: Execution, job: Job, horizon: float, lead: float, rate: float, slow: float, camera: mujoco.MjvCamera
+) -> None:
+    """Open MuJoCo's viewer and play the failure in it until the window is closed."""
+    if not has_display():
+        raise NoPicture("there is no display to open MuJoCo's viewer on", "give an output, e.g. output='replay.gif'")
+    viewers = importlib.import_module("mujoco.viewer")
+    shown = mujoco.MjData(copy.copy(execution.world.model))
+    with warnings_counted_only(), viewers.launch_passive(shown.model, shown) as viewer:
+        with viewer.lock():
+            for name in ("type", "fixedcamid", "distance", "azimuth", "elevation"):
+                setattr(viewer.cam, name, getattr(camera, name))
+            viewer.cam.lookat[:] = camera.lookat
+        while viewer.is_running():
+            touches = Touches(execution.world, execution.baseline)
+            moments = film(execution, job, horizon=horizon, lead=lead)
+            _play_once(touches, _sampled(touches, moments, rate), shown, slow, viewer)
+
+
+def _play_once(touches: Touches, moments: Iterator[Moment], shown: mujoco.MjData, slow: float, viewer: Any) -> None:
+    began = None
+    for moment in moments:
+        if not viewer.is_running():
+            return
+        with viewer.lock():
+            shown.qpos[:], shown.qvel[:], shown.time = moment.data.qpos, moment.data.qvel, moment.time
+            mujoco.mj_forward(shown.model, shown)
+            touches.paint(shown.model)
+            viewer.user_scn.ngeom = 0
+            touches.draw(viewer.user_scn)
+        viewer.sync()
+        began = time.monotonic() - moment.time * slow if began is None else began
+        time.sleep(max(0.0, began + moment.time * slow - time.monotonic()))

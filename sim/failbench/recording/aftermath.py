@@ -1,0 +1,107 @@
+"""What is left when the dust has settled: things that fell, tipped, left their support or were dropped."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from failbench.recording.bounds import Bounds
+from failbench.recording.closeup import Closeup
+from failbench.simulated.world import World
+from graceful_plan.array_types import Float, Int
+
+Array = np.ndarray
+
+FALLEN = 0.05
+"""An entity that ended with both its body's origin and its lowest point farther below where they were [m] has fallen;
+one that only fell over has not."""
+TIPPED = np.deg2rad(30.0)
+"""An entity of which the direction that was up is farther off the vertical [rad] has tipped."""
+MOVED = 1e-3
+"""An entity that is nearer to where it was [m], and as nearly upright [rad], stands on what it stood on."""
+DROPPED = 0.03
+"""A carried object that is farther from where it was in the tool frame [m] and free of the fingers is dropped."""
+
+
+class Aftermath:
+    """Compares the end of a simulation with its beginning.
+
+    Args:
+        world: Where.
+        closeup: What to look with.
+        bounds: Boxes around its entities.
+    """
+
+    def __init__(self, world: World, closeup: Closeup, bounds: Bounds) -> None:
+        self._world = world
+        self._closeup = closeup
+        self._bounds = bounds
+        self._names = list(world.movable)
+        free = [*world.movable.values(), *([world.carried_body] if world.carried_body >= 0 else [])]
+        adr = world.model.jnt_qposadr[world.model.body_jntadr[free]].astype(int)
+        self._poses = adr[:, None] + np.array([3, 4, 5, 6, 0, 1, 2])
+        self._strikers = {body for bodies in world.striker_bodies.values() for body in bodies}
+        self._pads = {int(world.model.geom_bodyid[g]) for g in world.robot.pads}
+        self._tool = int(world.model.site(world.scene.tool).id)
+
+    def fields(self, before: Float[Array, " qpos"], after: Float[Array, " qpos"]) -> dict[str, Any]:
+        """Return the fields fell, tipped, left_support, dropped and poses of a Rollout."""
+        was, became = before[self._poses], after[self._poses]
+        n = len(self._names)
+        shift = became[:n, 4:] - was[:n, 4:]
+        tilt = _tilt(was[:n], became[:n])
+        fell = shift[:, 2] < -FALLEN
+        if fell.any():
+            fell &= self._bounds.lowest(after) - self._bounds.lowest(before) < -FALLEN
+        moved = np.flatnonzero((np.abs(shift) > MOVED).any(axis=1) | (tilt > MOVED))
+        (stood, place), (stands, end) = self._look(before), self._look(after)
+        left = [self._names[i] for i in moved if self._lost(self._names[i], stood, stands)]
+        out_of_place = place is not None and end is not None and bool(np.linalg.norm(end - place) > DROPPED)
+        carried = self._world.striker_bodies.get("carried", ())
+        poses = dict(zip([*self._names, "carried"], became, strict=False))
+        return {
+            "fell": tuple(self._names[i] for i in np.flatnonzero(fell)),
+            "tipped": tuple(self._names[i] for i in np.flatnonzero(tilt > TIPPED)),
+            "left_support": tuple(left),
+            "dropped": out_of_place and not _neighbours(stands, carried) & self._pads,
+            "poses": MappingProxyType(poses),
+        }
+
+    def _look(self, qpos: Float[Array, " qpos"]) -> tuple[Int[Array, "contact 2"], Float[Array, " xyz"] | None]:
+        """Return the bodies of all contacts, and where the carried object is in the tool frame."""
+        self._closeup.place(qpos)
+        pairs = self._closeup.bodies()
+        if self._world.carried_body < 0:
+            return pairs, None
+        data = self._closeup.data
+        R_WT, p_WT = data.site_xmat[self._tool].reshape(3, 3), data.site_xpos[self._tool]
+        return pairs, R_WT.T @ (data.xpos[self._world.carried_body] - p_WT)
+
+    def _lost(self, name: str, stood: Int[Array, "contact 2"], stands: Int[Array, "later 2"]) -> bool:
+        """Return whether an entity touches nothing any more of what it touched, the robot aside."""
+        own = self._world.entity_bodies[name]
+        support = _neighbours(stood, own) - self._strikers
+        return bool(support) and not support & _neighbours(stands, own)
+
+
+def _neighbours(pairs: Int[Array, "contact 2"], bodies: tuple[int, ...]) -> set[int]:
+    """Return the bodies that touch some bodies, these aside."""
+    found: set[int] = set()
+    for body in bodies:
+        found.update(pairs[pairs[:, 0] == body, 1].tolist(), pairs[pairs[:, 1] == body, 0].tolist())
+    return found.difference(bodies)
+
+
+def _tilt(before: Float[Array, "body 7"], after: Float[Array, "body 7"]) -> Float[Array, " body"]:
+    """Return the angle [rad] between the vertical and the direction in the body that was vertical before."""
+    a, b = (_up(pose[:, :4]) for pose in (before, after))
+    # Exact near 0, where the arc cosine is not.
+    return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
+
+
+def _up(quat: Float[Array, "body wxyz"]) -> Float[Array, "body xyz"]:
+    """Return the vertical in the bodies' own frames."""
+    w, x, y, z = quat.T
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)

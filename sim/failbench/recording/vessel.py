@@ -1,0 +1,115 @@
+"""An open container as a cylinder: how much it keeps when it is tilted. Bundled containers are solid to MuJoCo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from failbench.simulated.world import World
+from graceful_plan import Dry
+from graceful_plan.array_types import Float
+
+Array = np.ndarray
+
+REPOSE = np.deg2rad(33.0)
+"""Slope at which dry contents begin to slide [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Vessel:
+    """A cylinder that is open at one end, in the frame of the carried body B.
+
+    | field   | meaning                                                                   | unit  |
+    |---------|---------------------------------------------------------------------------|-------|
+    | radius  | inner radius                                                              | m     |
+    | height  | of the rim above the bottom                                               | m     |
+    | volume  | of what is in it, at most what it holds                                   | m^3   |
+    | axis    | from the bottom to the rim                                                |       |
+    | p_BR    | middle of the rim                                                         | m     |
+    | repose  | slope up to which the surface of the contents stands; 0 for liquids       | rad   |
+    """
+
+    radius: float
+    height: float
+    volume: float
+    axis: Float[Array, " xyz"]
+    p_BR: Float[Array, " xyz"]
+    repose: float
+
+    def capacity(self, tilt: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Return what stays in at most [m^3] when the axis is off the felt vertical by `tilt` [rad].
+
+        The surface is a plane through the lowest point of the rim. As long as it does not reach the bottom, its middle
+        is as far below the rim as the tangent of the tilt times the radius; then what is left is a wedge.
+        """
+        R, H = self.radius, self.height
+        slope = np.tan(np.clip(tilt - self.repose, 1e-9, np.pi / 2 - 1e-9))
+        x0 = np.clip(R - H / slope, -R, R)  # where the surface meets the bottom
+        root = np.sqrt(R**2 - x0**2)
+        wedge = slope * (2.0 / 3.0 * root**3 - x0 * (R**2 * np.arccos(x0 / R) - x0 * root))
+        full = np.pi * R**2 * (H - R * slope)
+        kept = np.where(2.0 * R * slope <= H, full, wedge)
+        return np.where(tilt - self.repose < np.pi / 2, np.maximum(kept, 0.0), 0.0)
+
+
+def find_vessel(world: World) -> Vessel | None:
+    """Return the container of a world's contents; None if nothing is carried in one.
+
+    The geom of the contents gives the bottom and the radius, round about its z axis. The rim is the top of the highest
+    geom of the carried object that is round about the same axis: a bottle's neck, but not a teapot's handle. Lids are
+    taken to be off.
+    """
+    scene, model = world.scene, world.model
+    if scene.contents is None:
+        return None
+    geoms = list(scene.components["contents"].geoms)
+    geom = max(geoms, key=lambda g: float(np.prod(model.geom_aabb[g, 3:])))
+    R_BG = _rotation(model.geom_quat[geom])
+    centre = model.geom_pos[geom] + R_BG @ model.geom_aabb[geom, :3]
+    half = model.geom_aabb[geom, 3:]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    up = data.xmat[world.carried_body].reshape(3, 3)[2] @ R_BG[:, 2]
+    axis = R_BG[:, 2] * (1.0 if up >= 0.0 else -1.0)
+    bottom = centre - half[2] * axis
+    radius = float(2.0 * np.sqrt(half[0] * half[1] / np.pi)) if _is_box(model, geom) else float(half[:2].max())
+    height = max(
+        2.0 * float(half[2]), *(_top(model, g, bottom, axis, radius) for g in scene.components["carried"].geoms)
+    )
+    return Vessel(
+        radius=radius,
+        height=height,
+        volume=min(1e-3 * scene.contents.volume, float(np.pi * radius**2 * height)),
+        axis=axis,
+        p_BR=bottom + height * axis,
+        repose=float(REPOSE) if isinstance(scene.contents, Dry) else 0.0,
+    )
+
+
+def _top(
+    model: mujoco.MjModel, geom: int, bottom: Float[Array, " xyz"], axis: Float[Array, " xyz"], radius: float
+) -> float:
+    """Return how high above the bottom a geom ends; 0 if it is not round about the axis."""
+    R_BG = _rotation(model.geom_quat[geom])
+    offset = model.geom_pos[geom] + R_BG @ model.geom_aabb[geom, :3] - bottom
+    along = float(offset @ axis)
+    aside = float(np.linalg.norm(offset - along * axis))
+    reach = np.abs(R_BG) @ model.geom_aabb[geom, 3:]
+    across = np.abs(R_BG.T @ axis)
+    half = model.geom_aabb[geom, 3:]
+    wide = half[across < 0.5]
+    if aside > 0.25 * radius or across.max() < 0.9 or wide.min() < 0.5 * wide.max():
+        return 0.0
+    return along + float(reach @ np.abs(axis))
+
+
+def _is_box(model: mujoco.MjModel, geom: int) -> bool:
+    return int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_BOX)
+
+
+def _rotation(quat: Float[Array, " wxyz"]) -> Float[Array, "3 3"]:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quat)
+    return matrix.reshape(3, 3)

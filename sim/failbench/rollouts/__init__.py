@@ -1,0 +1,1 @@
+"""Rollouts: executions in which something breaks."""

@@ -1,0 +1,164 @@
+"""Many failures of one execution at once, natively.
+
+All rollouts of a batch begin at their own onsets and are stepped together, so that faults that act again and again do
+so in the same steps. What comes out does not depend on the batch: each simulation is on its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+
+import numpy as np
+from mujoco.batch import Batch
+
+from failbench.recording.recorder import Recorder
+from failbench.recording.records import Job, Rollout
+from failbench.recording.spill import kept_volume
+from failbench.rollouts.injection import CTRL, Injection
+from failbench.simulated.execution import CHECKPOINT, Execution, put, warnings_counted_only
+from failbench.simulated.rest import PERIOD, let_sleep
+from failbench.simulated.world import World
+from graceful_plan import SettingError
+
+Array = np.ndarray
+
+_COUNT = 1
+"""Column of a simulation's warnings that says how often each was raised."""
+
+
+def run(
+    execution: Execution, jobs: Sequence[Job], *, horizon: float = 1.0, threads: int = 1, batch: int = 32
+) -> list[Rollout]:
+    """Let a robot fail once for each job.
+
+    Args:
+        execution: The healthy run.
+        jobs: What fails, and when.
+        horizon: How long is simulated after the onset [s].
+        threads: Threads of the simulation.
+        batch: How many simulations a thread has in memory at once. The result does not depend on it, nor on `threads`.
+
+    Returns:
+        A rollout for each job, in the order of the jobs.
+
+    Raises:
+        UnknownNameError: If a fault strikes a joint that the robot does not have.
+        SettingError: If the horizon is too short or too long, or there are no threads or batches to do it.
+    """
+    steps = execution.steps(horizon)
+    for name, count in (("threads", threads), ("batch", batch)):
+        if count < 1:
+            raise SettingError(name, count, "at least 1")
+    for job in jobs:
+        execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS)
+    if not jobs:
+        return []
+    # Faults of a kind act in the same steps, so they are kept together; those that act again and again take longest.
+    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.PERIOD is None, jobs[i].fault.NAME, i))
+    size = min(batch, -(-len(jobs) // threads))
+    groups = iter([order[first : first + size] for first in range(0, len(jobs), size)])
+    names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
+    kept = kept_volume(execution.world, execution.states)
+    rollouts: dict[int, Rollout] = {}
+
+    def work(simulations: Batch) -> None:
+        fields = {name: simulations.expand(name) for name in names}
+        for group in groups:
+            done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps, kept)
+            rollouts.update(zip(group, done, strict=True))
+
+    # Made here, not in the threads, whose separate heaps would grow.
+    batches = [Batch(execution.world.model, size, nthread=1, persistent=True) for _ in range(threads)]
+    with warnings_counted_only():
+        _in_threads(work, batches, groups)
+    return [rollouts[i] for i in range(len(jobs))]
+
+
+def _in_threads(work: Callable[[Batch], None], batches: Sequence[Batch], groups: Iterator[list[int]]) -> None:
+    """Let threads take groups until none is left; each has a batch, so that one records while others simulate."""
+    if len(batches) == 1:
+        work(batches[0])
+        return
+    with ThreadPoolExecutor(len(batches)) as pool:
+        parts = [pool.submit(work, simulations) for simulations in batches]
+        try:
+            wait(parts, return_when=FIRST_EXCEPTION)
+        finally:
+            deque(groups, maxlen=0)  # after an error or an interrupt nobody begins another one
+    for part in parts:
+        part.result()
+
+
+def _run_group(
+    execution: Execution,
+    simulations: Batch,
+    fields: Mapping[str, Array],
+    jobs: Sequence[Job],
+    steps: int,
+    kept: float,
+) -> list[Rollout]:
+    model = execution.world.model
+    sims = np.arange(len(jobs))
+    for name, values in fields.items():
+        values[:] = getattr(model, name)
+    checkpoints = [execution.checkpoint(job.onset) for job in jobs]
+    put(simulations, sims, execution.states[checkpoints])
+    qpos, qvel, active = (simulations.bind(name) for name in ("qpos", "qvel", "eq_active"))
+    recorder = Recorder(execution.world, execution.baseline, qpos[sims].copy(), qvel[sims].copy(), kept)
+    injections = [
+        Injection(
+            execution,
+            job,
+            steps,
+            fields={name: values[i] for name, values in fields.items()},
+            qpos=qpos[i],
+            qvel=qvel[i],
+            eq_active=active[i],
+        )
+        for i, job in enumerate(jobs)
+    ]
+    diverged = _simulate(execution.world, simulations, injections, recorder, fields["tree_sleep_policy"], steps)
+    return [
+        Rollout(
+            job=job,
+            onset=checkpoint * CHECKPOINT * execution.dt,
+            status="diverged" if diverged[i] else "completed",
+            state=execution.states[checkpoint].copy() if diverged[i] else None,
+            # MuJoCo resets what blows up: what is recorded from then on never happened.
+            **({} if diverged[i] else recorder.finish(i)),
+        )
+        for i, (job, checkpoint) in enumerate(zip(jobs, checkpoints, strict=True))
+    ]
+
+
+def _simulate(
+    world: World,
+    simulations: Batch,
+    injections: Sequence[Injection],
+    recorder: Recorder,
+    sleep_policy: Array,
+    steps: int,
+) -> Array:
+    """Step all simulations to the end; return which of them blew up."""
+    model, count, step = world.model, len(injections), 0
+    sims, xpos = np.arange(count), simulations.bind("xpos")
+    sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
+    room = {name: np.empty(count * PERIOD * size) for name, size in sizes.items()}
+    while step < steps:
+        for injection in injections:
+            if injection.next == step:
+                injection.act()
+        until = min(steps, step + PERIOD - step % PERIOD, *(injection.next for injection in injections))
+        commands = np.stack([injection.plant.command[step:until] for injection in injections])
+        # Memory that is used again: fresh pages cost more than what is written into them.
+        shapes = {name: (count, until - step, size) for name, size in sizes.items()}
+        out = {name: room[name][: math.prod(shape)].reshape(shape) for name, shape in shapes.items()}
+        simulations.rollout(until - step, commands, CTRL, record=tuple(sizes), ids=sims, out=out)
+        recorder.observe(out["sensordata"], out["qpos"], out["qvel"])
+        step = until
+        if step % PERIOD == 0:
+            let_sleep(world, xpos[:count], sleep_policy[:count])
+    return simulations.warning[sims, :, _COUNT].any(axis=1)

@@ -1,0 +1,120 @@
+"""When the failures of a trajectory happen, and with what random numbers.
+
+The quantile and the seed of rollout i depend on nothing but (seed, n): whatever is compared is compared under the same
+luck. Onsets are stratified; on request they are drawn more often where harm is predicted, and weighted for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from failbench.basics.onset import Onset
+from failbench.fault.fault import Fault
+from failbench.recording.records import Job
+from graceful_plan import SettingError
+from graceful_plan.array_types import Float, Int
+
+Array = np.ndarray
+
+Prediction = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+"""Predicted impact of a failure at each of some times after the start of a trajectory [s]; at least 0."""
+
+MOST = 10_000_000
+"""Rollouts that may be asked for at once; their random numbers are in memory."""
+_CELLS = 512
+"""Cells of even probability in which a proposal density is constant."""
+_UNIFORM = 0.1
+"""Share of the proposal that trusts no prediction; no weight exceeds its inverse."""
+_SEEDS = 2**53
+"""Seeds stay below this, so that JSON and floating-point columns hold them exactly."""
+
+
+class Draws(NamedTuple):
+    """Random numbers of n rollouts, in the order of their quantiles."""
+
+    quantile: Float[Array, " n"]
+    """One in each of n equal strata of [0, 1)."""
+    seed: Int[Array, " n"]
+
+
+def draw(seed: int, n: int) -> Draws:
+    """Draw the random numbers of n rollouts."""
+    rng = np.random.default_rng([seed, n])
+    return Draws((np.arange(n) + rng.random(n)) / n, rng.integers(_SEEDS, size=n))
+
+
+def make_jobs(
+    faults: Sequence[Fault], duration: float, *, n: int, seed: int = 0, predicted: Prediction | None = None
+) -> tuple[Job, ...]:
+    """Share rollouts out among faults, evenly at all times of a trajectory.
+
+    Consecutive strata of onsets go to the faults in random order, so that each fault has the whole trajectory in as
+    many strata as it has rollouts, and no fault is always the earlier one.
+
+    Args:
+        faults: What breaks, one in each rollout.
+        duration: Of the trajectory [s].
+        n: Number of rollouts, rounded up to a multiple of the number of faults.
+        seed: Of everything random.
+        predicted: If given, onsets are drawn with density 0.9 sqrt(predicted) + 0.1, relative to that of the fault's
+            `when`; the jobs carry the weights.
+    """
+    if not faults:
+        raise SettingError("faults", tuple(faults), "at least one fault")
+    check_whole("n", n, 1, MOST)
+    check_whole("seed", seed, 0)
+    rounds = -(-n // len(faults))
+    draws = draw(seed, rounds * len(faults))
+    order = np.random.default_rng([seed, n, len(faults)]).permuted(np.tile(np.arange(len(faults)), (rounds, 1)), axis=1)
+    proposals = {fault.when: _proposal(fault.when, duration, predicted) for fault in faults}
+    jobs = []
+    for which, u, number in zip(order.ravel(), draws.quantile, draws.seed, strict=True):
+        fault = faults[which]
+        v, weight = proposals[fault.when].place(float(u))
+        jobs.append(Job(fault=fault, onset=fault.when.onset(v, duration), seed=int(number), weight=weight))
+    return tuple(jobs)
+
+
+def check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
+    """Raise SettingError unless this is a whole number of at least `least`, and at most `most`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise SettingError(name, value, f"a whole number, at least {least}")
+    if most is not None and value > most:
+        raise SettingError(name, value, f"a whole number, at most {most}")
+
+
+def quantile_grid(count: int = _CELLS) -> Float[Array, " cell"]:
+    """Return the middles of even cells of [0, 1]."""
+    return (np.arange(count) + 0.5) / count
+
+
+class _Proposal(NamedTuple):
+    """A density on the quantile of an onset, constant in even cells, and its integral up to each cell's beginning."""
+
+    density: Float[Array, " cell"]
+    cumulated: Float[Array, " cell"]
+
+    def place(self, u: float) -> tuple[float, float]:
+        """Return where the integral of the density is `u`, and the weight there."""
+        cell = int(np.searchsorted(self.cumulated, u, side="right")) - 1
+        density = float(self.density[cell])
+        v = (cell + (u - self.cumulated[cell]) * len(self.density) / density) / len(self.density)
+        return min(float(v), 1.0), 1.0 / density
+
+
+def _proposal(when: Onset, duration: float, predicted: Prediction | None) -> _Proposal:
+    if predicted is None:
+        return _Proposal(np.ones(1), np.zeros(1))
+    times = np.array([when.onset(v, duration) for v in quantile_grid()])
+    # For outcomes of 0 or 1 the best density is proportional to the square root of their probability.
+    expected = predicted(times)
+    if not (np.isfinite(expected).all() and expected.min() >= 0.0):
+        raise SettingError("predicted", expected, "finite impacts >= 0")
+    root = np.sqrt(expected)
+    if not root.any():
+        return _Proposal(np.ones(1), np.zeros(1))
+    density = (1.0 - _UNIFORM) * root / root.mean() + _UNIFORM
+    return _Proposal(density, np.concatenate([[0.0], np.cumsum(density[:-1]) / len(density)]))

@@ -1,0 +1,157 @@
+"""The registry of scenarios: what may break, how badly, in which task of which scene. Listing it simulates nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import graceful_plan as gp
+from failbench.fault.fault import DEGREES, Fault
+from failbench.fault.registry import faults
+from graceful_plan import UnknownNameError
+from graceful_plan.yaml_file import Block, read_yaml
+
+_FILE = Path(__file__).parent / "scenarios.yaml"
+_NEEDS = ("carried", "contents")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A fault of some degree in a task of a bundled scene.
+
+    Args:
+        name: "SCENE/TASK/FAULT/DEGREE".
+        scene: Name of the bundled scene.
+        task: Name of its task.
+        fault: What breaks.
+        tags: "FAMILY/FAULT/DEGREE" for each family that it belongs to, the fault's category first.
+        grasp: What holds the object: "weld" if the fingers cannot; see `SimSettings`.
+    """
+
+    name: str
+    scene: str
+    task: str
+    fault: Fault
+    tags: tuple[str, ...]
+    grasp: str = "fingers"
+
+    def matches(self, pattern: str) -> bool:
+        """Whether the name or a tag matches a pattern with the wildcards * and ?."""
+        return any(fnmatchcase(label, pattern) for label in (self.name, *self.tags))
+
+
+def scenarios(pattern: str = "*") -> tuple[Scenario, ...]:
+    """Return the scenarios whose name or one of whose tags matches a pattern such as "drop/*" or "desk/*/severe".
+
+    Raises:
+        UnknownNameError: If there are none, with what the first part of a pattern can be.
+    """
+    found = tuple(scenario for scenario in _registry() if scenario.matches(pattern))
+    if not found:
+        labels = {label for scenario in _registry() for label in (scenario.scene, *_families(scenario))}
+        raise UnknownNameError("scenarios", pattern, {f"{label}/*" for label in labels})
+    return found
+
+
+def usual_grasp(scene: str, task: str | None) -> str:
+    """Return what holds the object of a task: "weld" where the fingers cannot, else "fingers"."""
+    return "weld" if task in _file().welds.get(scene, ()) else "fingers"
+
+
+def _families(scenario: Scenario) -> tuple[str, ...]:
+    return tuple(tag.split("/")[0] for tag in scenario.tags)
+
+
+class _Family(NamedTuple):
+    """Which scenarios belong to it: None stands for all."""
+
+    faults: tuple[str, ...] | None
+    scenes: tuple[str, ...] | None
+    tasks: tuple[str, ...] | None
+    needs: str | None
+
+    def has(self, fault: str, scene: str, task: str, holds: frozenset[str]) -> bool:
+        fits = zip((self.faults, self.scenes, self.tasks), (fault, scene, task), strict=True)
+        return all(names is None or name in names for names, name in fits) and (
+            self.needs is None or self.needs in holds
+        )
+
+
+class _File(NamedTuple):
+    families: Mapping[str, _Family]
+    welds: Mapping[str, tuple[str, ...]]
+    """Tasks by scene."""
+
+
+@cache
+def _file() -> _File:
+    return read_file(_FILE)
+
+
+@cache
+def _registry() -> tuple[Scenario, ...]:
+    families = _file().families
+    return tuple(
+        scenario
+        for scene_name in gp.scenes()
+        for task, holds in _tasks(scene_name).items()
+        for scenario in _of_task(scene_name, task, holds, families)
+    )
+
+
+def _of_task(scene: str, task: str, holds: frozenset[str], families: Mapping[str, _Family]) -> tuple[Scenario, ...]:
+    found, grasp = [], usual_grasp(scene, task)
+    for name, kind in faults().items():
+        belongs = [kind.CATEGORY, *(key for key, family in families.items() if family.has(name, scene, task, holds))]
+        for degree in DEGREES:
+            tags = tuple(f"{family}/{name}/{degree}" for family in belongs)
+            label = f"{scene}/{task}/{name}/{degree}"
+            found.append(Scenario(label, scene, task, kind(degree=degree), tags, grasp))
+    return tuple(found)
+
+
+def _tasks(scene_name: str) -> dict[str, frozenset[str]]:
+    """Return the tasks of a bundled scene and which of the components "carried" and "contents" each has."""
+    scene = gp.load_scene(scene_name)
+    found = {}
+    for name, task in scene.tasks.items():
+        note = None if task.object_name is None else scene.notes.objects[task.object_name]
+        holds = {"carried": note is not None, "contents": note is not None and note.contents is not None}
+        found[name] = frozenset(component for component, there in holds.items() if there)
+    return found
+
+
+def read_file(file: Path) -> _File:
+    """Read families and welds from a YAML file laid out like `scenarios.yaml`.
+
+    Raises:
+        SceneError: If the file is broken or names a fault or a scene that does not exist, with the line.
+    """
+    root = read_yaml(file)
+    root.only("version", "weld", "families")
+    if root["version"].number() != 1:
+        raise root["version"].error("only version 1 of scenario files is known")
+    welds = {} if (block := root.get("weld")) is None else {scene: tasks.strings() for scene, tasks in block.items()}
+    for scene in welds:
+        if scene not in gp.scenes():
+            raise root["weld"].error(f"unknown scene {scene!r} in weld; valid: {', '.join(gp.scenes())}")
+    return _File({name: _family(block) for name, block in root["families"].items()}, welds)
+
+
+def _family(block: Block) -> _Family:
+    block.only("faults", "scenes", "tasks", "needs")
+    names, scenes, tasks = (
+        None if (child := block.get(key)) is None else child.strings() for key in ("faults", "scenes", "tasks")
+    )
+    for key, given, valid in (("faults", names, faults()), ("scenes", scenes, gp.scenes())):
+        for name in given or ():
+            if name not in valid:
+                raise block[key].error(f"unknown name {name!r} in {block.name}.{key}; valid: {', '.join(valid)}")
+    needs = block.get("needs")
+    if needs is not None and needs.string() not in _NEEDS:
+        raise needs.error(f"needs is {needs.string()!r}, expected {' or '.join(_NEEDS)}")
+    return _Family(names, scenes, tasks, None if needs is None else needs.string())

@@ -1,0 +1,263 @@
+"""The healthy execution of a trajectory: what every failure of it begins from and is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import ArrayLike
+
+from failbench.basics.errors import ExecutionRefused
+from failbench.simulated.world import World
+from graceful_plan import Path, PlanResult, RobotDynamics, SettingError, Trajectory, retime
+from graceful_plan.array_types import Float
+
+Array = np.ndarray
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+CHECKPOINT = 5
+"""Steps from one checkpoint to the next."""
+
+LONGEST = 200.0
+"""Longest motion and horizon [s]: states and commands of all steps are in memory."""
+_SETTLE = 0.4
+"""Time for the fingers to close and for everything to come to rest before the motion begins [s]."""
+_REST = 0.2
+"""Part of it [s] during which the fingers hold alone."""
+_TRACKING = 0.05
+"""A joint farther [rad or m] than this from where it should be does not follow."""
+_SLIP = 0.02
+"""An object that moved farther [m] than this in the tool frame is not held."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Execution:
+    """A trajectory carried out by a healthy robot. Made by `execute`.
+
+    | field          | meaning                                                                    | shape            |
+    |----------------|----------------------------------------------------------------------------|------------------|
+    | world          | where                                                                      |                  |
+    | trajectory     | what                                                                       |                  |
+    | states         | MuJoCo's integration state at each checkpoint                              | checkpoint state |
+    | command        | commands of all actuators; the last is held after the end                  | step actuator    |
+    | baseline       | components and entities that touch anyway                                  |                  |
+    | tracking_error | greatest distance of each joint from where it should be [rad or m]         | nq               |
+    | slip           | greatest distance of the carried object from where it was in the tool [m]  |                  |
+    """
+
+    world: World
+    trajectory: Trajectory
+    states: Float[Array, "checkpoint state"]
+    command: Float[Array, "step actuator"]
+    baseline: frozenset[tuple[str, str]]
+    tracking_error: Float[Array, " nq"]
+    slip: float
+
+    @property
+    def dt(self) -> float:
+        """Time step [s]."""
+        return self.world.settings.timestep
+
+    @property
+    def duration(self) -> float:
+        """Duration of the trajectory [s]."""
+        return self.trajectory.duration
+
+    def checkpoint(self, onset: float) -> int:
+        """Return the checkpoint nearest to a time after the start of the trajectory [s]."""
+        nearest = round(onset / (CHECKPOINT * self.dt))
+        return min(max(nearest, 0), len(self.states) - 1)
+
+    def steps(self, horizon: float) -> int:
+        """Return the number of time steps in a horizon [s].
+
+        Raises:
+            SettingError: If that is none, or more than there is memory for.
+        """
+        if not self.dt <= horizon <= LONGEST:
+            raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {LONGEST:g} s")
+        return round(horizon / self.dt)
+
+    def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
+        """Return a copy of the commands of `count` steps from a step on, the last one held after the end."""
+        return self.command[np.minimum(np.arange(step, step + count), len(self.command) - 1)]
+
+
+def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: World) -> Trajectory:
+    """Return a motion with time: paths and arrays of configurations are timed within the scene's limits.
+
+    Raises:
+        PlanningFailed: If it is the result of a plan that failed.
+        SettingError: If it is a trajectory of other joints than the scene's, or in another order, or too long.
+    """
+    if isinstance(motion, PlanResult):
+        motion = motion.unwrap()
+    if not isinstance(motion, Trajectory):
+        path = motion if isinstance(motion, Path) else Path(np.asarray(motion, dtype=float))
+        motion = retime(path, world.scene.limits, world.scene.joints)
+    if motion.duration > LONGEST:
+        raise SettingError("duration of the trajectory", motion.duration, f"at most {LONGEST:g} s")
+    if motion.joints != world.scene.joints:
+        raise SettingError("joints of the trajectory", motion.joints, f"those of the scene: {world.scene.joints}")
+    return motion
+
+
+def execute(
+    motion: Trajectory | Path | PlanResult | ArrayLike, world: World, *, tolerance: float = _TRACKING
+) -> Execution:
+    """Carry out a motion with a healthy robot.
+
+    Args:
+        motion: A trajectory; anything else is timed first.
+        world: Where.
+        tolerance: How far a joint may be from where it should be [rad or m].
+
+    Raises:
+        ExecutionRefused: If a joint does not follow, or has to leave its range, or the object does not stay in the
+            gripper.
+    """
+    trajectory = as_trajectory(motion, world)
+    dt = world.settings.timestep
+    steps = max(1, int(np.ceil(trajectory.duration / dt - 1e-9)))
+    wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
+    _check_range(wanted, tolerance, world, dt)
+    command = _commands(trajectory, world, steps)
+    record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
+    with warnings_counted_only():
+        start = _settled(trajectory, world, command[0])
+        batch = Batch(world.model, 1, nthread=1, persistent=True)
+        put(batch, np.array([0]), start[None])
+        out = batch.rollout(steps, command[None, :steps], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
+    error = np.abs(out["qpos"][0][:, world.robot.qpos] - wanted)
+    _check_tracking(error, tolerance, world, dt)
+    slip = _slip(out["xpos"][0], out["xquat"][0], world)
+    _check_slip(slip, world, dt)
+    touched = (out["sensordata"][0][:, world.sensor_adr] > 0.0).any(axis=0)
+    states = np.vstack([start[None], out[int(STATE)][0]])[::CHECKPOINT]
+    states.flags.writeable = command.flags.writeable = False
+    return Execution(
+        world=world,
+        trajectory=trajectory,
+        states=states,
+        command=command,
+        baseline=frozenset(pair for pair, touches in zip(world.pairs, touched, strict=True) if touches),
+        tracking_error=error.max(axis=0),
+        slip=float(slip.max()),
+    )
+
+
+def put(batch: Batch, sims: Array, states: Float[Array, "sim state"]) -> None:
+    """Set simulations of a batch to states, with nothing left of what they did before."""
+    batch.reset(sims, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+    batch.state[sims] = states
+
+
+@contextmanager
+def warnings_counted_only() -> Generator[None, None, None]:
+    """Keep MuJoCo from writing its log into the working directory; each simulation counts its own warnings."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
+    """Return what the healthy controller sends: positions, plus needed torques as offsets of the servos' targets."""
+    robot, scene = world.robot, world.scene
+    dynamics = RobotDynamics(scene)
+    times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
+    q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))
+    qd[-1] = qdd[-1] = 0.0  # the last row is held for good
+    if world.settings.control == "servo":
+        qdd = np.zeros_like(qdd)  # a servo knows how fast to go and what gravity does, not the arm's inertia
+    at_rest = np.zeros_like(q[0])
+    torque = np.array(
+        [
+            dynamics(a, at_rest if world.settings.control == "servo" else b, c)
+            for a, b, c in zip(q, qd, qdd, strict=True)
+        ]
+    )
+    command = np.tile(_standing(world), (steps + 1, 1))
+    command[:, robot.actuators] = (robot.kp * q + robot.kd * qd + torque) / robot.gain
+    command[:, robot.gripper_actuators] = robot.grip_closed
+    return command
+
+
+def _standing(world: World) -> Float[Array, " actuator"]:
+    """Return commands with which every position servo holds its joint where the scene has it."""
+    model = world.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = world.scene.home_qpos
+    mujoco.mj_fwdPosition(model, data)
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    servo = (bias[:, 1] < 0.0) & (gain != 0.0)
+    command = np.zeros(model.nu)
+    command[servo] = -(bias[servo, 0] + bias[servo, 1] * data.actuator_length[servo]) / gain[servo]
+    return command
+
+
+def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actuator"]) -> Float[Array, " state"]:
+    """Return the state from which the motion begins: the object in the fingers, everything at rest."""
+    model, scene = world.model, world.scene
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.data_at(trajectory.q[0]).qpos
+    hold = command.copy()
+    robot = world.robot
+    still = np.zeros(len(robot.joints))
+    weight = RobotDynamics(scene)(trajectory.q[0], still, still)
+    hold[robot.actuators] = (robot.kp * trajectory.q[0] + weight) / robot.gain
+    steps = round(_SETTLE / model.opt.timestep)
+    for step in range(steps):
+        if world.hold >= 0 and robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:
+            data.eq_active[world.hold] = 0
+        data.ctrl[:] = hold
+        mujoco.mj_step(model, data)
+    data.time = 0.0
+    state = np.zeros(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
+    return state
+
+
+def _check_range(wanted: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:
+    low, high = world.scene.limits.position.T
+    off = np.argwhere((wanted < low - tolerance) | (wanted > high + tolerance))
+    if len(off):
+        step, joint = (int(i) for i in off[0])
+        problem = f"it is to be at {wanted[step, joint]:.3g}, its range is {low[joint]:.3g} to {high[joint]:.3g}"
+        raise ExecutionRefused(f"joint {world.scene.joints[joint]!r}", (step + 1) * dt, problem)
+
+
+def _check_tracking(error: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:
+    off = np.argwhere(~(error <= tolerance))
+    if len(off):
+        step, joint = (int(i) for i in off[0])
+        problem = f"{error[step, joint]:.3g} rad from the trajectory, {tolerance:g} are allowed; slow the motion down"
+        raise ExecutionRefused(f"joint {world.scene.joints[joint]!r}", (step + 1) * dt, problem)
+
+
+def _slip(
+    xpos: Float[Array, "step body xyz"], xquat: Float[Array, "step body wxyz"], world: World
+) -> Float[Array, " step"]:
+    """Return how far the carried object is, in the tool's frame, from where it was."""
+    if world.carried_body < 0:
+        return np.zeros(len(xpos))
+    from scipy.spatial.transform import Rotation
+
+    tool = int(world.model.site(world.scene.tool).bodyid[0])
+    turned = Rotation.from_quat(xquat[:, tool], scalar_first=True)
+    place = turned.apply(xpos[:, world.carried_body] - xpos[:, tool], inverse=True)
+    return np.linalg.norm(place - place[0], axis=-1)
+
+
+def _check_slip(slip: Float[Array, " step"], world: World, dt: float) -> None:
+    lost = np.flatnonzero(~(slip <= _SLIP))
+    if len(lost):
+        step = int(lost[0])
+        problem = f"it has slipped by {slip[step]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
+        raise ExecutionRefused(f"the object {world.model.body(world.carried_body).name!r}", (step + 1) * dt, problem)

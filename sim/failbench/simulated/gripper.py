@@ -1,0 +1,87 @@
+"""Where the gripper is in a scene's model, and which way it opens."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from graceful_plan import Scene
+from graceful_plan.array_types import Float, Int
+from graceful_plan.scene.model_parts import subtree
+
+Array = np.ndarray
+
+
+class Gripper(NamedTuple):
+    """The joints behind the tool's body and what drives them."""
+
+    bodies: tuple[int, ...]
+    """The tool's body and everything that hangs on it."""
+    pads: Int[Array, " geom"]
+    """Geoms of the parts that move, as far as they collide: what holds an object."""
+    joints: Int[Array, " joint"]
+    actuators: Int[Array, " actuator"]
+    open: Float[Array, " actuator"]
+    """Command of each actuator that opens the gripper as far as it goes."""
+    closed: Float[Array, " actuator"]
+    """The one that closes it."""
+    home: Float[Array, " actuator"]
+    """The one that leaves it as the scene has it."""
+
+
+def find_gripper(scene: Scene) -> Gripper:
+    """Find the gripper: all that hangs on the tool's body. Without position servos there are no actuators in it."""
+    model = scene.model
+    tool = int(model.site(scene.tool).bodyid[0])
+    bodies = tuple(sorted(subtree(model, tool)))
+    planned = {int(model.joint(name).id) for name in scene.joints}
+    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies and j not in planned]
+    actuators = [a for a in range(model.nu) if _acts_on(model, a, joints) and model.actuator_biasprm[a, 1] < 0.0]
+    fingers = {int(model.jnt_bodyid[j]) for j in joints}
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    pads = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in fingers and collides[g]]
+    ends = [_posture(scene, joints, end) for end in (0, 1)]
+    wide = int(ends[1].spread >= ends[0].spread)
+    home = _posture(scene, joints, None)
+    return Gripper(
+        bodies=bodies,
+        pads=np.array(pads, dtype=int),
+        joints=np.array(joints, dtype=int),
+        actuators=np.array(actuators, dtype=int),
+        open=ends[wide].length[actuators],
+        closed=ends[1 - wide].length[actuators],
+        home=home.length[actuators],
+    )
+
+
+class _Posture(NamedTuple):
+    spread: float
+    """Sum of the distances between the moving bodies of the gripper [m]."""
+    length: Float[Array, " actuator"]
+    """Length of every actuator, which is what its servo follows."""
+
+
+def _posture(scene: Scene, joints: list[int], end: int | None) -> _Posture:
+    """Look at the gripper with its joints at the lower (0) or upper (1) ends of their ranges, or at home (None)."""
+    model = scene.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.home_qpos
+    if end is not None:
+        data.qpos[model.jnt_qposadr[joints]] = model.jnt_range[joints, end]
+    mujoco.mj_fwdPosition(model, data)
+    centres = data.xipos[model.jnt_bodyid[joints]]
+    spread = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).sum())
+    return _Posture(spread, data.actuator_length.copy())
+
+
+def _acts_on(model: mujoco.MjModel, actuator: int, joints: list[int]) -> bool:
+    target = int(model.actuator_trnid[actuator, 0])
+    kind = int(model.actuator_trntype[actuator])
+    if kind == int(mujoco.mjtTrn.mjTRN_JOINT):
+        return target in joints
+    if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+        first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
+        return any(int(joint) in joints for joint in model.wrap_objid[first : first + count])
+    return False

@@ -1,0 +1,326 @@
+"""A scene as it is simulated: servos that follow, fingers that hold, sensors that feel every touch.
+
+Ids of bodies, geoms and joints are those of the scene's own model, to which only sensors and constraints are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+
+from failbench.simulated.gripper import Gripper, find_gripper
+from failbench.simulated.robot import Robot
+from graceful_plan import Scene, SettingError, UnsupportedError
+from graceful_plan.array_types import Float, Int
+from graceful_plan.scene.roles import free_joint
+
+Array = np.ndarray
+
+SENSOR_SIZE = 7
+"""Numbers of a contact sensor: how many contacts, net force in W [N], where in W [m]."""
+
+_STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+"""Impedance of a constraint that yields as little as the solver allows."""
+_FIRM = [0.95, 0.99, 0.001, 0.5, 2.0]
+"""Impedance of the fingertips' contacts."""
+_BANDWIDTH = 40.0
+"""Natural frequency of the computed-torque controller [rad/s], critically damped."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimSettings:
+    """How a scene is simulated.
+
+    Args:
+        timestep: MuJoCo's time step [s].
+        grasp: "fingers" holds the carried object by friction, as the real gripper does; "weld" by a constraint that a
+            failing gripper releases cleanly, for studies of nothing but the fall.
+        control: "servo" drives the model's own position servos with feed-forward of speed and gravity; "torque"
+            computes the torques of the trajectory and adds a critically damped correction.
+        sleep: Whether things at rest are left out of the computation until something touches them.
+    """
+
+    timestep: float = 0.002
+    grasp: str = "fingers"
+    control: str = "servo"
+    sleep: bool = True
+
+    def __post_init__(self) -> None:
+        if not 1e-4 <= self.timestep <= 0.01:
+            raise SettingError("timestep", self.timestep, "between 0.0001 and 0.01 s")
+        for name, value, valid in (
+            ("grasp", self.grasp, ("fingers", "weld")),
+            ("control", self.control, ("servo", "torque")),
+        ):
+            if value not in valid:
+                raise SettingError(name, value, f"one of {', '.join(valid)}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class World:
+    """A scene ready to be simulated. Made by `build_world`.
+
+    | field          | meaning                                                                              |
+    |----------------|--------------------------------------------------------------------------------------|
+    | scene          | what is simulated                                                                    |
+    | settings       | how                                                                                  |
+    | model          | the model with servos, constraints and sensors; read only                            |
+    | robot          | the parts that can break                                                             |
+    | pairs          | component and entity of each contact sensor; one for every body of an entity         |
+    | sensor_adr     | where in sensordata each contact sensor begins: count, force in W, position in W     |
+    | entity_bodies  | bodies of each entity                                                                |
+    | movable        | body of each entity that can move freely                                             |
+    | striker_bodies | bodies of the components "body" and "carried"                                        |
+    | carried_body   | body of the carried object; -1 if there is none                                      |
+    | hold           | the weld that holds the carried object until the fingers do; -1 if there is no object |
+    """
+
+    scene: Scene
+    settings: SimSettings
+    model: mujoco.MjModel
+    robot: Robot
+    pairs: tuple[tuple[str, str], ...]
+    sensor_adr: Int[Array, " pair"]
+    entity_bodies: Mapping[str, tuple[int, ...]]
+    movable: Mapping[str, int]
+    striker_bodies: Mapping[str, tuple[int, ...]]
+    carried_body: int
+    hold: int
+
+
+def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
+    """Make a scene ready to be simulated.
+
+    Raises:
+        UnsupportedError: If a planned joint has no position servo, or one with dynamics of its own, or the gripper
+            cannot hold.
+    """
+    settings = SimSettings() if settings is None else settings
+    model = scene.model
+    gripper = find_gripper(scene)
+    actuators = [_actuator_of(model, model.joint(name).id, name) for name in scene.joints]
+    strikers = {
+        name: tuple(sorted({int(model.geom_bodyid[g]) for g in scene.components[name].geoms}))
+        for name in ("body", "carried")
+        if name in scene.components
+    }
+    entities = {
+        entity.name: tuple(sorted({int(model.geom_bodyid[g]) for g in entity.geoms}))
+        for entity in scene.entities.values()
+    }
+    spec = scene.spec.copy()
+    _name_bodies(spec)
+    _set_options(spec, scene, settings)
+    pairs = _add_sensors(spec, model, strikers, entities)
+    for name in scene.joints:
+        _add_lock(spec, name, settings.timestep)
+    if scene.carried is not None:
+        _add_weld(spec, scene, gripper, settings)
+    simulated = spec.compile()
+    if simulated.nq != model.nq or simulated.ngeom != model.ngeom:
+        raise UnsupportedError("the carried object needs a free joint to be dropped")
+    robot = _tuned(simulated, scene, settings, actuators, gripper)
+    return World(
+        scene=scene,
+        settings=settings,
+        model=simulated,
+        robot=robot,
+        pairs=tuple(pair for pair, _ in pairs),
+        sensor_adr=np.array([int(simulated.sensor(name).adr[0]) for _, name in pairs], dtype=int),
+        entity_bodies=MappingProxyType(entities),
+        movable=MappingProxyType(_movable(model, entities)),
+        striker_bodies=MappingProxyType(strikers),
+        carried_body=-1 if scene.carried is None else int(model.body(scene.carried.body).id),
+        hold=-1 if scene.carried is None else int(simulated.equality("failbench/hold").id),
+    )
+
+
+def _actuator_of(model: mujoco.MjModel, joint: int, name: str) -> int:
+    of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
+    found = np.flatnonzero(of_joint)
+    if len(found) != 1:
+        raise UnsupportedError(f"the joint {name!r} has {len(found)} actuators; FailBench drives it by exactly one")
+    if int(model.actuator_dyntype[found[0]]) != int(mujoco.mjtDyn.mjDYN_NONE):
+        raise UnsupportedError(f"the actuator of {name!r} has dynamics of its own; FailBench drives those without")
+    return int(found[0])
+
+
+def _name_bodies(spec: mujoco.MjSpec) -> None:
+    """Give bodies without a name one, since what is added refers to them by name."""
+    for i, body in enumerate(spec.bodies):
+        body.name = body.name or f"failbench/body{i}"
+
+
+def _set_options(spec: mujoco.MjSpec, scene: Scene, settings: SimSettings) -> None:
+    spec.option.timestep = settings.timestep
+    # Other integrators chatter at this time step, and pyramidal cones let a held object creep.
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = max(spec.option.impratio, 10.0)
+    spec.option.noslip_iterations = 0
+    if settings.sleep:
+        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    if scene.carried is not None:
+        # It would fall asleep in the gripper, and then hang in the air when let go.
+        spec.body(scene.carried.body).sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
+
+
+def _roots(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
+    """Return the bodies that are not below another one of them."""
+    chosen = set(bodies)
+    roots = []
+    for body in sorted(chosen):
+        parent = int(model.body_parentid[body])
+        while parent > 0 and parent not in chosen:
+            parent = int(model.body_parentid[parent])
+        if parent == 0:
+            roots.append(body)
+    return roots
+
+
+def _add_sensors(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    strikers: Mapping[str, tuple[int, ...]],
+    entities: Mapping[str, tuple[int, ...]],
+) -> list[tuple[tuple[str, str], str]]:
+    fields = ("FOUND", "FORCE", "POS")
+    wanted = sum(1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name}")) for name in fields)
+    added = []
+    for component, bodies in strikers.items():
+        for root in _roots(model, bodies):
+            for entity, parts in entities.items():
+                for part in parts:
+                    striking, struck = (spec.bodies[body].name for body in (root, part))
+                    name = f"failbench/{striking}/{struck}"
+                    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
+                    # A subtree (XBODY) of what strikes against one body of what is struck.
+                    sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_XBODY, striking
+                    sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, struck
+                    sensor.intprm[0], sensor.intprm[1], sensor.intprm[2] = wanted, 3, 1  # 3: the net force of all
+                    added.append(((component, entity), name))
+    return added
+
+
+def _add_lock(spec: mujoco.MjSpec, joint: str, timestep: float) -> None:
+    lock = spec.add_equality(name=f"failbench/lock/{joint}", type=mujoco.mjtEq.mjEQ_JOINT)
+    lock.objtype, lock.name1, lock.active = mujoco.mjtObj.mjOBJ_JOINT, joint, False
+    lock.solref, lock.solimp = [2.0 * timestep, 1.0], _STIFF
+
+
+def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: SimSettings) -> None:
+    assert scene.carried is not None
+    model = scene.model
+    site = model.site(scene.tool)
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, site.quat)
+    X_BT = np.eye(4)
+    X_BT[:3, :3], X_BT[:3, 3] = R.reshape(3, 3), site.pos
+    X_BO = X_BT @ scene.carried.X_TO
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(X_BO[:3, :3]).ravel())
+    weld = spec.add_equality(name="failbench/hold", type=mujoco.mjtEq.mjEQ_WELD)
+    weld.objtype, weld.name1, weld.name2 = (
+        mujoco.mjtObj.mjOBJ_BODY,
+        spec.bodies[int(site.bodyid[0])].name,
+        scene.carried.body,
+    )
+    weld.data = [0.0, 0.0, 0.0, *X_BO[:3, 3], *quat, 1.0, 0.0]  # anchor, pose, how much of the torque
+    weld.solref, weld.solimp = [2.0 * settings.timestep, 1.0], _STIFF
+    if settings.grasp == "weld":
+        for body in gripper.bodies:
+            spec.add_exclude(bodyname1=spec.bodies[body].name, bodyname2=scene.carried.body)
+    elif not len(gripper.actuators):
+        raise UnsupportedError("the gripper has no position servo to hold with; use SimSettings(grasp='weld')")
+
+
+def _movable(model: mujoco.MjModel, entities: Mapping[str, tuple[int, ...]]) -> dict[str, int]:
+    free = {name: [body for body in bodies if free_joint(model, body) >= 0] for name, bodies in entities.items()}
+    return {name: bodies[0] for name, bodies in free.items() if bodies}
+
+
+def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators: list[int], gripper: Gripper) -> Robot:
+    """Set the servos up in the model that is going to be simulated, and say where the robot's parts are in it."""
+    joints = [int(model.joint(name).id) for name in scene.joints]
+    dofs = model.jnt_dofadr[joints].astype(int)
+    _ungear(model, actuators)
+    _limit_forces(model, scene, actuators, gripper)
+    # Feed-forward takes commands out of the joints' range, and a dead arm must not be held up.
+    model.actuator_ctrllimited[actuators] = 0
+    model.body_gravcomp[sorted(scene.robot_bodies)] = 0.0
+    # The fingertips decide how they hold: whatever the object is made of, it must not creep through a soft contact.
+    model.geom_priority[gripper.pads] = model.geom_priority.max() + 1
+    model.geom_solref[gripper.pads] = [2.0 * settings.timestep, 1.0]
+    model.geom_solimp[gripper.pads] = _FIRM
+    if settings.control == "torque":
+        inertia = _inertia(model, scene)[dofs]
+        model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED
+        model.actuator_gainprm[actuators, 0] = 1.0
+        model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE
+        model.actuator_biasprm[actuators, 1] = -(_BANDWIDTH**2) * inertia
+        model.actuator_biasprm[actuators, 2] = -2.0 * _BANDWIDTH * inertia
+    kp, kd = -model.actuator_biasprm[actuators, 1], -model.actuator_biasprm[actuators, 2]
+    for j, name in enumerate(scene.joints):
+        if not kp[j] > 0.0:
+            raise UnsupportedError(f"the actuator of {name!r} is no position servo; use SimSettings(control='torque')")
+    grasps = settings.grasp == "fingers" and scene.carried is not None
+    return Robot(
+        joints=scene.joints,
+        joint_ids=np.array(joints),
+        qpos=np.array(scene.qpos_adr),
+        reference=model.qpos0[scene.qpos_adr].copy(),
+        dofs=dofs,
+        actuators=np.array(actuators),
+        locks=np.array([int(model.equality(f"failbench/lock/{name}").id) for name in scene.joints]),
+        kp=kp,
+        kd=kd,
+        gain=model.actuator_gainprm[actuators, 0].copy(),
+        gripper_joints=gripper.joints,
+        gripper_dofs=model.jnt_dofadr[gripper.joints].astype(int),
+        gripper_actuators=gripper.actuators,
+        grip_open=gripper.open,
+        grip_closed=gripper.closed if grasps else gripper.home,
+        pads=gripper.pads,
+        weld=-1 if grasps or scene.carried is None else int(model.equality("failbench/hold").id),
+    )
+
+
+def _ungear(model: mujoco.MjModel, actuators: list[int]) -> None:
+    """Express drives in terms of their joints: the same torques, without a gear and a constant force.
+
+    The controller makes up for the constant force in any case, so a healthy robot is the same without it.
+    """
+    gear = model.actuator_gear[actuators, 0].copy()
+    model.actuator_gear[actuators, 0] = 1.0
+    model.actuator_gainprm[actuators, 0] *= gear
+    model.actuator_biasprm[actuators, 0] = 0.0
+    model.actuator_biasprm[actuators, 1:3] *= gear[:, None] ** 2
+    model.actuator_forcerange[actuators] = np.sort(model.actuator_forcerange[actuators] * gear[:, None], axis=1)
+
+
+def _limit_forces(model: mujoco.MjModel, scene: Scene, actuators: list[int], gripper: Gripper) -> None:
+    """Limit drives that have no limit of their own: faults set friction and grip in proportion to it.
+
+    Joints get the scene's torque limit, if it is known; fingers what their servos ask for at most.
+    """
+    known = [(a, t) for a, t in zip(actuators, scene.limits.torque, strict=True) if np.isfinite(t)]
+    stroke = np.abs(gripper.open - gripper.closed)
+    known += zip(gripper.actuators.tolist(), -model.actuator_biasprm[gripper.actuators, 1] * stroke, strict=True)
+    for actuator, force in known:
+        if not model.actuator_forcelimited[actuator]:
+            model.actuator_forcelimited[actuator] = 1
+            model.actuator_forcerange[actuator] = -force, force
+
+
+def _inertia(model: mujoco.MjModel, scene: Scene) -> Float[Array, " nv"]:
+    """Return the diagonal of the inertia matrix at home."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.home_qpos
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return np.diag(full).copy()

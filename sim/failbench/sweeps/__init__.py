@@ -1,0 +1,1 @@
+"""Datasets of many rollouts, made so that nothing is lost."""

@@ -1,0 +1,238 @@
+"""Datasets: Parquet parts that other programs read in one line, and a manifest that knows their checksums.
+
+A part gets its name when it is complete and on disk; the manifest is written last. So a dataset without a manifest is
+unfinished, and one whose parts differ from the manifest is damaged; `read_dataset` refuses both by name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from failbench.basics.chunks import Rows
+from failbench.basics.errors import MissingExtra
+from failbench.basics.tables import TABLES, VERSION, arrow_schema
+from graceful_plan.exceptions import FormatError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from failbench.sweeps.work import Sweep
+
+MANIFEST = "manifest.json"
+PART_ROWS = 5_000
+"""Rows of a part, at most; as many are in memory until it is written, some 30 kB each."""
+
+_SCHEMA = "failbench.dataset"
+_TEMPORARY = ".unfinished-"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dataset:
+    """A dataset that was found to be whole.
+
+    Args:
+        rollouts: One row for each rollout.
+        contacts: One row for each contact event; `rollout` says of which rollout.
+        manifest: What it was made from and with, and the checksums.
+    """
+
+    rollouts: pa.Table
+    contacts: pa.Table
+    manifest: Mapping[str, Any]
+
+    @property
+    def sweep(self) -> Sweep:
+        """What it was made from."""
+        from failbench.sweeps.work import Sweep
+
+        return Sweep.from_document(self.manifest["sweep"])
+
+
+def check_arrow() -> None:
+    """Raise MissingExtra if no dataset can be written or read here."""
+    if importlib.util.find_spec("pyarrow") is None:
+        raise MissingExtra("pyarrow", "data")
+
+
+def write_dataset(folder: Path, rows: Iterable[Rows], about: Mapping[str, Any]) -> dict[str, Any]:
+    """Write rows as a dataset, in their order, and return its manifest. What was there before is replaced.
+
+    Args:
+        folder: Where.
+        rows: Rows of both tables.
+        about: Sweep and versions, kept in the manifest and in every part.
+
+    Raises:
+        FormatError: If there are files of somebody else where the parts go.
+        MissingExtra: If pyarrow is not installed.
+    """
+    check_arrow()
+    import pyarrow as pa
+
+    _clear(folder)
+    about = {**about, "versions": {**about["versions"], "pyarrow": pa.__version__}}
+    writers = {table: _Writer(folder, table, about) for table in TABLES}
+    for chunk in rows:
+        for table, writer in writers.items():
+            writer.add(chunk[table])
+    manifest = {
+        "schema": _SCHEMA,
+        "version": VERSION,
+        **about,
+        "parts": [part for writer in writers.values() for part in writer.finish()],
+        "rows": {table: sum(part["rows"] for part in writer.parts) for table, writer in writers.items()},
+        "content": {table: writer.content.hexdigest() for table, writer in writers.items()},
+    }
+    manifest["sha256"] = _self_checksum(manifest)
+    _write(folder / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
+    return manifest
+
+
+def read_dataset(folder: str | Path) -> Dataset:
+    """Read a dataset and check all of it: every part is there, none is too many, and each is what was written.
+
+    Raises:
+        FormatError: If it is unfinished, damaged, or of another version; the message names the file.
+        MissingExtra: If pyarrow is not installed.
+    """
+    check_arrow()
+    import pyarrow as pa
+
+    folder = Path(folder)
+    manifest = read_manifest(folder)
+    parts = {folder / part["file"]: part for part in manifest["parts"]}
+    for file in _files(folder):
+        if file not in parts:
+            raise FormatError(str(file), f"it is not in {MANIFEST}")
+    tables: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
+    for file, part in parts.items():
+        tables[file.parent.name].append(_read_part(file, part))
+    return Dataset(**{name: pa.concat_tables(found) for name, found in tables.items()}, manifest=manifest)
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Read and check the manifest of a dataset, without its parts.
+
+    Raises:
+        FormatError: If there is none, or it is damaged, or of another version.
+    """
+    file = folder / MANIFEST
+    try:
+        manifest = json.loads(file.read_bytes())
+    except FileNotFoundError:
+        raise FormatError(str(file), "missing: no dataset, or one that was never finished") from None
+    except (ValueError, RecursionError) as error:
+        raise FormatError(str(file), f"damaged: {error}") from None
+    if not isinstance(manifest, dict) or manifest.get("schema") != _SCHEMA:
+        raise FormatError(str(file), "no manifest of a dataset")
+    if manifest.get("version") != VERSION:
+        raise FormatError(str(file), f"version {manifest.get('version')!r}; this version reads {VERSION}")
+    if manifest.get("sha256") != _self_checksum(manifest):
+        raise FormatError(str(file), "damaged: its checksum does not fit")
+    return manifest
+
+
+class _Writer:
+    """Collects rows of a table and writes a part whenever there are enough."""
+
+    def __init__(self, folder: Path, table: str, about: Mapping[str, Any]) -> None:
+        self.folder, self.table = folder, table
+        texts = {f"failbench.{key}": json.dumps(value) for key, value in about.items()}
+        self.schema = arrow_schema(table).with_metadata(
+            {"failbench.schema": f"failbench.{table}", "failbench.version": str(VERSION), **texts}
+        )
+        self.rows: list[dict[str, Any]] = []
+        self.parts: list[dict[str, Any]] = []
+        self.content = hashlib.sha256()
+        """Checksum of all the rows as JSON lines: the same whatever wrote the Parquet file."""
+        (folder / table).mkdir(parents=True, exist_ok=True)
+
+    def add(self, rows: Iterable[dict[str, Any]]) -> None:
+        for row in rows:
+            self.content.update((json.dumps(row, sort_keys=True, allow_nan=False) + "\n").encode())
+            self.rows.append(row)
+            if len(self.rows) == PART_ROWS:
+                self._flush()
+
+    def finish(self) -> list[dict[str, Any]]:
+        if self.rows or not self.parts:  # a table has at least one part, so that it can be read
+            self._flush()
+        return self.parts
+
+    def _flush(self) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        buffer = pa.BufferOutputStream()
+        pq.write_table(pa.Table.from_pylist(self.rows, schema=self.schema), buffer, compression="zstd")
+        content = buffer.getvalue().to_pybytes()
+        name = f"{self.table}/part-{len(self.parts):05d}.parquet"
+        _write(self.folder / name, content)
+        checksum = hashlib.sha256(content).hexdigest()
+        self.parts.append({"file": name, "rows": len(self.rows), "bytes": len(content), "sha256": checksum})
+        self.rows = []
+
+
+def _write(file: Path, content: bytes) -> None:
+    """Write a file such that its name never stands for less than all of it, not even after a power cut."""
+    temporary = file.with_name(_TEMPORARY + file.name)
+    with temporary.open("wb") as out:
+        out.write(content)
+        out.flush()
+        os.fsync(out.fileno())
+    temporary.replace(file)
+    folder = os.open(file.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an earlier export left behind, the manifest first."""
+    ours = [file for file in _files(folder) if file.name.startswith(("part-", _TEMPORARY))]
+    for file in _files(folder):
+        if file not in ours:
+            raise FormatError(str(file), "not a part of a dataset; parts are to be written here")
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for file in ours:
+        file.unlink()
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yield everything that lies where parts belong."""
+    for table in TABLES:
+        if (folder / table).is_dir():
+            yield from sorted((folder / table).iterdir())
+
+
+def _read_part(file: Path, part: Mapping[str, Any]) -> pa.Table:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise FormatError(str(file), f"missing: {error.strerror}") from None
+    if len(content) != part["bytes"]:
+        raise FormatError(str(file), f"damaged: {len(content)} bytes, {part['bytes']} were written")
+    if hashlib.sha256(content).hexdigest() != part["sha256"]:
+        raise FormatError(str(file), "damaged: its checksum does not fit")
+    # The very bytes that were checked are the ones that are read.
+    read = pq.read_table(pa.BufferReader(content))
+    if not read.schema.equals(arrow_schema(file.parent.name)) or read.num_rows != part["rows"]:
+        raise FormatError(str(file), f"not the columns or rows of {file.parent.name}")
+    return read
+
+
+def _self_checksum(manifest: Mapping[str, Any]) -> str:
+    """Return the checksum of a manifest without the one in it."""
+    content = {key: value for key, value in manifest.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,193 @@
+"""Who does the chunks of a sweep: a protocol, and a pool of local processes that outlives the death of its workers."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+from collections import Counter, deque
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from typing import Protocol, cast, runtime_checkable
+
+from failbench.basics.chunks import Chunk, Outcome, Work, attempt
+from failbench.basics.errors import WorkerError
+from graceful_plan import SettingError
+
+MAX_KILLS = 3
+"""How many workers a chunk may take down with it before it counts as failed."""
+_MAX_STILLBORN = 5
+"""How many workers in a row may die before they can work, until it is clear that none ever will."""
+
+
+@runtime_checkable
+class Executor(Protocol):
+    """Does chunks somewhere, in any order."""
+
+    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[Outcome]:
+        """Do every chunk once and yield how each ended, as they come; closing the iterator stops everything.
+
+        An exception in a chunk, and a chunk that keeps killing its worker, are outcomes with an error.
+        """
+        ...
+
+
+def checked_workers(workers: int) -> int:
+    """Return how many workers to use: one for each core if `workers` is 0."""
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
+        raise SettingError("workers", workers, "a whole number, at least 0 (0: one for each core)")
+    return workers or len(os.sched_getaffinity(0))
+
+
+def died(chunk: Chunk, kills: int, how: str) -> Outcome:
+    """Return the outcome of a chunk that took too many workers with it."""
+    return Outcome(chunk=chunk, error=f"{chunk.name}: its worker died {kills} times, the last time with {how}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalExecutor:
+    """Processes on this machine. A worker that dies is replaced, and its chunk is done again.
+
+    Args:
+        workers: How many processes; 0 is one for each core.
+    """
+
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        checked_workers(self.workers)
+
+    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[Outcome]:
+        """Do every chunk once and yield how each ended, as they come.
+
+        Raises:
+            WorkerError: If one worker after another dies before it can do anything.
+        """
+        todo = deque(chunks)
+        pool = _Pool(work, todo)
+        try:
+            pool.grow(min(checked_workers(self.workers), len(todo)))
+            while todo or pool.busy:
+                for worker in pool.those_with_news():
+                    outcome = pool.hear(worker)
+                    if outcome is not None:
+                        yield outcome
+        finally:
+            pool.kill()
+
+
+class _Pool:
+    """The workers of one call of `map`, and what is known about deaths among them."""
+
+    def __init__(self, work: Work, todo: deque[Chunk]) -> None:
+        self.work, self.todo = work, todo
+        self.workers: list[_Worker] = []
+        self.kills: Counter[int] = Counter()
+        self.stillborn = 0
+
+    @property
+    def busy(self) -> bool:
+        return any(worker.chunk is not None for worker in self.workers)
+
+    def grow(self, count: int) -> None:
+        self.workers += [_Worker(self.work) for _ in range(count)]
+
+    def kill(self) -> None:
+        for worker in self.workers:
+            worker.kill()
+        self.workers.clear()
+
+    def those_with_news(self) -> list[_Worker]:
+        """Wait until workers have something to say, or have died, and return them."""
+        loud = wait([worker.connection for worker in self.workers])
+        return [worker for worker in self.workers if worker.connection in loud]
+
+    def hear(self, worker: _Worker) -> Outcome | None:
+        """Take what a worker has to say and give it the next chunk; or replace it, if it is dead."""
+        try:
+            outcome = worker.receive()
+        except (EOFError, OSError):
+            return self._bury(worker)
+        self.stillborn = 0
+        if self.todo:
+            worker.give(self.todo.popleft())
+        return outcome
+
+    def _bury(self, worker: _Worker) -> Outcome | None:
+        """Replace a dead worker; its chunk is done again, unless it is known for that."""
+        how = worker.kill()
+        self.workers.remove(worker)
+        self.stillborn += not worker.ready
+        if self.stillborn == _MAX_STILLBORN:
+            raise WorkerError(f"{_MAX_STILLBORN} in a row died before they could begin, the last one with {how}")
+        self.grow(1)
+        chunk = worker.chunk
+        if chunk is None:
+            return None
+        self.kills[chunk.index] += 1
+        if self.kills[chunk.index] == MAX_KILLS:
+            return died(chunk, MAX_KILLS, how)
+        self.todo.appendleft(chunk)
+        return None
+
+
+class _Worker:
+    """A process that does one chunk after the other, and the driver's end of the line to it."""
+
+    def __init__(self, work: Work) -> None:
+        # Spawned, not forked: the driver may have threads, and MuJoCo and BLAS may hold locks in them.
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+        with _interrupts_blocked():
+            self.process.start()
+        theirs.close()  # so that its death is an end of file here, and the driver's one there
+        self.ready = False
+        self.chunk: Chunk | None = None
+
+    def give(self, chunk: Chunk) -> None:
+        self.chunk = chunk
+        with contextlib.suppress(OSError):  # dead: what it would have answered with is an end of file
+            self.connection.send(chunk)
+
+    def receive(self) -> Outcome | None:
+        """Return its outcome; None is its first word, that it is ready.
+
+        Raises:
+            EOFError, OSError: If it died, perhaps in the middle of a word.
+        """
+        outcome = cast(Outcome | None, self.connection.recv())
+        self.ready, self.chunk = True, None
+        return outcome
+
+    def kill(self) -> str:
+        """End it at once and say how it ended."""
+        self.connection.close()
+        # A dead one keeps its own exit code.
+        self.process.kill()
+        self.process.join()
+        code = self.process.exitcode or 0
+        self.process.close()
+        return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Generator[None]:
+    """Start processes that never see Ctrl-C: it reaches the whole group, but is for the driver to act on."""
+    resource_tracker.ensure_running()  # the first process starts it, and that unblocks interrupts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(connection: Connection, work: Work) -> None:
+    """Do the chunks that come in, until the driver hangs up or dies."""
+    with contextlib.suppress(EOFError, OSError):
+        connection.send(None)
+        while True:
+            connection.send(attempt(work, connection.recv()))

@@ -1,0 +1,76 @@
+"""Rollouts as rows of a dataset: plain JSON values. `tables.py` says what each column means."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from failbench.fault.registry import to_document
+from failbench.recording.records import Rollout
+from failbench.recording.score import energy_impact, observed_impact, secondary_impact
+from failbench.simulated.execution import Execution
+from graceful_plan import Scene
+
+
+def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
+    """Return the columns that describe a rollout."""
+    job, scene = rollout.job, execution.world.scene
+    return {
+        "fault": job.fault.NAME,
+        "category": job.fault.CATEGORY,
+        "degree": job.fault.degree,
+        "fault_settings": json.dumps(to_document(job.fault), sort_keys=True),
+        "onset": rollout.onset,
+        "duration": execution.duration,
+        "seed": job.seed,
+        "weight": job.weight,
+        "status": rollout.status,
+        **_consequences(rollout, scene),
+        "contacts": len(rollout.events),
+        "fell": list(rollout.fell),
+        "tipped": list(rollout.tipped),
+        "left_support": list(rollout.left_support),
+        "poses": [
+            {"name": name, "wxyz_xyz": [_number(x) for x in pose]} for name, pose in sorted(rollout.poses.items())
+        ],
+        "state": None if rollout.state is None else [float(x) for x in rollout.state],
+    }
+
+
+def _consequences(rollout: Rollout, scene: Scene) -> dict[str, Any]:
+    """Return what can be averaged; null where nothing is known, so that nobody takes it for harmless."""
+    if rollout.status == "diverged":
+        return dict.fromkeys(("observed_impact", "energy_impact", "secondary_impact", "dropped", "spilled"))
+    return {
+        "observed_impact": _number(observed_impact(rollout, scene)),
+        "energy_impact": _number(energy_impact(rollout, scene)),
+        "secondary_impact": _number(secondary_impact(rollout, scene)),
+        "dropped": bool(rollout.dropped),
+        "spilled": _number(rollout.spilled),
+    }
+
+
+def contact_rows(number: int, rollout: Rollout) -> list[dict[str, Any]]:
+    """Return a row for each contact event of the rollout of this number."""
+    return [
+        {
+            "rollout": number,
+            "striker": event.striker,
+            "entity": event.entity,
+            "secondary": bool(event.secondary),
+            "time": _number(event.time),
+            **{axis: _number(x) for axis, x in zip("xyz", event.position, strict=True)},
+            "peak_force": _number(event.peak_force),
+            "impulse": _number(event.impulse),
+            "speed": _number(event.speed),
+            "energy": _number(event.energy),
+        }
+        for event in rollout.events
+    ]
+
+
+def _number(value: Any) -> float | None:
+    """Return a finite number; a simulation that blew up may have others, which become null."""
+    number = float(value)
+    return number if math.isfinite(number) else None

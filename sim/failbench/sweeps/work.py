@@ -1,0 +1,341 @@
+"""A sweep: which faults strike which motions, how often; its JSON form, its chunks, and doing one of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import graceful_plan as gp
+from failbench.basics.chunks import Chunk, Rows
+from failbench.fault.registry import Fault, from_document, load_class
+from failbench.recording.records import Job
+from failbench.rollouts.rollout import run
+from failbench.rollouts.sampling import MOST, check_whole, make_jobs
+from failbench.simulated.execution import LONGEST, Execution, execute
+from failbench.simulated.world import SimSettings, World, build_world
+from failbench.sweeps.rows import contact_rows, rollout_row
+from graceful_plan import Scene, SettingError, Trajectory, UnknownNameError
+from graceful_plan.exceptions import FormatError
+
+_SCHEMA = "failbench.sweep"
+_VERSION = 1
+
+CHUNK = 32
+"""Rollouts of a chunk, at most: one batch of simulations, a second of work or less."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSettings:
+    """How a motion is planned; the same settings give the same motion.
+
+    Args:
+        w: Safety weight.
+        planner: Name of a planner.
+        iterations: Planner iterations.
+        seed: Of the planner.
+        speed: Fraction of the velocity limits to use; at full speed the fingers lose some of the bundled objects.
+    """
+
+    w: float = 1.0
+    planner: str = "auto"
+    iterations: int = 2000
+    seed: int = 0
+    speed: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A motion on which faults strike: a trajectory, or how to plan one.
+
+    Args:
+        name: What it is called in the dataset.
+        scene: Bundled scene, or scene file.
+        task: Task of the scene whose object is carried; None carries nothing.
+        plan: How the trajectory is planned; None if it is given.
+        trajectory: The trajectory; None if it is still to be planned.
+        grasp: What holds the object; None for what the sweep's settings say.
+    """
+
+    name: str
+    scene: str
+    task: str | None = None
+    plan: PlanSettings | None = None
+    trajectory: Trajectory | None = None
+    grasp: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.grasp is not None:
+            SimSettings(grasp=self.grasp)  # says what is valid
+        if self.plan is None and self.trajectory is None:
+            raise SettingError(f"trajectory of motion {self.name!r}", None, "a trajectory, or plan settings")
+        if self.plan is not None and self.task is None:
+            raise SettingError(f"task of motion {self.name!r}", None, "a task, whose start and goal are planned for")
+
+    def planned(self) -> Motion:
+        """Return the motion with its trajectory, planned if need be.
+
+        Raises:
+            PlanningFailed: If it cannot be planned.
+        """
+        if self.plan is None or self.trajectory is not None or self.task is None:
+            return self
+        task = _task(self.scene, self.task)
+        return replace(self, trajectory=gp.plan(task.start, task.goal, task.scene, **asdict(self.plan)).unwrap())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sweep:
+    """Every fault on every motion, a number of times, each from its own moment on.
+
+    Args:
+        motions: What the robot is doing when it fails.
+        faults: What breaks, as documents (`failbench.fault.registry.to_document`); a fault of one's own is called
+            "path/to/file.py:ClassName" there.
+        rollouts: How often each fault strikes on each motion.
+        horizon: How long is simulated after the onset [s].
+        seed: Of everything random but the planner. Rollout i of every fault on every motion has the same luck.
+        settings: How the scene is simulated.
+    """
+
+    motions: tuple[Motion, ...]
+    faults: tuple[Mapping[str, Any], ...]
+    rollouts: int
+    horizon: float = 1.0
+    seed: int = 0
+    settings: SimSettings = SimSettings()
+
+    def __post_init__(self) -> None:
+        names = [motion.name for motion in self.motions]
+        if not names or len(set(names)) < len(names):
+            raise SettingError("motions", names, "at least one, all of different names")
+        if not self.faults:
+            raise SettingError("faults", self.faults, "at least one")
+        check_whole("rollouts", self.rollouts, 1, MOST // (len(self.motions) * len(self.faults)))
+        check_whole("seed", self.seed, 0)
+        if not self.settings.timestep <= self.horizon <= LONGEST:
+            raise SettingError("horizon", self.horizon, f"between {self.settings.timestep:g} s and {LONGEST:g} s")
+
+    @cached_property
+    def chunks(self) -> tuple[Chunk, ...]:
+        """The pieces it is done in; they depend on nothing but the sweep."""
+        pieces = [
+            (m, f, first, min(first + CHUNK, self.rollouts))
+            for m in range(len(self.motions))
+            for f in range(len(self.faults))
+            for first in range(0, self.rollouts, CHUNK)
+        ]
+        return tuple(
+            Chunk(index=i, motion=m, fault=f, first=first, last=last, name=self._chunk_name(m, f, first, last))
+            for i, (m, f, first, last) in enumerate(pieces)
+        )
+
+    def _chunk_name(self, motion: int, fault: int, first: int, last: int) -> str:
+        what = self.faults[fault]
+        struck = f"{what.get('fault')} {what.get('degree', '')}".strip()
+        return f"{self.motions[motion].name} / {struck} / rollouts {first}-{last - 1}"
+
+    def first_rollout(self, chunk: Chunk) -> int:
+        """Return the number of a chunk's first rollout in the whole sweep."""
+        return (chunk.motion * len(self.faults) + chunk.fault) * self.rollouts + chunk.first
+
+    def place(self, rollout: int) -> tuple[int, int, int]:
+        """Return motion, fault, and place among the rollouts of both, of the rollout of this number.
+
+        Raises:
+            SettingError: If there is no such rollout.
+        """
+        total = len(self.motions) * len(self.faults) * self.rollouts
+        if not 0 <= rollout < total:
+            raise SettingError("rollout", rollout, f"between 0 and {total - 1}")
+        both, i = divmod(rollout, self.rollouts)
+        return *divmod(both, len(self.faults)), i
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the sweep as JSON values."""
+        motions = [
+            {
+                "name": motion.name,
+                "scene": motion.scene,
+                "task": motion.task,
+                "plan": None if motion.plan is None else asdict(motion.plan),
+                "trajectory": None if motion.trajectory is None else json.loads(motion.trajectory.to_json()),
+                "grasp": motion.grasp,
+            }
+            for motion in self.motions
+        ]
+        own = {name: getattr(self, name) for name in ("rollouts", "horizon", "seed")}
+        return {
+            "schema": _SCHEMA,
+            "version": _VERSION,
+            **own,
+            "motions": motions,
+            "faults": [dict(fault) for fault in self.faults],
+            "settings": asdict(self.settings),
+        }
+
+    @classmethod
+    def from_document(cls, document: Any, source: str = "sweep") -> Sweep:
+        """Read what `to_document` returned.
+
+        Raises:
+            FormatError: If it is not such a document, or of another version.
+            SettingError: If a setting is out of its range.
+        """
+        own = {field.name for field in fields(cls)}
+        _check_keys(source, document, {"schema", "version", *own})
+        for key, value in (("schema", _SCHEMA), ("version", _VERSION)):
+            if document[key] != value:
+                raise FormatError(source, f"{key} is {document[key]!r}, this version reads {value!r}")
+        try:
+            motions = tuple(_motion(motion, f"{source}: motion {i}") for i, motion in enumerate(document["motions"]))
+            _check_keys(f"{source}: settings", document["settings"], {field.name for field in fields(SimSettings)})
+            settings = SimSettings(**document["settings"])
+            faults = tuple(dict(fault.items()) for fault in document["faults"])
+            values = {name: document[name] for name in own - {"motions", "settings", "faults"}}
+            return cls(motions=motions, settings=settings, faults=faults, **values)
+        except (TypeError, AttributeError) as error:
+            raise FormatError(source, f"a value of the wrong type: {error}") from None
+
+    @classmethod
+    def from_json(cls, file: str | Path) -> Sweep:
+        """Read a document from a file.
+
+        Raises:
+            FormatError: If the file holds no such document.
+            SettingError: If a setting is out of its range.
+        """
+        try:
+            document = json.loads(Path(file).read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise FormatError(str(file), f"not JSON: {error}") from None
+        return cls.from_document(document, str(file))
+
+    @property
+    def question(self) -> dict[str, Any]:
+        """What is asked for, as JSON values: the document without the trajectories that were planned for it."""
+        unplanned = (motion if motion.plan is None else replace(motion, trajectory=None) for motion in self.motions)
+        return replace(self, motions=tuple(unplanned)).to_document()
+
+    def planned(self) -> Sweep:
+        """Return the sweep with the trajectories that were still to be planned.
+
+        Raises:
+            PlanningFailed: If one cannot be planned.
+        """
+        return replace(self, motions=tuple(motion.planned() for motion in self.motions))
+
+
+def run_chunk(sweep: Sweep, chunk: Chunk) -> Rows:
+    """Do a chunk of a planned sweep and return its rows. What is built for it is kept for the next one.
+
+    Raises:
+        ExecutionRefused: If the healthy robot cannot carry the motion out.
+    """
+    execution = execution_of(sweep, chunk.motion)
+    jobs = jobs_of(sweep, chunk.motion, chunk.fault)[chunk.first : chunk.last]
+    rollouts = list(enumerate(run(execution, jobs, horizon=sweep.horizon), start=sweep.first_rollout(chunk)))
+    motion = sweep.motions[chunk.motion]
+    about = {"motion": motion.name, "scene": motion.scene, "task": motion.task}
+    return {
+        "rollouts": [{"rollout": number, **about, **rollout_row(rollout, execution)} for number, rollout in rollouts],
+        "contacts": [row for number, rollout in rollouts for row in contact_rows(number, rollout)],
+    }
+
+
+def execution_of(sweep: Sweep, motion: int) -> Execution:
+    """Return the healthy execution of a motion of a planned sweep."""
+    what = sweep.motions[motion]
+    if what.trajectory is None:
+        raise SettingError(f"trajectory of motion {what.name!r}", None, "a trajectory; use Sweep.planned()")
+    settings = sweep.settings if what.grasp is None else replace(sweep.settings, grasp=what.grasp)
+    return _execution(what.scene, what.task, settings, what.trajectory.to_json())
+
+
+def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[Job, ...]:
+    """Return all the rollouts of a fault on a motion."""
+    duration = execution_of(sweep, motion).duration
+    return make_jobs([fault_of(sweep.faults[fault])], duration, n=sweep.rollouts, seed=sweep.seed)
+
+
+def fault_of(document: Mapping[str, Any]) -> Fault:
+    """Return the fault that a document of a sweep describes.
+
+    Raises:
+        UnknownNameError: If it names a fault or a setting that does not exist.
+        FormatError: If it names a file that has no such fault.
+    """
+    name = str(document.get("fault"))
+    if not own_file(document):
+        return from_document(document)
+    fault = _own_class(name)
+    return from_document({**document, "fault": fault.NAME}, {fault.NAME: fault})
+
+
+def own_file(document: Mapping[str, Any]) -> str:
+    """Return the file that a document's fault of one's own is in; empty if it is one of ours."""
+    file, colon, _ = str(document.get("fault")).rpartition(":")
+    return file if colon else ""
+
+
+_own_class = lru_cache(maxsize=None)(load_class)  # a class is one object, however many chunks name it
+
+
+# By value, not by identity: a worker may get a new copy of the sweep with every chunk. Consecutive chunks are of one
+# motion, so few are needed.
+@lru_cache(maxsize=2)
+def _execution(scene: str, task: str | None, settings: SimSettings, trajectory: str) -> Execution:
+    return execute(Trajectory.from_json(trajectory), _world(scene, task, settings))
+
+
+@lru_cache(maxsize=2)
+def _world(scene: str, task: str | None, settings: SimSettings) -> World:
+    return build_world(scene_of(scene, task), settings)
+
+
+def scene_of(scene: str, task: str | None) -> Scene:
+    """Return a scene with the object of a task in the gripper.
+
+    Raises:
+        UnknownNameError: If there is no such scene or task.
+    """
+    return gp.load_scene(scene) if task is None else _task(scene, task).scene
+
+
+def _task(scene: str, task: str) -> gp.Task:
+    tasks = gp.load_scene(scene).tasks
+    if task not in tasks:
+        raise UnknownNameError(f"task of {scene}", task, tasks)
+    return tasks[task]
+
+
+def _motion(document: Any, source: str) -> Motion:
+    _check_keys(source, document, {field.name for field in fields(Motion)})
+    plan, trajectory = document["plan"], document["trajectory"]
+    for key in ("name", "scene", "task", "grasp"):
+        if not isinstance(document[key], str) and not (key in ("task", "grasp") and document[key] is None):
+            raise FormatError(source, f"{key} has to be text, not {document[key]!r}")
+    if plan is not None:
+        _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
+    if trajectory is not None and not isinstance(trajectory, dict):  # as text it would be the name of a file
+        raise FormatError(source, f"trajectory has to be an object, not {trajectory!r}")
+    return Motion(
+        name=document["name"],
+        scene=document["scene"],
+        task=document["task"],
+        plan=None if plan is None else PlanSettings(**plan),
+        trajectory=None if trajectory is None else Trajectory.from_json(json.dumps(trajectory)),
+        grasp=document["grasp"],
+    )
+
+
+def _check_keys(source: str, document: Any, expected: set[str]) -> None:
+    if not isinstance(document, dict):
+        raise FormatError(source, f"an object is expected, not {type(document).__name__}")
+    for problem, keys in (("missing", expected - document.keys()), ("unknown", document.keys() - expected)):
+        if keys:
+            valid = ", ".join(sorted(expected))
+            raise FormatError(source, f"{problem} keys: {', '.join(sorted(keys))}; expected: {valid}")

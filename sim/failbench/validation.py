@@ -1,0 +1,286 @@
+"""Does the robot do as little harm when it fails as the planner says? Observed impact beside predicted, with intervals.
+
+Both have one unit: severity per failure. Observed: the mean over rollouts of the summed severities of what was touched.
+Predicted: the mean of the planner's sum of P S over the times at which the same faults begin.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+import graceful_plan as gp
+from failbench.basics.statistics import (
+    Estimate,
+    check_confidence,
+    effective_sample_size,
+    estimate_difference,
+    estimate_mean,
+    estimate_probability,
+)
+from failbench.fault.fault import Fault
+from failbench.recording.records import Job, Rollout
+from failbench.recording.score import energy_impact, observed_impact, secondary_impact, worst_severities
+from failbench.report import EntityReport, ValidationReport
+from failbench.rollouts.rollout import run
+from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid
+from failbench.scenario import scenarios as find_scenarios
+from failbench.simulated.execution import execute
+from failbench.simulated.world import SimSettings, build_world
+from graceful_plan import ImpactCost, Path, PlanResult, Scene, SettingError, Trajectory
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.costs.objective import trajectory_batch
+
+Array = np.ndarray
+
+Motion = Trajectory | Path | PlanResult | ArrayLike
+Scenarios = str | Fault | Sequence[str | Fault]
+Progress = Callable[[int, int], None]
+"""Called with the number of rollouts done and the number of all."""
+
+_CHUNK = 128
+"""Rollouts between two calls of `progress`."""
+
+
+def validate(
+    motion: Motion,
+    scene: Scene,
+    scenarios: Scenarios = "drop/*/severe",
+    *,
+    n: int = 400,
+    horizon: float = 1.0,
+    seed: int = 0,
+    importance: bool = False,
+    threads: int | None = None,
+    settings: SimSettings | None = None,
+    prediction: ImpactCost | None = None,
+    confidence: float = 0.95,
+    progress: Progress | None = None,
+) -> ValidationReport:
+    """Let a robot fail many times along a motion, and compare what it hits with what the planner predicted.
+
+    Args:
+        motion: A trajectory, the result of `plan`, or a path or configurations, which are timed within the limits.
+        scene: Where, with the carried object attached: `task.scene`.
+        scenarios: What fails: patterns of the registry's tags or names such as "drop/*", of which only the faults
+            count here, or faults. All weigh alike.
+        n: Number of rollouts, rounded up to a multiple of the number of faults.
+        horizon: How long is simulated after the onset [s].
+        seed: Of everything random. Motions validated with the same seed, n and faults share their random numbers.
+        importance: Draw onsets more often where harm is predicted, instead of evenly; then no other motion shares them.
+        threads: Threads of the simulation; None for one a core. The result does not depend on it.
+        settings: How it is simulated.
+        prediction: The impact cost that predicts; None for the planner's default.
+        confidence: Of the intervals.
+        progress: Called now and then with the number of rollouts done and of all.
+
+    Raises:
+        ExecutionRefused: If the healthy robot cannot carry out the motion.
+        UnknownNameError: If a pattern matches nothing, or a fault strikes a joint that the robot does not have.
+        PlanningFailed: If `motion` is the result of a plan that failed.
+        SettingError: If a setting makes no sense, or only the gripper fails and there is nothing in it.
+    """
+    faults = chosen_faults(scenarios)
+    _check_droppable(faults, scene)
+    check_whole("n", n, 1, MOST)
+    check_whole("seed", seed, 0)
+    check_confidence(confidence)
+    execution = execute(motion, build_world(scene, settings))
+    cost = ImpactCost() if prediction is None else prediction
+
+    def predict(times: Float[Array, " n"]) -> Float[Array, "n entity"]:
+        return predicted_impact(execution.trajectory, scene, times, cost)
+
+    proposal = (lambda times: predict(times).sum(axis=1)) if importance else None
+    jobs = make_jobs(faults, execution.duration, n=n, seed=seed, predicted=proposal)
+    cores = (os.cpu_count() or 1) if threads is None else threads
+    rollouts: list[Rollout] = []
+    for first in range(0, len(jobs), _CHUNK):
+        rollouts += run(execution, jobs[first : first + _CHUNK], horizon=horizon, threads=cores)
+        if progress is not None:
+            progress(len(rollouts), len(jobs))
+    expected = np.mean([predict(_onsets(fault, execution.duration)).mean(axis=0) for fault in faults], axis=0)
+    return _report(scene, faults, jobs, rollouts, expected, seed=seed, horizon=horizon, confidence=confidence)
+
+
+def compare(
+    first: Motion | ValidationReport,
+    second: Motion | ValidationReport,
+    scene: Scene | None = None,
+    scenarios: Scenarios = "drop/*/severe",
+    *,
+    n: int = 400,
+    horizon: float = 1.0,
+    seed: int = 0,
+    threads: int | None = None,
+    settings: SimSettings | None = None,
+    confidence: float = 0.95,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Estimate by how much more harm failures of the first motion do than the same failures of the second.
+
+    Every failure of one is paired with the failure of the other that has the same fault, the same quantile of its onset
+    and the same random numbers, so that much of their luck cancels. Motions are validated; of reports, only
+    `confidence` still matters.
+
+    Raises:
+        SettingError: If the failures of two reports are not the same.
+    """
+    reports = [
+        motion
+        if isinstance(motion, ValidationReport)
+        else validate(
+            motion,
+            _needed(scene),
+            scenarios,
+            n=n,
+            horizon=horizon,
+            seed=seed,
+            threads=threads,
+            settings=settings,
+            confidence=confidence,
+            progress=progress,
+        )
+        for motion in (first, second)
+    ]
+    failures = [[(job.fault, job.seed, job.weight, report.horizon) for job in report.jobs] for report in reports]
+    if failures[0] != failures[1]:
+        raise SettingError(
+            "second", reports[1].seed, "the same faults, n, seed and horizon, and no importance sampling"
+        )
+    impacts = [report.impacts for report in reports]
+    paired = ~np.isnan(impacts[0] + impacts[1])
+    worst = max(report.greatest for report in reports)
+    weights = np.array([job.weight for job in reports[0].jobs])[paired]
+    return estimate_difference(
+        impacts[0][paired], impacts[1][paired], (0.0, worst), weights=weights, confidence=confidence
+    )
+
+
+def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
+    """Return the faults that are meant by patterns of the registry, or given, each once.
+
+    Raises:
+        UnknownNameError: If a pattern matches nothing.
+        SettingError: If something is neither a pattern nor a fault, or there is nothing.
+    """
+    given = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else list(scenarios)
+    found: dict[Fault, None] = {}
+    for entry in given:
+        if isinstance(entry, Fault):
+            found[entry] = None
+        elif isinstance(entry, str):
+            found |= {scenario.fault: None for scenario in find_scenarios(entry)}
+        else:
+            raise SettingError("scenarios", entry, "patterns such as 'drop/*', or faults")
+    if not found:
+        raise SettingError("scenarios", tuple(given), "at least one pattern or fault")
+    return tuple(found)
+
+
+def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
+    """Raise SettingError if nothing can come of any of the faults."""
+    if scene.carried is None and all(set(fault.targets or fault.TARGETS) == {"gripper"} for fault in faults):
+        raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
+
+
+def predicted_impact(
+    trajectory: Trajectory, scene: Scene, times: Float[Array, " n"], cost: ImpactCost
+) -> Float[Array, "n entity"]:
+    """Predict the impact of a failure at some times after the start of a trajectory [s], by entity of the scene."""
+    batch = trajectory_batch(scene, trajectory, trajectory.t[0] + times)
+    probability = cost.interaction.probability(batch)
+    return np.einsum("nce,ce->ne", probability, cost.severity(scene))
+
+
+def _onsets(fault: Fault, duration: float) -> Float[Array, " n"]:
+    """Return times at which a fault begins, evenly in probability."""
+    return np.array([fault.when.onset(u, duration) for u in quantile_grid()])
+
+
+def _report(
+    scene: Scene,
+    faults: Sequence[Fault],
+    jobs: tuple[Job, ...],
+    rollouts: Sequence[Rollout],
+    expected: Float[Array, " entity"],
+    *,
+    seed: int,
+    horizon: float,
+    confidence: float,
+) -> ValidationReport:
+    valid = np.array([rollout.status == "completed" for rollout in rollouts])
+    weights = np.array([job.weight for job in jobs])
+    shares = np.array([_severities(rollout, scene) for rollout in rollouts]).reshape(len(jobs), len(scene.entities))
+    greatest = max((s for entity in scene.entities.values() for s in entity.severity.values()), default=0.0)
+
+    def mean(values: ArrayLike, bound: float = greatest, among: Bool[Array, " n"] = valid) -> Estimate:
+        observed = np.asarray(values, dtype=float)[among]
+        return estimate_mean(observed, (0.0, bound), weights=weights[among], confidence=confidence)
+
+    def fraction(hits: ArrayLike) -> Estimate:
+        return estimate_probability(np.asarray(hits)[valid], weights=weights[valid], confidence=confidence)
+
+    impacts = np.array([observed_impact(rollout, scene) for rollout in rollouts])
+    struck = {label: np.array([job.fault == fault for job in jobs]) for label, fault in _labels(faults).items()}
+    return ValidationReport(
+        scene=scene.notes.name,
+        observed=mean(impacts),
+        energy=mean([energy_impact(rollout, scene) for rollout in rollouts]),
+        secondary=mean([secondary_impact(rollout, scene) for rollout in rollouts]),
+        predicted=float(expected.sum()),
+        by_fault={label: mean(impacts, among=valid & mine) for label, mine in struck.items()},
+        by_entity={
+            entity.name: EntityReport(
+                probability=fraction([_touches(rollout, entity.name) for rollout in rollouts]),
+                impact=mean(shares[:, i], max(entity.severity.values(), default=0.0)),
+                predicted=float(expected[i]),
+            )
+            for i, entity in enumerate(scene.entities.values())
+        },
+        dropped=fraction([rollout.dropped for rollout in rollouts]),
+        spilled=mean([rollout.spilled for rollout in rollouts], 1.0),
+        diverged=int(np.count_nonzero(~valid)),
+        n=len(jobs),
+        effective_n=effective_sample_size(weights),
+        seed=seed,
+        horizon=horizon,
+        confidence=confidence,
+        greatest=greatest,
+        versions={"graceful_plan": gp.__version__, "mujoco": mujoco.__version__},
+        jobs=jobs,
+        impacts=np.where(valid, impacts, np.nan),
+    )
+
+
+def _severities(rollout: Rollout, scene: Scene) -> list[float]:
+    """Return each entity's share in the observed impact of a rollout."""
+    worst = worst_severities(rollout, scene)
+    return [worst.get(name, 0.0) for name in scene.entities]
+
+
+def _touches(rollout: Rollout, entity: str) -> bool:
+    return any(event.entity == entity and not event.secondary for event in rollout.events)
+
+
+def _labels(faults: Sequence[Fault]) -> dict[str, Fault]:
+    """Name each fault by kind and degree; those that differ otherwise are numbered."""
+    found: dict[str, Fault] = {}
+    for fault in faults:
+        name = label = f"{fault.NAME}/{fault.degree}"
+        number = 1
+        while label in found:
+            number += 1
+            label = f"{name} ({number})"
+        found[label] = fault
+    return found
+
+
+def _needed(scene: Scene | None) -> Scene:
+    if scene is None:
+        raise SettingError("scene", None, "the scene of the motions")
+    return scene

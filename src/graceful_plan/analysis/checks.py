@@ -1,0 +1,61 @@
+"""Quick questions about configurations of a scene."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.exceptions import ShapeError
+from graceful_plan.path import finite_array
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+
+def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
+    """Signed clearance of the fast checker [m]: the least over surroundings and self, positive is free.
+
+    Spheres cover robot and carried object, so that a positive value is a lower bound of the true clearance, by less
+    than 1 cm; infinite where there is nothing to hit.
+
+    Raises:
+        ShapeError: If the last axis of q is not the number of joints.
+        NonFiniteError: If q holds a NaN or an infinity.
+    """
+    return compile_scene(scene).kernels.clearance(q)
+
+
+def interaction_probability(
+    scene: Scene, q: ArrayLike, model: str | InteractionModel = "aabb", qd: ArrayLike | None = None
+) -> Float[Array, "*batch component entity"]:
+    """Probability that each component hits each entity, given that the robot fails at q.
+
+    Args:
+        scene: The scene; components and entities are in its order.
+        q: Configurations [rad or m].
+        model: An interaction model or its name; by default that of `ImpactCost`.
+        qd: Joint velocities [rad/s or m/s], for models that ask for them; at rest if None.
+
+    Raises:
+        ShapeError: If q or qd do not fit the scene's joints or each other.
+        UnknownNameError: If there is no such model.
+    """
+    nq = len(scene.joints)
+    positions = finite_array("q", q, last=nq)
+    velocities = np.zeros_like(positions) if qd is None else finite_array("qd", qd, last=nq)
+    try:
+        positions, velocities = np.broadcast_arrays(positions, velocities)
+    except ValueError:
+        raise ShapeError("qd", velocities.shape, f"to broadcast with q {positions.shape}") from None
+    flat = velocities.reshape(-1, nq)
+    speed = np.linalg.norm(flat, axis=1)
+    direction = flat / np.where(speed > 0.0, speed, 1.0)[:, None]
+    probability = ImpactCost(model=model).interaction.probability(
+        StateBatch(scene, positions.reshape(-1, nq), direction, speed)
+    )
+    return probability.reshape(*positions.shape[:-1], len(scene.components), len(scene.entities))

@@ -1,0 +1,327 @@
+"""Where the impact of a motion comes from: who is hit, by what, after which kind of failure, along which stretch.
+
+An explanation takes apart what `Objective` charges: it reads the same states with the same weights, so that its parts
+add up to the impact of the breakdown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from graceful_plan import documents
+from graceful_plan.array_types import Float
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import ChargedStates, Objective
+from graceful_plan.exceptions import CostError, SettingError
+from graceful_plan.path import Path
+from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+STRETCH = 0.9
+"""Share of a contribution that lies on the stretch that is named for it."""
+_MEASURES = {
+    "length": "severity expected at a failure, times radians of motion",
+    "time": "severity expected at a failure, times seconds of motion",
+    "waypoints": "severity expected at a failure, summed over waypoints",
+}
+_ROUNDING = 1e-9
+"""Relative difference up to which two sums are the same."""
+_SHOWN = 12
+"""Rows in the text; the others are added up in the last one."""
+_FAULTS_SHOWN = 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contribution:
+    """One part of the impact: a component of the robot that hits an entity after one kind of failure."""
+
+    event: str
+    """What happens, in words."""
+    entity: str
+    component: str
+    source: str
+    """What goes wrong, one of `InteractionModel.sources`."""
+    faults: Mapping[str, float]
+    """Which faults are behind it, the most likely one first, with shares that add up to 1; empty if that is unknown."""
+    impact: float
+    share: float
+    """Share of the total impact, in [0, 1]."""
+    begin: float
+    """Where the shortest stretch begins on which `STRETCH` of this part accrues [rad]."""
+    end: float
+    worst: float
+    """Where it is most likely [rad]."""
+    begin_time: float | None
+    """The same places in time [s]; None on a path without times."""
+    end_time: float | None
+    worst_time: float | None
+    severity: float
+    probability: float
+    """P at the worst place, given a failure there."""
+    position: tuple[float, float, float]
+    """Where the carried object (the tool, if nothing is carried) is at the worst place, in W [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explanation:
+    """The impact of a motion, along it and by what causes it.
+
+    | field         | meaning                                                        | unit | shape         |
+    |---------------|----------------------------------------------------------------|------|---------------|
+    | cost          | breakdown by the objective                                     |      |               |
+    | exposure      | what the impact is integrated over: length, time, waypoints    |      |               |
+    | entities      | names of the entities                                          |      | entity        |
+    | place         | joint-space length from the start at each state                | rad  | n             |
+    | time          | time of each state; None on a path                             | s    | n             |
+    | weight        | exposure that each state stands for                            |      | n             |
+    | by_entity     | impact density: P S per unit of exposure, given a failure      |      | n entity      |
+    | contributions | parts of the impact, largest first                             |      |               |
+    """
+
+    cost: CostBreakdown
+    exposure: str
+    entities: tuple[str, ...]
+    place: Float[Array, " n"]
+    time: Float[Array, " n"] | None
+    weight: Float[Array, " n"]
+    by_entity: Float[Array, "n entity"]
+    contributions: tuple[Contribution, ...]
+
+    @cached_property
+    def density(self) -> Float[Array, " n"]:
+        """Impact density at each state."""
+        return self.by_entity.sum(axis=1)
+
+    def to_document(self) -> dict[str, Any]:
+        """Return everything as a document of plain numbers, lists and mappings."""
+        return {
+            "schema": "graceful_plan.explanation",
+            "version": 1,
+            "exposure": self.exposure,
+            "cost": documents.cost_document(self.cost),
+            "contributions": [_row_document(row) for row in self.contributions],
+            "along": {
+                "place": self.place.tolist(),
+                "time": None if self.time is None else self.time.tolist(),
+                "weight": self.weight.tolist(),
+                "by_entity": dict(zip(self.entities, self.by_entity.T.tolist(), strict=True)),
+            },
+        }
+
+    def to_json(self) -> str:
+        """Return `to_document()` as JSON text."""
+        return documents.to_json(self.to_document())
+
+    def __str__(self) -> str:
+        """Say in plain words what the largest parts are."""
+        if not self.contributions:
+            return "impact 0: whatever fails, nothing is hit that matters"
+        shown, rest = self.contributions[:_SHOWN], self.contributions[_SHOWN:]
+        header = ["what happens", "share", f"{STRETCH:.0%} of it between", "worst at", "object then at [m]"]
+        header += ["P there", "severity", "after"]
+        rows = [_words(row) for row in shown]
+        if not any(row.faults for row in shown):
+            header, rows = header[:-1], [row[:-1] for row in rows]
+        text = f"impact {self.cost.impact:.4g}, {_MEASURES[self.exposure]}\n\n{documents.table(header, rows)}"
+        left = math.fsum(row.share for row in rest)
+        return text + (f"\nand {len(rest)} others: {left:.1%}" if rest else "")
+
+
+def explain(
+    motion: Path | Trajectory | PlanResult,
+    scene: Scene,
+    objective: Objective | None = None,
+    *,
+    start_time: float = 0.0,
+) -> Explanation:
+    """Take the impact of a motion apart.
+
+    Args:
+        motion: What to explain; of the result of a plan, what its cost is charged for: the path, or the trajectory if
+            the exposure is time or something moves.
+        scene: The scene, with what is carried attached.
+        objective: What charges it; the default `Objective()` if None.
+        start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
+
+    Raises:
+        CostError: If the sources of the interaction model do not add up to its probability.
+        PlanningFailed: If the result of a plan has no path.
+        SettingError: If the objective's impact is not an `ImpactCost`, which alone tells entities and components, or
+            the start time is not finite.
+        ShapeError: If the motion does not fit the scene.
+    """
+    objective = objective or Objective()
+    if type(objective.impact) is not ImpactCost:
+        raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
+    if not np.isfinite(start_time):
+        raise SettingError("start_time", start_time, "a finite time [s]")
+    motion = _charged(motion, scene, objective)
+    bound = objective.bind(scene)
+    charged = bound.charged_states(motion, start_time)
+    along = _Along(charged, motion)
+    sources = objective.impact.sources(charged.batch)
+    severity = objective.impact.hazard_severity(scene)
+    cost = bound.breakdown(motion, start_time)
+    by_entity = np.sum([np.einsum("nce,ce->ne", P, severity) for P in sources.values()], axis=0)
+    found = float(charged.weight @ by_entity.sum(axis=1))
+    if abs(found - cost.impact) > _ROUNDING * cost.impact:
+        problem = f"sources() add up to an impact of {found:.6g}, probability() to {cost.impact:.6g}"
+        raise CostError(objective.impact.interaction, problem)
+    return Explanation(
+        cost=cost,
+        exposure=objective.exposure,
+        entities=scene.hazards,
+        place=along.place,
+        time=along.time,
+        weight=charged.weight,
+        by_entity=by_entity,
+        contributions=_contributions(scene, along, objective.impact, sources),
+    )
+
+
+def _charged(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Objective) -> Path | Trajectory:
+    if not isinstance(motion, PlanResult):
+        return motion
+    found = motion.trajectory if objective.exposure == "time" or scene.moving else motion.path
+    if found is None:
+        raise PlanningFailed(motion)
+    return found
+
+
+class _Along:
+    """The charged states of a motion with where and when they are."""
+
+    def __init__(self, charged: ChargedStates, motion: Path | Trajectory) -> None:
+        points = motion.path if isinstance(motion, Trajectory) else motion
+        vertices = np.arange(len(points))
+        length = np.concatenate([[0.0], np.cumsum(points.segment_lengths)])
+        self.batch, self.weight = charged.batch, charged.weight
+        self.place = np.interp(charged.place, vertices, length)
+        self.time = np.interp(charged.place, vertices, motion.t) if isinstance(motion, Trajectory) else None
+
+    def time_at(self, index: int) -> float | None:
+        """Time of a state [s], None on a path."""
+        return None if self.time is None else float(self.time[index])
+
+    def position(self, index: int) -> tuple[float, float, float]:
+        """Where the object, or else the tool, is in W [m]."""
+        poses = self.batch.tool_poses if self.batch.scene.carried is None else self.batch.object_poses
+        x, y, z = poses[index, :3, 3].tolist()
+        return x, y, z
+
+
+def _contributions(
+    scene: Scene, along: _Along, objective: ImpactCost, sources: Mapping[str, Float[Array, "n component entity"]]
+) -> tuple[Contribution, ...]:
+    """Return the parts of the impact by source, component and entity, the largest first."""
+    severity, faults = objective.hazard_severity(scene), objective.interaction.fault_shares()
+    parts = {name: np.tensordot(along.weight, P, axes=1) * severity for name, P in sources.items()}
+    total = math.fsum(float(part.sum()) for part in parts.values())
+    rows = [
+        _contribution(scene, along, name, (int(c), int(e)), sources[name][:, c, e], float(severity[c, e]), total)
+        for name, part in parts.items()
+        for c, e in np.argwhere(part > 0.0)
+    ]
+    rows = [replace(row, faults=_normalised(faults.get(row.source, {}))) for row in rows]
+    return tuple(sorted(rows, key=lambda row: -row.impact))
+
+
+def _contribution(
+    scene: Scene,
+    along: _Along,
+    source: str,
+    index: tuple[int, int],
+    probability: Float[Array, " n"],
+    severity: float,
+    total: float,
+) -> Contribution:
+    component, entity = tuple(scene.components)[index[0]], scene.hazards[index[1]]
+    mass = along.weight * probability * severity
+    first, last = shortest_stretch(along.place, mass, STRETCH)
+    worst = int(np.argmax(probability))
+    return Contribution(
+        event=_phrase(source, component, "the object" if scene.carried is None else scene.carried.body, entity),
+        entity=entity,
+        component=component,
+        source=source,
+        faults={},
+        impact=float(mass.sum()),
+        share=float(mass.sum()) / total,
+        begin=float(along.place[first]),
+        end=float(along.place[last]),
+        worst=float(along.place[worst]),
+        begin_time=along.time_at(first),
+        end_time=along.time_at(last),
+        worst_time=along.time_at(worst),
+        severity=severity,
+        probability=float(probability[worst]),
+        position=along.position(worst),
+    )
+
+
+def _normalised(weights: Mapping[str, float]) -> Mapping[str, float]:
+    total = math.fsum(weights.values())
+    ordered = sorted(weights.items(), key=lambda item: -item[1])
+    return {fault: weight / total for fault, weight in ordered if weight > 0.0}
+
+
+def shortest_stretch(place: Float[Array, " n"], mass: Float[Array, " n"], share: float) -> tuple[int, int]:
+    """Return the first and the last state of the shortest stretch that holds a share of all mass.
+
+    Args:
+        place: Where the states are, not descending.
+        mass: What each holds, at least 0, not all 0.
+        share: In (0, 1].
+    """
+    total = np.concatenate([[0.0], np.cumsum(mass)])
+    needed = share * total[-1] * (1.0 - 1e-12)  # rounding must not ask for more than there is
+    last = np.searchsorted(total[1:], total[:-1] + needed)
+    starts = np.flatnonzero(last < len(place))
+    first = int(starts[np.argmin(place[last[starts]] - place[starts])])
+    return first, int(last[first])
+
+
+# --- in words ---------------------------------------------------------------------------------------------------------
+
+_PHRASES: Mapping[str, Mapping[str, str]] = {
+    "drop": {"carried": "dropped {object} onto {entity}", "contents": "contents of dropped {object} onto {entity}"},
+    "spill": {"contents": "spilt contents of {object} onto {entity}"},
+    "collapse": {"body": "collapsing arm into {entity}", "carried": "{object} held by a collapsing arm into {entity}"},
+    "joint": {"body": "arm with a limp joint into {entity}", "carried": "{object} held by a limp arm into {entity}"},
+    "stuck": {"body": "arm with a stuck joint into {entity}", "carried": "{object} held by a stuck arm into {entity}"},
+    "stray": {"body": "straying arm into {entity}", "carried": "{object} held by a straying arm into {entity}"},
+    "failure": {
+        "body": "arm into {entity}",
+        "carried": "{object} onto {entity}",
+        "contents": "contents of {object} onto {entity}",
+    },
+}
+"""What happens, by source and component."""
+
+
+def _phrase(source: str, component: str, object_name: str, entity: str) -> str:
+    other = f"{component} onto {{entity}} ({source})"
+    return _PHRASES.get(source, {}).get(component, other).format(object=object_name, entity=entity)
+
+
+def _words(row: Contribution) -> list[object]:
+    stretch, worst = f"{row.begin:.2f} and {row.end:.2f} rad", f"{row.worst:.2f} rad"
+    if row.worst_time is not None:
+        stretch += f" ({row.begin_time:.2f} and {row.end_time:.2f} s)"
+        worst += f" ({row.worst_time:.2f} s)"
+    place = ", ".join(f"{x:.2f}" for x in row.position)
+    after = ", ".join(f"{fault} {share:.0%}" for fault, share in list(row.faults.items())[:_FAULTS_SHOWN])
+    return [row.event, f"{row.share:5.1%}", stretch, worst, place, row.probability, row.severity, after]
+
+
+def _row_document(row: Contribution) -> dict[str, Any]:
+    return {name.name: getattr(row, name.name) for name in fields(row)}

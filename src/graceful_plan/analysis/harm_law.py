@@ -1,0 +1,168 @@
+"""The distribution of the impact of a failure at a state: entities added up by convolution; see `risk` for what it is.
+
+Distributions are over all sums of severities that are possible, one for each entity. If they are too many, they are on
+an even grid, and what falls between two of its values is split between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.costs.cost import Cost, NonFiniteCostError, StateBatch
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_MOST_SUMS = 1024
+"""Different sums of severities up to which distributions are exact; also the number of grid points beyond."""
+_IMPOSSIBLE = 1e-9
+"""Probabilities of harm to an entity that do not count."""
+_CHUNK = 256  # states that are worked on at once
+
+
+class _Move(NamedTuple):
+    """Part of what adding a severity to a sum does: a share of the mass at some values goes to others, each its own."""
+
+    origin: Int[Array, " k"] | slice
+    target: Int[Array, " k"] | slice
+    share: float
+
+
+class _Kind(NamedTuple):
+    """A kind of failure: its probability, given a failure, and P(L >= s) given this kind, by entity."""
+
+    weight: float
+    at_least: list[Float[Array, "n level"]]
+
+
+class HarmLaw:
+    """Distributions of the impact at states, in one scene.
+
+    Args:
+        cost: The impact cost; only interaction models tell whom a failure hits.
+        scene: The scene.
+        most_sums: Different sums of severities up to which distributions are exact, and grid points beyond.
+
+    Attributes:
+        value: Impacts that are possible, increasing from 0.
+        worst: Greatest severity of each entity that can be harmed.
+        exact: Whether all sums of severities are among the values.
+    """
+
+    def __init__(self, cost: Cost, scene: Scene, most_sums: int | None = None) -> None:
+        if type(cost) is not ImpactCost:  # a subclass may compute otherwise
+            raise SettingError("impact", cost, "an ImpactCost, which knows whom a failure hits")
+        self._cost = cost
+        severity = cost.hazard_severity(scene)
+        self._entities = np.flatnonzero(severity.max(axis=0, initial=0.0) > 0.0)
+        self._severity = severity[:, self._entities]
+        self._levels = [np.unique(column[column > 0.0]) for column in self._severity.T]
+        self.worst = np.array([levels[-1] for levels in self._levels])
+        self.value, self.exact = _sums(self._levels, _MOST_SUMS if most_sums is None else most_sums)
+        self._moves = {s: _moves(self.value, s, self.exact) for levels in self._levels for s in levels.tolist()}
+
+    def states(self, batch: StateBatch) -> Float[Array, "n atom"]:
+        """Probability of each value, given a failure at each state."""
+        kinds = self._kinds(batch)
+        mass = np.tile(self._harmless(kinds), (len(batch), 1))
+        for weight, at_least in kinds:
+            mass += weight * self._convolved(at_least, len(batch))
+        return mass
+
+    def mixture(
+        self, batch: StateBatch, weight: Float[Array, " n"]
+    ) -> tuple[Float[Array, " atom"], Float[Array, " entity"]]:
+        """Weighted sum of the distributions at states, and which entities have any chance of being harmed (0 or 1)."""
+        kinds = self._kinds(batch)
+        mass = self._harmless(kinds) * weight.sum()
+        possible = np.zeros(len(self._entities))
+        for share, at_least in kinds:
+            for first in range(0, len(batch), _CHUNK):
+                rows = slice(first, first + _CHUNK)
+                part = self._convolved([reached[rows] for reached in at_least], len(weight[rows]))
+                mass = mass + share * (weight[rows] @ part)
+            possible = np.maximum(possible, [float(reached.any()) for reached in at_least])
+        return mass, possible
+
+    def _harmless(self, kinds: Sequence[_Kind]) -> Float[Array, " atom"]:
+        """What is left of the probability of a failure when it is none of these kinds."""
+        return (1.0 - sum(kind.weight for kind in kinds)) * (self.value == 0.0)
+
+    def _kinds(self, batch: StateBatch) -> list[_Kind]:
+        """Return the kinds of failure that the model tells apart, or one for all."""
+        shares = {name: np.asarray(share)[:, :, self._entities] for name, share in self._cost.sources(batch).items()}
+        if not all(np.all(np.isfinite(share)) for share in shares.values()):
+            raise NonFiniteCostError(self._cost, "probability() returned a NaN or an infinity")
+        weights = {name: sum(faults.values()) for name, faults in self._cost.interaction.fault_shares().items()}
+        excess = max(1.0, sum(weights.values()))  # of faults that are like two kinds at once
+        weights = {name: weight / excess for name, weight in weights.items()}
+        shares = {name: share for name, share in shares.items() if share.any()}
+        if all(weights.get(name, 0.0) > 0.0 for name in shares):
+            return [_Kind(weights[name], self._at_least([share / weights[name]])) for name, share in shares.items()]
+        return [_Kind(1.0, self._at_least(list(shares.values())))] if shares else []
+
+    def _at_least(self, shares: Sequence[Float[Array, "n component entity"]]) -> list[Float[Array, "n level"]]:
+        """Return P(L >= s) for each entity that can be harmed and each of its severities s, increasing.
+
+        Args:
+            shares: Probabilities of causes that exclude each other; at least one.
+        """
+        found = []
+        for e, levels in enumerate(self._levels):
+            reached = np.zeros((len(shares[0]), len(levels)))
+            for share in shares:
+                for k, s in enumerate(levels):
+                    reached[:, k] += share[:, self._severity[:, e] >= s, e].max(axis=1)
+            found.append(np.clip(reached, 0.0, 1.0))
+        return found
+
+    def _convolved(self, at_least: Sequence[Float[Array, "n level"]], n: int) -> Float[Array, "n atom"]:
+        """Add up independent entities, one after the other."""
+        mass = np.zeros((n, len(self.value)))
+        mass[:, 0] = 1.0
+        for levels, reached in zip(self._levels, at_least, strict=True):
+            # Most states are out of reach of most entities.
+            rows = np.flatnonzero(reached[:, 0] > _IMPOSSIBLE)
+            if not len(rows):
+                continue
+            exactly = -np.diff(reached[rows], axis=1, append=0.0)
+            before = mass[rows]
+            after = before * (1.0 - reached[rows, :1])
+            for k, s in enumerate(levels.tolist()):
+                for move in self._moves[s]:
+                    after[:, move.target] += (move.share * exactly[:, k : k + 1]) * before[:, move.origin]
+            mass[rows] = after
+        return mass
+
+
+def _sums(levels: Sequence[Float[Array, " level"]], most: int) -> tuple[Float[Array, " atom"], bool]:
+    """Return all sums of one severity, or none, of each entity; an even grid over their range if they are too many."""
+    value = np.zeros(1)
+    for severities in levels:
+        sums = np.add.outer(np.append(0.0, severities), value).ravel()
+        value = np.unique(np.round(sums, 9))
+        if len(value) > most:
+            step = sum(float(column.max()) for column in levels) / (most - 1)
+            # Splitting may lift a sum by a step for each entity.
+            return step * np.arange(most + len(levels)), False
+    return value, True
+
+
+def _moves(value: Float[Array, " atom"], s: float, exact: bool) -> list[_Move]:
+    """Return where the mass at each value goes when `s` is added; no two values go to the same place in one move."""
+    if exact:
+        target = np.searchsorted(value, value + s - 1e-9 * value[-1])
+        # Values whose sum with s is not among the values have no mass: they hold s already.
+        origin = np.flatnonzero(np.isclose(value[np.minimum(target, len(value) - 1)], value + s, rtol=1e-9, atol=0.0))
+        return [_Move(origin, target[origin], 1.0)]
+    step = value[1]
+    whole = int(np.floor(s / step))
+    above = s / step - whole
+    parts = ((whole, 1.0 - above), (whole + 1, above))
+    return [_Move(slice(len(value) - k), slice(k, None), share) for k, share in parts if share > 0.0]

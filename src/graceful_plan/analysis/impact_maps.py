@@ -1,0 +1,311 @@
+"""Where it would do how much harm if the carried object were let go: the impact of a drop over the workspace.
+
+The robot is not in it, neither as an obstacle nor as something that falls: the object is put everywhere at the same
+height and turned the same way (`gantry_scene`), and the interaction model says what it hits from there. Entities that
+move are not in it either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan import documents
+from graceful_plan.analysis.checks import clearance
+from graceful_plan.analysis.gantry import gantry_scene
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.costs.models.drop.drop import release
+from graceful_plan.costs.models.drop.functions import part_reach
+from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.mixture.mixture import FALLING
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.judge.exact import Judge
+from graceful_plan.judge.motion_samples import reach
+from graceful_plan.path import finite_array
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+DIRECTIONS = 8
+"""Directions of motion over which a map is averaged if none is given."""
+MAX_CELLS = 1_000_000
+_MARGIN = 0.2  # around entities [m]
+_FAR_BELOW = 0.3  # the surface; what is lower does not widen the map [m]
+_OVERLAP = 0.001  # of the object with something, from which a cell is blocked [m]
+_STANDS = 0.01  # a bottom so near to a top stands on it [m]
+_CHUNK = 20_000  # states that are asked about at once
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImpactMap:
+    """Expected impact of letting the carried object go, over places of its centre of mass seen from above.
+
+    | field     | meaning                                                                     | unit | shape         |
+    |-----------|-----------------------------------------------------------------------------|------|---------------|
+    | x         | centres of the cells                                                        | m    | nx            |
+    | y         | centres of the cells                                                        | m    | ny            |
+    | impact    | sum of P S given that the object is let go; NaN where it cannot be          |      | ny nx         |
+    | by_entity | the same by entity                                                          |      | ny nx entity  |
+    | entities  | names of the entities                                                       |      | entity        |
+    | carried   | name of the object                                                          |      |               |
+    | surface   | height in W above which `height` counts                                     | m    |               |
+    | height    | of the object's lowest point above the surface                              | m    |               |
+    | speed     | horizontal speed of the object                                              | m/s  |               |
+    | direction | of motion, from x towards y; None: the mean over `DIRECTIONS` even ones     | rad  |               |
+    | rotation  | R_WO, how the object is turned                                              |      | 3 3           |
+    """
+
+    x: Float[Array, " nx"]
+    y: Float[Array, " ny"]
+    impact: Float[Array, "ny nx"]
+    by_entity: Float[Array, "ny nx entity"]
+    entities: tuple[str, ...]
+    carried: str
+    surface: float
+    height: float
+    speed: float
+    direction: float | None
+    rotation: Float[Array, "3 3"]
+
+    @property
+    def blocked(self) -> Bool[Array, "ny nx"]:
+        """Cells in which the object would overlap something."""
+        return np.isnan(self.impact)
+
+    def to_document(self) -> dict[str, Any]:
+        """Return everything as a document of plain numbers, lists and mappings."""
+        by_entity = {name: self.by_entity[..., k].tolist() for k, name in enumerate(self.entities)}
+        return {
+            "schema": "graceful_plan.impact_map",
+            "version": 1,
+            "carried": self.carried,
+            "surface": self.surface,
+            "height": self.height,
+            "speed": self.speed,
+            "direction": self.direction,
+            "rotation": self.rotation.tolist(),
+            "x": self.x.tolist(),
+            "y": self.y.tolist(),
+            "impact": self.impact.tolist(),
+            "by_entity": by_entity,
+        }
+
+    def to_json(self) -> str:
+        """Return `to_document()` as JSON text; cells in which the object cannot be are null."""
+        return documents.to_json(self.to_document())
+
+    def __str__(self) -> str:
+        """Say where it is worst, for each entity that is in danger somewhere."""
+        how = f"at {self.speed:g} m/s" if self.speed else "at rest"
+        size = f"{len(self.x)} x {len(self.y)} cells, {self.blocked.sum()} of them blocked"
+        title = f"{self.carried} let go {how}, {self.height:g} m above z = {self.surface:.3f} m: {size}"
+        if self.blocked.all():
+            return title
+        rows = [self._worst("everything", self.impact)]
+        parts = [self._worst(name, self.by_entity[..., k]) for k, name in enumerate(self.entities)]
+        rows += sorted((row for row in parts if row[1] > 0.0), key=lambda row: -row[1])
+        return f"{title}\n\n{documents.table(['', 'worst impact', 'at x [m]', 'at y [m]'], rows)}"
+
+    def _worst(self, name: str, impact: Float[Array, "ny nx"]) -> list[Any]:
+        row, column = np.unravel_index(int(np.nanargmax(impact)), impact.shape)
+        return [name, float(impact[row, column]), round(float(self.x[column]), 3), round(float(self.y[row]), 3)]
+
+
+def impact_map(
+    scene: Scene,
+    impact: ImpactCost | None = None,
+    *,
+    height: float,
+    speed: float = 0.0,
+    direction: float | None = None,
+    q: ArrayLike | None = None,
+    surface: float | None = None,
+    bounds: Sequence[float] | None = None,
+    resolution: float = 0.02,
+) -> ImpactMap:
+    """Compute what it would do to let the carried object go, at many places.
+
+    Args:
+        scene: With an object in the gripper.
+        impact: What counts, and the model that says what is hit; by default the drop model. Components that do not fall
+            add nothing.
+        height: Of the object's lowest point above the surface, everywhere the same [m].
+        speed: Horizontal speed of the object [m/s]; it does not turn.
+        direction: Of that speed [rad], from x towards y; the mean over `DIRECTIONS` directions if None.
+        q: Configuration that says how the object is turned; if None, as it stands in the scene.
+        surface: Height in W [m] above which `height` counts; if None, the top on which most things stand.
+        bounds: Least x, greatest x, least y and greatest y of the map [m]; if None, around the entities that are not
+            far below the surface, as far as the arm can reach.
+        resolution: Width of a cell [m], at least approximately.
+
+    Raises:
+        ShapeError: If nothing is carried, or q or bounds have another shape.
+        SettingError: If a setting is outside of its range, or the impact is not an `ImpactCost`.
+    """
+    if scene.carried is None:
+        raise ShapeError("scene.carried", (), "a scene with a carried object; see Scene.attach")
+    impact = ImpactCost(model="footprint") if impact is None else impact
+    if type(impact) is not ImpactCost:
+        raise SettingError("impact", impact, "an ImpactCost: other costs do not tell who is hit")
+    for name, value in (("height", height), ("speed", speed)):
+        if not 0.0 <= value < np.inf:
+            raise SettingError(name, value, "a finite number of at least 0")
+    for name, value, unit in (("direction", direction, "an angle [rad]"), ("surface", surface, "a height in W [m]")):
+        if value is not None and not np.isfinite(value):
+            raise SettingError(name, value, f"{unit}, finite, or None")
+    rotation = _rotation(scene, q)
+    gantry = gantry_scene(scene, rotation)
+    tables = footprint_tables(gantry)
+    base = _surface(tables) if surface is None else float(surface)
+    x, y = _cells(_bounds(scene, tables, base) if bounds is None else bounds, resolution)
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    places = np.column_stack([grid, np.full(len(grid), base + height - _lowest(gantry))])
+    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS if direction is None else np.array([direction])
+    free = ~_blocked(gantry, places)
+    by_entity = np.full((len(places), len(scene.entities)), np.nan)
+    by_entity[free] = _mean_impact(gantry, impact, places[free], float(speed), angles if speed else angles[:1])
+    by_entity = by_entity.reshape(len(y), len(x), len(scene.entities))
+    return ImpactMap(
+        x=x,
+        y=y,
+        impact=np.where(free.reshape(len(y), len(x)), by_entity.sum(axis=-1), np.nan),
+        by_entity=by_entity,
+        entities=tuple(gantry.entities),
+        carried=scene.carried.body,
+        surface=base,
+        height=float(height),
+        speed=float(speed),
+        direction=None if direction is None else float(direction),
+        rotation=rotation,
+    )
+
+
+# --- where ------------------------------------------------------------------------------------------------------------
+
+
+def _rotation(scene: Scene, q: ArrayLike | None) -> Float[Array, "3 3"]:
+    """R_WO at a configuration, or as the object stands in the model."""
+    assert scene.carried is not None  # checked by the caller
+    body = scene.model.body(scene.carried.body).id
+    if q is not None:
+        return scene.data_at(q).xmat[body].reshape(3, 3).copy()
+    w, x, y, z = scene.model.body_quat[body]
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def _lowest(gantry: Scene) -> float:
+    """Height of the object's lowest point above its centre of mass [m], negative."""
+    tables = footprint_tables(gantry)
+    state = release(StateBatch(gantry, np.zeros((1, 3))), tables)
+    up = np.array([[0.0, 0.0, 1.0]])
+    each = zip(tables.part_half, tables.part_kind, strict=True)
+    down = [part_reach(state.axes[:, p], half, int(kind), up)[0, 0] for p, (half, kind) in enumerate(each)]
+    return float((state.offset[0, :, 2] - down).min())
+
+
+def _surface(tables: FootprintTables) -> float:
+    """Return the height of the top on which most surfaces stand; the higher one of two.
+
+    Raises:
+        SettingError: If nothing stands on anything.
+    """
+    bottom, top = tables.target_height.T
+    low, high = tables.target_centre - _extent(tables), tables.target_centre + _extent(tables)
+    best, count = 0.0, 0
+    for k in range(len(top)):  # highest first
+        over = np.all((tables.target_centre >= low[k]) & (tables.target_centre <= high[k]), axis=1)
+        stands = int(np.sum(over & (np.abs(bottom - top[k]) < _STANDS) & (top > top[k])))
+        if stands > count:
+            best, count = float(top[k]), stands
+    if not count:
+        raise SettingError("surface", None, "a height in W [m]: nothing in the scene stands on anything")
+    return best
+
+
+def _extent(tables: FootprintTables) -> Float[Array, "target 2"]:
+    """Half sizes of the surfaces along x and y of W."""
+    (c, s), (a, b) = np.abs(tables.target_axis.T), tables.target_half.T
+    return np.stack([c * a + s * b, s * a + c * b], axis=1)
+
+
+def _bounds(scene: Scene, tables: FootprintTables, surface: float) -> tuple[float, float, float, float]:
+    mine = (tables.target_entity >= 0) & (tables.target_height[:, 1] > surface - _FAR_BELOW)
+    if not mine.any():
+        raise SettingError("bounds", None, "least and greatest x, least and greatest y [m]: no entities are so high")
+    extent = _extent(tables)[mine] + _MARGIN
+    low, high = (tables.target_centre[mine] - extent).min(axis=0), (tables.target_centre[mine] + extent).max(axis=0)
+    if not compile_scene(scene).robot.slide.any():  # the reach of slides says nothing about x and y
+        model = scene.model
+        base = scene.data_at(model.qpos0[scene.qpos_adr]).xanchor[model.joint(scene.joints[0]).id, :2]
+        low, high = np.maximum(low, base - reach(scene)[0]), np.minimum(high, base + reach(scene)[0])
+    if not np.all(low < high):
+        raise SettingError("bounds", None, "least and greatest x, least and greatest y [m]: no entity is within reach")
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def _cells(bounds: Sequence[float], resolution: float) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
+    box = finite_array("bounds", np.array(bounds), ndim=1, last=4).reshape(2, 2)
+    if not 0.0 < resolution < np.inf:
+        raise SettingError("resolution", resolution, "a finite width of cells above 0 [m]")
+    if not np.all(box[:, 0] < box[:, 1]):
+        raise SettingError("bounds", bounds, "least x, greatest x, least y, greatest y [m]")
+    counts = np.maximum(1.0, np.round((box[:, 1] - box[:, 0]) / resolution))
+    if counts.prod() > MAX_CELLS:
+        raise SettingError("resolution", resolution, f"wider cells: these are {counts.prod():.3g}, at most {MAX_CELLS}")
+    x, y = (low + (np.arange(int(n)) + 0.5) * (high - low) / n for (low, high), n in zip(box, counts, strict=True))
+    return x, y
+
+
+def _blocked(gantry: Scene, places: Float[Array, "cell 3"]) -> Bool[Array, " cell"]:
+    """Tell at which places the object overlaps something; where the fast checker has doubts, MuJoCo decides."""
+    doubtful = np.flatnonzero(~(clearance(gantry, places) > 0.0))
+    blocked = np.zeros(len(places), dtype=bool)
+    for touch in Judge(gantry).touches(places[doubtful]):
+        if touch.distance < -_OVERLAP:
+            blocked[doubtful[touch.sample]] = True
+    return blocked
+
+
+# --- what -------------------------------------------------------------------------------------------------------------
+
+
+def _mean_impact(
+    gantry: Scene, impact: ImpactCost, places: Float[Array, "cell 3"], speed: float, angles: Float[Array, " direction"]
+) -> Float[Array, "cell entity"]:
+    """Mean impact over directions of motion, by entity."""
+    falls = np.array([name in FALLING for name in gantry.components])
+    severity = impact.severity(gantry) * falls[:, None]
+    total = np.zeros((len(places), len(gantry.entities)))
+    for angle in angles:
+        direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+        for start in range(0, len(places), _CHUNK):
+            c = places[start : start + _CHUNK]
+            batch = StateBatch(gantry, c, np.broadcast_to(direction, c.shape), np.full(len(c), speed))
+            total[start : start + _CHUNK] += np.einsum("nce,ce->ne", _let_go(impact.interaction, batch), severity)
+    return total / len(angles)
+
+
+def _let_go(interaction: InteractionModel, batch: StateBatch) -> Float[Array, "n component entity"]:
+    """P given that the gripper lets go, even if the model knows of other failures."""
+    faults = interaction.fault_shares().get("drop")
+    if faults is None:
+        return interaction.probability(batch)
+    weight = math.fsum(faults.values())
+    if not weight > 0.0:
+        raise SettingError("impact", interaction, "a model in which the gripper can let go")
+    return interaction.sources(batch)["drop"] / weight

@@ -1,0 +1,236 @@
+r"""Risk: how bad the consequences of a failure can be, not only how bad they are on average.
+
+Given that the robot fails once, at a moment that is uniform over a motion, the impact is a random number: the sum over
+entities of the severity of what happens to each. `risk` computes its distribution from an interaction model:
+
+* The failure is of one kind (the gripper lets go, a motor dies): `InteractionModel.sources`, weighted as its
+  `fault_shares` say. A model without weights has one kind, of which its sources exclude each other.
+* Given the state and the kind, entities are hit independently of one another. That is an assumption: an object that
+  breaks the first glass may well break the next, or be stopped by it.
+* To an entity that several components hit, the worst of them counts, as FailBench counts. What has one cause happens
+  together, a mug falls with its coffee:
+
+  .. math:: P(L_e \ge s) = \max_{c:\ S_{ce} \ge s} P_{ce}
+
+* The impact at a state is the sum of these, by convolution, mixed over kinds; over the motion, mixed over its states.
+
+The distribution is exact for the states that are looked at if there are few sums of severities. Otherwise it is on a
+grid, where a value between two grid points is split between them: that keeps the mean, and errs towards more spread.
+
+CVaR at a level (0.9, say) is the mean over the worst 1 - level (a tenth) of failures; VaR is the least value that a
+share `level` of failures does not exceed. Others call 1 - level the level.
+
+References:
+    R. T. Rockafellar, S. Uryasev, "Optimization of conditional value-at-risk", Journal of Risk 2 (2000).
+"""
+
+from __future__ import annotations
+
+import numbers
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.analysis.harm_law import HarmLaw
+from graceful_plan.array_types import Float
+from graceful_plan.core.kernels import COST_STEP
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import MEAN_PACE, Objective, trajectory_batch
+from graceful_plan.documents import table
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.path import Path
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+NEGLIGIBLE = 1e-3
+"""Probability, given a failure, up to which an impact does not count for the worst case."""
+MEASURES = ("expectation", "cvar", "worst")
+"""Words for what to make of a distribution of impact."""
+_MOMENTS = (100, 4000)
+"""Least and greatest number of moments at which a trajectory may fail."""
+
+
+@dataclass(frozen=True)
+class RiskMeasure:
+    """One number for a distribution of impact.
+
+    Args:
+        kind: "expectation"; "cvar", the mean of the worst 1 - level; "worst", the greatest impact that is reached or
+            exceeded with a probability of more than `NEGLIGIBLE`.
+        level: Of "cvar", in [0, 1); 0 is the expectation.
+
+    Raises:
+        UnknownNameError: If there is no such measure.
+        SettingError: If the level is outside of its range.
+    """
+
+    kind: str = "cvar"
+    level: float = 0.9
+
+    def __post_init__(self) -> None:
+        if self.kind not in MEASURES:
+            raise UnknownNameError("risk measure", str(self.kind), MEASURES)
+        check_level(self.level)
+
+    def of(self, value: Float[Array, " atom"], probability: Float[Array, "*batch atom"]) -> Float[Array, "*batch"]:
+        """Evaluate distributions over the same increasing values; probabilities of each sum to 1."""
+        if self.kind == "expectation":
+            return np.asarray(probability @ value)
+        if self.kind == "worst":
+            reached = np.cumsum(probability[..., ::-1], axis=-1)[..., ::-1] > NEGLIGIBLE
+            return np.asarray(value[len(value) - 1 - np.argmax(reached[..., ::-1], axis=-1)])
+        return conditional_value_at_risk(value, probability, self.level)
+
+
+def conditional_value_at_risk(
+    value: Float[Array, " atom"], probability: Float[Array, "*batch atom"], level: float
+) -> Float[Array, "*batch"]:
+    """Return the mean of the worst 1 - level of distributions over the same increasing values."""
+    tail = 1.0 - level
+    above = np.minimum(np.cumsum(probability[..., ::-1], axis=-1), tail)
+    above[..., -1] = tail  # what rounding leaves over has the least value
+    return np.asarray(np.diff(above, axis=-1, prepend=0.0) @ value[::-1] / tail)
+
+
+@dataclass(frozen=True, eq=False)
+class Risk:
+    """The distribution of the impact of a failure that happens.
+
+    Args:
+        value: Impacts that are possible, increasing from 0.
+        probability: Of each, given that a failure happens; they sum to 1.
+        level: Of `var` and `cvar`, in [0, 1).
+        conceivable: Greatest impact that the model does not rule out, however unlikely.
+        exact: Whether there was no need of a grid.
+    """
+
+    value: Float[Array, " atom"]
+    probability: Float[Array, " atom"]
+    level: float
+    conceivable: float
+    exact: bool
+
+    @cached_property
+    def expected(self) -> float:
+        """Mean impact, each entity counted once; the planner's I adds up components."""
+        return float(self.value @ self.probability)
+
+    @cached_property
+    def var(self) -> float:
+        """Value at risk: the least value that a share `level` of failures does not exceed."""
+        index = int(np.searchsorted(np.cumsum(self.probability), self.level - 1e-12))
+        return float(self.value[min(index, len(self.value) - 1)])
+
+    @cached_property
+    def cvar(self) -> float:
+        """Mean impact of the worst 1 - level of failures."""
+        return float(conditional_value_at_risk(self.value, self.probability, self.level))
+
+    @cached_property
+    def worst(self) -> float:
+        """Greatest impact that is reached or exceeded with a probability of more than `NEGLIGIBLE`."""
+        return min(float(RiskMeasure("worst").of(self.value, self.probability)), self.conceivable)
+
+    @cached_property
+    def no_harm(self) -> float:
+        """Probability that a failure does no harm."""
+        return float(self.probability[0])
+
+    def exceeding(self, impact: float | ArrayLike) -> Float[Array, "*batch"]:
+        """Probability that a failure does more harm than `impact`.
+
+        Raises:
+            SettingError: If it is NaN.
+        """
+        limit = np.asarray(impact, dtype=np.float64)
+        if np.any(np.isnan(limit)):
+            raise SettingError("impact", impact, "numbers")
+        at_most = np.append(0.0, np.cumsum(self.probability))
+        return np.asarray(np.clip(1.0 - at_most[np.searchsorted(self.value, limit, side="right")], 0.0, 1.0))
+
+    def __str__(self) -> str:
+        tail = f"{100.0 * (1.0 - self.level):.3g} %"
+        rows: list[list[object]] = [
+            ["expected impact of a failure", self.expected],
+            [f"VaR {self.level:g}: exceeded by at most {tail}", self.var],
+            [f"CVaR {self.level:g}: mean of the worst {tail}", self.cvar],
+            [f"worst case of probability above {NEGLIGIBLE:g}", self.worst],
+            ["worst conceivable", self.conceivable],
+            ["probability of no harm", self.no_harm],
+        ]
+        return table(["", "value"], rows)
+
+    def to_document(self) -> dict[str, Any]:
+        """Return everything as a JSON document."""
+        numbers = ("level", "expected", "var", "cvar", "worst", "conceivable", "no_harm", "exact")
+        return {
+            "schema": "graceful_plan.risk",
+            "version": 1,
+            **{name: getattr(self, name) for name in numbers},
+            "distribution": {"impact": self.value.tolist(), "probability": self.probability.tolist()},
+        }
+
+
+def risk(
+    motion: Trajectory | Path | ArrayLike,
+    scene: Scene,
+    impact: ImpactCost | None = None,
+    *,
+    level: float = 0.9,
+    pace: float = MEAN_PACE,
+    start_time: float = 0.0,
+) -> Risk:
+    """Compute the distribution of impact, given that the robot fails once along a motion.
+
+    Args:
+        motion: A trajectory, which fails at a time uniform over its duration, at the velocity that it has then; or a
+            path or configurations [n, nq], which fail at a place uniform over the length.
+        scene: The scene, with what is carried attached.
+        impact: Interaction model and components; those of plain `Objective()` if None.
+        level: Of VaR and CVaR, in [0, 1): 0.9 is for the worst tenth.
+        pace: How fast a path is travelled; see `Objective.pace`.
+        start_time: What to add to a trajectory's times to have those of entities that move [s]; see `evaluate`.
+
+    Raises:
+        ShapeError: If the motion does not fit the scene.
+        SettingError: If a setting makes no sense, or `impact` has no interaction model.
+    """
+    check_level(level)
+    if not np.isfinite(start_time):
+        raise SettingError("start_time", start_time, "a finite time [s]")
+    cost = Objective().impact if impact is None else impact
+    law = HarmLaw(cost, scene)
+    objective = Objective(impact=cost, pace=pace).bind(scene)
+    points = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
+    charged = objective.charged_states(points)  # also refuses what does not fit the scene
+    if isinstance(points, Trajectory):
+        batch, weight = _moments(points, scene, start_time)
+    elif charged.weight.sum() > 0.0:
+        batch, weight = charged.batch, charged.weight
+    else:  # a path without length
+        batch, weight = StateBatch(scene, points.q[:1]), np.ones(1)
+    mass, possible = law.mixture(batch, weight)
+    kept = (mass > 0.0) | (law.value == 0.0)
+    probability = mass[kept] / mass.sum()
+    return Risk(law.value[kept], probability, level, float(law.worst @ possible), law.exact)
+
+
+def check_level(level: object) -> None:
+    """Raise SettingError unless `level` is a number in [0, 1)."""
+    real = isinstance(level, numbers.Real) and not isinstance(level, bool)
+    if not (real and 0.0 <= level < 1.0):  # type: ignore[operator]
+        raise SettingError("level", level, "a share in [0, 1), such as 0.9 for the worst tenth")
+
+
+def _moments(trajectory: Trajectory, scene: Scene, start_time: float) -> tuple[StateBatch, Float[Array, " n"]]:
+    """Return states in the middle of even steps of time."""
+    least, most = _MOMENTS
+    n = int(np.clip(np.ceil(trajectory.path.length / COST_STEP), least, most))
+    times = trajectory.t[0] + (np.arange(n) + 0.5) / n * trajectory.duration
+    return trajectory_batch(scene, trajectory, times, start_time + times), np.full(n, 1.0 / n)

@@ -1,0 +1,1 @@
+"""Problems that planners are compared on."""

@@ -1,0 +1,142 @@
+"""Read problem files of other planners: `load_problems`.
+
+Three formats of problems for the Panda among primitives are known, described in `problem_formats`; lengths are in m,
+angles in rad, and the robot's base is at the origin.
+
+Pickled files are never loaded: unpickling runs whatever their author wrote.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
+from graceful_plan.compare.problems.plain_values import Value
+from graceful_plan.compare.problems.problem_formats import moveit_problem, robometrics_problems, vamp_problems
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+
+__all__ = ["Obstacle", "ProblemFile", "load_problems"]
+
+MAX_BYTES = 200_000_000
+MAX_DEPTH = 24
+MAX_FILES = 20_000
+_WIDEST = 0.04
+"""Greatest opening of each finger [m]."""
+_REQUEST = re.compile(r"request_?(\d+)\.ya?ml")
+# libyaml reads ten times as fast where PyYAML was built with it.
+_Loader: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def load_problems(
+    path: str | Path, *, groups: Sequence[str] | None = None, fingers: float = _WIDEST
+) -> tuple[ProblemFile, ...]:
+    """Read every problem of a file or folder, in the file's order.
+
+    Args:
+        path: A robometrics file (.yaml), a file in VAMP's JSON (.json), or a folder of MotionBenchMaker's, whose name
+            is then the group; a folder of such folders is read as a whole.
+        groups: The kinds of problems to keep; all by default.
+        fingers: Position of both finger joints [m]; what the files say about them is ignored. Open by default, since
+            goals of the MotionBenchMaker type reach around what is to be grasped.
+
+    Raises:
+        FormatError: If a file is not what it should be, with file and key.
+        UnknownNameError: If there is no such group.
+        SettingError: If `fingers` is not in [0, 0.04].
+    """
+    if not 0.0 <= fingers <= _WIDEST:
+        raise SettingError("fingers", fingers, f"a number in [0, {_WIDEST}] [m]")
+    place = Path(path)
+    found = tuple(_folder(place, fingers) if place.is_dir() else _file(place, fingers))
+    if not found:
+        raise FormatError(str(place), "holds no problem")
+    if groups is None:
+        return found
+    known = {problem.group for problem in found}
+    for group in groups:
+        if group not in known:
+            raise UnknownNameError("group of problems", group, known)
+    return tuple(problem for problem in found if problem.group in groups)
+
+
+def _file(file: Path, fingers: float) -> list[ProblemFile]:
+    suffix = file.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        return robometrics_problems(_read_yaml(file), fingers)
+    if suffix == ".json":
+        return vamp_problems(_read_json(file), fingers)
+    if suffix in (".pkl", ".pickle"):
+        raise FormatError(str(file), "pickled files are not loaded, since they can run code; give the JSON or the YAML")
+    raise FormatError(str(file), "has to be a .yaml or .json file or a folder")
+
+
+def _folder(folder: Path, fingers: float) -> list[ProblemFile]:
+    """Read pairs of scene and request in a folder, or in the folders in it."""
+    requests = sorted(file for file in folder.iterdir() if _REQUEST.fullmatch(file.name))
+    if not requests:
+        below = sorted(child for child in folder.iterdir() if child.is_dir())
+        return [problem for child in below if _has_requests(child) for problem in _folder(child, fingers)]
+    if len(requests) > MAX_FILES:
+        raise FormatError(str(folder), f"holds {len(requests)} requests, at most {MAX_FILES} are read")
+    found = []
+    for file in requests:
+        scene = file.with_name(file.name.replace("request", "scene", 1))
+        if not scene.is_file():
+            raise FormatError(str(file), f"there is no {scene.name} beside it")
+        name = f"{folder.resolve().name}/{int(_REQUEST.fullmatch(file.name)[1])}"  # type: ignore[index]
+        found.append(moveit_problem(_read_yaml(scene), _read_yaml(file), name, folder.resolve().name, fingers))
+    return found
+
+
+def _has_requests(folder: Path) -> bool:
+    return any(_REQUEST.fullmatch(file.name) for file in folder.iterdir())
+
+
+def _read_text(file: Path) -> str:
+    try:
+        size = file.stat().st_size
+        if size > MAX_BYTES:
+            raise FormatError(str(file), f"{size} bytes, at most {MAX_BYTES} are read")
+        text = file.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise FormatError(str(file), f"is not UTF-8: {error.reason}") from None
+    if text.startswith("version https://git-lfs"):
+        raise FormatError(str(file), "is a pointer of git-lfs, not the file itself; fetch it with `git lfs pull`")
+    return text
+
+
+def _read_yaml(file: Path) -> Value:
+    text = _read_text(file)
+    try:
+        _screen(text, file)
+        return Value(str(file), "", yaml.load(text, Loader=_Loader))
+    except yaml.MarkedYAMLError as error:
+        line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise FormatError(str(file), f"broken YAML{line}: {error.problem or error.context}") from None
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        raise FormatError(str(file), f"broken YAML: {' '.join(str(error).split())}") from None
+
+
+def _screen(text: str, file: Path) -> None:
+    """Refuse anchors, which can explode, and nesting that would exhaust libyaml's stack: that ends the process."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if getattr(event, "anchor", None) is not None:
+            raise FormatError(str(file), f"anchors and aliases are not read (line {event.start_mark.line + 1})")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise FormatError(str(file), f"nested deeper than {MAX_DEPTH} levels (line {event.start_mark.line + 1})")
+
+
+def _read_json(file: Path) -> Value:
+    try:
+        return Value(str(file), "", json.loads(_read_text(file)))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(str(file), f"broken JSON: {error}") from None

@@ -1,0 +1,76 @@
+"""Everything that a comparison leaves in its folder besides the journal, and the table for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from graceful_plan import documents
+from graceful_plan.compare.reports.arena import write_arena
+from graceful_plan.compare.reports.report import number, p_value, percent, write_report
+from graceful_plan.compare.reports.summary import Summary
+from graceful_plan.compare.reports.tables import check_arrow, write_csv, write_parquet
+from graceful_plan.compare.runs.known import write_known
+from graceful_plan.exceptions import UnknownNameError
+
+EXPORTS: Mapping[str, Callable[[Summary, Path], tuple[Path, ...]]] = {
+    "csv": lambda summary, folder: write_csv(summary.comparison, folder),
+    "parquet": lambda summary, folder: write_parquet(summary.comparison, folder),
+    "arena": lambda summary, folder: (write_arena(summary.comparison, folder),),
+}
+
+
+def check_exports(names: Sequence[str]) -> None:
+    """Check before hours of running that what is asked for can be written.
+
+    Raises:
+        UnknownNameError: If there is no such export.
+        MissingArrow: If Parquet is asked for without pyarrow.
+    """
+    for name in names:
+        if name not in EXPORTS:
+            raise UnknownNameError("export", name, EXPORTS)
+    if "parquet" in names:
+        check_arrow()
+
+
+def write(summary: Summary, folder: str | Path, exports: Sequence[str] = ()) -> tuple[Path, ...]:
+    """Write the report, what is known now, and exports; return the files.
+
+    Args:
+        summary: What to write about.
+        folder: Where.
+        exports: Of "csv", "parquet" and "arena" (see `tables` and `arena`).
+
+    Raises:
+        GracefulPlanError: As for `check_exports`.
+    """
+    check_exports(exports)
+    folder = Path(folder)
+    files = [write_report(summary, folder), write_known(summary.best, summary.comparison.w, folder)]
+    for name in exports:
+        files += EXPORTS[name](summary, folder)
+    return tuple(files)
+
+
+def text(summary: Summary) -> str:
+    """Return a table of planners for the terminal."""
+    against = {pair.second: pair for pair in summary.pairs if pair.first == summary.comparison.planners[0]}
+    at = list(summary.planners[0].gap_at)[-4:]
+    rows = []
+    for planner in summary.planners:
+        pair = against.get(planner.planner)
+        rows.append(
+            [
+                planner.planner,
+                f"{planner.solved}/{planner.runs}",
+                number(1e3 * planner.first),
+                *(percent(planner.gap_at[time]) for time in at),
+                percent(planner.gap),
+                "reference" if pair is None else f"{pair.wins}/{pair.ties}/{pair.losses}",
+                "" if pair is None else number(pair.ratio, 4),
+                "" if pair is None else p_value(pair.p_holm),
+            ]
+        )
+    header = ["planner", "solved", "first [ms]", *(f"gap {time} s" for time in at), "gap", "win/tie/loss", "ratio", "p"]
+    return documents.table(header, rows)

@@ -1,0 +1,314 @@
+"""A comparison as one HTML page that needs nothing else: no network, no scripts, figures inline."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from graceful_plan.compare.reports import figures
+from graceful_plan.compare.reports.statistics import CONFIDENCE, TIE, Paired
+from graceful_plan.compare.reports.summary import PlannerSummary, Summary, gap, median
+
+NAME = "report.html"
+_SIGNIFICANT = 0.05
+_DETAILS = 40
+"""Outcomes other than SOLVED that are listed one by one, at most."""
+_OVERVIEW_NOTE = (
+    "Medians over problems and seeds, of two middle values the worse; a run that was not solved counts as "
+    "infinite (∞) in times and gaps, and not at all to the right of them. The best of each column is bold. Motion "
+    "and impact are in units of the best known total. Jerk in rad/s³. Closest: least clearance of all runs."
+)
+_GAP_NOTE = (
+    "Median over problems and seeds of how much more the best path so far costs than the best known. A line "
+    "begins once half of the runs have a path. Times are when the search had the path; timing and verifying the "
+    "motion come after, within the time limit."
+)
+_BAND_NOTE = "The band reaches from quartile to quartile."
+_SHARE_NOTE = (
+    "What the results are made of: a dot is a problem, its motion and its weighted impact in units of the best "
+    "known total, so that all problems share a picture and dots on one grey line cost the same. What costs "
+    "more than four times the best known lies outside."
+)
+_SPREAD_NOTE = (
+    "Solved runs, a dot each unless they are many; bars from quartile to quartile, with the median. Jerk: third "
+    "difference of positions every 20 ms of the timed trajectory. Clearance: least exact distance of the robot "
+    "and what it carries to the surroundings, but for what a carried object stands on at the ends."
+)
+_PAIRS_NOTE = (
+    "Of each problem, the median over its seeds of the total cost of the result, infinite if most seeds were not "
+    f"solved. A ratio below 1 and wins are in favour of the planner; differences below {100 * TIE:g} % are ties. "
+    "p: Wilcoxon's signed-rank test over the problems, two-sided; corrected by Holm's method for all the pairs "
+    f"that were tested, bold below {_SIGNIFICANT:g}. The interval is a bootstrap over problems."
+)
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
+p.lead { color: #555; margin-top: .2rem; } p.note, figcaption { color: #555; font-size: .87rem; max-width: 52rem; }
+div.wide { overflow-x: auto; } figure { margin: 1rem 0; } svg { width: 100%; height: auto; max-width: 56rem; }
+table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; margin: .8rem 0; }
+th, td { padding: .25rem .6rem; text-align: right; white-space: nowrap; border-bottom: 1px solid #e6e6e6; }
+th { font-weight: 600; border-bottom: 1px solid #999; vertical-align: bottom; }
+th:first-child, td:first-child, td.text, th.text { text-align: left; }
+td.text { white-space: normal; } td.best { font-weight: 700; } td.bad { color: #a40000; }
+span.swatch { display: inline-block; width: .7em; height: .7em; border-radius: 2px; margin-right: .45em; }
+.warn { background: #fff4d6; border-left: 4px solid #e69f00; padding: .5rem .8rem; }
+""".strip()
+
+
+def write_report(summary: Summary, folder: Path) -> Path:
+    """Write the page; one that is there is replaced, once the new one is whole."""
+    file = folder / NAME
+    partial = file.with_suffix(".partial")
+    partial.write_text(page(summary), encoding="utf-8")
+    partial.replace(file)
+    return file
+
+
+def page(summary: Summary) -> str:
+    """Return the page as text."""
+    comparison = summary.comparison
+    title = f"Planners on {comparison.suite}"
+    parts = [
+        f"<h1>{_text(title)}</h1>",
+        f'<p class="lead">{_text(_lead(summary))}</p>',
+        *_warnings(summary),
+        *(_sections(summary) if comparison.runs else ["<p>No run is done yet.</p>"]),
+        *_machine(summary),
+    ]
+    head = f'<meta charset="utf-8"><title>{_text(title)}</title><style>{_STYLE}</style>'
+    view = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    body = "\n".join(parts)
+    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}{view}</head><body>\n{body}\n</body></html>\n'
+
+
+def _lead(summary: Summary) -> str:
+    c = summary.comparison
+    counts = (
+        f"{_count(len(c.problems), 'problem')}, {_count(len(c.planners), 'planner')}, {_count(len(c.seeds), 'seed')}"
+    )
+    return f"{counts}; every call with time_limit = {c.seconds:g} s and w = {c.w:g}; begun {c.begun}"
+
+
+def _warnings(summary: Summary) -> Iterator[str]:
+    c = summary.comparison
+    if len(c.runs) < c.expected:
+        yield f'<p class="warn">{len(c.runs)} of {c.expected} runs are done: figures are of those only.</p>'
+    late = [f"{planner.planner} {planner.late} of {planner.runs}" for planner in summary.planners if planner.late]
+    if late:
+        yield (
+            f'<p class="warn">Calls that returned long after their time limit: {_text(", ".join(late))}. '
+            "Their results had more time than those of the others.</p>"
+        )
+    unsolved = [problem for problem in c.problems if not math.isfinite(summary.best[problem])]
+    if c.runs and unsolved:
+        yield f'<p class="warn">Solved by no run, so without a gap: {_text(", ".join(unsolved))}.</p>'
+    if c.runs and len(c.problems) < 6:
+        yield (
+            f'<p class="warn">With {_count(len(c.problems), "problem")}, no test on pairs can reach p &lt; 0.05; '
+            "differences show, but not that they are no accident. Six problems are the least, 20 are useful.</p>"
+        )
+
+
+def _sections(summary: Summary) -> Iterator[str]:
+    yield "<h2>Overview</h2>"
+    yield from _overview(summary)
+    yield "<h2>Success and time to first path</h2>"
+    yield _figure(
+        figures.solved_figure(summary),
+        "Share of runs that had a path by then. A run whose result was not verified in the end never counts.",
+    )
+    yield "<h2>Gap to best known over time</h2>"
+    many = len(summary.comparison.planners) > figures.BANDS
+    yield _figure(
+        figures.gap_figure(summary),
+        f"{_GAP_NOTE} {'' if many else _BAND_NOTE}",
+    )
+    if many:
+        yield _figure(
+            figures.gap_panels(summary),
+            f"The same, planner by planner, the others in grey. {_BAND_NOTE}",
+        )
+    if summary.comparison.w > 0.0:
+        yield "<h2>Motion and impact</h2>"
+        yield _figure(
+            figures.share_figure(summary),
+            _SHARE_NOTE,
+        )
+    yield "<h2>Jerk, clearance, duration</h2>"
+    yield _figure(
+        figures.spread_figure(summary),
+        _SPREAD_NOTE,
+    )
+    yield "<h2>Pair by pair</h2>"
+    yield from _pairs(summary.pairs)
+    yield "<h2>Problem by problem</h2>"
+    yield from _problems(summary)
+    yield from _outcomes(summary)
+
+
+def _overview(summary: Summary) -> Iterator[str]:
+    planners = summary.planners
+    at = list(planners[0].gap_at)
+    header = [
+        "planner",
+        "solved",
+        "first path [ms]",
+        *(f"gap at {t} s" for t in at),
+        "gap of result",
+        "verified at [s]",
+        "slowest [s]",
+    ]
+    header += ["motion / best", "w impact / best", "peak jerk", "rms jerk", "clearance [cm]", "closest [cm]"]
+    columns: list[list[float]] = [
+        [-p.solved / p.runs if p.runs else math.inf for p in planners],
+        [p.first for p in planners],
+        *([p.gap_at[t] for p in planners] for t in at),
+        [p.gap for p in planners],
+    ]
+    best = [min((value for value in column if math.isfinite(value)), default=math.nan) for column in columns]
+    rows = []
+    for i, planner in enumerate(planners):
+        cells = [
+            f"{planner.solved} / {planner.runs}",
+            number(1e3 * planner.first),
+            *(percent(planner.gap_at[t]) for t in at),
+            percent(planner.gap),
+        ]
+        marked = [
+            _cell(cell, "best" if math.isclose(column[i], b, rel_tol=1e-3, abs_tol=1e-9) else "")
+            for cell, column, b in zip(cells, columns, best, strict=True)
+        ]
+        rest = [planner.seconds, planner.slowest, planner.motion, planner.impact, planner.jerk_peak, planner.jerk_rms]
+        rest += [100.0 * planner.clearance, 100.0 * planner.closest]
+        rows.append([_cell(_swatch(i) + _text(planner.planner)), *marked, *(_cell(number(value)) for value in rest)])
+    yield _table(header, rows)
+    yield _note(_OVERVIEW_NOTE)
+
+
+def _pairs(pairs: Sequence[Paired]) -> Iterator[str]:
+    if not pairs:
+        yield "<p>One planner has nothing to be compared with.</p>"
+        return
+    header = ["reference", "planner", "wins", "ties", "losses", "median cost ratio"]
+    header += [f"{100 * CONFIDENCE:g} % interval", "p", "p (Holm)", "problems"]
+    rows = [
+        [
+            _cell(_text(pair.first)),
+            _cell(_text(pair.second), "text"),
+            *(_cell(str(count)) for count in (pair.wins, pair.ties, pair.losses)),
+            _cell(number(pair.ratio, 4)),
+            _cell(f"{number(pair.low, 4)} – {number(pair.high, 4)}"),
+            _cell(p_value(pair.p)),
+            _cell(p_value(pair.p_holm), "best" if pair.p_holm < _SIGNIFICANT else ""),
+            _cell(str(pair.n)),
+        ]
+        for pair in pairs
+    ]
+    reference = [row for row, pair in zip(rows, pairs, strict=True) if pair.first == pairs[0].first]
+    yield _table(header, reference)
+    if len(rows) > len(reference):
+        yield f"<details><summary>All {len(rows)} pairs</summary>{_table(header, rows)}</details>"
+    yield _note(_PAIRS_NOTE)
+
+
+def _problems(summary: Summary) -> Iterator[str]:
+    comparison = summary.comparison
+    rows = []
+    for problem in comparison.problems:
+        best = summary.best[problem]
+        cells = []
+        for planner in comparison.planners:
+            runs = comparison.of(planner=planner, problem=problem)
+            cells.append(median([gap(run.total if run.solved else math.inf, best) for run in runs]))
+        least = min((value for value in cells if math.isfinite(value)), default=math.nan)
+        marked = [_cell(percent(v), "best" if v <= least + 1e-3 else "" if math.isfinite(v) else "bad") for v in cells]
+        rows.append([_cell(_text(problem)), _cell(number(best, 5)), *marked])
+    yield _table(["problem", "best known", *comparison.planners], rows)
+    yield _note("Median gap of the result over seeds. Best known: of all these runs and of what was known before.")
+
+
+def _outcomes(summary: Summary) -> Iterator[str]:
+    other = [run for run in summary.comparison.runs if not run.solved]
+    if not other:
+        return
+    yield "<h2>Runs without a verified result</h2>"
+    statuses = sorted({run.status for run in other})
+    yield _table(["planner", *statuses], [_outcome_row(i, p, statuses) for i, p in enumerate(summary.planners)])
+    rows = [
+        [
+            _cell(_text(run.problem)),
+            *(_cell(_text(str(x)), "text") for x in (run.planner, run.seed, run.status, run.detail)),
+        ]
+        for run in other[:_DETAILS]
+    ]
+    more = f" (the first {_DETAILS} of {len(other)})" if len(other) > _DETAILS else ""
+    table = _table(["problem", "planner", "seed", "status", "detail"], rows, text=True)
+    yield f"<details><summary>One by one{more}</summary>{table}</details>"
+
+
+def _outcome_row(index: int, planner: PlannerSummary, statuses: Sequence[str]) -> list[str]:
+    counts = (planner.outcomes.get(status, 0) for status in statuses)
+    return [_cell(_swatch(index) + _text(planner.planner)), *(_cell(str(count) if count else "–") for count in counts)]
+
+
+def _machine(summary: Summary) -> Iterator[str]:
+    c = summary.comparison
+    processes = c.settings.get("processes", 1)
+    rows = [*c.machine.items(), ("runs at a time", str(max(1, int(processes))))]
+    yield "<h2>Made on</h2>"
+    yield _table(["", ""], [[_cell(_text(key)), _cell(_text(value), "text")] for key, value in rows])
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, text: bool = False) -> str:
+    kind = ' class="text"' if text else ""
+    top = "".join(f"<th{kind}>{_text(name)}</th>" for name in header) if any(header) else ""
+    lines = "\n".join(f"<tr>{''.join(row)}</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>\n{lines}\n</tbody></table></div>'
+
+
+def _cell(content: str, kind: str = "") -> str:
+    """Return a cell; its content is HTML already."""
+    return f'<td class="{kind}">{content}</td>' if kind else f"<td>{content}</td>"
+
+
+def _figure(svg: str, caption: str) -> str:
+    return f"<figure>{svg}<figcaption>{_text(caption)}</figcaption></figure>"
+
+
+def _note(text: str) -> str:
+    return f'<p class="note">{_text(text)}</p>'
+
+
+def _swatch(index: int) -> str:
+    return f'<span class="swatch" style="background:{figures.COLOURS[index % len(figures.COLOURS)]}"></span>'
+
+
+def _text(value: str) -> str:
+    return html.escape(value)
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Return a number in words fit for a table; NaN is a dash."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞"
+    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+
+
+def percent(value: float) -> str:
+    """Return a fraction as a percentage; NaN is a dash."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞"
+    return f"{100.0 * value:.1f} %" if value < 10.0 else f"{100.0 * value:.0f} %"
+
+
+def p_value(value: float) -> str:
+    """Return a p-value; NaN is a dash."""
+    return "–" if math.isnan(value) else f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

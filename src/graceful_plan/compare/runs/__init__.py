@@ -1,0 +1,1 @@
+"""Running planners on suites of problems."""

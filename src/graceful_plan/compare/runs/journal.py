@@ -1,0 +1,175 @@
+"""The journal of a comparison: a file of JSON lines that is only ever appended to.
+
+The first line says what is compared and on what machine; every other line is a run. A line is written whole and synced
+to disk, so that a kill loses at most the runs in progress. A last line without its end is cut off when the journal is
+opened again; damage anywhere else is refused.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from graceful_plan.compare.runs.records import Run
+from graceful_plan.exceptions import FormatError, GracefulPlanError
+
+NAME = "journal.jsonl"
+_SCHEMA = {"schema": "graceful_plan.bench", "version": 1}
+
+
+class OtherSettings(GracefulPlanError, ValueError):
+    """A folder with a comparison that was begun with other settings."""
+
+    def __init__(self, folder: Path, differences: tuple[str, ...]) -> None:
+        self.folder, self.differences = folder, differences
+        super().__init__(
+            f"{folder} holds a comparison made with other settings: {'; '.join(differences)}. "
+            "Repeat those to go on with it, or choose another folder."
+        )
+
+
+class JournalBusy(GracefulPlanError, RuntimeError):
+    """A journal that another process is writing."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        super().__init__(f"{file} is in use by another process")
+
+
+class Journal:
+    """An open journal, begun if there was none. Use it in a `with` statement.
+
+    Args:
+        folder: Where it is or will be.
+        settings: What is compared; it must be what it was begun with.
+        machine: On what.
+        known: Least total costs that the suite knows, by problem.
+
+    Raises:
+        FormatError: If the file is something else, or damaged other than at its end.
+        OtherSettings: If it was begun with other settings.
+        JournalBusy: If another process has it open.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: Mapping[str, Any],
+        machine: Mapping[str, str],
+        known: Mapping[str, float] | None = None,
+    ) -> None:
+        self.file = folder / NAME
+        folder.mkdir(parents=True, exist_ok=True)
+        self._stream = self.file.open("ab+")
+        try:
+            self._lock()
+            self._cut()
+            if self.file.stat().st_size == 0:
+                begun = datetime.now(UTC).isoformat(sep=" ", timespec="seconds")
+                about = {"begun": begun, "settings": settings, "machine": machine, "known": dict(known or {})}
+                self._append(json.dumps({**_SCHEMA, **about}, allow_nan=False))
+            self.head, self.runs = read(self.file)
+            self._check(self.head, settings)
+        except BaseException:
+            self._stream.close()
+            raise
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise JournalBusy(self.file) from None
+
+    def _cut(self) -> None:
+        """Cut off what a kill left of a last line; of a file that is something else, nothing."""
+        self._stream.seek(0)
+        content = self._stream.read()
+        begin = json.dumps(_SCHEMA).encode().split(b",")[0]
+        if content[: len(begin)] != begin[: len(content)]:
+            raise FormatError(str(self.file), "no journal of a comparison")
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            self._stream.truncate(whole)
+
+    def _check(self, head: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+        there, here = head["settings"], json.loads(json.dumps(settings))
+        found = tuple(differences(there, here))
+        if found:
+            raise OtherSettings(self.file.parent, found)
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._stream.close()
+
+    def add(self, run: Run) -> None:
+        """Write down a run; it is on disk when this returns."""
+        self._append(run.to_json())
+        self.runs.append(run)
+
+    def _append(self, line: str) -> None:
+        self._stream.write(line.encode() + b"\n")
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+
+
+def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
+    """Read a journal: its first line, and the runs. A last line without its end is left out.
+
+    Raises:
+        FormatError: If it is something else, of another version, or damaged.
+    """
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+    lines = content.split(b"\n")[:-1]
+    if not lines:
+        raise FormatError(str(file), "no journal of a comparison: it has no first line")
+    head = _document(lines[0], f"{file}:1")
+    if not isinstance(head, dict) or head.get("schema") != _SCHEMA["schema"]:
+        raise FormatError(str(file), "no journal of a comparison")
+    if head.get("version") != _SCHEMA["version"]:
+        raise FormatError(str(file), f"version {head.get('version')!r}; this version reads {_SCHEMA['version']}")
+    kinds = {"begun": str, "settings": dict, "machine": dict, "known": dict}
+    for key, kind in kinds.items():
+        if not isinstance(head.get(key), kind):
+            raise FormatError(f"{file}:1", f"damaged: no {key}")
+    runs: dict[tuple[str, str, int], Run] = {}
+    for number, line in enumerate(lines[1:], 2):
+        run = Run.from_document(_document(line, f"{file}:{number}"), f"{file}:{number}")
+        runs[run.key] = run
+    return head, list(runs.values())
+
+
+def _document(line: bytes, where: str) -> Any:
+    try:
+        return json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(where, f"damaged: {error}") from None
+
+
+def differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
+    """Say in words where two documents differ."""
+    if isinstance(there, Mapping) and isinstance(here, Mapping):
+        for key in [*there, *(key for key in here if key not in there)]:
+            yield from differences(there.get(key), here.get(key), f"{name}.{key}" if name else str(key))
+    elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        for i, (a, b) in enumerate(zip(there, here, strict=True)):
+            yield from differences(a, b, f"{name}[{i}]")
+    elif there != here:
+        yield f"{name} was {_short(there)} and is {_short(here)}"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        value = [item.get("label") or item.get("name") for item in value]
+    text = json.dumps(value)
+    return text if len(text) <= 120 else f"{text[:117]}..."

@@ -1,0 +1,59 @@
+"""What a comparison was made on: processor, memory, instruction sets, versions."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+
+from graceful_plan._version import __version__
+from graceful_plan.core.kernels import instruction_sets
+
+PACKAGES = ("numpy", "mujoco", "ompl", "toppra", "mink", "scipy", "casadi")
+
+
+def describe() -> dict[str, str]:
+    """Return what times depend on, by name; nothing of it tells whose machine this is."""
+    return {
+        "processor": processor(),
+        "cores": str(os.cpu_count()),
+        "memory": f"{memory_gb():.0f} GB",
+        "system": f"{platform.system()} {platform.machine()}",
+        "kernels": ", ".join(instruction_sets()),
+        "versions": ", ".join(
+            [
+                f"graceful_plan {__version__}",
+                f"Python {platform.python_version()}",
+                *(f"{package} {version(package)}" for package in PACKAGES),
+            ]
+        ),
+    }
+
+
+def processor() -> str:
+    """Model of the processor."""
+    info = Path("/proc/cpuinfo")
+    if not info.exists():
+        return platform.processor() or platform.machine()
+    fields = [line.split(":", 1) for line in info.read_text().splitlines() if ":" in line]
+    values = {key.strip(): value.strip() for key, value in reversed(fields)}
+    name = values.get("model name", platform.machine())
+    numbers = ", ".join(f"{key} {values[key]}" for key in ("cpu family", "model") if key in values)
+    return f"{name} ({numbers})" if numbers else name
+
+
+def memory_gb() -> float:
+    """Memory of the machine [GB]; NaN if the system does not tell."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    except (ValueError, OSError):
+        return float("nan")
+
+
+def version(package: str) -> str:
+    """Version of an installed package."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "missing"

@@ -1,0 +1,235 @@
+"""One run: a planner on a problem with a time limit, everything loaded, imported and compiled before."""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems
+from graceful_plan.compare.problems.problem_files import ProblemFile, load_problems
+from graceful_plan.compare.problems.suite import ProblemNote
+from graceful_plan.compare.runs.measures import exact_clearance, jerk
+from graceful_plan.compare.runs.planner_file import PlannerNote
+from graceful_plan.compare.runs.records import RAISED, SOLVED, Run
+from graceful_plan.path import Path
+from graceful_plan.plan import plan
+from graceful_plan.planners.planner import Budget, Planner
+from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.result import PlanResult, PlanStatus, TracePoint
+from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.scene.scene import Scene
+
+_SAME = 1e-9
+_WORDS = 1000
+"""Characters of an exception's message that are kept."""
+_WARM_UP = 0.25
+"""Seconds that a planner gets at most to import and compile what it needs, not counted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A run that is to be done.
+
+    Args:
+        problem: What to solve.
+        planner: With what.
+        seed: Of its random numbers.
+        seconds: Time limit of the call [s].
+        w: Safety weight.
+    """
+
+    problem: ProblemNote
+    planner: PlannerNote
+    seed: int
+    seconds: float
+    w: float
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """What tells runs apart."""
+        return self.problem.name, self.planner.label, self.seed
+
+    def outcome(self, status: str, detail: str = "") -> Run:
+        """Return the record of a run that ended without a result."""
+        return Run(problem=self.problem.name, planner=self.planner.label, seed=self.seed, status=status, detail=detail)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneProblem:
+    """A motion to plan in a scene."""
+
+    start: Configuration
+    goal: Goal
+    scene: Scene
+
+
+def run(job: Job) -> Run:
+    """Plan. Whatever is raised is an outcome."""
+    try:
+        problem = _problem(job.problem)
+        planner = job.planner.make()
+        _warm_up(job.problem, job.planner, min(job.seconds, _WARM_UP), job.w)
+        # Garbage of the run before is not this one's.
+        gc.collect()
+        if isinstance(problem, AnalyticProblem):
+            return _run_analytic(job, problem, planner)
+        return _run_scene(job, problem, planner)
+    except Exception as error:
+        # Whatever is in it, it has to go into files and on a page.
+        words = f"{type(error).__name__}: {error}"[:_WORDS].encode(errors="replace").decode()
+        return job.outcome(RAISED, words)
+
+
+def load(note: ProblemNote) -> None:
+    """Load a problem, which may take a while and is the fault of no planner. What is wrong with it, `run` will meet."""
+    with suppress(Exception):
+        _problem(note)
+
+
+@lru_cache(maxsize=64)
+def _problem(note: ProblemNote) -> SceneProblem | AnalyticProblem:
+    """Load a problem, once in a process."""
+    if note.kind == "analytic":
+        return analytic_problems()[note.item]
+    if note.kind == "file":
+        found = _problem_file(note.source)[note.item]
+        return SceneProblem(start=found.start, goal=found.goal, scene=found.scene)
+    scene = _scene(note.source)
+    if note.kind == "task":
+        task = scene.tasks[note.item]
+        return SceneProblem(start=task.start, goal=task.goal, scene=task.scene)
+    start, goal = (end if isinstance(end, str) else np.array(end) for end in (note.start, note.goal))
+    return SceneProblem(start=start, goal=goal, scene=scene)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=32)
+def _scene(source: str) -> Scene:
+    return load_scene(source)
+
+
+@lru_cache(maxsize=4)
+def _problem_file(path: str) -> dict[str, ProblemFile]:
+    return {problem.name: problem for problem in load_problems(path)}
+
+
+@lru_cache(maxsize=1024)
+def _warm_up(note: ProblemNote, planner: PlannerNote, seconds: float, w: float) -> None:
+    """Let a planner plan in this scene up to its first path, so that imports and compiled scenes are in no figure."""
+    problem = _problem(note)
+    try:
+        if isinstance(problem, AnalyticProblem):
+            for _ in planner.make().solve(
+                problem.problem, problem.objective, Budget(seconds), np.random.default_rng(0)
+            ):
+                break
+        else:
+            plan(
+                problem.start,
+                problem.goal,
+                problem.scene,
+                w=w,
+                planner=planner.make(),
+                time_limit=seconds,
+                callback=lambda _: True,
+            )
+    except Exception:
+        return  # The run itself will meet it again, and record it.
+
+
+def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
+    started = time.perf_counter()
+    result = plan(
+        problem.start, problem.goal, problem.scene, w=job.w, planner=planner, time_limit=job.seconds, seed=job.seed
+    )
+    seconds = time.perf_counter() - started
+    record = replace(
+        job.outcome(result.status.name, result.detail),
+        seconds=seconds,
+        iterations=result.stats.get("iterations", math.nan),
+    )
+    if result.status is not PlanStatus.SOLVED or result.path is None or result.trajectory is None:
+        return record
+    peak, rms = jerk(result.trajectory)
+    clearance, own = exact_clearance(result.trajectory, problem.scene)
+    trace = aligned_trace(result, seconds)
+    return replace(
+        record,
+        first=trace[0].time,
+        total=result.cost.total,
+        motion=result.cost.motion,
+        impact=result.cost.impact,
+        jerk_peak=peak,
+        jerk_rms=rms,
+        duration=result.trajectory.duration,
+        length=result.path.length,
+        clearance=clearance,
+        self_clearance=own,
+        certified=math.nan if result.certificate is None else result.certificate.clearance,
+        trace=trace,
+        path=tuple(map(tuple, result.path.q.tolist())),
+    )
+
+
+def aligned_trace(result: PlanResult, seconds: float) -> tuple[TracePoint, ...]:
+    """Return the improvements that led to the result, ending with what the result costs.
+
+    A search knows nothing of the ways out of tight places at both ends of a motion; what they cost is the same all
+    along and is added. Improvements after the one that was returned are left out: the judge refused those.
+    """
+    cost = result.cost
+    last = TracePoint(time=seconds, total=cost.total, motion=cost.motion, impact=cost.impact)
+    near = [abs(point.total - cost.total) <= _SAME * max(1.0, abs(cost.total)) for point in result.trace]
+    if any(near):
+        return result.trace[: near.index(True) + 1]
+    if not result.trace or result.trace[-1].total > cost.total:
+        return (*(point for point in result.trace if point.total > cost.total), last)
+    end = result.trace[-1]
+    motion, impact = cost.motion - end.motion, cost.impact - end.impact
+    ways_out = cost.total - end.total
+    return tuple(
+        TracePoint(
+            time=point.time, total=point.total + ways_out, motion=point.motion + motion, impact=point.impact + impact
+        )
+        for point in result.trace
+    )
+
+
+def _run_analytic(job: Job, instance: AnalyticProblem, planner: Planner) -> Run:
+    """Let a planner solve a problem in the plane; every path is checked, none is timed."""
+    objective = replace(instance.objective, w=job.w)
+    budget, trace, best = Budget(job.seconds), [], None
+    for path in planner.solve(instance.problem, objective, budget, np.random.default_rng(job.seed)):
+        at = budget.elapsed
+        edges = objective.edges(path.q[:-1], path.q[1:])
+        motion, impact = (float(x) for x in edges.sum(axis=0)) if len(edges) else (0.0, 0.0)
+        total = motion + job.w * impact
+        if not _leads_there(path, instance) or (trace and total >= trace[-1].total):
+            continue
+        trace.append(TracePoint(time=at, total=total, motion=motion, impact=impact))
+        best = path
+    seconds, exhausted = budget.elapsed, budget.exhausted
+    record = replace(job.outcome(SOLVED), seconds=seconds, iterations=float(budget.spent))
+    if best is None:
+        return replace(record, status=(PlanStatus.TIMEOUT if exhausted else PlanStatus.INFEASIBLE).name)
+    return replace(
+        record,
+        first=trace[0].time,
+        total=trace[-1].total,
+        motion=trace[-1].motion,
+        impact=trace[-1].impact,
+        length=best.length,
+        trace=tuple(trace),
+        path=tuple(map(tuple, best.q.tolist())),
+    )
+
+
+def _leads_there(path: Path, instance: AnalyticProblem) -> bool:
+    problem = instance.problem
+    ends = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
+    return bool(max(ends) <= _SAME and np.all(problem.edges_free(path.q[:-1], path.q[1:])))

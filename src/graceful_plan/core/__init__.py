@@ -1,0 +1,1 @@
+"""What is computed fast: arrays, and the native kernels on them."""

@@ -1,0 +1,418 @@
+"""Scene -> arrays. Refuses what the kernels cannot represent, by name.
+
+Frames: W world, L link, P parent link, G geom, T tool. A link is a joint with everything rigidly behind it; rigid links
+without a joint group geoms that ride on the same frame and may touch the same things, so that every pair of links and
+every pair of link and obstacle is either tested or not.
+"""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.core import sphere_cover
+from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.core.kernels import CAPACITY, Kernels
+from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_GEOM = mujoco.mjtGeom
+_KIND = {
+    _GEOM.mjGEOM_PLANE: "plane",
+    _GEOM.mjGEOM_SPHERE: "sphere",
+    _GEOM.mjGEOM_CAPSULE: "capsule",
+    _GEOM.mjGEOM_ELLIPSOID: "ellipsoid",
+    _GEOM.mjGEOM_CYLINDER: "cylinder",
+    _GEOM.mjGEOM_BOX: "box",
+    _GEOM.mjGEOM_MESH: "mesh",
+}
+BASE_PROTRUSION = 0.03
+"""How far spheres may stick out of large geoms of the base [m]; they only keep the arm off its own foot."""
+_MANY = 200
+PLANE_EXTENT = 50.0
+"""Half side of the box that stands for an infinite plane in Algorithm 1 [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompiledScene:
+    """A scene as tables, with the kernels that read them."""
+
+    robot: RobotArrays
+    world: WorldArrays
+    hazards: HazardArrays
+    kernels: Kernels
+
+
+_compiled: weakref.WeakKeyDictionary[Scene, CompiledScene] = weakref.WeakKeyDictionary()
+
+
+def compile_scene(scene: Scene) -> CompiledScene:
+    """Return the scene's tables and kernels; a scene is compiled once.
+
+    Raises:
+        UnsupportedError: If the kernels cannot represent it; names the geom.
+    """
+    if scene not in _compiled:
+        _compiled[scene] = _compile(scene)
+    return _compiled[scene]
+
+
+def _compile(scene: Scene) -> CompiledScene:
+    data = _reference_data(scene)
+    frames = _frames(scene, data)
+    groups = _groups(scene, frames)
+    robot = _robot_arrays(scene, data, frames, groups)
+    world = _world_arrays(scene, data, groups)
+    hazards = _hazard_arrays(scene, data, frames)
+    _check_capacity(scene.model, groups, robot, hazards)
+    return CompiledScene(robot=robot, world=world, hazards=hazards, kernels=Kernels(robot, world, hazards))
+
+
+def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: HazardArrays) -> None:
+    counts = {
+        "joints": len(robot.lower),
+        "links": len(robot.parent),
+        "spheres": len(robot.sphere),
+        "parts": len(hazards.part_link),
+        "entities": hazards.severity.shape[1],
+    }
+    for what, count in counts.items():
+        if count <= CAPACITY[what]:
+            continue
+        hint = ""
+        if what == "spheres":
+            largest = max((geom for group in groups for geom in group.geoms), key=lambda g: float(model.geom_rbound[g]))
+            hint = f"; the largest geom that moves is {_geom_name(model, largest)!r}: carry or model something smaller"
+        raise UnsupportedError(f"the scene has {count} {what}, the kernels hold {CAPACITY[what]}{hint}")
+
+
+# --- kinematics -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Frames:
+    """Frames that move: 0 is the base, k + 1 belongs to planned joint k."""
+
+    parent: list[int]
+    X_W: Float[Array, "frame 4 4"]  # at the reference configuration
+    reference: Float[Array, " nq"]
+    of_body: list[int]
+
+
+def _reference_data(scene: Scene) -> mujoco.MjData:
+    """The scene with all planned joints at their reference position, where joint rotations are the identity."""
+    return scene.data_at(scene.model.qpos0[scene.qpos_adr])
+
+
+def _pose(rotation: Array, position: Array) -> Float[Array, "4 4"]:
+    X = np.eye(4)
+    X[:3, :3] = np.reshape(rotation, (3, 3))
+    X[:3, 3] = position
+    return X
+
+
+def _frames(scene: Scene, data: mujoco.MjData) -> _Frames:
+    model = scene.model
+    joint_ids = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in scene.qpos_adr]
+    frame_of_joint = {joint: k + 1 for k, joint in enumerate(joint_ids)}
+    of_body, parent, X_W = [0] * model.nbody, [-1] + [0] * len(joint_ids), [np.eye(4)] * (len(joint_ids) + 1)
+    for body in range(1, model.nbody):
+        frame = of_body[model.body_parentid[body]]
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            if joint not in frame_of_joint:
+                continue
+            parent[frame_of_joint[joint]], frame = frame, frame_of_joint[joint]
+            X_W[frame] = _pose(_rotation_with_z(data.xaxis[joint]), data.xanchor[joint])
+        of_body[body] = frame
+    if scene.carried is not None:
+        tool_body = model.site_bodyid[model.site(scene.tool).id]
+        root = model.body(scene.carried.body).id
+        for body in range(model.nbody):
+            if _is_below(model, body, root):
+                of_body[body] = of_body[tool_body]
+    return _Frames(parent=parent, X_W=np.stack(X_W), reference=model.qpos0[scene.qpos_adr].copy(), of_body=of_body)
+
+
+def _is_below(model: mujoco.MjModel, body: int, root: int) -> bool:
+    while body > 0 and body != root:
+        body = int(model.body_parentid[body])
+    return body == root
+
+
+def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
+    z = axis / np.linalg.norm(axis)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def body_frames(scene: Scene) -> tuple[int, ...]:
+    """Return the frame that each body rides on: 0 for what does not move, k + 1 for planned joint k."""
+    return tuple(_frames(scene, _reference_data(scene)).of_body)
+
+
+def link_geoms(scene: Scene) -> tuple[tuple[int, ...], ...]:
+    """Return the geoms that the spheres of each link cover; none for frames."""
+    frames = _frames(scene, _reference_data(scene))
+    return (*((),) * len(frames.parent), *(group.geoms for group in _groups(scene, frames)))
+
+
+# --- geoms of the robot ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Group:
+    """Geoms on one frame that may touch the same geoms."""
+
+    frame: int
+    geoms: tuple[int, ...]
+    partners: frozenset[int]
+
+
+def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
+    partners: dict[int, set[int]] = {}
+    moving = {geom for name in ("body", "carried") if name in scene.components for geom in scene.components[name].geoms}
+    moving |= {g for g in range(scene.model.ngeom) if int(scene.model.geom_bodyid[g]) in scene.robot_bodies}
+    for first, second in scene.collision_pairs():
+        partners.setdefault(int(first), set()).add(int(second))
+        if int(second) in moving:
+            partners.setdefault(int(second), set()).add(int(first))
+    held = set(scene.components["carried"].geoms) if "carried" in scene.components else set()
+    by_key: dict[tuple[int, frozenset[int], bool], list[int]] = {}
+    for geom, others in sorted(partners.items()):
+        key = (frames.of_body[scene.model.geom_bodyid[geom]], frozenset(others), geom in held)
+        by_key.setdefault(key, []).append(geom)
+    return [
+        _Group(frame=f, geoms=tuple(geoms), partners=others)
+        for (f, others, _), geoms in sorted(by_key.items(), key=lambda i: (i[0][0], i[1]))
+    ]
+
+
+def _robot_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames, groups: list[_Group]) -> RobotArrays:
+    n_frame = len(frames.parent)
+    parent, joint, slide, X_PL = list(frames.parent), [-1, *range(n_frame - 1)], [0] * n_frame, []
+    for frame, p in enumerate(frames.parent):
+        if frame == 0:
+            X_PL.append(np.eye(4))
+            continue
+        adr = scene.qpos_adr[frame - 1]
+        slide[frame] = int(scene.model.jnt_type[scene.model.jnt_qposadr == adr][0] == mujoco.mjtJoint.mjJNT_SLIDE)
+        X = np.linalg.inv(frames.X_W[p]) @ frames.X_W[frame]
+        X_PL.append(X @ _joint_motion(-frames.reference[frame - 1], bool(slide[frame])))
+    spheres, links, bound = [], [], {}
+    protrusion = 0.0
+    for group in groups:
+        link = len(parent)
+        parent.append(group.frame)
+        joint.append(-1)
+        slide.append(0)
+        X_PL.append(np.eye(4))
+        centres, radii, sticks_out = _cover_group(
+            scene.model, data, frames.X_W[group.frame], group.geoms, base=group.frame == 0
+        )
+        protrusion = max(protrusion, sticks_out)
+        spheres.append(np.column_stack([centres, radii]))
+        links += [link] * len(radii)
+        bound[link] = sphere_cover.enclosing_sphere(centres, radii)
+    tool = data.site(scene.tool)
+    tool_frame = frames.of_body[scene.model.site_bodyid[scene.model.site(scene.tool).id]]
+    arrays = RobotArrays(
+        parent=np.array(parent),
+        joint=np.array(joint),
+        slide=np.array(slide),
+        X_PL=np.stack(X_PL),
+        lower=scene.limits.position[:, 0].copy(),
+        upper=scene.limits.position[:, 1].copy(),
+        tool_link=tool_frame,
+        X_LT=np.linalg.inv(frames.X_W[tool_frame]) @ _pose(tool.xmat, tool.xpos),
+        sphere_link=np.array(links, dtype=int),
+        sphere=np.concatenate(spheres) if spheres else np.zeros((0, 4)),
+        bound=np.stack([bound.get(link, np.array([0.0, 0.0, 0.0, -1.0])) for link in range(len(parent))]),
+        self_pair=_self_pairs(groups, n_frame),
+        protrusion=protrusion,
+    )
+    return arrays
+
+
+def _joint_motion(amount: float, slide: bool) -> Float[Array, "4 4"]:
+    X = np.eye(4)
+    if slide:
+        X[2, 3] = amount
+    else:
+        X[:2, :2] = [[np.cos(amount), -np.sin(amount)], [np.sin(amount), np.cos(amount)]]
+    return X
+
+
+def _self_pairs(groups: list[_Group], n_frame: int) -> Int[Array, "pair 2"]:
+    pairs = [
+        (n_frame + a, n_frame + b)
+        for a in range(len(groups))
+        for b in range(a + 1, len(groups))
+        if groups[a].frame != groups[b].frame and groups[a].partners & set(groups[b].geoms)
+    ]
+    return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _cover_group(
+    model: mujoco.MjModel, data: mujoco.MjData, X_WL: Float[Array, "4 4"], geoms: tuple[int, ...], base: bool
+) -> tuple[Float[Array, "sphere 3"], Float[Array, " sphere"], float]:
+    centres, radii, sticks_out = [], [], 0.0
+    for geom in geoms:
+        c, r = _cover_geom(model, geom)
+        if base and len(r) > _MANY:
+            c, r = _cover_geom(model, geom, BASE_PROTRUSION)
+        X_LG = np.linalg.inv(X_WL) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
+        centres.append(c @ X_LG[:3, :3].T + X_LG[:3, 3])
+        radii.append(r)
+        sticks_out = (
+            sticks_out
+            if base
+            else max(sticks_out, 0.0 if model.geom_type[geom] == _GEOM.mjGEOM_SPHERE else sphere_cover.MAX_PROTRUSION)
+        )
+    all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
+    if len(all_radii) > CAPACITY["spheres"]:  # will be refused; no need to compare them all
+        return all_centres, all_radii, sticks_out
+    keep = _not_inside_others(all_centres, all_radii)
+    return all_centres[keep], all_radii[keep], sticks_out
+
+
+def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Array:
+    gap = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    contains = gap + radii[:, None] <= radii[None] + 1e-9  # [i, j]: j contains i
+    earlier = np.arange(len(radii))
+    twins = contains & contains.T & (earlier[:, None] <= earlier[None])  # of two equal ones the first stays
+    return ~np.any(contains & ~twins & ~np.eye(len(radii), dtype=bool), axis=1)
+
+
+def _cover_geom(
+    model: mujoco.MjModel, geom: int, protrusion: float = sphere_cover.MAX_PROTRUSION
+) -> sphere_cover.Cover:
+    size = (float(model.geom_size[geom, 0]), float(model.geom_size[geom, 1]), float(model.geom_size[geom, 2]))
+    kind = _KIND.get(_GEOM(int(model.geom_type[geom])))
+    if kind == "sphere":
+        return sphere_cover.sphere_cover(size[0])
+    if kind == "capsule":
+        return sphere_cover.capsule_cover(size[0], size[1], protrusion)
+    if kind == "box":
+        return sphere_cover.box_cover(size, protrusion)
+    if kind == "cylinder":
+        return sphere_cover.cylinder_cover(size[0], size[1], protrusion)
+    if kind == "ellipsoid":
+        return sphere_cover.ellipsoid_cover(size, protrusion)
+    if kind == "mesh":
+        triangles = _hull_triangles(model, int(model.geom_dataid[geom]))
+        return sphere_cover.hull_cover(np.unique(triangles.reshape(-1, 3), axis=0), _planes(triangles), protrusion)
+    raise UnsupportedError(
+        f"geom {_geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
+        "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes"
+    )
+
+
+def _geom_name(model: mujoco.MjModel, geom: int) -> str:
+    return model.geom(geom).name or f"#{geom} of body {model.body(int(model.geom_bodyid[geom])).name}"
+
+
+# --- obstacles ------------------------------------------------------------------------------------------------------
+
+
+def _hull_triangles(model: mujoco.MjModel, mesh: int) -> Float[Array, "triangle 3 3"]:
+    """Convex hull of a mesh as MuJoCo computed it: triangles, counter-clockwise from outside, in the mesh frame."""
+    first, graph = model.mesh_vertadr[mesh], model.mesh_graphadr[mesh]
+    vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
+    if graph < 0:
+        raise UnsupportedError(f"mesh {model.mesh(mesh).name!r} has no convex hull; use it in a geom that collides")
+    n_vertex, n_face = (int(n) for n in model.mesh_graph[graph : graph + 2])
+    # The graph holds the two counts, per vertex an edge address and its id, the edges, and the faces' vertex ids.
+    faces = graph + 2 + 2 * n_vertex + n_vertex + 3 * n_face
+    corners = vertices[model.mesh_graph[faces : faces + 3 * n_face].reshape(-1, 3)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ti,ti->t", normal, corners[:, 0] - corners.mean(axis=(0, 1))) < 0.0
+    corners[inward] = corners[inward][:, [0, 2, 1]]
+    return corners[np.linalg.norm(normal, axis=1) > 1e-10]
+
+
+def _planes(triangles: Float[Array, "triangle 3 3"]) -> Float[Array, "triangle 4"]:
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.column_stack([normal, np.einsum("ti,ti->t", normal, triangles[:, 0])])
+
+
+def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> WorldArrays:
+    model = scene.model
+    moving = {geom for group in groups for geom in group.geoms}
+    geoms = sorted({g for group in groups for g in group.partners} - moving)
+    # Nearest to the base first: these are met most often.
+    base = data.xpos[min(scene.robot_bodies)]
+    geoms.sort(key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - base)) - float(model.geom_rbound[g]))
+    n_frame = len(scene.joints) + 1
+    kind, ignores, hull_start, triangles = [], [], [0], [np.zeros((0, 3, 3))]
+    for geom in geoms:
+        name = _KIND.get(_GEOM(int(model.geom_type[geom])))
+        if name is None:
+            raise UnsupportedError(f"geom {_geom_name(model, geom)!r} is a {_GEOM(int(model.geom_type[geom])).name}; "
+                                   f"supported: {', '.join(OBSTACLE_TYPES)}")  # fmt: skip
+        kind.append(OBSTACLE_TYPES.index(name))
+        ignores.append(
+            sum(1 << (n_frame + k) for k, group in enumerate(groups[: 62 - n_frame]) if geom not in group.partners)
+        )
+        if name == "mesh":
+            local = _hull_triangles(model, int(model.geom_dataid[geom]))
+            triangles.append(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
+        hull_start.append(hull_start[-1] + (len(triangles[-1]) if name == "mesh" else 0))
+    pose = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1) if geoms else np.zeros((0, 12))
+    radius = (
+        np.where(model.geom_type[geoms] == _GEOM.mjGEOM_PLANE, -1.0, model.geom_rbound[geoms] + 1e-6)
+        if geoms
+        else np.zeros(0)
+    )
+    return WorldArrays(
+        kind=np.array(kind, dtype=int),
+        pose=pose,
+        size=model.geom_size[geoms].reshape(-1, 3).copy(),
+        bound=np.column_stack([pose[:, 9:], radius]),
+        ignores=np.array(ignores, dtype=int),
+        hull_start=np.array(hull_start, dtype=int),
+        triangles=np.concatenate(triangles),
+        geom=np.array(geoms, dtype=int),
+    )
+
+
+# --- hazards --------------------------------------------------------------------------------------------------------
+
+
+def _hazard_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames) -> HazardArrays:
+    model = scene.model
+    parts = [(r, geom) for r, component in enumerate(scene.components.values()) for geom in component.geoms]
+    boxes = []
+    for _, geom in parts:
+        frame = frames.of_body[model.geom_bodyid[geom]]
+        X = np.linalg.inv(frames.X_W[frame]) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
+        centre = X[:3, :3] @ model.geom_aabb[geom, :3] + X[:3, 3]
+        boxes.append(np.concatenate([X[:3, :3].ravel(), centre, model.geom_aabb[geom, 3:]]))
+    targets = [(e, geom) for e, entity in enumerate(scene.entities.values()) for geom in entity.geoms]
+    severity = [[entity.severity[name] for entity in scene.entities.values()] for name in scene.components]
+    return HazardArrays(
+        part_component=np.array([r for r, _ in parts], dtype=int),
+        part_link=np.array([frames.of_body[model.geom_bodyid[geom]] for _, geom in parts], dtype=int),
+        part_box=np.array(boxes).reshape(-1, 15),
+        target_entity=np.array([e for e, _ in targets], dtype=int),
+        target_box=np.array([_world_box(model, data, geom) for _, geom in targets]).reshape(-1, 6),
+        severity=np.array(severity, dtype=float).reshape(len(scene.components), len(scene.entities)),
+    )
+
+
+def _world_box(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Float[Array, " 6"]:
+    R, p = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    if model.geom_type[geom] == _GEOM.mjGEOM_PLANE:
+        half = np.where(model.geom_size[geom] > 0, model.geom_size[geom], PLANE_EXTENT) * [1.0, 1.0, 0.0]
+        centre = p
+    else:
+        half, centre = model.geom_aabb[geom, 3:], R @ model.geom_aabb[geom, :3] + p
+    reach = np.abs(R) @ half
+    return np.concatenate([centre - reach, centre + reach])

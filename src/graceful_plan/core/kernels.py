@@ -1,0 +1,226 @@
+"""The native kernels' typed Python face: shapes, units and checks.
+
+All functions take configurations q with any leading batch axes and work in float64 outside; inside, collision runs in
+float32 lanes and impact in float64 lanes. Kernels hold no state and release the GIL.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.core import _native
+from graceful_plan.core.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.path import finite_array
+
+Array = np.ndarray
+
+CHECK_STEP = 1.0 / 32.0
+"""Largest joint-space distance between checked configurations of an edge [rad]."""
+FINE_STEP = 1.0 / 256.0
+"""The same for edges that become part of a path [rad]: no point of an arm moves more than some 5 mm in between."""
+CAPACITY: dict[str, int] = dict(_native.capacity())
+"""How many joints, links, spheres, parts and entities the kernels hold."""
+MAX_SAMPLES = 1_000_000
+"""Configurations that one edge may be cut into."""
+MAX_POSITION = 1000.0
+"""Largest joint position that kernels take [rad or m]; single precision says little beyond."""
+COST_STEP = 0.015
+"""Largest joint-space distance between samples of the impact along an edge [rad]."""
+
+
+def instruction_sets() -> tuple[str, ...]:
+    """Names of the instruction sets that this machine can run, best first."""
+    return tuple(_native.instruction_sets())
+
+
+def _integers(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.int32)
+
+
+def _reals(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+class Kernels:
+    """Batched kinematics, collision and impact of one scene.
+
+    Args:
+        robot: The moving part.
+        world: The obstacles.
+        hazards: Components and entities.
+        isa: Instruction set, "auto" for the best; see `instruction_sets`.
+    """
+
+    def __init__(self, robot: RobotArrays, world: WorldArrays, hazards: HazardArrays, isa: str = "auto") -> None:
+        if isa != "auto" and isa not in instruction_sets():
+            raise SettingError("isa", isa, f"'auto' or one of {', '.join(instruction_sets())}")
+        self.robot, self.world, self.hazards = robot, world, hazards
+        self.nq = len(robot.lower)
+        self.core = _native.Core(
+            parent=_integers(robot.parent),
+            joint=_integers(robot.joint),
+            slide=_integers(robot.slide),
+            X_PL=_reals(robot.X_PL),
+            n_joint=self.nq,
+            sphere_link=_integers(robot.sphere_link),
+            sphere=_reals(robot.sphere),
+            bound=_reals(robot.bound),
+            self_pair=_integers(robot.self_pair),
+            obstacle_kind=_integers(world.kind),
+            obstacle_pose=_reals(world.pose),
+            obstacle_size=_reals(world.size),
+            obstacle_bound=_reals(world.bound),
+            ignores=np.ascontiguousarray(world.ignores, dtype=np.uint64),
+            hull_start=_integers(world.hull_start),
+            triangles=_reals(world.triangles),
+            part_component=_integers(hazards.part_component),
+            part_link=_integers(hazards.part_link),
+            part_box=_reals(hazards.part_box),
+            target_entity=_integers(hazards.target_entity),
+            target_box=_reals(hazards.target_box),
+            n_component=hazards.severity.shape[0],
+            n_entity=hazards.severity.shape[1],
+            tool_link=robot.tool_link,
+            tool_position=_reals(robot.X_LT[:3, 3]),
+            isa=isa,
+        )
+
+    @property
+    def isa(self) -> str:
+        """Instruction set in use."""
+        return self.core.isa
+
+    def link_poses(self, q: ArrayLike) -> Float[Array, "*batch link 4 4"]:
+        """Pose of every link in W [m]."""
+        flat, batch = self.rows("q", q)
+        return self.core.link_poses(flat).reshape(*batch, len(self.robot.parent), 4, 4)
+
+    def tool_pose(self, q: ArrayLike) -> Float[Array, "*batch 4 4"]:
+        """Pose of the tool in W [m]."""
+        return self.link_poses(q)[..., self.robot.tool_link, :, :] @ self.robot.X_LT
+
+    def free(self, q: ArrayLike, margin: float = 0.0) -> Bool[Array, "*batch"]:
+        """Tell which configurations keep at least `margin` [m] of clearance; never optimistic."""
+        flat, batch = self.rows("q", q)
+        _check_margin(margin)
+        return self.core.free_states(flat, margin).reshape(batch)
+
+    def edges_free(
+        self, q0: ArrayLike, q1: ArrayLike, step: float = CHECK_STEP, margin: float = 0.0
+    ) -> Bool[Array, "*batch"]:
+        """Tell which straight edges are free at configurations at most `step` [rad] apart, ends included."""
+        first, second, batch = self.edge_rows(q0, q1, step)
+        _check_margin(margin)
+        return self.core.free_edges(first, second, step, margin).reshape(batch)
+
+    def clearance(self, q: ArrayLike) -> Float[Array, "*batch"]:
+        """Signed clearance of the spheres [m], positive outside; infinite if there is nothing to hit.
+
+        A lower bound of the true one where that is positive.
+        """
+        flat, batch = self.rows("q", q)
+        return self.core.clearance(flat).reshape(batch)
+
+    def clearance_gradient(self, q: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"]]:
+        """Signed clearance [m] and its gradient [m/rad], that of the nearest pair where several are equally near."""
+        flat, batch = self.rows("q", q)
+        clearance, gradient = self.core.clearance_gradient(flat)
+        return clearance.reshape(batch), gradient.reshape(*batch, self.nq)
+
+    def interaction(self, q: ArrayLike) -> Float[Array, "*batch component entity"]:
+        """Probability by Algorithm 1 that each component hits each entity, given a failure at q."""
+        flat, batch = self.rows("q", q)
+        return self.core.interaction(flat).reshape(*batch, *self.hazards.severity.shape)
+
+    def overlap(self, severity: Float[Array, "component entity"]) -> ImpactKernel:
+        """Return the impact by Algorithm 1 with these severities."""
+        if np.shape(severity) != self.hazards.severity.shape:
+            raise ShapeError("severity", np.shape(severity), str(self.hazards.severity.shape))
+        return ImpactKernel(self, _native.OverlapImpact(self.core, _reals(finite_array("severity", severity))))
+
+    def impact(self, q: ArrayLike, severity: Float[Array, "component entity"]) -> Float[Array, "*batch"]:
+        """Expected severity by Algorithm 1 given a failure at q: sum of P S."""
+        return self.overlap(severity).states(q)
+
+    def edge_costs(
+        self, q0: ArrayLike, q1: ArrayLike, severity: Float[Array, "component entity"], step: float = COST_STEP
+    ) -> Float[Array, "*batch 2"]:
+        """Length [rad] and integral of the impact by Algorithm 1 over length of each straight edge."""
+        return self.overlap(severity).edges(q0, q1, step)
+
+    def rows(self, name: str, q: ArrayLike) -> tuple[Float[Array, "n nq"], tuple[int, ...]]:
+        """Return configurations (or velocities) row by row, as the core takes them, and their batch axes."""
+        array = self._positions(name, q)
+        return _reals(array.reshape(-1, self.nq)), array.shape[:-1]
+
+    def edge_rows(self, q0: ArrayLike, q1: ArrayLike, step: float) -> tuple[Array, Array, tuple[int, ...]]:
+        """Return the ends of edges row by row, and their batch axes."""
+        if not step > 0.0:
+            raise SettingError("step", step, "a positive length [rad]")
+        first, second = self._positions("q0", q0), self._positions("q1", q1)
+        try:
+            first, second = np.broadcast_arrays(first, second)
+        except ValueError:
+            raise ShapeError("q1", second.shape, f"to broadcast with q0 {first.shape}") from None
+        longest = float(np.max(np.linalg.norm(second - first, axis=-1), initial=0.0))
+        if longest > step * MAX_SAMPLES:
+            raise SettingError("step", step, f"at least {longest / MAX_SAMPLES:.3g} for an edge of {longest:.3g} rad")
+        return _reals(first.reshape(-1, self.nq)), _reals(second.reshape(-1, self.nq)), first.shape[:-1]
+
+    def _positions(self, name: str, q: ArrayLike) -> Float[Array, "..."]:
+        array = finite_array(name, q, last=self.nq)
+        if array.size and np.abs(array).max() > MAX_POSITION:
+            raise SettingError(name, float(np.abs(array).max()), f"positions of at most {MAX_POSITION:g} rad or m")
+        return array
+
+
+class ImpactKernel:
+    """A native model of the impact with fixed severities: what native planners charge edges with.
+
+    Args:
+        kernels: Those of the scene.
+        native: The model in the core.
+    """
+
+    def __init__(self, kernels: Kernels, native: _native.Impact) -> None:
+        self.kernels, self.native = kernels, native
+
+    def __add__(self, other: ImpactKernel) -> ImpactKernel:
+        """Return both models of one scene added up."""
+        return ImpactKernel(self.kernels, _native.SumImpact(self.native, other.native))
+
+    def states(self, q: ArrayLike) -> Float[Array, "*batch"]:
+        """Expected severity given a failure at q, at rest."""
+        flat, batch = self.kernels.rows("q", q)
+        return self.native.states(flat).reshape(batch)
+
+    def edges(self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP) -> Float[Array, "*batch 2"]:
+        """Length [rad] and integral of the impact over length of each straight edge, by the trapezoid rule.
+
+        A model that knows velocities takes those of an edge whose slowest joint moves as fast as it may.
+        """
+        first, second, batch = self.kernels.edge_rows(q0, q1, step)
+        return self.native.edges(first, second, step).reshape(*batch, 2)
+
+    def edge_gradients(
+        self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP
+    ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]] | None:
+        """`edges`, and the derivatives of the integral of the impact with respect to `q0` and `q1`.
+
+        None if the model has none. At kinks (another joint becomes the slowest, two surfaces are equally likely) the
+        derivative is that of one side.
+        """
+        first, second, batch = self.kernels.edge_rows(q0, q1, step)
+        found = self.native.edge_gradients(first, second, step)
+        if found is None:
+            return None
+        costs, d_q0, d_q1 = found
+        return costs.reshape(*batch, 2), d_q0.reshape(*batch, self.kernels.nq), d_q1.reshape(*batch, self.kernels.nq)
+
+
+def _check_margin(margin: float) -> None:
+    if not np.isfinite(margin):
+        raise SettingError("margin", margin, "a finite distance [m]")

@@ -1,0 +1,386 @@
+// The tables of a scene as Python hands them over, and the kernels that read them. Part of bindings.cpp.
+#pragma once
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <algorithm>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "search/planning.hpp"
+#include "tables.hpp"
+
+namespace nb = nanobind;
+
+namespace gp {
+namespace {
+
+using Reals = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Integers = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
+template <class T> using Out = nb::ndarray<nb::numpy, T, nb::c_contig>;
+
+struct Isa {
+  const char* name;
+  const Kernels* kernels;
+};
+
+// Every instruction set that this machine can run, best first.
+std::vector<Isa> available() {
+  std::vector<Isa> found;
+#if defined(__x86_64__)
+  __builtin_cpu_init();
+  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd"))
+    found.push_back({"x86-64-v4", &kernels_v4});
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) found.push_back({"x86-64-v3", &kernels_v3});
+#endif
+  found.push_back({"baseline", &kernels_baseline});
+  return found;
+}
+
+const Kernels& choose(const std::string& isa) {
+  for (const Isa& candidate : available())
+    if (isa == "auto" || isa == candidate.name) return *candidate.kernels;
+  throw std::invalid_argument("this machine cannot run instruction set " + isa);
+}
+
+void require(bool ok, const char* what) {
+  if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
+}
+
+template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
+  size_t size = 1;
+  for (size_t n : shape) size *= n;
+  data = new T[size ? size : 1];
+  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+  return Out<T>(data, shape.size(), shape.data(), owner);
+}
+
+constexpr int kClusterSize = 12;
+
+// Solve A y = b by Cramer's rule; A is positive definite.
+void solve3(const double A[3][3], const double b[3], double y[3]) {
+  const auto det = [](const double M[3][3]) {
+    return M[0][0] * (M[1][1] * M[2][2] - M[1][2] * M[2][1]) - M[0][1] * (M[1][0] * M[2][2] - M[1][2] * M[2][0]) +
+           M[0][2] * (M[1][0] * M[2][1] - M[1][1] * M[2][0]);
+  };
+  for (int k = 0; k < 3; ++k) {
+    double M[3][3];
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) M[i][j] = j == k ? b[i] : A[i][j];
+    y[k] = det(M) / det(A);
+  }
+}
+
+class Core {
+ public:
+  Core(Integers parent, Integers joint, Integers slide, Reals X_PL, int n_joint, Integers sphere_link, Reals sphere, Reals bound,
+       Integers self_pair, Integers obstacle_kind, Reals obstacle_pose, Reals obstacle_size, Reals obstacle_bound,
+       nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu> ignores, Integers hull_start, Reals triangles, Integers part_component,
+       Integers part_link, Reals part_box, Integers target_entity, Reals target_box, int n_component, int n_entity,
+       int tool_link, Reals tool_position, const std::string& isa)
+      : kernels_(choose(isa)), tool_link_(tool_link) {
+    require(tool_link >= 0 && size_t(tool_link) < parent.shape(0) && tool_position.size() == 3, "tool");
+    std::copy(tool_position.data(), tool_position.data() + 3, tool_position_);
+    add_links(parent, joint, slide, X_PL, n_joint);
+    add_groups(sphere_link, sphere, bound);
+    for (size_t p = 0; p < self_pair.shape(0); ++p) {
+      const int a = group_of_[size_t(self_pair.data()[2 * p])], b = group_of_[size_t(self_pair.data()[2 * p + 1])];
+      if (a >= 0 && b >= 0) pair_.insert(pair_.end(), {a, b});
+    }
+    add_triangles(triangles);
+    add_obstacles(obstacle_kind, obstacle_pose, obstacle_size, obstacle_bound, ignores, hull_start);
+    add_hazards(part_component, part_link, part_box, target_entity, target_box, n_component, n_entity);
+    tables_.n_joint = n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
+    tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
+    tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data(), tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
+    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(), tables_.target = target_.data();
+    tables_.harmed = harmed_.data();
+  }
+
+  const Tables& tables() const { return tables_; }
+  const Kernels& kernels() const { return kernels_; }
+  std::string isa() const { return kernels_.isa; }
+  int lanes() const { return kernels_.lanes; }
+
+  size_t rows(const Reals& q) const {
+    require(q.ndim() == 2 && q.shape(1) == size_t(tables_.n_joint), "q is not [n, nq]");
+    return q.shape(0);
+  }
+
+  auto link_poses(Reals q) const {
+    double* out;
+    auto array = make<double>({rows(q), size_t(tables_.n_link), 4, 4}, out);
+    nb::gil_scoped_release release;
+    kernels_.link_poses(tables_, q.data(), q.shape(0), out);
+    return array;
+  }
+  auto free_states(Reals q, double margin) const {
+    bool* out;
+    auto array = make<bool>({rows(q)}, out);
+    nb::gil_scoped_release release;
+    kernels_.free_states(tables_, q.data(), q.shape(0), margin, reinterpret_cast<uint8_t*>(out));
+    return array;
+  }
+  auto free_edges(Reals q0, Reals q1, double step, double margin) const {
+    bool* out;
+    auto array = make<bool>({rows(q0)}, out);
+    require(rows(q1) == rows(q0), "q0 and q1 differ in length");
+    nb::gil_scoped_release release;
+    kernels_.free_edges(tables_, q0.data(), q1.data(), q0.shape(0), step, margin, reinterpret_cast<uint8_t*>(out));
+    return array;
+  }
+  auto clearance(Reals q) const {
+    double* out;
+    auto array = make<double>({rows(q)}, out);
+    nb::gil_scoped_release release;
+    kernels_.clearance(tables_, q.data(), q.shape(0), out, nullptr);
+    return array;
+  }
+  auto clearance_gradient(Reals q) const {
+    double *out, *gradient;
+    auto values = make<double>({rows(q)}, out);
+    auto gradients = make<double>({q.shape(0), size_t(tables_.n_joint)}, gradient);
+    {
+      nb::gil_scoped_release release;
+      kernels_.clearance(tables_, q.data(), q.shape(0), out, gradient);
+    }
+    return nb::make_tuple(values, gradients);
+  }
+  auto interaction(Reals q) const {
+    double* out;
+    auto array = make<double>({rows(q), size_t(tables_.n_component), size_t(tables_.n_entity)}, out);
+    nb::gil_scoped_release release;
+    kernels_.interaction(tables_, q.data(), q.shape(0), out);
+    return array;
+  }
+  // e^x and ln e^x as the drop model computes them.
+  auto elementary(Reals x) const {
+    double *exponential, *logarithm;
+    auto first = make<double>({x.size()}, exponential);
+    auto second = make<double>({x.size()}, logarithm);
+    kernels_.elementary(x.data(), x.size(), exponential, logarithm);
+    return nb::make_tuple(first, second);
+  }
+
+  // The Jacobian of the tool's position, and the inverse of J J^T applied to what a caller asks for.
+  struct ToolMotion {
+    double J[3][kMaxJoints] = {}, gram[3][3] = {};
+
+    // d += scale J^T (J J^T)^-1 step
+    void add(const double step[3], double scale, int n_joint, double* d) const {
+      double y[3];
+      solve3(gram, step, y);
+      for (int j = 0; j < n_joint; ++j)
+        for (int i = 0; i < 3; ++i) d[j] += scale * J[i][j] * y[i];
+    }
+  };
+
+  ToolMotion tool_motion(const double* q) const {
+    ToolMotion motion;
+    double X[kMaxLinks * 16], tool[3];
+    kernels_.link_poses(tables_, q, 1, X);
+    const double* T = X + 16 * tool_link_;
+    for (int r = 0; r < 3; ++r) {
+      tool[r] = T[4 * r + 3];
+      for (int c = 0; c < 3; ++c) tool[r] += T[4 * r + c] * tool_position_[c];
+    }
+    for (int l = tool_link_; l >= 0; l = link_[size_t(l)].parent) {
+      const Link& link = link_[size_t(l)];
+      if (link.joint < 0) continue;
+      const double* L = X + 16 * l;
+      const double z[3] = {L[2], L[6], L[10]}, r[3] = {tool[0] - L[3], tool[1] - L[7], tool[2] - L[11]};
+      for (int i = 0; i < 3; ++i) {
+        const int a = (i + 1) % 3, b = (i + 2) % 3;
+        motion.J[i][link.joint] = link.slide ? z[i] : z[a] * r[b] - z[b] * r[a];
+      }
+    }
+    for (int i = 0; i < 3; ++i) {
+      for (int k = 0; k < 3; ++k)
+        for (int j = 0; j < tables_.n_joint; ++j) motion.gram[i][k] += motion.J[i][j] * motion.J[k][j];
+      motion.gram[i][i] += 1e-4;  // damps steps near singular postures
+    }
+    return motion;
+  }
+
+  void keep_tool(const double* q, double* d) const {
+    const ToolMotion motion = tool_motion(q);
+    double moved[3] = {};
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < tables_.n_joint; ++j) moved[i] += motion.J[i][j] * d[j];
+    motion.add(moved, -1.0, tables_.n_joint, d);
+  }
+  void move_tool(const double* q, const double* step, double* d) const {
+    std::fill(d, d + tables_.n_joint, 0.0);
+    tool_motion(q).add(step, 1.0, tables_.n_joint, d);
+  }
+
+  int frame(int link) const {
+    require(link >= 0 && size_t(link) < link_.size(), "link");
+    return link_[size_t(link)].frame;
+  }
+
+ private:
+  void add_links(const Integers& parent, const Integers& joint, const Integers& slide, const Reals& X_PL, int n_joint) {
+    const int n = int(parent.shape(0));
+    require(n >= 1 && n <= kMaxLinks, "number of links");
+    require(n_joint >= 1 && n_joint <= kMaxJoints, "number of joints");
+    for (int l = 0; l < n; ++l) {
+      Link link{};
+      link.parent = parent.data()[l], link.joint = joint.data()[l], link.slide = slide.data()[l];
+      require(l == 0 ? link.parent == -1 : link.parent >= 0 && link.parent < l, "parents come first");
+      require(link.joint < n_joint, "joint index");
+      link.frame = l == 0 || link.joint >= 0 ? l : link_[size_t(link.parent)].frame;
+      for (int r = 0; r < 3; ++r) {
+        for (int c = 0; c < 3; ++c) link.R[3 * r + c] = X_PL.data()[16 * l + 4 * r + c];
+        link.p[r] = X_PL.data()[16 * l + 4 * r + 3];
+      }
+      link_.push_back(link);
+    }
+  }
+  void add_groups(const Integers& sphere_link, const Reals& sphere, const Reals& bound) {
+    const int n = int(sphere_link.shape(0));
+    require(n <= kMaxSpheres, "number of spheres");
+    for (int k = 0; k < 4 * n; ++k) sphere_.push_back(float(sphere.data()[k]));
+    group_of_.assign(link_.size(), -1);
+    for (int k = 0; k < n;) {
+      const int l = sphere_link.data()[k];
+      require(l >= 0 && l < int(link_.size()) && (k == 0 || sphere_link.data()[k - 1] < l), "spheres ordered by link");
+      Group group{l, link_[size_t(l)].frame, k, 0, int(cluster_.size()), 0, {}};
+      while (k < n && sphere_link.data()[k] == l) ++k, ++group.count;
+      add_clusters(group.first, group.count);
+      group.n_cluster = int(cluster_.size()) - group.first_cluster;
+      for (int i = 0; i < 4; ++i) group.bound[i] = float(bound.data()[4 * l + i]);
+      group_of_[size_t(l)] = int(group_.size());
+      group_.push_back(group);
+    }
+  }
+  // Halve a range of spheres along its longest side until the parts are small; the spheres change places within it.
+  void add_clusters(int first, int count) {
+    struct Ball {
+      float v[4];
+    };
+    Ball* balls = reinterpret_cast<Ball*>(sphere_.data()) + first;
+    if (count > kClusterSize) {
+      float low[3], high[3];
+      int axis = 0;
+      for (int i = 0; i < 3; ++i) {
+        low[i] = high[i] = balls[0].v[i];
+        for (int k = 0; k < count; ++k) low[i] = std::min(low[i], balls[k].v[i]), high[i] = std::max(high[i], balls[k].v[i]);
+        if (high[i] - low[i] > high[axis] - low[axis]) axis = i;
+      }
+      std::stable_sort(balls, balls + count, [axis](const Ball& a, const Ball& b) { return a.v[axis] < b.v[axis]; });
+      add_clusters(first, count / 2);
+      return add_clusters(first + count / 2, count - count / 2);
+    }
+    Cluster cluster{first, count, {}};
+    for (int i = 0; i < 3; ++i) {
+      for (int k = 0; k < count; ++k) cluster.bound[i] += balls[k].v[i] / float(count);
+    }
+    for (int k = 0; k < count; ++k) {
+      float d2 = 0;
+      for (int i = 0; i < 3; ++i) d2 += (balls[k].v[i] - cluster.bound[i]) * (balls[k].v[i] - cluster.bound[i]);
+      cluster.bound[3] = std::max(cluster.bound[3], std::sqrt(d2) * (1 + 1e-6f) + balls[k].v[3]);
+    }
+    cluster_.push_back(cluster);
+  }
+  void add_triangles(const Reals& triangles) {
+    for (size_t k = 0; k < triangles.shape(0); ++k) {
+      const double* v = triangles.data() + 9 * k;
+      Triangle t{};
+      double e[3], f[3], length = 0;
+      for (int i = 0; i < 3; ++i) {
+        t.a[i] = float(v[i]), t.b[i] = float(v[3 + i]), t.c[i] = float(v[6 + i]);
+        e[i] = v[3 + i] - v[i], f[i] = v[6 + i] - v[i];
+      }
+      const double n[3] = {e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]};
+      for (double x : n) length += x * x;
+      length = std::sqrt(length);
+      require(length > 0, "degenerate triangle");
+      double offset = 0;
+      for (int i = 0; i < 3; ++i) t.normal[i] = float(n[i] / length), offset += n[i] / length * v[i];
+      t.offset = float(offset);
+      triangle_.push_back(t);
+    }
+  }
+  void add_obstacles(const Integers& kind, const Reals& pose, const Reals& size, const Reals& bound,
+                     const nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>& ignores, const Integers& hull_start) {
+    for (size_t j = 0; j < kind.shape(0); ++j) {
+      Obstacle o{};
+      o.kind = kind.data()[j], o.ignores = ignores.data()[j];
+      require(o.kind >= kPlane && o.kind <= kMesh, "obstacle kind");
+      for (int k = 0; k < 9; ++k) o.R[k] = float(pose.data()[12 * j + size_t(k)]);
+      for (int k = 0; k < 3; ++k) o.p[k] = float(pose.data()[12 * j + 9 + size_t(k)]), o.size[k] = float(size.data()[3 * j + size_t(k)]);
+      for (int k = 0; k < 4; ++k) o.bound[k] = float(bound.data()[4 * j + size_t(k)]);
+      o.first_triangle = hull_start.data()[j], o.n_triangle = hull_start.data()[j + 1] - o.first_triangle;
+      require(o.first_triangle >= 0 && o.n_triangle >= 0 && size_t(o.first_triangle + o.n_triangle) <= triangle_.size(), "hull range");
+      require(o.kind != kMesh || o.n_triangle > 0, "mesh without triangles");
+      obstacle_.push_back(o);
+    }
+  }
+  void add_hazards(const Integers& component, const Integers& link, const Reals& box, const Integers& entity, const Reals& target_box,
+                   int n_component, int n_entity) {
+    require(n_component >= 0 && n_component <= kMaxComponents, "number of components");
+    require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
+    require(component.shape(0) <= size_t(kMaxParts), "number of parts");
+    for (size_t k = 0; k < component.shape(0); ++k) {
+      Part part{};
+      part.component = component.data()[k];
+      require(part.component >= 0 && part.component < n_component, "component of a part");
+      require(k == 0 || component.data()[k - 1] <= part.component, "parts ordered by component");
+      require(link.data()[k] >= 0 && size_t(link.data()[k]) < link_.size(), "link of a part");
+      part.frame = link_[size_t(link.data()[k])].frame;
+      const double* b = box.data() + 15 * k;
+      for (int i = 0; i < 9; ++i) part.R[i] = b[i];
+      for (int i = 0; i < 3; ++i) part.p[i] = b[9 + i], part.half[i] = b[12 + i];
+      part_.push_back(part);
+    }
+    harmed_.assign(size_t(n_entity), Harmed{0, 0, 0.0, {0, {1e9, 1e9, 1e9}, {-1e9, -1e9, 1e9}}});
+    for (size_t k = 0; k < entity.shape(0); ++k) {
+      Target t{};
+      t.entity = entity.data()[k];
+      require(t.entity >= 0 && t.entity < n_entity && (k == 0 || entity.data()[k - 1] <= t.entity), "targets ordered by entity");
+      for (int i = 0; i < 3; ++i) t.lower[i] = target_box.data()[6 * k + size_t(i)], t.upper[i] = target_box.data()[6 * k + 3 + size_t(i)];
+      Harmed& harmed = harmed_[size_t(t.entity)];
+      if (harmed.first == harmed.last) harmed.first = int(k);
+      harmed.last = int(k) + 1;
+      harmed.area += (t.upper[0] - t.lower[0]) * (t.upper[1] - t.lower[1]);
+      for (int i = 0; i < 2; ++i) {
+        harmed.bound.lower[i] = std::min(harmed.bound.lower[i], t.lower[i]);
+        harmed.bound.upper[i] = std::max(harmed.bound.upper[i], t.upper[i]);
+      }
+      harmed.bound.upper[2] = std::min(harmed.bound.upper[2], t.upper[2]);
+      target_.push_back(t);
+    }
+    tables_.n_part = int(part_.size()), tables_.n_target = int(target_.size());
+    tables_.n_component = n_component, tables_.n_entity = n_entity;
+  }
+
+  const Kernels& kernels_;
+  int tool_link_;
+  double tool_position_[3];
+  Tables tables_{};
+  std::vector<Link> link_;
+  std::vector<Group> group_;
+  std::vector<Cluster> cluster_;
+  std::vector<int> group_of_;
+  std::vector<float> sphere_;
+  std::vector<Obstacle> obstacle_;
+  std::vector<Triangle> triangle_;
+  std::vector<int32_t> pair_;
+  std::vector<Part> part_;
+  std::vector<Target> target_;
+  std::vector<Harmed> harmed_;
+};
+
+Point point(const Reals& q) { return Point(q.data(), q.data() + q.size()); }
+
+std::vector<Point> points(const Reals& q) {
+  std::vector<Point> rows;
+  for (size_t i = 0; i < q.shape(0); ++i) rows.emplace_back(q.data() + i * q.shape(1), q.data() + (i + 1) * q.shape(1));
+  return rows;
+}
+
+}  // namespace
+}  // namespace gp

@@ -1,0 +1,141 @@
+// The body model as Python hands it over, and what native planners charge edges with. Part of bindings.cpp.
+#pragma once
+#include <nanobind/stl/optional.h>
+
+#include "impact/impact.hpp"
+
+namespace gp {
+namespace {
+
+constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
+    "brake_time", "brake_stop", "step", "carry_on",
+    "collapse.stop_gain", "joint.stop_gain", "stuck.stop_gain", "stray.stop_gain",
+    "collapse.stop_tolerance", "joint.stop_tolerance", "stuck.stop_tolerance", "stray.stop_tolerance",
+    "collapse.body.offset", "collapse.carried.offset", "joint.body.offset", "joint.carried.offset", "stuck.body.offset",
+    "stuck.carried.offset", "stray.body.offset", "stray.carried.offset", "collapse.body.spread", "collapse.carried.spread",
+    "joint.body.spread", "joint.carried.spread", "stuck.body.spread", "stuck.carried.spread", "stray.body.spread", "stray.carried.spread"};
+static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyConstants[0]) * sizeof(double));
+
+// What links and held objects hit.
+class BodyModel {
+ public:
+  // inertia: per frame mass, centre (3), inertia about it (9); drive: per joint limits (2), armature, damping, friction, resistance, speed
+  BodyModel(const Core& core, Reals inertia, Reals drive, Integers row, Integers entity, int n_row, int n_entity, int n_step,
+            Reals constants)
+      : core_(core), row_(row.data(), row.data() + row.size()), entity_(entity.data(), entity.data() + entity.size()) {
+    const Tables& t = core.tables();
+    require(constants.size() * sizeof(double) == sizeof(BodyConstants), "constants of the body model");
+    std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.brake_time);
+    for (size_t g = 0; g < 2 * kGenerators; ++g) require((&tables_.constants.spread[0][0])[g] > 0, "spread");
+    require(n_row >= 1 && n_row <= 2 && n_entity >= 0 && n_entity <= kMaxEntities, "rows and entities");
+    require(n_step >= 0 && n_step <= kMaxSteps && tables_.constants.step > 0, "steps");
+    require(row_.size() == size_t(t.n_group), "rows of groups");
+    for (int32_t r : row_) require(r >= -1 && r < n_row, "row of a group");
+    require(entity_.size() == size_t(t.n_obstacle), "entities of obstacles");
+    for (int32_t e : entity_) require(e >= -1 && e < n_entity, "entity of an obstacle");
+    add_inertia(inertia);
+    add_drives(drive);
+    tables_.n_frame = int(inertia_.size()), tables_.n_row = n_row, tables_.n_entity = n_entity, tables_.n_step = n_step;
+    tables_.inertia = inertia_.data(), tables_.drive = drive_.data(), tables_.row = row_.data(), tables_.entity = entity_.data();
+  }
+  BodyModel(const BodyModel&) = delete;
+
+  const Core& core() const { return core_; }
+  const BodyTables& tables() const { return tables_; }
+  size_t modes() const { return 2 * drive_.size() + 2; }
+
+  void check(const Reals& weight, const Reals& severity) const {
+    require(weight.size() == modes() * size_t(tables_.n_row), "weight is not [mode, row]");
+    require(severity.size() == size_t(tables_.n_row) * size_t(tables_.n_entity), "severity is not [row, entity]");
+  }
+
+  // Least distances of each way to fail. ahead: configurations after 1, 2, .. steps, or None where only the velocity is known.
+  auto distances(Reals q, Reals qd, std::optional<Reals> ahead) const {
+    double* out;
+    auto array = make<double>({core_.rows(q), modes(), size_t(tables_.n_row), size_t(tables_.n_entity)}, out);
+    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    BodyTables tables = tables_;
+    if (ahead) {
+      require(ahead->ndim() == 3 && ahead->shape(0) == q.shape(0) && ahead->shape(2) == q.shape(1) && ahead->shape(1) <= kMaxSteps,
+              "ahead is not [n, step, nq]");
+      tables.n_reference = int(ahead->shape(1));
+    }
+    const double* known = ahead ? ahead->data() : nullptr;
+    nb::gil_scoped_release release;
+    core_.kernels().body(core_.tables(), tables, q.data(), qd.data(), known, q.shape(0), out);
+    return array;
+  }
+  auto impact(Reals weight, Reals severity, Reals q, Reals qd) const {
+    double* out;
+    auto array = make<double>({core_.rows(q)}, out);
+    check(weight, severity);
+    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    nb::gil_scoped_release release;
+    core_.kernels().body_impact(core_.tables(), tables_, weight.data(), severity.data(), q.data(), qd.data(), q.shape(0), out);
+    return array;
+  }
+  // Mass matrix and torques of the weight.
+  auto dynamics(Reals q) const {
+    double *mass_matrix, *gravity;
+    auto first = make<double>({core_.rows(q), q.shape(1), q.shape(1)}, mass_matrix);
+    auto second = make<double>({q.shape(0), q.shape(1)}, gravity);
+    core_.kernels().body_dynamics(core_.tables(), tables_, q.data(), q.shape(0), mass_matrix, gravity);
+    return nb::make_tuple(first, second);
+  }
+
+ private:
+  void add_inertia(const Reals& rows) {
+    require(rows.size() % 13 == 0 && rows.size() / 13 == size_t(core_.tables().n_joint) + 1, "inertia of frames");
+    for (size_t l = 0; l < rows.size() / 13; ++l) {
+      const double* row = rows.data() + 13 * l;
+      Inertia rigid{};
+      rigid.mass = row[0];
+      std::copy(row + 1, row + 4, rigid.centre);
+      std::copy(row + 4, row + 13, rigid.inertia);
+      require(core_.frame(int(l)) == int(l), "frames come first");
+      inertia_.push_back(rigid);
+    }
+  }
+  void add_drives(const Reals& rows) {
+    const Tables& t = core_.tables();
+    require(rows.size() == 7 * size_t(t.n_joint), "drives");
+    for (int j = 0; j < t.n_joint; ++j) {
+      const double* row = rows.data() + 7 * j;
+      JointDrive drive{-1, row[0], row[1], row[2], row[3], row[4], row[5], row[6]};
+      for (int l = 0; l <= t.n_joint; ++l)
+        if (t.link[l].joint == j) drive.link = l;
+      require(drive.link >= 0 && drive.lower <= drive.upper && drive.speed > 0, "drive");
+      drive_.push_back(drive);
+    }
+  }
+
+  const Core& core_;
+  BodyTables tables_{};
+  std::vector<Inertia> inertia_;
+  std::vector<JointDrive> drive_;
+  std::vector<int32_t> row_, entity_;
+};
+
+// The body model with weights of its ways to fail and severities; along edges at their speed.
+class BodyImpact final : public Impact {
+ public:
+  BodyImpact(const BodyModel& model, Reals weight, Reals severity, double slow, double fast)
+      : Impact(model.core(), severity), model_(model), weight_(point(weight)), pace_{slow, fast} {
+    model.check(weight, severity);
+    require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
+  }
+  void states(const double* q, size_t n, double* impact) const override {
+    core_.kernels().body_impact(core_.tables(), model_.tables(), weight_.data(), severity_.data(), q, nullptr, n, impact);
+  }
+  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
+    core_.kernels().body_edge_costs(core_.tables(), model_.tables(), weight_.data(), severity_.data(), pace_, q0, q1, n, step, cost);
+  }
+
+ private:
+  const BodyModel& model_;
+  const Point weight_;
+  const double pace_[2];  // shares of the joints' speeds
+};
+
+}  // namespace
+}  // namespace gp

@@ -1,0 +1,145 @@
+// The spill model: whom contents reach after a drop, and if they get out in the gripper. The specification, with the
+// letters used here, is in costs/interactions/spill.py. What is left out to save time is as in drop.hpp.
+
+// --- the container --------------------------------------------------------------------------------------------------
+
+struct Mouth {
+  Vec<D> o, axis;    // from c; the container's axis
+  D x, y, vx, vy;    // m, vm
+  D up, speed2;      // p, sm2
+};
+
+static inline void pour(const SpillTables& spill, const Frame<D>& X, const Flight& flight, Mouth& mouth) {
+  mouth.o = rotate(X, spill.mouth), mouth.axis = rotate(X, spill.axis);
+  const Vec<D> swing = cross(flight.w, mouth.o);
+  mouth.x = flight.c.x + mouth.o.x, mouth.y = flight.c.y + mouth.o.y;
+  mouth.vx = flight.v.x + swing.x, mouth.vy = flight.v.y + swing.y;
+  mouth.up = 0.5 * (mouth.axis.z + square_root(mouth.axis.z * mouth.axis.z + 0.01));
+  mouth.speed2 = mouth.vx * mouth.vx + mouth.vy * mouth.vy;
+}
+
+// How full a tilted container is.
+struct Filling {
+  D slope, lean, speed, x, fill, rho;
+
+  Filling(const SpillTables& spill, const SpillConstants& k, const Mouth& mouth) {
+    slope = square_root(1.0051 - mouth.up * mouth.up) * reciprocal(mouth.up);
+    speed = square_root(mouth.speed2 + 1e-4);
+    lean = relu(slope - spill.repose) + k.slosh * speed;
+    x = lean * (spill.rim / spill.depth);
+    fill = (1.0 + x * (1.0 + x * (1.0 + 1.7 * x))) * (1.0 / spill.full);
+    rho = spill.radius * exponential((-0.25 * spill.power) * logarithm(1.0 + fill * fill * fill * fill));
+  }
+};
+
+// --- down the levels ------------------------------------------------------------------------------------------------
+
+// P that a point is within half sizes of a surface's centre.
+static inline D upon(const Surface& s, D x, D y, D a, D b, D inverse_scale) {
+  const Point2 at = placed(s, x, y);
+  if (!any(may_be_within(at, a, b, inverse_scale))) return D{};
+  Chance chance;
+  chance.within(at.x, a, inverse_scale);
+  chance.within(at.y, b, inverse_scale);
+  return chance.value();
+}
+
+struct SpillLevel {
+  D u, hard, arrives, x, y;    // q, a, L; places from m
+  D flows, flow_x, flow_y;     // O, o above the level
+  D past, over;                // g, h
+  D lands, land_x, land_y;     // U, W
+};
+
+static inline D impact_speed(const Flight& flight, double top) {
+  const D h = flight.low - top;
+  return square_root(flight.v.z * flight.v.z + kGravity * (h + square_root(h * h + 1e-4)));
+}
+
+struct Spill {
+  const SpillConstants& k;
+  D x, y, inverse_scale, rho;  // m
+  double inner;  // half sizes up to which a surface carries no puddle without an edge
+  SpillLevel level[kMaxSurfaces];
+  D sum[kMaxSurfaces + 1], sum_x[kMaxSurfaces + 1], sum_y[kMaxSurfaces + 1];  // of U and W over the levels above
+  D fallen[kMaxSurfaces], flown[kMaxSurfaces], stood[kMaxSurfaces];         // A, B, D
+
+  explicit Spill(const SpillConstants& constants) : k(constants) {}
+
+  // `severity` as in drop_probability.
+  void run(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, const double* severity) {
+    const SpillTables& spill = drop.spill;
+    rho = Filling(spill, k, mouth).rho;
+    inner = spill.radius * k.edge;
+    x = mouth.x, y = mouth.y;
+    const D deep = k.height_spread * landing.fallen;
+    const double still = k.position_spread * k.position_spread + k.rim_spread * spill.rim * k.rim_spread * spill.rim;
+    inverse_scale = (1.0 / kBeta) * inverse_root(still + k.speed_spread * k.speed_spread * mouth.speed2 + deep * deep);
+    D flows = {}, flow_x = {}, flow_y = {};
+    sum[0] = sum_x[0] = sum_y[0] = D{};
+    for (int l = 0; l < drop.n_level; ++l) {
+      SpillLevel& at = level[l];
+      at.flows = flows, at.flow_x = flow_x, at.flow_y = flow_y;
+      arrive(drop, flight, landing, mouth, l);
+      flow_on(drop, l, severity);
+      flows = flows * at.past + at.lands * at.over;
+      flow_x = flow_x * at.past + at.land_x * at.over, flow_y = flow_y * at.past + at.land_y * at.over;
+      sum[l + 1] = sum[l] + at.lands, sum_x[l + 1] = sum_x[l] + at.land_x, sum_y[l + 1] = sum_y[l] + at.land_y;
+    }
+    for (int i = 0; i < drop.n_surface; ++i) stood[i] = wanted(drop, i, severity) ? standing(drop, i) : D{};
+  }
+  D probability(int i) const { return 1.0 - (1.0 - fallen[i]) * (1.0 - flown[i]) * (1.0 - stood[i]); }
+
+  static bool wanted(const DropTables& drop, int i, const double* severity) {
+    const int entity = drop.surface[i].entity;
+    return entity >= 0 && !(severity && severity[entity] == 0.0);
+  }
+  bool is_wide(const Surface& s) const { return s.half[0] > inner && s.half[1] > inner; }
+
+ private:
+  void arrive(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, int l) {
+    SpillLevel& at = level[l];
+    const int first = drop.level_start[l];
+    at.u = impact_speed(flight, drop.surface[first].top);
+    Chance hard;
+    hard.below((at.u - k.soft_speed) * (1.0 / k.soft_spread));
+    at.hard = hard.value();
+    at.arrives = landing.leaving[l] + (landing.first[l] - landing.leaving[l]) * at.hard;
+    const D time = landing.time[first] + k.carry;
+    at.x = mouth.vx * time, at.y = mouth.vy * time;
+  }
+  void flow_on(const DropTables& drop, int l, const double* severity) {
+    SpillLevel& at = level[l];
+    const bool arrives = any(at.arrives > kNothing), flows = any(at.flows > kNothing);
+    const D share = reciprocal(at.flows + kLeastMass), fx = at.flow_x * share, fy = at.flow_y * share, run = k.run_off * rho;
+    at.past = at.over = D{} + 1.0;
+    for (int i = drop.level_start[l]; i < drop.level_start[l + 1]; ++i) {
+      const Surface& s = drop.surface[i];
+      fallen[i] = flown[i] = D{};
+      if (arrives && wanted(drop, i, severity))
+        fallen[i] = at.arrives * upon(s, x + at.x, y + at.y, D{} + (s.half[0] + k.margin), D{} + (s.half[1] + k.margin), inverse_scale);
+      if (!flows || drop.spill.surface[i].visible == 0.0) continue;
+      const D onto = drop.spill.surface[i].visible * upon(s, x + fx, y + fy, s.half[0] + run, s.half[1] + run, inverse_scale);
+      flown[i] = at.flows * onto;
+      at.past *= 1.0 - onto;
+    }
+    const D stays = at.flows * (1.0 - at.past);
+    at.lands = at.arrives + stays;
+    at.land_x = at.arrives * at.x + stays * fx, at.land_y = at.arrives * at.y + stays * fy;
+    if (!any(at.lands > kNothing)) return;
+    const D landed = reciprocal(at.lands + kLeastMass), px = x + at.land_x * landed, py = y + at.land_y * landed;
+    for (int i = drop.level_start[l]; i < drop.level_start[l + 1]; ++i) {
+      const Surface& s = drop.surface[i];
+      if (is_wide(s)) at.over *= 1.0 - upon(s, px, py, D{} + (s.half[0] - inner), D{} + (s.half[1] - inner), inverse_scale);
+    }
+  }
+  D standing(const DropTables& drop, int i) const {
+    const SpillSurface& stands = drop.spill.surface[i];
+    const Surface& s = drop.surface[i];
+    const D U = sum[stands.end] - sum[stands.first];
+    if (!any(U > kNothing)) return D{};
+    const D share = reciprocal(U + kLeastMass), reach = k.reach * rho;
+    const D px = (sum_x[stands.end] - sum_x[stands.first]) * share, py = (sum_y[stands.end] - sum_y[stands.first]) * share;
+    return minimum(U, D{} + 1.0) * upon(s, x + px, y + py, s.half[0] + reach, s.half[1] + reach, inverse_scale);
+  }
+};

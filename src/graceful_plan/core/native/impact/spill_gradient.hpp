@@ -1,0 +1,214 @@
+// The gradient of the spill model: spill.hpp backwards, written as drop_gradient.hpp.
+
+struct MouthSlope {
+  D x = {}, y = {}, vx = {}, vy = {}, up = {}, speed2 = {};
+};
+
+// Derivatives with respect to what all surfaces share.
+struct SpillSlope {
+  D x = {}, y = {}, inverse_scale = {}, rho = {};
+  D lands[kMaxSurfaces + 1], land_x[kMaxSurfaces + 1], land_y[kMaxSurfaces + 1];  // U and W, per level
+
+  explicit SpillSlope(const DropTables& drop) {
+    for (int l = 0; l <= drop.n_level; ++l) lands[l] = land_x[l] = land_y[l] = D{};
+  }
+};
+
+// P that a point is within half sizes of a surface's centre, with its derivatives; x and y are those of W.
+struct Upon {
+  D value = {}, x = {}, y = {}, half = {}, inverse_scale = {};
+
+  Upon(const Surface& s, D at_x, D at_y, D a, D b, D scale) {
+    const Point2 at = placed(s, at_x, at_y);
+    if (!any(may_be_within(at, a, b, scale))) return;
+    const Within along(at.x, a, scale), across(at.y, b, scale);
+    value = along.value * across.value;
+    back_turned(s, {along.x * across.value, along.value * across.x}, x, y);
+    half = along.A * across.value + along.value * across.A;
+    inverse_scale = along.inverse_scale * across.value + along.value * across.inverse_scale;
+  }
+};
+
+// --- what stands in the puddle --------------------------------------------------------------------------------------
+
+static inline void back_standing(const DropTables& drop, const Spill& spill, int i, D d_D, SpillSlope& d) {
+  const SpillSurface& stands = drop.spill.surface[i];
+  const Surface& s = drop.surface[i];
+  const D U = spill.sum[stands.end] - spill.sum[stands.first];
+  if (!any(U > kNothing)) return;
+  const D share = reciprocal(U + kLeastMass), reach = spill.k.reach * spill.rho;
+  const D x = (spill.sum_x[stands.end] - spill.sum_x[stands.first]) * share, y = (spill.sum_y[stands.end] - spill.sum_y[stands.first]) * share;
+  const Upon upon(s, spill.x + x, spill.y + y, s.half[0] + reach, s.half[1] + reach, spill.inverse_scale);
+  const D d_upon = d_D * minimum(U, D{} + 1.0);
+  d.rho += d_upon * upon.half * spill.k.reach;
+  d.inverse_scale += d_upon * upon.inverse_scale;
+  d.x += d_upon * upon.x, d.y += d_upon * upon.y;
+  const D d_x = d_upon * upon.x * share, d_y = d_upon * upon.y * share;
+  const D d_U = where(U < 1.0, d_D * upon.value, D{}) - d_x * x - d_y * y;
+  // Of sums over levels: differences here, summed up in back_spill.
+  d.lands[stands.first] += d_U, d.land_x[stands.first] += d_x, d.land_y[stands.first] += d_y;
+  d.lands[stands.end] -= d_U, d.land_x[stands.end] -= d_x, d.land_y[stands.end] -= d_y;
+}
+
+// --- one level ------------------------------------------------------------------------------------------------------
+
+struct FlowSlope {
+  D flows = {}, x = {}, y = {};  // O and o
+};
+
+static inline void back_over(const DropTables& drop, const Spill& spill, int l, D d_over, D& d_lands, D& d_x, D& d_y, SpillSlope& d) {
+  const SpillLevel& at = spill.level[l];
+  if (!any(at.lands > kNothing)) return;
+  const D share = reciprocal(at.lands + kLeastMass), x = at.land_x * share, y = at.land_y * share;
+  const int first = drop.level_start[l], last = drop.level_start[l + 1];
+  const auto upon_inner = [&](const Surface& s) {
+    return Upon(s, spill.x + x, spill.y + y, D{} + (s.half[0] - spill.inner), D{} + (s.half[1] - spill.inner), spill.inverse_scale);
+  };
+  D before[kMaxSurfaces], past = D{} + 1.0, after = D{} + 1.0;
+  for (int i = first; i < last; ++i) {
+    before[i] = past;
+    if (spill.is_wide(drop.surface[i])) past *= 1.0 - upon_inner(drop.surface[i]).value;
+  }
+  for (int i = last; i-- > first;) {
+    const Surface& s = drop.surface[i];
+    if (!spill.is_wide(s)) continue;
+    const Upon upon = upon_inner(s);
+    const D others = before[i] * after;
+    after *= 1.0 - upon.value;
+    const D d_upon = -d_over * others, px = d_upon * upon.x * share, py = d_upon * upon.y * share;
+    d.inverse_scale += d_upon * upon.inverse_scale;
+    d.x += d_upon * upon.x, d.y += d_upon * upon.y;
+    d_x += px, d_y += py, d_lands -= px * x + py * y;
+  }
+}
+
+// d_flow: with respect to the state below the level, replaced by that above it. d_fallen, d_flown: A and B.
+static inline void back_flow(const DropTables& drop, const Spill& spill, int l, const D* d_fallen, const D* d_flown, FlowSlope& d_flow, D& d_arrives,
+                             D& d_Lx, D& d_Ly, SpillSlope& d) {
+  const SpillLevel& at = spill.level[l];
+  D d_past = d_flow.flows * at.flows + d_flow.x * at.flow_x + d_flow.y * at.flow_y;
+  const D d_over = d_flow.flows * at.lands + d_flow.x * at.land_x + d_flow.y * at.land_y;
+  D d_lands = d.lands[l] + d_flow.flows * at.over, d_x = d.land_x[l] + d_flow.x * at.over, d_y = d.land_y[l] + d_flow.y * at.over;
+  d_flow.flows *= at.past, d_flow.x *= at.past, d_flow.y *= at.past;
+  back_over(drop, spill, l, d_over, d_lands, d_x, d_y, d);
+  const D share = reciprocal(at.flows + kLeastMass), fx = at.flow_x * share, fy = at.flow_y * share, run = spill.k.run_off * spill.rho;
+  const D stays = at.flows * (1.0 - at.past), d_stays = d_lands + d_x * fx + d_y * fy;
+  d_arrives = d_lands + d_x * at.x + d_y * at.y;
+  d_Lx = d_x * at.arrives, d_Ly = d_y * at.arrives;
+  D d_fx = d_x * stays, d_fy = d_y * stays;
+  d_flow.flows += d_stays * (1.0 - at.past);
+  d_past -= d_stays * at.flows;
+  const bool arrives = any(at.arrives > kNothing), flows = any(at.flows > kNothing);
+  const int first = drop.level_start[l], last = drop.level_start[l + 1];
+  const D inverse_flows = reciprocal(maximum(at.flows, D{} + kTiny));
+  D before[kMaxSurfaces], past = D{} + 1.0, after = D{} + 1.0;
+  for (int i = first; i < last; ++i) before[i - first] = past, past *= 1.0 - spill.flown[i] * inverse_flows;
+  for (int i = last; i-- > first;) {
+    const Surface& s = drop.surface[i];
+    if (arrives && any(d_fallen[i] != 0.0)) {
+      const Upon upon(s, spill.x + at.x, spill.y + at.y, D{} + (s.half[0] + spill.k.margin), D{} + (s.half[1] + spill.k.margin), spill.inverse_scale);
+      const D d_upon = d_fallen[i] * at.arrives;
+      d_arrives += d_fallen[i] * upon.value;
+      d.x += d_upon * upon.x, d.y += d_upon * upon.y;
+      d_Lx += d_upon * upon.x, d_Ly += d_upon * upon.y, d.inverse_scale += d_upon * upon.inverse_scale;
+    }
+    const double visible = drop.spill.surface[i].visible;
+    if (!flows || visible == 0.0) continue;
+    const Upon upon(s, spill.x + fx, spill.y + fy, s.half[0] + run, s.half[1] + run, spill.inverse_scale);
+    const D d_upon = (d_flown[i] * at.flows - d_past * before[i - first] * after) * visible;
+    after *= 1.0 - visible * upon.value;
+    d_flow.flows += d_flown[i] * visible * upon.value;
+    d.x += d_upon * upon.x, d.y += d_upon * upon.y;
+    d_fx += d_upon * upon.x, d_fy += d_upon * upon.y;
+    d.inverse_scale += d_upon * upon.inverse_scale, d.rho += d_upon * upon.half * spill.k.run_off;
+  }
+  d_flow.x += d_fx * share, d_flow.y += d_fy * share;
+  d_flow.flows -= share * (d_fx * fx + d_fy * fy);
+}
+
+static inline void back_arrive(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, const Spill& spill, int l,
+                               D d_arrives, D d_x, D d_y, MouthSlope& d_mouth, LandingSlope& d_landing, FlightSlope& d_flight) {
+  const SpillLevel& at = spill.level[l];
+  const int first = drop.level_start[l];
+  const D time = landing.time[first] + spill.k.carry;
+  d_landing.first[l] += d_arrives * at.hard, d_landing.leaving[l] += d_arrives * (1.0 - at.hard);
+  const D d_u = d_arrives * (landing.first[l] - landing.leaving[l]) * at.hard * (1.0 - at.hard) * (1.0 / (kBeta * spill.k.soft_spread));
+  const D h = flight.low - drop.surface[first].top, soft = square_root(h * h + 1e-4), slope = d_u * reciprocal(at.u);
+  d_flight.v.z += slope * flight.v.z;
+  d_flight.low += slope * (0.5 * kGravity) * (1.0 + h * reciprocal(soft));
+  d_mouth.vx += d_x * time, d_mouth.vy += d_y * time;
+  d_landing.time[first] += d_x * mouth.vx + d_y * mouth.vy;
+}
+
+// --- the container --------------------------------------------------------------------------------------------------
+
+static inline void back_filling(const DropTables& drop, const Landing& landing, const Mouth& mouth, const Spill& spill, const SpillSlope& d,
+                                MouthSlope& d_mouth, LandingSlope& d_landing) {
+  const SpillTables& tables = drop.spill;
+  const SpillConstants& k = spill.k;
+  const D d_variance = -0.5 * kBeta * kBeta * spill.inverse_scale * spill.inverse_scale * spill.inverse_scale * d.inverse_scale;
+  d_mouth.x += d.x, d_mouth.y += d.y;
+  d_mouth.speed2 += k.speed_spread * k.speed_spread * d_variance;
+  d_landing.fallen += 2.0 * k.height_spread * k.height_spread * landing.fallen * d_variance;
+  const Filling filling(tables, k, mouth);
+  const D cube = filling.fill * filling.fill * filling.fill;
+  const D d_fill = -d.rho * filling.rho * tables.power * cube * reciprocal(1.0 + cube * filling.fill);
+  const D d_x = d_fill * (1.0 + filling.x * (2.0 + 5.1 * filling.x)) * (1.0 / tables.full), d_lean = d_x * (tables.rim / tables.depth);
+  d_mouth.speed2 += d_lean * k.slosh * 0.5 * reciprocal(filling.speed);
+  const D d_slope = where(filling.slope > tables.repose, d_lean, D{}), inverse_up = reciprocal(mouth.up);
+  const D inverse_side = inverse_root(1.0051 - mouth.up * mouth.up);
+  d_mouth.up -= d_slope * (inverse_side + filling.slope * inverse_up);
+}
+
+static inline D severest(const DropTables& drop, const Spill& spill, const double* severity, D* d_fallen, D* d_flown, D* d_stood) {
+  D P[kMaxEntities], open[kMaxEntities], impact = {};
+  for (int e = 0; e < drop.n_entity; ++e) P[e] = D{}, open[e] = D{} + severity[e];
+  for (int i = 0; i < drop.n_surface; ++i)
+    if (drop.surface[i].entity >= 0) P[drop.surface[i].entity] = maximum(P[drop.surface[i].entity], spill.probability(i));
+  for (int i = 0; i < drop.n_surface; ++i) {
+    const int entity = drop.surface[i].entity;
+    d_fallen[i] = d_flown[i] = d_stood[i] = D{};
+    if (entity < 0) continue;
+    const auto greatest = spill.probability(i) == P[entity];
+    const D d = where(greatest, open[entity], D{});
+    open[entity] = where(greatest, D{}, open[entity]);
+    d_fallen[i] = d * (1.0 - spill.flown[i]) * (1.0 - spill.stood[i]);
+    d_flown[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.stood[i]);
+    d_stood[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.flown[i]);
+  }
+  for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e];
+  return impact;
+}
+
+// The impact of one use, and its derivatives.
+static inline D back_spill(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, const SpillConstants& constants,
+                           const double* severity, MouthSlope& d_mouth, LandingSlope& d_landing, FlightSlope& d_flight) {
+  Spill spill(constants);
+  spill.run(drop, flight, landing, mouth, severity);
+  D d_fallen[kMaxSurfaces], d_flown[kMaxSurfaces], d_stood[kMaxSurfaces];
+  const D impact = severest(drop, spill, severity, d_fallen, d_flown, d_stood);
+  SpillSlope d(drop);
+  for (int i = 0; i < drop.n_surface; ++i)
+    if (any(d_stood[i] != 0.0)) back_standing(drop, spill, i, d_stood[i], d);
+  for (int l = 1; l < drop.n_level; ++l) d.lands[l] += d.lands[l - 1], d.land_x[l] += d.land_x[l - 1], d.land_y[l] += d.land_y[l - 1];
+  FlowSlope d_flow;
+  for (int l = drop.n_level; l-- > 0;) {
+    D d_arrives, d_x, d_y;
+    back_flow(drop, spill, l, d_fallen, d_flown, d_flow, d_arrives, d_x, d_y, d);
+    back_arrive(drop, flight, landing, mouth, spill, l, d_arrives, d_x, d_y, d_mouth, d_landing, d_flight);
+  }
+  back_filling(drop, landing, mouth, spill, d, d_mouth, d_landing);
+  return impact;
+}
+
+// Returns the derivative with respect to a small turn of the object.
+static inline Vec<D> back_pour(const Flight& flight, const Mouth& mouth, const MouthSlope& d, FlightSlope& d_flight) {
+  const Vec<D> d_u = {d.vx + 2.0 * d.speed2 * mouth.vx, d.vy + 2.0 * d.speed2 * mouth.vy, D{}};
+  const D d_z = d.up * mouth.up * inverse_root(mouth.axis.z * mouth.axis.z + 0.01);
+  const Vec<D> swing = cross(mouth.o, d_u), pull = cross(d_u, flight.w);
+  d_flight.c.x += d.x, d_flight.c.y += d.y;
+  d_flight.v.x += d_u.x, d_flight.v.y += d_u.y;
+  d_flight.w.x += swing.x, d_flight.w.y += swing.y, d_flight.w.z += swing.z;
+  const Vec<D> arm = cross(mouth.o, {d.x + pull.x, d.y + pull.y, pull.z}), tilt = cross(mouth.axis, {D{}, D{}, d_z});
+  return {arm.x + tilt.x, arm.y + tilt.y, arm.z + tilt.z};
+}

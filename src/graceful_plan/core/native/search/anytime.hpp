@@ -1,0 +1,298 @@
+// The default planner's search: RRT-Connect for the first path, then paths that might become better, one after the other. They
+// come from small roadmaps (Scout), from detours of the best path, from RRT-Connect through the valleys of the impact and from
+// cost-bounded RRT-Connect (AO-x: whatever it finds beats the best path). Each is descended along the gradient of J and refined
+// by random moves, for as long as it may still win; whatever becomes the best path is polished on finer vertices. Where J has no
+// gradient, several are refined side by side instead.
+#pragma once
+#include <algorithm>
+#include <memory>
+
+#include "search/challenger.hpp"
+#include "search/connect.hpp"
+#include "search/scout.hpp"
+
+namespace gp {
+
+struct AnytimeSettings {
+  ConnectSettings connect;
+  double spacing = 0.2;
+  int challengers = 8;  // in a contest, without gradient
+  bool descents = true, scouts = true;
+};
+
+class Anytime {
+ public:
+  Anytime(Space& space, Point start, std::vector<Point> goals, AnytimeSettings settings, uint64_t seed)
+      : space_(space), start_(start), goals_(goals), settings_(settings),
+        descends_(settings.descents && space.has_slopes() && space.w > 0), random_(seed),
+        connect_(space, start, goals, settings.connect, random_.bits()), scout_(space, std::move(start), std::move(goals), random_.bits()) {}
+
+  // Work until the slice ends; true if the best path changed. Stops early at a proven optimum.
+  bool run(Slice& slice) {
+    const bool first = best_.q.empty();  // nobody should wait for the end of a slice to hear of the first path
+    bool improved = false;
+    while (!optimal() && !(first && improved) && slice.next()) improved |= step();
+    return improved;
+  }
+  const Polyline& best() const { return best_; }
+
+  // A straight path of cost w = 0 cannot be beaten.
+  bool optimal() const {
+    if (best_.q.empty() || !space_.motion_is_length()) return false;
+    double bound = std::numeric_limits<double>::infinity();
+    for (const Point& goal : goals_) bound = std::min(bound, space_.distance(start_.data(), goal.data()));
+    return best_.total <= bound * (1 + 1e-9);
+  }
+
+  // Go on from a free path of somebody else, if it is better.
+  void adopt(std::vector<Point> path) { take(Polyline::of(space_, std::move(path))); }
+
+  // Look at a path next, free or, with a gradient, not.
+  void suggest(std::vector<Point> path) {
+    const bool free = space_.path_free(path);
+    if (descends_ || free) challengers_.insert(challengers_.begin(), challenger(std::move(path), free ? kPolish : kSuggested));
+  }
+
+ private:
+  enum Source { kScoutLine, kScoutBest, kDetour, kToolDetour, kValley, kPlain, kBound, kPolish, kSources, kSuggested = kSources };
+  static constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each challenger in a contest
+  static constexpr int kFirstScout = 150, kLastScout = 600;       // nodes
+  static constexpr size_t kElite = 6;
+
+  bool step() {
+    ++steps_;
+    if (best_.q.empty()) return connect_.step() && offer(connect_.path(), kPlain);
+    const bool settled = incumbent_->settled() < 0.02;
+    if (steps_ % (descends_ ? 64 : settled ? 16 : 2) == 0) return incumbent_->step() && take(incumbent_->path());
+    return descends_ ? chase() : contest();
+  }
+
+  // One after the other: descend, and give up on those that will not beat the best path.
+  bool chase() {
+    if (challengers_.empty()) return explore();
+    Challenger& one = *challengers_.front();
+    one.step();
+    bool improved = false;
+    if (std::vector<Point> early = one.take_early(); !early.empty()) improved = take(Polyline::of(space_, std::move(early)));
+    if (one.refiner()) improved |= take(one.refiner()->path());
+    if (improved) ++won_;
+    if (one.hopeless(best_.total)) {
+      if (one.refiner()) remember(one.refiner()->path());
+      unpolished_ |= won_ > 0 && one.source() != kPolish;
+      reward(one.source(), won_ > 0);
+      won_ = 0;
+      challengers_.erase(challengers_.begin());
+    }
+    return improved;
+  }
+
+  // Rounds of successive halving: gather challengers, refine all of them a little, drop the worse half, refine the rest twice
+  // as long, and so on until one is left, which is refined until it wins or settles.
+  bool contest() {
+    if (turns_ == 0) {
+      if (int(challengers_.size()) < settings_.challengers) return explore();
+      turns_ = kFirstRound, turn_ = 0;
+    }
+    if (challengers_.empty()) return end_contest();
+    std::unique_ptr<Challenger>& one = challengers_[size_t(turn_++) % challengers_.size()];
+    one->step();
+    if (one->estimate() < best_.total) {
+      reward(one->source(), true);
+      std::swap(incumbent_, one->refiner());
+      best_ = incumbent_->path();
+      return true;
+    }
+    if (turn_ < turns_ * int64_t(challengers_.size())) return false;
+    turn_ = 0, turns_ *= 2;
+    if (challengers_.size() == 1) {
+      const Challenger& last = *challengers_[0];
+      return (last.settled() < 0.02 || last.estimate() > 1.1 * best_.total || turns_ > kLastRound) && end_contest();
+    }
+    std::stable_sort(challengers_.begin(), challengers_.end(), [](const auto& a, const auto& b) { return a->estimate() < b->estimate(); });
+    challengers_.resize((challengers_.size() + 1) / 2);
+    return false;
+  }
+  bool end_contest() {
+    challengers_.clear();
+    turns_ = 0;
+    return false;
+  }
+
+  // Sources that improved the best path lately are asked more often.
+  void reward(int source, bool won) {
+    if (source < kSources) score_[source] = won ? 0.9 * score_[source] + 1.0 : 0.95 * score_[source];
+  }
+  Source choose() {
+    // How often each is asked as long as nothing is known.
+    const bool feared = space_.w > 0, scouts = descends_ && settings_.scouts;
+    const double prior[kSources] = {scouts ? 1.0 : 0.0, scouts ? 1.5 : 0.0, 1.0, 1.0, feared ? 0.8 : 0.0, 0.2, 0.3, descends_ ? 3.0 : 0.0};
+    double weight[kSources], sum = 0;
+    for (int s = 0; s < kSources; ++s) sum += weight[s] = prior[s] * (0.3 + score_[s]);
+    double u = random_.uniform() * sum;
+    for (int s = 0; s < kSources; ++s)
+      if ((u -= weight[s]) < 0) return Source(s);
+    return kDetour;
+  }
+
+  // Look for another path. Searches go on across steps until they succeed or age.
+  bool explore() {
+    if (scouting_) {
+      if (scout_.step()) offer(scout_.path(), source_);
+      scouting_ = !scout_.done();
+      return false;
+    }
+    if (searching_) {
+      searching_ = ++search_age_ < 300;
+      if (!connect_.step()) return false;
+      searching_ = false;
+      return offer(connect_.path(), source_);
+    }
+    source_ = unpolished_ ? kPolish : scouts_ == 0 && descends_ && settings_.scouts ? kScoutLine : choose();
+    unpolished_ = false;
+    if (source_ == kPolish) return offer(best_.q, kPolish);
+    if (source_ == kDetour) return detour();
+    if (source_ == kToolDetour) return tool_detour();
+    if (source_ == kScoutLine || source_ == kScoutBest) return scout();
+    const double infinite = std::numeric_limits<double>::infinity();
+    connect_.reset(source_ == kBound ? best_.total : infinite, source_ == kValley ? mean_impact() * random_.uniform(0.05, 1.5) : infinite);
+    connect_.skip_direct();
+    searching_ = true;
+    search_age_ = 0;
+    return false;
+  }
+
+  // A roadmap around the straight line or the best path, larger every time, with the best paths in it.
+  bool scout() {
+    const bool line = source_ == kScoutLine;
+    const Point& goal = goals_[size_t(random_.below(int(goals_.size())))];
+    std::vector<std::vector<Point>> known;
+    if (scouts_ > 0) known.push_back(best_.q);
+    for (const Polyline& path : elite_) known.push_back(path.q);
+    scout_.begin(line ? std::vector<Point>{start_, goal} : best_.q, known, line ? 0.5 : 0.25, std::min(kLastScout, kFirstScout << std::min(scouts_, 4)));
+    ++scouts_;
+    scouting_ = true;
+    return false;
+  }
+
+  double mean_impact() const {
+    double length = 0;
+    for (size_t i = 0; i + 1 < best_.q.size(); ++i) length += space_.distance(best_.q[i].data(), best_.q[i + 1].data());
+    return std::max(0.0, best_.total - length) / (space_.w * std::max(length, 1e-9));
+  }
+
+  // The straight path, or a stretch of the best one, sent through the most promising of some random via points.
+  bool detour() {
+    const std::vector<Point>& q = best_.q;
+    size_t i = 0, j = q.size() - 1;
+    if (random_.uniform() < 0.5 && q.size() > 3) {
+      i = size_t(random_.below(int(q.size()))), j = size_t(random_.below(int(q.size())));
+      if (i > j) std::swap(i, j);
+      if (j - i < 2) return false;
+    }
+    std::vector<Point> points(q.begin(), q.begin() + long(i) + 1);
+    points.push_back(via_point(q[i], q[j]));
+    points.insert(points.end(), q.begin() + long(j), q.end());
+    return (descends_ || space_.path_free(points, i, i + 2)) && offer(std::move(points), kDetour);
+  }
+
+  // A stretch of the best path with the tool carried higher, lower or further aside, by steps along its Jacobian.
+  bool tool_detour() {
+    const int n = int(best_.q.size());
+    if (n < 3) return detour();
+    int i = random_.below(n), j = random_.below(n);
+    if (random_.uniform() < 0.5) i = 0, j = n - 1;
+    if (i > j) std::swap(i, j);
+    if (j - i < 2) return false;
+    const double size = 0.3 * random_.uniform();
+    const double aside[3] = {random_.normal() * size, random_.normal() * size, random_.normal() * size};
+    std::vector<Point> points = best_.q;
+    for (int k = i + 1; k < j; ++k) {
+      const double s = 2.0 * (k - i) / (j - i) - 1.0, bump = std::min(1.0, 1.6 * (1.0 - s * s));
+      Point& q = points[size_t(k)];
+      Point d(q.size());
+      constexpr int kSteps = 6;
+      const double step[3] = {aside[0] * bump / kSteps, aside[1] * bump / kSteps, aside[2] * bump / kSteps};
+      for (int count = 0; count < kSteps; ++count) {
+        if (!space_.move_tool(q.data(), step, d.data())) return false;
+        for (size_t c = 0; c < q.size(); ++c) q[c] = std::clamp(q[c] + d[c], space_.lower[c], space_.upper[c]);
+      }
+    }
+    return (descends_ || space_.path_free(points, size_t(i), size_t(j))) && offer(std::move(points), kToolDetour);
+  }
+
+  Point via_point(const Point& a, const Point& b) {
+    constexpr int kTried = 16;
+    const size_t dim = a.size();
+    std::vector<double> points(kTried * dim);
+    const int tried = space_.w > 0 ? kTried : 1;
+    for (int k = 0; k < tried; ++k) {
+      const double s = random_.uniform(), radius = 0.3 * space_.extent() * std::pow(random_.uniform(), 2.0);
+      for (size_t d = 0; d < dim; ++d) {
+        const double value = a[d] + s * (b[d] - a[d]) + radius * random_.normal() / std::sqrt(double(dim));
+        points[size_t(k) * dim + d] = std::clamp(value, space_.lower[d], space_.upper[d]);
+      }
+    }
+    double impact[kTried] = {}, least = std::numeric_limits<double>::infinity();
+    if (tried > 1) space_.impacts(points.data(), tried, impact);
+    const double* best = points.data();
+    for (int k = 0; k < tried; ++k) {
+      const double* via = points.data() + size_t(k) * dim;
+      const double guess = (space_.distance(a.data(), via) + space_.distance(via, b.data())) * (1 + space_.w * impact[k]);
+      if (guess < least) least = guess, best = via;
+    }
+    return Point(best, best + dim);
+  }
+
+  // Enter a path; it is the best one right away if it is free and there is none, or if nothing is to be descended.
+  bool offer(std::vector<Point> path, Source source) {
+    if (best_.q.empty()) {
+      take(Polyline::of(space_, path));
+      if (!descends_) challengers_.push_back(challenger(std::move(path), source));
+      return true;
+    }
+    challengers_.push_back(challenger(std::move(path), source));
+    if (descends_ || challengers_.back()->estimate() >= best_.total) return false;
+    std::swap(incumbent_, challengers_.back()->refiner());
+    best_ = incumbent_->path();
+    return true;
+  }
+  std::unique_ptr<Challenger> challenger(std::vector<Point> path, Source source) {
+    const auto beginning = !descends_ ? Challenger::kMove : source == kPolish ? Challenger::kPolish : Challenger::kCoarse;
+    return std::make_unique<Challenger>(space_, std::move(path), settings_.spacing, beginning, scouts_ > 1, source, random_.bits());
+  }
+
+  bool take(const Polyline& path) {
+    if (path.total >= best_.total) return false;
+    if (!incumbent_ || &path != &incumbent_->path()) incumbent_ = std::make_unique<Refiner>(space_, path, settings_.spacing, random_.bits());
+    best_ = path;
+    return true;
+  }
+
+  // Keep a few good paths for roadmaps, where parts of them may be joined.
+  void remember(const Polyline& path) {
+    if (path.total > 1.5 * best_.total) return;
+    elite_.push_back(path);
+    std::stable_sort(elite_.begin(), elite_.end(), [](const Polyline& a, const Polyline& b) { return a.total < b.total; });
+    if (elite_.size() > kElite) elite_.pop_back();
+  }
+
+  Space& space_;
+  Point start_;
+  std::vector<Point> goals_;
+  AnytimeSettings settings_;
+  const bool descends_;
+  Random random_;
+  Connect connect_;
+  Scout scout_;
+  Polyline best_;
+  std::unique_ptr<Refiner> incumbent_;
+  std::vector<std::unique_ptr<Challenger>> challengers_;
+  std::vector<Polyline> elite_;
+  double score_[kSources] = {1, 1, 1, 1, 1, 1, 1, 1};
+  Source source_ = kPlain;
+  int64_t steps_ = 0, turn_ = 0, turns_ = 0;
+  bool scouting_ = false, searching_ = false, unpolished_ = false;
+  int scouts_ = 0, search_age_ = 0, won_ = 0;
+};
+
+}  // namespace gp

@@ -1,0 +1,106 @@
+// A path on its way to beat the best one: descended on few vertices, then on more, then refined by random moves.
+#pragma once
+#include <memory>
+#include <utility>
+
+#include "search/descent.hpp"
+#include "search/refine.hpp"
+
+namespace gp {
+
+class Challenger {
+ public:
+  // How it begins: with moves of a path that is free, with a coarse descent, or with a last one on many vertices.
+  enum Beginning { kMove, kCoarse, kPolish };
+
+  // A patient one descends further before it is given to the refiner.
+  Challenger(Space& space, std::vector<Point> path, double spacing, Beginning beginning, bool patient, int source, uint64_t seed)
+      : space_(space), spacing_(spacing), patient_(patient), source_(source), seed_(seed) {
+    if (beginning == kMove)
+      refine(std::move(path));
+    else if (beginning == kCoarse)
+      descent_ = std::make_unique<Descent>(space, path, kPieces, DescentSettings{.step = kStep, .push = 5.0, .rough = true});
+    else
+      polish(path);
+  }
+
+  int source() const { return source_; }
+  // J, as far as a descent knows it.
+  double estimate() const { return failed_ ? std::numeric_limits<double>::infinity() : descent_ ? descent_->value() : refiner_->path().total; }
+  double settled() const { return refiner_ ? refiner_->settled() : 1.0; }
+  // Null while it descends.
+  std::unique_ptr<Refiner>& refiner() { return refiner_; }
+
+  // One evaluation of a descent, or one move of a refiner.
+  void step() {
+    if (failed_) return;
+    ++used_;
+    if (refiner_) {
+      refiner_->step();
+      return;
+    }
+    if (descent_->step() && used_ < limit_) return;
+    if (fine_) return land();
+    if (std::vector<Point> path = descent_->path(); space_.path_free(path)) early_ = std::move(path);
+    sharpen();
+  }
+  // A free path that the coarse descent ended with, once; empty otherwise.
+  std::vector<Point> take_early() { return std::exchange(early_, {}); }
+
+  // Whether more work on it would be in vain next to a path of that cost.
+  bool hopeless(double best) const {
+    const double e = estimate();
+    if (failed_) return true;
+    if (refiner_) return used_ >= kMoves;
+    return fine_ ? used_ >= 30 && e > 1.2 * best : used_ >= 15 && e > 2.0 * best;
+  }
+
+ private:
+  static constexpr int kPieces = 14, kFinePieces = 40, kLastPieces = 100;
+  static constexpr double kStep = 0.15, kFineStep = 0.05, kLastStep = 0.04;  // between samples of the impact [rad]
+  // Evaluations while coarse, while fine, at last, and after each time that the path was not free in the end; moves of the refiner.
+  static constexpr int kSteps = 30, kFineSteps = 50, kLastSteps = 200, kMoreSteps = 30, kMoves = 30;
+  static constexpr int kHardenings = 2;  // then it is given up
+
+  // From few vertices to many.
+  void sharpen() {
+    descent_ = std::make_unique<Descent>(space_, descent_->path(), kFinePieces, DescentSettings{.step = kFineStep, .tolerance = patient_ ? 1e-4 : 1e-3});
+    fine_ = true, used_ = 0, limit_ = patient_ ? 2 * kFineSteps : kFineSteps;
+  }
+  // On other vertices every time: a path settles where it does by how it is cut, too.
+  void polish(const std::vector<Point>& path) {
+    Random random(seed_);
+    const int pieces = int(kLastPieces * random.uniform(0.75, 1.35));
+    descent_ = std::make_unique<Descent>(space_, path, pieces, DescentSettings{.step = kLastStep * random.uniform(0.75, 1.35), .tolerance = 1e-4});
+    fine_ = true, limit_ = kLastSteps;
+  }
+  void land() {
+    std::vector<Point> path = descent_->path();
+    if (space_.path_free(path)) {
+      descent_.reset();
+      return refine(std::move(path));
+    }
+    failed_ = hardened_ == kHardenings;
+    if (failed_) return;
+    ++hardened_;
+    descent_->harden();
+    used_ = 0, limit_ = kMoreSteps;
+  }
+  void refine(std::vector<Point> path) {
+    used_ = 0;
+    refiner_ = std::make_unique<Refiner>(space_, Polyline::of(space_, std::move(path)), spacing_, seed_);
+  }
+
+  Space& space_;
+  double spacing_;
+  bool patient_;
+  int source_;
+  uint64_t seed_;
+  std::vector<Point> early_;
+  std::unique_ptr<Descent> descent_;
+  std::unique_ptr<Refiner> refiner_;
+  bool fine_ = false, failed_ = false;
+  int used_ = 0, limit_ = kSteps, hardened_ = 0;
+};
+
+}  // namespace gp

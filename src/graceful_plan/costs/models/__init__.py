@@ -1,0 +1,1 @@
+"""Interaction models, a folder each: who is hit if the robot fails here."""

@@ -1,0 +1,261 @@
+r"""The body model: what the arm and what it still holds hit if its joints fail here, at this velocity.
+
+For each way to fail a few failed configurations are found; the least distance that the arm (or the object) has to an
+entity in any of them tells how likely it is hit. Ways to fail, "modes":
+
+- *collapse*: no joint has power until brakes hold them; rigid-body dynamics under gravity.
+- *joint j*: joint j has no power and falls; the others go on.
+- *stuck j*: joint j stays where it is; the others go on.
+- *stray*: the arm goes on, but not quite where it should.
+
+What the others do is the motion to come. Where a trajectory is known it is given as `ahead`; where there is only a
+state, joints go on along their velocity and soon stop. Stuck joints do harm late, at the end of a motion that is
+carried out with a wrong joint: without `ahead` hardly any of that can be foreseen.
+
+What an arm meets stops it, also what could be pushed away, since most of it stands on something: what lies deeper
+counts as farther. A joint without power yields instead: it rests on what it meets while the others go on.
+
+Specification
+-------------
+Everything is in double precision, z is up, g = 9.81. Tables: `BodyTables`; constants: `BodySettings`. Spheres,
+obstacles and their signed distances are those of collision checking (`RobotArrays`, `WorldArrays`, stored in single
+precision, computed in double). The native kernel (native/body.hpp) follows this text.
+
+.. code-block:: text
+
+    Dynamics at a configuration x
+      M(x)  : mass matrix of the frames with their rotors' inertia (armature) on the diagonal
+      G(x)  : torques that hold the arm against gravity. Velocity products are left out.
+      soft(v, u) = sign(v) max(|v| - u, 0)
+      move(x, v, v') : y = x + h (v + v')/2;  v <- 0 if y is out of the joint's range, else v';  x <- y clamped to it
+
+    Motion to come: r_0 = q;  r_k = ahead_k, or q + T (1 - exp(-k h/T)) qd, clamped to the joints' ranges
+
+    Failed configurations x_0 = q, x_1, ..
+      collapse : h = brake_time/5, v = qd; five times
+                   v' = soft((M + h D)^-1 (M v - h G), h f_i/(M + h D)_ii);  move every joint
+                 D: damping on the diagonal, f: dry friction
+                 x_6 = x_5 + tb v, clamped: the brakes bite
+      joint j  : h = step, v = qd_j, z_0 = q_j, M as at q;  K times, G as at x_(k-1):
+                   s = 1/(M_jj + h (damping_j + resistance))
+                   v' = soft((M_jj v - h G_j) s, h f_j s);  move joint j from z_(k-1) to z_k
+                   x_k = r_k but for joint j, which is at z_k
+                   where b_k > b_(k-1) + tolerance, it rests on something: z_k <- z_(k-1), v <- 0, b_k <- b_(k-1)
+      stuck j  : x_k = r_k but for joint j, which is at q_j
+      stray    : x_k = r_k
+      Where ahead is not known, stuck and stray look at the end of the motion only: x_0, x_K. Both can hardly be
+      foreseen then, and what lies between adds nothing.
+
+    Distances: of a row (body, carried) at x_k to an entity
+      d_k = min over the row's spheres and the entity's geoms that they may hit of the signed distance
+      b_k = max over earlier configurations and x_k, all rows, all obstacles of -(signed distance), 0
+      d = min over k of d_k + gain max(b_(k-1) - tolerance, 0),   b_(-1) = 0;  gain, tolerance: by generator
+      s(u) = 1/(1 + exp(u));  P = max(0, s((d - offset)/spread) - s(U))/(1 - s(U)),  U = 8,  by generator and row;
+        0 for entities without geoms: nothing is hit that is farther than U spreads from where a hit is even
+
+    Together: of generators "joint" and "stuck", the mean over joints
+
+References:
+    Own work, fitted to rollouts in MuJoCo; see the head of `body.yaml`. Composite inertias: Featherstone, "Rigid Body
+    Dynamics Algorithms", 2008, chapter 6.
+"""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import CAPACITY, ImpactKernel
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings
+from graceful_plan.costs.models.body.tables import ROWS, BodyTables, body_tables, native_rows
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.path import finite_array
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+FAR = 8.0
+"""U: spreads beyond which nothing is hit."""
+_MOTION = ("brake_time", "brake_stop", "step", "carry_on")
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """P that the arm and what it holds hit each entity, by way to fail.
+
+    Args:
+        settings: Constants; the shipped ones by default.
+    """
+
+    settings: BodySettings = field(default_factory=BodySettings.shipped)
+
+    def distances(
+        self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
+    ) -> Float[Array, "n mode row entity"]:
+        """Return d [m] for each way to fail, see `mode_names`, rows as in `ROWS`; no more than what has P = 0.
+
+        Args:
+            batch: States at which the robot fails.
+            ahead: Where the robot would be 1, 2, .. times `settings.step` later; None to go on along the velocity.
+
+        Raises:
+            ShapeError: If `ahead` is not one path for each state.
+            SettingError: If it is too long.
+        """
+        scene, nq = batch.scene, batch.q.shape[1]
+        known = None if ahead is None else _checked(ahead, len(batch), nq)
+        offset, spread = mode_margins(self.settings, nq)
+        d = np.tile((offset + FAR * spread)[..., None], (len(batch), 1, 1, len(scene.entities)))
+        if d.size:
+            native = _native_model(scene, self.settings)
+            d[:, :, : body_tables(scene).n_row] = native.distances(_reals(batch.q), _reals(batch.qd), known)
+        return d
+
+    def modes(
+        self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
+    ) -> Float[Array, "n mode row entity"]:
+        """Return P for each way to fail; see `distances`."""
+        return chance(self.distances(batch, ahead), *mode_margins(self.settings, batch.q.shape[1]))
+
+    def probability(
+        self, batch: StateBatch, ahead: Float[Array, "n step nq"] | None = None
+    ) -> Float[Array, "n generator row entity"]:
+        """Return P for each of `GENERATORS`, joints being equally likely to fail; see `modes`."""
+        n = batch.q.shape[1]
+        P = self.modes(batch, ahead)
+        return np.stack([P[:, 0], P[:, 1 : n + 1].mean(axis=1), P[:, n + 1 : -1].mean(axis=1), P[:, -1]], axis=1)
+
+    def impact(
+        self, batch: StateBatch, severity: Float[Array, "component entity"], weights: Float[Array, "generator row"]
+    ) -> Float[Array, " n"]:
+        """Return sums of weights P S, with weights for each of `ROWS`; other components do not count."""
+        scene = batch.scene
+        if not len(batch):
+            return np.zeros(0)
+        native = _native_model(scene, self.settings)
+        rows = _severity(scene, severity)
+        weight = _reals(mode_weights(weights, len(scene.joints))[:, : len(rows)])
+        return native.impact(weight, rows, _reals(batch.q), _reals(batch.qd))
+
+    def kernel(
+        self,
+        scene: Scene,
+        severity: Float[Array, "component entity"],
+        weights: Float[Array, "generator row"],
+        paces: tuple[float, float] = (1.0, 1.0),
+    ) -> ImpactKernel:
+        """Return the impact with these severities and weights, for planners; see `InteractionModel.kernel`."""
+        native = _native_model(scene, self.settings)
+        rows = _severity(scene, severity)
+        weight = _reals(mode_weights(weights, len(scene.joints))[:, : len(rows)])
+        return ImpactKernel(compile_scene(scene).kernels, _native.BodyImpact(native, weight, rows, *paces))
+
+
+def mode_margins(settings: BodySettings, nq: int) -> tuple[Float[Array, "mode row"], Float[Array, "mode row"]]:
+    """Return offset and spread of each way to fail [m]."""
+    generators = ("collapse", *("joint",) * nq, *("stuck",) * nq, "stray")
+    margins = [[settings.margin(generator, row) for row in ROWS] for generator in generators]
+    offset, spread = (np.array([[getattr(m, name) for m in rows] for rows in margins]) for name in ("offset", "spread"))
+    return offset, spread
+
+
+def chance(
+    d: Float[Array, "n mode row entity"], offset: Float[Array, "mode row"], spread: Float[Array, "mode row"]
+) -> Float[Array, "n mode row entity"]:
+    """Return the probability of a hit at a distance [m]."""
+    least = 1.0 / (1.0 + np.exp(FAR))
+    scaled = np.clip((d - offset[..., None]) / spread[..., None], -60.0, FAR)
+    return np.maximum(1.0 / (1.0 + np.exp(scaled)) - least, 0.0) / (1.0 - least)
+
+
+def mode_names(scene: Scene) -> tuple[str, ...]:
+    """Return the ways to fail in the order of `BodyModel.modes`: "collapse", "joint/..", "stuck/..", "stray"."""
+    return ("collapse", *(f"joint/{j}" for j in scene.joints), *(f"stuck/{j}" for j in scene.joints), "stray")
+
+
+def mode_weights(weights: Float[Array, "generator row"], nq: int) -> Float[Array, "mode row"]:
+    """Spread weights of `GENERATORS` over ways to fail; those of joints are shared evenly.
+
+    Raises:
+        ShapeError: If there is not one for each generator and each of `ROWS`.
+        SettingError: If one is negative.
+    """
+    values = finite_array("weights", weights)
+    if values.shape != (len(GENERATORS), len(ROWS)):
+        raise ShapeError("weights", values.shape, f"({len(GENERATORS)}, {len(ROWS)}): {', '.join(GENERATORS)}")
+    if (values < 0.0).any():
+        raise SettingError("weights", float(values.min()), "at least 0")
+    collapse, joint, stuck, stray = values[:, None]
+    return np.concatenate([collapse, np.repeat(joint / nq, nq, axis=0), np.repeat(stuck / nq, nq, axis=0), stray])
+
+
+def _checked(ahead: Array, n: int, nq: int) -> Float[Array, "n step nq"]:
+    known = finite_array("ahead", ahead)
+    if known.ndim != 3 or known.shape[0] != n or known.shape[2] != nq:
+        raise ShapeError("ahead", known.shape, f"({n}, step, {nq})")
+    if known.shape[1] > CAPACITY["steps ahead"]:
+        raise SettingError("steps ahead", known.shape[1], f"at most {CAPACITY['steps ahead']}")
+    return _reals(known)
+
+
+def _severity(scene: Scene, severity: Array) -> Float[Array, "row entity"]:
+    names = list(scene.components)
+    shape = (len(names), len(scene.entities))
+    if np.shape(severity) != shape:
+        raise ShapeError("severity", np.shape(severity), str(shape))
+    values, rows = finite_array("severity", severity), np.zeros((body_tables(scene).n_row, shape[1]))
+    for row, name in enumerate(ROWS[: len(rows)]):
+        if name in names:
+            rows[row] = values[names.index(name)]
+    return rows
+
+
+_KEPT = 4
+"""Sets of constants for which the tables of a scene are kept."""
+_made: weakref.WeakKeyDictionary[Scene, dict[BodySettings, _native.BodyModel]] = weakref.WeakKeyDictionary()
+
+
+def _native_model(scene: Scene, settings: BodySettings) -> _native.BodyModel:
+    made = _made.setdefault(scene, {})
+    if settings not in made:
+        if len(made) == _KEPT:  # a fit tries many constants, one after the other
+            made.pop(next(iter(made)))
+        made[settings] = _make(scene, body_tables(scene), settings)
+    return made[settings]
+
+
+def _make(scene: Scene, tables: BodyTables, settings: BodySettings) -> _native.BodyModel:
+    compiled, n_frame = compile_scene(scene), len(tables.mass)
+    resistance = np.full(len(tables.lower), settings.resistance)
+    drive = [tables.lower, tables.upper, tables.armature, tables.damping, tables.friction, resistance, tables.speed]
+    inertia = [tables.mass[:, None], tables.centre, tables.inertia.reshape(n_frame, 9)]
+    margins = [settings.margin(generator, row) for generator in GENERATORS for row in ROWS]
+    constants = [getattr(settings, name) for name in _MOTION]
+    for name in ("stop_gain", "stop_tolerance"):
+        constants += [getattr(getattr(settings, generator), name) for generator in GENERATORS]
+    constants += [margin.offset for margin in margins] + [margin.spread for margin in margins]
+    return _native.BodyModel(
+        core=compiled.kernels.core,
+        inertia=_reals(np.concatenate(inertia, axis=1)),
+        drive=_reals(np.stack(drive, axis=1)),
+        row=_integers(native_rows(tables, compiled.robot.sphere_link)),
+        entity=_integers(tables.entity),
+        n_row=tables.n_row,
+        n_entity=len(scene.entities),
+        n_step=settings.steps,
+        constants=np.array(constants),
+    )
+
+
+def _reals(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _integers(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.int32)

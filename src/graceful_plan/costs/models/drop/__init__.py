@@ -1,0 +1,1 @@
+"""Where a dropped object comes down."""

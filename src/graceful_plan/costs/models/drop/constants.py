@@ -1,0 +1,154 @@
+"""Constants of the drop model: what they are, and how to read them from YAML.
+
+The shipped ones are `footprint.yaml`; its head says what they were fitted to.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
+
+from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
+from graceful_plan.exceptions import SettingError
+from graceful_plan.yaml_file import Block, read_yaml
+
+_SHIPPED = Path(__file__).parent / "drop.yaml"
+
+SHARED = (
+    "delay",
+    "velocity_spread",
+    "height_spread",
+    "carry_spread",
+    "side_spread",
+    "side_reach",
+    "side_height",
+    "catch",
+    "leave_tilt",
+)
+"""Constants that all classes share in the YAML file."""
+_POSITIVE = ("position_spread", "velocity_spread", "side_height")
+_NOT_NEGATIVE = ("delay", "height_spread", "carry_spread", "side_spread", "size_spread")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootprintConstants:
+    """Constants for one class of objects; lengths that scale with the object are in units of its `size`.
+
+    Raises:
+        SettingError: If one is not finite or out of its range.
+    """
+
+    delay: float
+    """How long the gripper carries on after it lets go [s]."""
+    velocity_spread: float
+    """sv: standard deviation of the release velocity [m/s]."""
+    height_spread: float
+    """ch: spread on the ground per height of fall [m/m]."""
+    carry_spread: float
+    """cv: spread on the ground per speed [s]."""
+    side_spread: float
+    """cl: spread of where it comes to rest [size]."""
+    side_reach: float
+    """kl: how far it reaches beside the place where it comes down [size]; negative if it stays in its shadow."""
+    side_height: float
+    """sh: how sharply it passes under things [m]."""
+    catch: float
+    """P that a wide top under its path ends a fall."""
+    leave_tilt: float
+    """gti: how much a tilt at release helps it leave its support."""
+    position_spread: float
+    """s0: standard deviation of the place of release [m]."""
+    size_spread: float
+    """ct: spread of a fall [size]."""
+    tumble_reach: float
+    """kb: how far it reaches around its centre while it tumbles [size]."""
+    catch_margin: float
+    """kc: how far inside of a top (if negative) its centre has to be to end a fall [size]."""
+    leave: float
+    """g0: how readily it leaves a support whose edge is under its centre."""
+    leave_offset: float
+    """gd: how much a support beside its centre helps."""
+    leave_narrow: float
+    """gt: how much a narrow support helps."""
+    leave_speed: float
+    """gv: how much speed helps [s/m]."""
+    drift: float
+    """How far it moves off its support [size]."""
+    carry: float
+    """ks: how far it moves on per speed while it falls off [s]."""
+    slide: float
+    """ksl: how far it moves on per speed where it comes down [s]."""
+    topple_reach: float
+    """tk: how much farther it reaches to the side if it does not stay where it comes down [size]."""
+
+    def __post_init__(self) -> None:
+        for constant in fields(self):
+            value = getattr(self, constant.name)
+            if not math.isfinite(value):
+                raise SettingError(constant.name, value, "a finite number")
+        for name in _POSITIVE:
+            if getattr(self, name) <= 0.0:
+                raise SettingError(name, getattr(self, name), "a positive number")
+        for name in _NOT_NEGATIVE:
+            if getattr(self, name) < 0.0:
+                raise SettingError(name, getattr(self, name), "at least 0")
+        if not 0.0 <= self.catch <= 1.0:
+            raise SettingError("catch", self.catch, "a probability")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootprintSettings:
+    """Constants of the drop model by class of the carried object, see `footprint_tables.SHAPE_CLASSES`."""
+
+    box: FootprintConstants
+    cylinder: FootprintConstants
+    plate: FootprintConstants
+    ball: FootprintConstants
+
+    @classmethod
+    def shipped(cls) -> FootprintSettings:
+        """Return the constants that come with the library."""
+        return _shipped()
+
+    @classmethod
+    def load(cls, file: str | Path) -> FootprintSettings:
+        """Read constants from a YAML file laid out like the shipped one.
+
+        Raises:
+            SceneError: If the file is broken, with the line.
+            SettingError: If a constant is out of its range.
+        """
+        root = read_yaml(Path(file))
+        root.only("version", "provenance", "shared", "classes")
+        if root["version"].number() != 1:
+            raise root["version"].error("only version 1 is known")
+        shared, classes = _numbers(root["shared"], SHARED), root["classes"]
+        classes.only(*SHAPE_CLASSES)
+        own = tuple(constant.name for constant in fields(FootprintConstants) if constant.name not in SHARED)
+        return cls(**{name: FootprintConstants(**shared, **_numbers(classes[name], own)) for name in SHAPE_CLASSES})
+
+    def widened(self, metres: float) -> FootprintSettings:
+        """Return constants with the place of release uncertain by so much more: a footprint with softer edges."""
+        every = {name: getattr(self, name) for name in SHAPE_CLASSES}
+        return FootprintSettings(
+            **{
+                name: replace(own, position_spread=math.hypot(own.position_spread, metres))
+                for name, own in every.items()
+            }
+        )
+
+    def of(self, shape_class: int) -> FootprintConstants:
+        """Return the constants of a class, given as index into `SHAPE_CLASSES`."""
+        return getattr(self, SHAPE_CLASSES[shape_class])
+
+
+def _numbers(block: Block, names: tuple[str, ...]) -> dict[str, float]:
+    block.only(*names)
+    return {name: block[name].number() for name in names}
+
+
+@cache
+def _shipped() -> FootprintSettings:
+    return FootprintSettings.load(_SHIPPED)

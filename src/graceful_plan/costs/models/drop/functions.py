@@ -1,0 +1,49 @@
+"""Functions that the drop models share, vectorised; `footprint.py` defines them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graceful_plan.costs.models.drop.tables import BALL, ROUND
+
+Array = np.ndarray
+
+GRAVITY = 9.81
+BETA = np.sqrt(3.0) / np.pi
+"""Scale of a logistic distribution with standard deviation 1."""
+_EXPONENT = 300.0
+_SOFT = 0.01  # over which heights and margins at zero are rounded off [m]
+
+
+def step(u: Array) -> Array:
+    """S: distribution function of a logistic variable with standard deviation 1."""
+    return 1.0 / (1.0 + np.exp(np.clip(-u / BETA, -_EXPONENT, _EXPONENT)))
+
+
+def box(x: Array, A: Array, s: Array | float) -> Array:
+    """P(|x + noise| < A) for logistic noise with standard deviation s."""
+    A, b = np.maximum(A, 1e-4), s * BETA
+    f = np.exp(np.clip((x - A) / b, -_EXPONENT, _EXPONENT))
+    h = np.exp(np.clip(-(x + A) / b, -_EXPONENT, _EXPONENT))
+    return (1.0 - f * h) / ((1.0 + f) * (1.0 + h))
+
+
+def positive(x: Array) -> Array:
+    """Return x above 0, 0 below, rounded off in between."""
+    return 0.5 * (x + np.sqrt(x * x + _SOFT**2))
+
+
+def fall_time(vz: Array, h: Array) -> Array:
+    """Time to fall from height h [m] with vertical velocity vz [m/s]; short below 0 [s]."""
+    return (vz + np.sqrt(vz * vz + 2.0 * GRAVITY * positive(h))) / GRAVITY
+
+
+def part_reach(axes: Array, half: Array, kind: int, u: Array) -> Array:
+    """How far a part (axes [n 3 3]) reaches in unit directions u [target 3] or [n target 3] of W: [n target]."""
+    if kind == BALL:
+        return np.full((len(axes), u.shape[-2]), half[0])
+    along = u @ axes
+    if kind == ROUND:
+        z = along[..., 2]
+        return np.abs(z) * half[2] + half[0] * np.sqrt(np.maximum(1e-12, 1.0 - z * z))
+    return np.abs(along) @ half

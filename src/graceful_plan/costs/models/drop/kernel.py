@@ -1,0 +1,178 @@
+"""The drop and spill models in the native core: `footprint_drop.py` and `spill.py`, which they are tested against."""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
+from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
+from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.spill.constants import USES, SpillSettings
+from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
+from graceful_plan.exceptions import ShapeError, UnsupportedError
+from graceful_plan.path import finite_array
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+CONSTANTS: tuple[str, ...] = tuple(_native.drop_constants())
+"""Names of the constants in the order in which the core takes them."""
+SPILL_CONSTANTS: tuple[str, ...] = tuple(_native.spill_constants())
+"""The same for the spill model."""
+ROWS = ("carried", *USES)
+"""Rows of probabilities and severities: the object after a drop; contents after a drop; contents that get out while the
+gripper holds."""
+
+
+class FootprintKernel:
+    """The drop model of one scene in which something is carried, and the spill model if it has contents.
+
+    Probabilities have the rows `ROWS`; without contents, theirs are zero. Rows without severity cost no time.
+
+    Args:
+        tables: Those of the scene.
+        constants: Those for the class of what is carried.
+        kernels: Those of the scene.
+        speed: Joint velocities [rad/s], one of which is reached along an edge.
+        n_entity: How many entities the scene has.
+        contents: Tables and constants of the spill model if there are contents.
+
+    Raises:
+        UnsupportedError: If there is more of something than the core holds.
+    """
+
+    def __init__(
+        self,
+        tables: FootprintTables,
+        constants: FootprintConstants,
+        kernels: Kernels,
+        speed: Float[Array, " nq"],
+        n_entity: int,
+        contents: tuple[SpillTables, SpillSettings] | None = None,
+    ) -> None:
+        for what, count in (("carried parts", len(tables.part_half)), ("surfaces", len(tables.target_entity))):
+            if count > CAPACITY[what]:
+                raise UnsupportedError(f"the drop model has {count} {what}, the kernels hold {CAPACITY[what]}")
+        self.kernels, self.n_entity = kernels, n_entity
+        self.native = _native.DropModel(
+            core=kernels.core,
+            link=tables.link,
+            centre=_reals(tables.centre),
+            part_shape=np.ascontiguousarray(tables.part_kind, dtype=np.int32),
+            part_offset=_reals(tables.part_offset),
+            part_rotation=_reals(tables.part_rotation),
+            part_half=_reals(tables.part_half),
+            main=tables.main,
+            size=tables.size,
+            target_entity=np.ascontiguousarray(tables.target_entity, dtype=np.int32),
+            target=_reals(_targets(tables)),
+            level_start=np.ascontiguousarray(tables.level_start, dtype=np.int32),
+            n_entity=n_entity,
+            speed=_reals(speed),
+            constants=np.array([getattr(constants, name) for name in CONSTANTS]),
+        )
+        if contents is not None:
+            self._add_contents(*contents)
+
+    def _add_contents(self, tables: SpillTables, settings: SpillSettings) -> None:
+        numbers = (tables.rim, tables.depth, tables.full, tables.radius, tables.power, tables.repose)
+        self.native.add_contents(
+            container=np.array([*tables.mouth, *tables.axis, *numbers]),
+            stands=np.ascontiguousarray(tables.stands, dtype=np.int32),
+            visible=_reals(tables.visible),
+            constants=np.array([getattr(settings.of(use), name) for use in USES for name in SPILL_CONSTANTS]),
+        )
+
+    def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch row entity"]:
+        """P that the object or contents reach each entity, at q with joint velocities qd [rad/s], at rest if None."""
+        flat, rates, batch = self._states(q, qd)
+        return self.native.probability(flat, rates).reshape(*batch, len(ROWS), self.n_entity)
+
+    def impact(
+        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None
+    ) -> Float[Array, "*batch"]:
+        """Sum of P S over rows and entities; weights of what goes wrong belong into the severities."""
+        flat, rates, batch = self._states(q, qd)
+        return self.native.impact(self._severity(severity), flat, rates).reshape(batch)
+
+    def gradient(
+        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
+        """Sum of P S with its derivatives with respect to q [1/rad] and to qd [s/rad].
+
+        Where two surfaces of an entity or two parts of the object are equally likely, the derivative is that of one.
+        """
+        flat, rates, batch = self._states(q, qd)
+        impact, d_q, d_qd = self.native.gradient(self._severity(severity), flat, rates)
+        return impact.reshape(batch), d_q.reshape(*batch, self.kernels.nq), d_qd.reshape(*batch, self.kernels.nq)
+
+    def with_severity(
+        self, severity: Float[Array, "row entity"], paces: tuple[float, float] = (1.0, 1.0)
+    ) -> ImpactKernel:
+        """Return the impact with these severities, for planners; edges are travelled at these shares of `speed`."""
+        return ImpactKernel(self.kernels, _native.DropImpact(self.native, self._severity(severity), *paces))
+
+    def _severity(self, severity: Array) -> Float[Array, "row entity"]:
+        if np.shape(severity) != (len(ROWS), self.n_entity):
+            raise ShapeError("severity", np.shape(severity), f"({len(ROWS)}, {self.n_entity})")
+        return _reals(finite_array("severity", severity))
+
+    def _states(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Array, Array, tuple[int, ...]]:
+        flat, batch = self.kernels.rows("q", q)
+        rates = np.zeros_like(flat) if qd is None else finite_array("qd", qd, last=self.kernels.nq)
+        if qd is not None and rates.shape != (*batch, self.kernels.nq):
+            raise ShapeError("qd", rates.shape, f"that of q, {(*batch, self.kernels.nq)}")
+        return flat, _reals(rates.reshape(flat.shape)), batch
+
+
+_KEPT = 4
+"""Sets of constants for which the tables of a scene are kept."""
+_Key = tuple[FootprintConstants, SpillSettings]
+_made: weakref.WeakKeyDictionary[Scene, dict[_Key, FootprintKernel]] = weakref.WeakKeyDictionary()
+
+
+def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSettings | None = None) -> FootprintKernel:
+    """Return both models of a scene in which something is carried; they are made once per set of constants.
+
+    Args:
+        scene: Where.
+        settings: Of the drop model.
+        spill: Of the spill model; the shipped ones by default.
+
+    Raises:
+        UnsupportedError: If the core cannot represent it.
+    """
+    tables = footprint_tables(scene)
+    constants, spill = settings.of(tables.shape_class), SpillSettings.shipped() if spill is None else spill
+    made, key = _made.setdefault(scene, {}), (constants, spill)
+    if key not in made:
+        if len(made) == _KEPT:  # a fit tries many constants, one after the other
+            made.pop(next(iter(made)))
+        kernels = compile_scene(scene).kernels
+        contents = None if scene.contents is None else (spill_tables(scene), spill)
+        speed, n_entity = scene.limits.velocity, len(scene.entities)
+        made[key] = FootprintKernel(tables, constants, kernels, speed, n_entity, contents)
+    return made[key]
+
+
+def _targets(tables: FootprintTables) -> Float[Array, "target 11"]:
+    """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top."""
+    columns = (
+        tables.target_centre,
+        tables.target_axis,
+        tables.target_half,
+        tables.target_diagonal[:, None],
+        tables.target_carries,
+        tables.target_height,
+    )
+    return np.concatenate(columns, axis=1)
+
+
+def _reals(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)

@@ -1,0 +1,1 @@
+"""Drop, spill and body together, weighted by how often what fails."""

@@ -1,0 +1,1 @@
+"""What a dropped object does to entities that move."""

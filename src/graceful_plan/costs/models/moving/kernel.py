@@ -1,0 +1,122 @@
+"""Moving entities in the core, for searches: standing at a few places of their predicted paths.
+
+A search knows no times. For every place there is one drop model of the core in which the entity stands there among what
+is static, with the uncertainty of its place added to that of the release; their mean stands for the path. That is the
+mean of `moving_footprint.py` but for what happens while the object falls and for how uncertain places blur what is
+static: some percent. It only guides the search; costs that are reported are those of `moving_footprint.py`.
+"""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import ImpactKernel
+from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
+from graceful_plan.costs.models.drop.kernel import FootprintKernel
+from graceful_plan.costs.models.drop.tables import DISC, FootprintTables, footprint_tables, levels
+from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+MOST_PLACES = 16
+"""Places that stand for a predicted path."""
+_SPACING = 0.1, 0.25  # least and greatest distance between places [m]
+_ASKED = 512  # states that tell whether an entity can be hit at a place
+_NEGLIGIBLE = 1e-4  # probability there below which it cannot
+
+_made: weakref.WeakKeyDictionary[Scene, dict[tuple[str, FootprintConstants], list[tuple[FootprintKernel, float]]]]
+_made = weakref.WeakKeyDictionary()
+
+
+def moving_kernels(
+    scene: Scene, settings: FootprintSettings, severity: Float[Array, " moving"], paces: tuple[float, float]
+) -> list[ImpactKernel]:
+    """Return the impact of drops on moving entities, for planners: kernels to add up.
+
+    Args:
+        scene: The scene; if nothing is carried, there are no kernels.
+        settings: Constants of the drop model.
+        severity: Of each moving entity, for all that falls.
+        paces: As of `InteractionModel.kernel`.
+    """
+    if scene.carried is None:
+        return []
+    constants = settings.of(footprint_tables(scene).shape_class)
+    return [
+        model.with_severity(np.array([[share * weight], [0.0], [0.0]]), paces)  # all falls together
+        for entity, weight in zip(scene.moving.values(), severity.tolist(), strict=True)
+        if weight > 0.0
+        for model, share in _standing(scene, entity, constants)
+    ]
+
+
+def _standing(scene: Scene, entity: MovingEntity, constants: FootprintConstants) -> list[tuple[FootprintKernel, float]]:
+    """Return a drop model for each place where the entity can be hit, with its share of the time."""
+    made = _made.setdefault(scene, {})
+    key = entity.name, constants
+    if key not in made:
+        places = _places(entity)
+        made[key] = [(model, 1.0 / len(places)) for model in (_model(scene, constants, *p) for p in places)
+                     if _matters(scene, model)]  # fmt: skip
+    return made[key]
+
+
+def _places(entity: MovingEntity) -> list[tuple[MovingEntity, float]]:
+    """Return the entity at rest in the middles of equal intervals of time, and how uncertain each place is [m]."""
+    duration = float(entity.t[-1] - entity.t[0])
+    length = float(np.linalg.norm(np.diff(entity.position, axis=0), axis=1).sum())
+    spacing = float(np.clip(2.0 * entity.half_size[:2].min(), *_SPACING))
+    count = int(np.clip(np.ceil(length / spacing), 1, MOST_PLACES))
+    edges = entity.at(entity.t[0] + duration * np.arange(count + 1) / count)
+    middle = entity.at(entity.t[0] + duration * (np.arange(count) + 0.5) / count)
+    step = np.linalg.norm(np.diff(edges.position[:, :2], axis=0), axis=1)
+    spread = np.sqrt(middle.spread**2 + step**2 / 12.0)  # that of an even distribution over the interval
+    still = [
+        MovingEntity(entity.name, entity.category, size=entity.size, t=np.zeros(1), position=p[None], yaw=yaw[None])
+        for p, yaw in zip(middle.position, middle.yaw, strict=True)
+    ]
+    return list(zip(still, spread.tolist(), strict=True))
+
+
+def _model(scene: Scene, constants: FootprintConstants, entity: MovingEntity, spread: float) -> FootprintKernel:
+    blurred = replace(constants, position_spread=float(np.hypot(constants.position_spread, spread)))
+    tables = _with_target(footprint_tables(scene), entity)
+    return FootprintKernel(tables, blurred, compile_scene(scene).kernels, scene.limits.velocity, 1)
+
+
+def _matters(scene: Scene, model: FootprintKernel) -> bool:
+    rng = np.random.default_rng(0)
+    lower, upper = scene.limits.position.T
+    q = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), size=(_ASKED, len(lower)))
+    qd = scene.limits.velocity * rng.uniform(-1.0, 1.0, size=q.shape)
+    return bool(model.probability(q, qd).max() > _NEGLIGIBLE)
+
+
+def _with_target(tables: FootprintTables, entity: MovingEntity) -> FootprintTables:
+    """Return tables with the entity among the targets, as the only one that can be harmed."""
+    where, (a, b, h) = entity.at(entity.t[0]), entity.half_size
+    yaw = 0.0 if entity.is_round else float(where.yaw)
+    row: dict[str, Any] = {
+        "target_entity": 0,
+        "target_centre": where.position[:2],
+        "target_axis": [np.cos(yaw), np.sin(yaw)],
+        "target_half": [a, b],
+        "target_diagonal": a if entity.is_round else (a + b) / np.sqrt(2.0),
+        "target_carries": [DISC * a, DISC * a] if entity.is_round else [a, b],
+        "target_height": [where.position[2] - h, where.position[2] + h],
+    }
+    others = {name: getattr(tables, name) for name in row} | {"target_entity": np.full(len(tables.target_entity), -1)}
+    found: dict[str, Any] = {name: np.concatenate([others[name], np.array([value])]) for name, value in row.items()}
+    order = np.argsort(-found["target_height"][:, 1], kind="stable")
+    found = {name: value[order] for name, value in found.items()}
+    kept: dict[str, Any] = {field.name: getattr(tables, field.name) for field in fields(tables)}
+    kept |= found
+    kept["level_start"] = levels(found["target_height"][:, 1])
+    return FootprintTables(**kept)

@@ -1,0 +1,1 @@
+"""The method's own model: Algorithm 1."""

@@ -1,0 +1,1 @@
+"""Where what is inside of the carried object gets to."""

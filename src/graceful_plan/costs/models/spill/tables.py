@@ -1,0 +1,165 @@
+"""What the spill model knows about a scene beyond the tables of the drop model: the container, and what stands where.
+
+Frames: W world, L the link that the tool rides on.
+"""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.scene.elements import Dry
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+DEPTH = 0.002
+"""Depth of a puddle [m]: water at a contact angle of 45 degrees stands at 2.1 mm."""
+REPOSE = float(np.deg2rad(33.0))
+"""Slope at which dry contents begin to slide [rad]."""
+STANDS = 0.01
+"""How far [m] a thing may end above a surface, and stand on it."""
+FLAT = 1e-3
+"""A thing that ends no higher [m] above a surface is the surface."""
+EDGE = 0.02
+"""Tops that are this much [m] higher keep things below them dry."""
+_GRID = 7
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SpillTables:
+    """Tables of the spill model; targets and levels are those of `FootprintTables`.
+
+    | field   | meaning                                                                     | unit | shape    |
+    |---------|-----------------------------------------------------------------------------|------|----------|
+    | mouth   | middle of the top of the contents, from the object's centre of mass, in L   | m    | 3        |
+    | axis    | from the container's bottom to its rim, in L                                |      | 3        |
+    | rim     | r: radius of the container                                                  | m    |          |
+    | depth   | H: height of its rim above its bottom                                       | m    |          |
+    | full    | how many times the contents go into it                                      |      |          |
+    | radius  | R: of the puddle or heap if all runs out                                    | m    |          |
+    | power   | of the volume, that the radius grows with                                   |      |          |
+    | repose  | tangent of the slope at which contents stand; 0 for liquids                 |      |          |
+    | visible | share of a target that nothing much higher covers, seen from above          |      | target   |
+    | stands  | first level that a target stands on or beside, and the one after the last   |      | target 2 |
+    """
+
+    mouth: Float[Array, " 3"]
+    axis: Float[Array, " 3"]
+    rim: float
+    depth: float
+    full: float
+    radius: float
+    power: float
+    repose: float
+    visible: Float[Array, " target"]
+    stands: Int[Array, "target 2"]
+
+
+_made: weakref.WeakKeyDictionary[Scene, SpillTables] = weakref.WeakKeyDictionary()
+
+
+def spill_tables(scene: Scene) -> SpillTables:
+    """Return the tables of a scene in which something with contents is carried; they are made once.
+
+    Raises:
+        UnsupportedError: If the scene cannot be compiled.
+    """
+    if scene not in _made:
+        _made[scene] = _make(scene)
+    return _made[scene]
+
+
+def _make(scene: Scene) -> SpillTables:
+    assert scene.carried is not None  # the model asks for tables only then
+    assert scene.contents is not None
+    tables, contents = footprint_tables(scene), scene.contents
+    mouth, axis, rim, depth = _container(scene)
+    room, volume = np.pi * rim**2 * depth, 1e-3 * contents.volume
+    volume, dry = min(volume, room), isinstance(contents, Dry)
+    return SpillTables(
+        mouth=mouth - tables.centre,
+        axis=axis,
+        rim=rim,
+        depth=depth,
+        full=room / volume,
+        radius=float(np.cbrt(3.0 * volume / (np.pi * np.tan(REPOSE))) if dry else np.sqrt(volume / (np.pi * DEPTH))),
+        power=1.0 / 3.0 if dry else 0.5,
+        repose=float(np.tan(REPOSE)) if dry else 0.0,
+        visible=_visible(tables),
+        stands=_stands(tables),
+    )
+
+
+def _container(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, " 3"], float, float]:
+    """Return the middle of the contents' top and the axis in L, and the container's radius and depth [m].
+
+    The geom of the contents gives bottom and radius, round about its z axis; the rim is the top of the highest geom of
+    the carried object that is round about the same axis: a bottle's neck, but not a teapot's handle. Lids are off.
+    """
+    assert scene.carried is not None
+    model = scene.model
+    data = scene.data_at(model.qpos0[scene.qpos_adr])
+    mujoco.mj_kinematics(model, data)
+    body = model.body(scene.carried.body).id
+    geom = max(scene.components["contents"].geoms, key=lambda g: float(np.prod(model.geom_aabb[g, 3:])))
+    R_WO, half = data.xmat[body].reshape(3, 3), model.geom_aabb[geom, 3:]
+    R_WG = data.geom_xmat[geom].reshape(3, 3)
+    axis = R_WG[:, 2] * (1.0 if R_WO[:, 2] @ R_WG[:, 2] >= 0.0 else -1.0)
+    centre = data.geom_xpos[geom] + R_WG @ model.geom_aabb[geom, :3]
+    bottom = centre - half[2] * axis
+    boxy = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_BOX)
+    rim = float(2.0 * np.sqrt(half[0] * half[1] / np.pi)) if boxy else float(half[:2].max())
+    tops = [_top(model, data, g, bottom, axis, rim) for g in scene.components["carried"].geoms]
+    X_LO = compile_scene(scene).robot.X_LT @ scene.carried.X_TO
+    place = R_WO.T @ (centre + half[2] * axis - data.xpos[body])
+    return (
+        X_LO[:3, :3] @ place + X_LO[:3, 3],
+        X_LO[:3, :3] @ (R_WO.T @ axis),
+        rim,
+        max(2.0 * float(half[2]), *tops),
+    )
+
+
+def _top(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, bottom: Array, axis: Float[Array, " 3"], rim: float
+) -> float:
+    """Return how high above the bottom a geom ends; 0 if it is not round about the axis."""
+    R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_aabb[geom, 3:]
+    offset = data.geom_xpos[geom] + R @ model.geom_aabb[geom, :3] - bottom
+    along = float(offset @ axis)
+    across = np.abs(R.T @ axis)
+    wide = half[across < 0.5]
+    aside = float(np.linalg.norm(offset - along * axis))
+    if aside > 0.25 * rim or across.max() < 0.9 or wide.min() < 0.5 * wide.max():
+        return 0.0
+    return along + float(half @ across)
+
+
+def _visible(tables: FootprintTables) -> Float[Array, " target"]:
+    step = (np.arange(_GRID) + 0.5) / _GRID * 2.0 - 1.0
+    x, y = (grid.ravel() for grid in np.meshgrid(step, step))
+    share = np.ones(len(tables.target_entity))
+    turn = np.stack([tables.target_axis, tables.target_axis[:, ::-1] * [-1.0, 1.0]], axis=1)  # rows: x, y axis
+    for k, top in enumerate(tables.target_height[:, 1]):
+        a, b = tables.target_half[k]
+        points = tables.target_centre[k] + np.stack([a * x, b * y], axis=1) @ turn[k]
+        higher = tables.target_height[:, 1] > top + EDGE
+        away = np.einsum("tij,tpj->tpi", turn[higher], points - tables.target_centre[higher][:, None])
+        covers = (np.abs(away) < tables.target_half[higher][:, None]).all(axis=-1)
+        share[k] = 1.0 - covers.any(axis=0).mean()
+    return share
+
+
+def _stands(tables: FootprintTables) -> Int[Array, "target 2"]:
+    level = tables.target_height[tables.level_start[:-1], 1]  # falls from each level to the next
+    bottom, top = tables.target_height.T
+    first = (level[None] >= (top - FLAT)[:, None]).sum(axis=1)
+    end = (level[None] > (bottom - STANDS)[:, None]).sum(axis=1)
+    return np.stack([first, np.maximum(first, end)], axis=1)

@@ -1,0 +1,1 @@
+"""Judges of motions: exact geometry, and nothing that planners use."""

@@ -1,0 +1,182 @@
+"""MuJoCo's exact geometry as the judge of configurations and paths.
+
+Nothing here is shared with the kernels that planners use: other geometry, other kinematics, other code. MuJoCo's
+collision detection runs on a private copy of the scene's model that tests only what matters: the robot and the object
+it carries, against everything and themselves.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.judge.motion_samples import motion_samples
+from graceful_plan.path import Path
+from graceful_plan.scene.model_parts import geom_label
+from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+DEEPEST_SUPPORT = 0.003
+"""How deep [m] a carried object may sink into its support at the ends of a path."""
+_GRAZE = 1e-6
+"""Contacts of an object with its support that are shallower [m] are rounding, wherever they are on the path."""
+_MAX_GROUPS = 31
+"""MuJoCo's collision masks have 32 bits."""
+
+
+class Touch(NamedTuple):
+    """Two geoms that overlap."""
+
+    sample: int
+    """Index of the configuration."""
+    first: int
+    second: int
+    """Geom ids, the lower one first."""
+    distance: float
+    """Signed distance [m], at most 0."""
+
+
+class Contact(NamedTuple):
+    """Two geoms that overlap, by name, and how deep [m]."""
+
+    first: str
+    second: str
+    depth: float
+
+
+@dataclass(frozen=True)
+class Collision:
+    """Where a motion first collides."""
+
+    q: Float[Array, " nq"]
+    at: float
+    """Time [s] on a trajectory, path length [rad] on a path."""
+    contact: Contact
+
+
+class Judge:
+    """Exact collision checks in one scene. Holds MuJoCo state: one per thread."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        model, self._checked, self._ends = _prepared(scene)
+        self._placement = Placement(scene, model)
+        self._movers = frozenset(scene.collision_pairs()[:, 0].tolist())
+
+    def touches(self, q: Float[Array, "n nq"], start: int = 0) -> Iterator[Touch]:
+        """Yield what overlaps in each configuration, in order; allowed contacts at the ends are in it, others are not.
+
+        Args:
+            q: Configurations.
+            start: What to call the first one.
+        """
+        model = self._placement.model
+        for sample, configuration in enumerate(q, start):
+            data = self._placement.place(configuration)
+            mujoco.mj_collision(model, data)
+            if data.ncon:
+                contact = data.contact
+                pairs, distances = contact.geom, contact.dist
+                for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
+                    if distance < 0.0 and self._checked[a, b]:
+                        yield Touch(sample, min(a, b), max(a, b), distance)
+
+    def is_violation(self, touch: Touch, *, at_end: bool) -> bool:
+        """Whether a touch is a collision, given whether it belongs to the stretch of contact at an end of the path."""
+        if not self._ends[touch.first, touch.second]:
+            return True
+        return -touch.distance > (DEEPEST_SUPPORT if at_end else _GRAZE)
+
+    def violations(self, touches: list[Touch], samples: int) -> list[Touch]:
+        """Tell collisions from allowed contacts: such a pair may touch in one unbroken stretch at either end."""
+        at_end = np.zeros(samples, dtype=bool)
+        found = []
+        for pair in {(t.first, t.second) for t in touches}:
+            mine = [t for t in touches if (t.first, t.second) == pair]
+            touching = np.zeros(samples + 1, dtype=bool)
+            touching[[t.sample for t in mine]] = True
+            lifted = int(np.argmin(touching))
+            set_down = samples - int(np.argmin(np.append(touching[:-1][::-1], False)))
+            at_end[:] = False
+            at_end[:lifted] = at_end[set_down:] = True
+            found += [t for t in mine if self.is_violation(t, at_end=bool(at_end[t.sample]))]
+        return sorted(found)
+
+    def named(self, touch: Touch) -> Contact:
+        """Put a touch in words, what moves first."""
+        first, second = (geom_label(self.scene.model, geom) for geom in (touch.first, touch.second))
+        if touch.first not in self._movers:
+            first, second = second, first
+        return Contact(first, second, -touch.distance)
+
+
+def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True) -> list[Contact]:
+    """Return what collides in one configuration, deepest first; empty if it is free.
+
+    Args:
+        q: The configuration.
+        scene: Where.
+        at_end: Whether it is the start or the goal, where a carried object may stand on its support.
+    """
+    judge = Judge(scene)
+    touches = [t for t in judge.touches(np.asarray(q, dtype=float)[None]) if judge.is_violation(t, at_end=at_end)]
+    deepest: dict[tuple[int, int], Touch] = {}
+    for touch in sorted(touches, key=lambda t: t.distance, reverse=True):
+        deepest[touch.first, touch.second] = touch
+    return [judge.named(touch) for touch in sorted(deepest.values(), key=lambda t: t.distance)]
+
+
+def first_collision(motion: Path | Trajectory, scene: Scene, step: float = 0.002) -> Collision | None:
+    """Return where a motion first collides, None if it is free.
+
+    Args:
+        motion: What is to be checked.
+        scene: Where.
+        step: No point of the robot moves farther than this between two checked configurations [m].
+    """
+    judge = Judge(scene)
+    samples = motion_samples(motion, scene, step)
+    violations = judge.violations(list(judge.touches(samples.q)), len(samples.q))
+    if not violations:
+        return None
+    first = min(violations, key=lambda t: (t.sample, t.distance))
+    return Collision(samples.q[first.sample], float(samples.at[first.sample]), judge.named(first))
+
+
+@lru_cache(maxsize=16)
+def _prepared(scene: Scene) -> tuple[mujoco.MjModel, Bool[Array, "geom geom"], Bool[Array, "geom geom"]]:
+    """Return a model that tests few pairs needlessly, the pairs to check, and those of them allowed at the ends."""
+    model = copy.copy(scene.model)
+    n = model.ngeom
+    checked = np.zeros((n, n), dtype=bool)
+    first, second = scene.collision_pairs().T
+    checked[first, second] = checked[second, first] = True
+    ends = np.zeros((n, n), dtype=bool)
+    for a, b in scene.allowed_pairs("ends"):
+        ends[a, b] = ends[b, a] = True
+    _restrict_masks(model, checked)
+    return model, checked, ends
+
+
+def _restrict_masks(model: mujoco.MjModel, checked: Bool[Array, "geom geom"]) -> None:
+    """Replace collision masks by ones under which pairs that need no check are not tested, as far as bits last.
+
+    Geoms with the same partners share a bit of `conaffinity`; a geom has in `contype` the bits of its partners.
+    """
+    partners, group = np.unique(checked, axis=0, return_inverse=True)
+    if len(partners) > _MAX_GROUPS:
+        return
+    group = group.reshape(-1)
+    model.geom_conaffinity[:] = 1 << group
+    for geom in range(model.ngeom):
+        model.geom_contype[geom] = int(np.bitwise_or.reduce(1 << np.unique(group[checked[geom]]), initial=0))

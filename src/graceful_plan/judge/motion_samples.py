@@ -1,0 +1,152 @@
+"""Configurations along a motion, so dense that no point of the robot moves far between two of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.path import Path
+from graceful_plan.scene.model_parts import subtree
+from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_NEIGHBOURHOOD = 0.06
+"""Size [m] of the stretches of a motion in each of which one bound on levers is used."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSamples:
+    """Configurations along a path or a trajectory, both ends included."""
+
+    q: Float[Array, "sample nq"]
+    at: Float[Array, " sample"]
+    """Time [s] on a trajectory, path length [rad] on a path."""
+
+
+def motion_samples(motion: Path | Trajectory, scene: Scene, step: float) -> MotionSamples:
+    """Sample a motion so that no point of the robot or the carried object moves farther than `step` [m] in between."""
+    if len(motion) == 1:
+        return MotionSamples(motion.q, motion.t if isinstance(motion, Trajectory) else np.zeros(1))
+    travel = joint_travel(motion)
+    coarse = _subdivided(travel @ reach(scene), _NEIGHBOURHOOD)
+    middle, share = 0.5 * (coarse[:-1] + coarse[1:]), np.diff(coarse)
+    lever = _levers_near(at_places(motion, middle).q, scene)
+    moved = share * (travel[middle.astype(int)] * lever).sum(axis=1)
+    return at_places(motion, np.interp(_subdivided(moved, step), np.arange(len(coarse)), coarse))
+
+
+def joint_travel(motion: Path | Trajectory) -> Float[Array, "piece nq"]:
+    """Bound how far each joint travels on each piece between samples or vertices."""
+    if isinstance(motion, Path):
+        return np.abs(np.diff(motion.q, axis=0))
+    h = np.diff(motion.t)[:, None]
+    a0, a1 = motion.piece_accelerations
+    # The velocity is quadratic on a piece; its ends and the change that the accelerations allow bound it.
+    fastest = np.maximum(np.abs(motion.qd[:-1]), np.abs(motion.qd[1:]))
+    return h * (fastest + np.where(a0 * a1 < 0.0, 0.5 * h * np.minimum(np.abs(a0), np.abs(a1)), 0.0))
+
+
+def at_places(motion: Path | Trajectory, place: Float[Array, " sample"]) -> MotionSamples:
+    """Evaluate a motion at fractional piece numbers."""
+    if isinstance(motion, Trajectory):
+        t = np.interp(place, np.arange(len(motion)), motion.t)
+        return MotionSamples(motion.at(t).q, t)
+    index = np.minimum(place.astype(int), len(motion) - 2)
+    share = (place - index)[:, None]
+    along = np.concatenate([[0.0], np.cumsum(motion.segment_lengths)])
+    q = (1.0 - share) * motion.q[index] + share * motion.q[index + 1]
+    return MotionSamples(q, np.interp(place, np.arange(len(along)), along))
+
+
+def _levers_near(q: Float[Array, "n nq"], scene: Scene) -> Float[Array, "n nq"]:
+    """Bound distances from the joints' axes, as `reach` does, but only in the neighbourhood of each configuration.
+
+    There no point is farther than half a `_NEIGHBOURHOOD` from where it is in that configuration.
+    """
+    model, placement = scene.model, Placement(scene)
+    joints = [model.joint(name).id for name in scene.joints]
+    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+    geoms, carries = _carried_geoms(scene)
+    centre = np.empty((len(q), 1, len(geoms), 3))
+    anchor, axis = np.empty((2, len(q), len(joints), 1, 3))
+    for i, configuration in enumerate(q):
+        data = placement.place(configuration)
+        centre[i, 0], anchor[i, :, 0], axis[i, :, 0] = data.geom_xpos[geoms], data.xanchor[joints], data.xaxis[joints]
+    # |axis x r|^2 = |r|^2 - (axis . r)^2
+    r = centre - anchor
+    squared = np.einsum("njgi,njgi->njg", r, r) - np.einsum("njgi,njgi->njg", r, np.broadcast_to(axis, r.shape)) ** 2
+    levers = np.where(carries, np.sqrt(np.maximum(squared, 0.0)) + model.geom_rbound[geoms], 0.0).max(axis=2)
+    return np.where(slides, 1.0, np.minimum(levers + 0.5 * _NEIGHBOURHOOD, reach(scene)))
+
+
+def _carried_geoms(scene: Scene) -> tuple[Int[Array, " geom"], Bool[Array, "nq geom"]]:
+    """Return the geoms that move, and which of them each planned joint moves."""
+    model = scene.model
+    held = [] if scene.carried is None else sorted(subtree(model, model.body(scene.carried.body).id))
+    below = []
+    for name in scene.joints:
+        moved = subtree(model, int(model.jnt_bodyid[model.joint(name).id])) | set(held)
+        below.append(np.isin(model.geom_bodyid, sorted(moved)))
+    geoms = np.flatnonzero(below[0])
+    return geoms, np.array(below)[:, geoms]
+
+
+def _subdivided(moved: Float[Array, " piece"], step: float) -> Float[Array, " sample"]:
+    """Split pieces evenly into parts of at most `step`: fractional piece numbers, from 0 to the number of pieces."""
+    parts = np.maximum(1, np.ceil(moved / step)).astype(int)
+    begin = np.concatenate([[0], np.cumsum(parts)])
+    piece = np.repeat(np.arange(len(parts)), parts)
+    return np.append(piece + (np.arange(begin[-1]) - begin[piece]) / parts[piece], float(len(parts)))
+
+
+@lru_cache(maxsize=16)
+def reach(scene: Scene) -> Float[Array, " nq"]:
+    """Bound how far any moving point is from each planned joint's axis, in every configuration.
+
+    A hinge that turns by dq moves no point farther than reach * dq; of a slide the reach is 1.
+    """
+    model = scene.model
+    held: tuple[int, float] | None = None
+    if scene.carried is not None:
+        site = model.site(scene.tool)
+        offset = np.linalg.norm(site.pos) + np.linalg.norm(scene.carried.X_TO[:3, 3])
+        grasped = _radii(model)[model.body(scene.carried.body).id]
+        held = int(model.site_bodyid[site.id]), float(offset + grasped)
+    radius = _radii(model, held)
+    levers = []
+    for name in scene.joints:
+        joint = model.joint(name).id
+        slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+        lever = radius[model.jnt_bodyid[joint]] + np.linalg.norm(model.jnt_pos[joint])
+        levers.append(1.0 if slides else float(lever))
+    return np.array(levers)
+
+
+def _radii(model: mujoco.MjModel, held: tuple[int, float] | None = None) -> Float[Array, " body"]:
+    """Bound for each body how far from its origin anything on it and on its descendants can be.
+
+    Args:
+        model: The model.
+        held: A body, and a radius around its origin in which something else rides along.
+    """
+    radius = np.zeros(model.nbody)
+    for body in range(model.nbody - 1, 0, -1):  # children come after their parents
+        geoms = slice(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
+        own = np.linalg.norm(model.geom_pos[geoms], axis=1) + model.geom_rbound[geoms] if geoms.start >= 0 else []
+        radius[body] = max(radius[body], np.max(own, initial=0.0))
+        if held is not None and body == held[0]:
+            radius[body] = max(radius[body], held[1])
+        joints = range(int(model.body_jntadr[body]), int(model.body_jntadr[body] + model.body_jntnum[body]))
+        slides = (j for j in joints if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE)
+        travel = sum(float(np.abs(model.jnt_range[j]).max()) for j in slides)
+        away = np.linalg.norm(model.body_pos[body]) + travel + radius[body]
+        parent = int(model.body_parentid[body])
+        radius[parent] = max(radius[parent], away)
+    return radius

@@ -1,0 +1,185 @@
+"""The independent judge: is a motion free of collision, within limits, from start to goal, and worth what it says?
+
+It takes arrays and a scene and believes nothing else. Geometry is MuJoCo's own (`exact`), on request with python-fcl
+beside it; a cost by Algorithm 1 is recomputed by a slow implementation that shares nothing with the kernels
+(`reference_cost`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import ShapeError
+from graceful_plan.judge.exact import Judge
+from graceful_plan.judge.motion_samples import MotionSamples, motion_samples
+from graceful_plan.judge.reference_cost import Exposure, reference_cost
+from graceful_plan.judge.second_opinion import opinion_of_fcl
+from graceful_plan.path import Path, finite_array
+from graceful_plan.result import Check, CostBreakdown, Verdict
+from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.pose_goal import PoseGoal, pose_error
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+LIMIT_TOLERANCE = 1e-6
+"""Absolute on positions and end points [rad or m], relative on velocities and accelerations."""
+COST_TOLERANCE = 0.01
+"""Relative; two ways to integrate a discontinuous impact differ by less than that at the steps in use."""
+
+
+def verify(
+    motion: Path | Trajectory,
+    scene: Scene,
+    *,
+    start: ArrayLike | None = None,
+    goal: ArrayLike | PoseGoal | None = None,
+    cost: CostBreakdown | None = None,
+    cost_path: Path | None = None,
+    components: Sequence[str] = ("carried", "contents"),
+    exposure: Exposure = "length",
+    step: float = 0.002,
+    second_opinion: bool = False,
+) -> Verdict:
+    """Judge a path or a trajectory.
+
+    Args:
+        motion: What is to be judged.
+        scene: Where.
+        start: Where it should begin, if that is to be checked.
+        goal: Where it should end: a configuration, several to choose from, or a pose.
+        cost: The cost that is claimed of it, if that is to be recomputed; by Algorithm 1, `ImpactCost("aabb")`.
+        cost_path: The path that the cost is claimed of, if not the motion itself.
+        components: Components whose impact is in that cost.
+        exposure: How that cost integrates impact.
+        step: No point of the robot moves farther than this between two checks of collision [m].
+        second_opinion: Whether to ask python-fcl too, every 10 steps.
+
+    Returns:
+        Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
+        "consistency" and "rest"; and "start", "goal", "cost", "second_opinion" where asked for.
+
+    Raises:
+        ShapeError: If motion, start or goal do not fit the scene's joints.
+    """
+    nq = len(scene.joints)
+    if motion.q.shape[1] != nq:
+        raise ShapeError("motion", motion.q.shape, f"(n, {nq})")
+    samples = motion_samples(motion, scene, step)
+    checks = {"collision": _collision(samples, scene), "position_limits": _position(samples, motion, scene)}
+    if isinstance(motion, Trajectory):
+        checks |= _dynamics(motion, scene)
+    if start is not None:
+        checks["start"] = _end_point(motion.q[0], finite_array("start", start, ndim=1, last=nq)[None], samples.at[0])
+    if isinstance(goal, PoseGoal):
+        checks["goal"] = _pose(goal, motion.q[-1], scene, float(samples.at[-1]))
+    elif goal is not None:
+        goals = np.atleast_2d(finite_array("goal", goal, last=nq))
+        checks["goal"] = _end_point(motion.q[-1], goals, samples.at[-1])
+    if cost is not None:
+        checks["cost"] = _cost(cost, motion if cost_path is None else cost_path, scene, components, exposure)
+    if second_opinion:
+        checks["second_opinion"] = opinion_of_fcl(motion_samples(motion, scene, 10.0 * step), scene)
+    return Verdict(checks=checks)
+
+
+def _collision(samples: MotionSamples, scene: Scene) -> Check:
+    judge = Judge(scene)
+    violations = judge.violations(list(judge.touches(samples.q)), len(samples.q))
+    if not violations:
+        return Check(passed=True, worst=np.inf, detail=f"{len(samples.q)} configurations, signed distance [m]")
+    worst = min(violations, key=lambda t: t.distance)
+    first = min(violations, key=lambda t: (t.sample, t.distance))
+    contact, deepest = judge.named(first), judge.named(worst)
+    return Check(
+        worst=worst.distance,
+        first=float(samples.at[first.sample]),
+        detail=f"{contact.first} is {1e3 * contact.depth:.3g} mm in {contact.second}; "
+        f"worst [m]: {deepest.first} in {deepest.second}",
+    )
+
+
+def _position(samples: MotionSamples, motion: Path | Trajectory, scene: Scene) -> Check:
+    q = np.concatenate([samples.q, motion.q])
+    at = np.append(samples.at, np.full(len(motion), np.nan))
+    lower, upper = scene.limits.position.T
+    excess = np.maximum(lower - q, q - upper)
+    return _limit_check(excess, at, scene.joints, LIMIT_TOLERANCE, "beyond its position limit [rad or m]")
+
+
+def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
+    """Check what holds for the samples of every motion within limits, however it runs in between."""
+    h = np.diff(trajectory.t)[:, None]
+    velocity, acceleration = scene.limits.velocity, scene.limits.acceleration
+    v0, v1 = trajectory.qd[:-1], trajectory.qd[1:]
+    mean_velocity, mean_acceleration = np.diff(trajectory.q, axis=0) / h, np.diff(trajectory.qd, axis=0) / h
+    # Rest to rest with full acceleration in between covers h^2 a / 4, more than which q cannot stray from the mean.
+    stray = (mean_velocity - 0.5 * (v0 + v1)) / h / (0.25 * acceleration)
+    t, pieces = trajectory.t, trajectory.t[:-1]
+    most = 1.0 + LIMIT_TOLERANCE
+    ends = np.abs(trajectory.qd[[0, -1]])
+
+    def of(samples: Array, between: Array, limit: Array, words: str) -> Check:
+        values = np.abs(np.concatenate([samples, between])) / limit
+        return _limit_check(values, np.append(t, pieces), scene.joints, most, words)
+
+    return {
+        "velocity_limits": of(trajectory.qd, mean_velocity, velocity, "of its velocity limit"),
+        "acceleration_limits": of(trajectory.qdd, mean_acceleration, acceleration, "of its acceleration limit"),
+        "consistency": _limit_check(
+            np.abs(stray), pieces, scene.joints, most, "of what positions may stray from velocities"
+        ),
+        "rest": _limit_check(ends, t[[0, -1]], scene.joints, LIMIT_TOLERANCE, "speed [rad/s or m/s] at an end"),
+    }
+
+
+def _limit_check(
+    values: Float[Array, "n nq"], at: Float[Array, " n"], joints: tuple[str, ...], limit: float, words: str
+) -> Check:
+    """Check that no value exceeds a limit; rows have times, columns are joints."""
+    if len(values) == 0:
+        return Check(passed=True, worst=0.0, limit=limit, detail=words)
+    row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+    worst = float(values[row, column])
+    bad = at[(values > limit).any(axis=1)]
+    bad = bad[np.isfinite(bad)]
+    first = float(bad.min()) if len(bad) else None
+    detail = f"joint {joints[int(column)]!r}: {worst:.6g} {words}"
+    return Check(passed=worst <= limit, worst=worst, limit=limit, first=first, detail=detail)
+
+
+def _end_point(q: Float[Array, " nq"], wanted: Float[Array, "goal nq"], at: float) -> Check:
+    error = float(np.abs(wanted - q).max(axis=1).min())
+    passed = error <= LIMIT_TOLERANCE
+    detail = "largest joint error [rad or m]"
+    return Check(passed=passed, worst=error, limit=LIMIT_TOLERANCE, first=None if passed else float(at), detail=detail)
+
+
+def _pose(goal: PoseGoal, q: Float[Array, " nq"], scene: Scene, at: float) -> Check:
+    X_WT = np.eye(4)
+    site = Placement(scene).place(q).site(scene.tool)
+    X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
+    position, orientation = pose_error(goal, X_WT)
+    worst = max(position / goal.position_tolerance, orientation / goal.orientation_tolerance)
+    passed = worst <= 1.0 + LIMIT_TOLERANCE
+    detail = f"of the tolerance: {1e3 * position:.3g} mm, {orientation:.3g} rad"
+    return Check(passed=passed, worst=worst, limit=1.0 + LIMIT_TOLERANCE, first=None if passed else at, detail=detail)
+
+
+def _cost(
+    cost: CostBreakdown, motion: Path | Trajectory, scene: Scene, components: Sequence[str], exposure: Exposure
+) -> Check:
+    own = reference_cost(motion, scene, w=cost.w, components=components, exposure=exposure)
+    # With a small weight the impact would hardly be checked, yet it is reported.
+    w = max(cost.w, 1.0)
+    expected, claimed = own.motion + w * own.impact, cost.motion + w * cost.impact
+    parts = max(abs(sum(x.values()) - cost.impact) for x in (cost.impact_by_entity, cost.impact_by_component))
+    error = (abs(claimed - expected) + parts) / max(expected, 1e-6)
+    own_parts, claimed_parts = f"{own.motion:.6g} + w {own.impact:.6g}", f"{cost.motion:.6g} + w {cost.impact:.6g}"
+    detail = f"relative error of motion + w impact: claimed {claimed_parts}, recomputed {own_parts}"
+    return Check(passed=bool(error <= COST_TOLERANCE), worst=float(error), limit=COST_TOLERANCE, detail=detail)

@@ -1,0 +1,91 @@
+"""Anytime search in the native core: paths from many sources, each descended along the gradient of J and refined.
+
+RRT-Connect finds the first path. From then on, paths that might become better are taken one after the other: from small
+roadmaps that are thrown away, from detours, from RRT-Connect through the valleys of the impact and below the best cost.
+Where the objective has a native gradient, each is descended along it and given up as soon as it will not win, and the
+best path is polished; the sources that won lately are asked more often. Else several are refined side by side by
+random moves, and the worse half is dropped again and again. `Auto`, the default, runs several of these at once.
+
+References:
+    Hauser and Zhou, "Asymptotically optimal planning by feasible kinodynamic planning in a state-cost space", T-RO,
+        2016.
+    Wilson et al., "AORRTC: almost-surely asymptotically optimal planning with RRT-Connect", RA-L 2025.
+    Geraerts and Overmars, "Creating high-quality paths for motion planning", IJRR 2007 (per-joint shortcuts).
+    Griewank and Toint, "Partitioned variable metric updates for large structured optimization problems", Numerische
+        Mathematik 1982 (the descents).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.core import _native
+from graceful_plan.path import Path
+from graceful_plan.planners.native import native_space, run_slice, seed_from
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.planners.settings import count, positive_fraction
+from graceful_plan.planners.trivial import start_is_goal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Anytime(Planner):
+    """Improves its path until the budget ends, or until it is proven optimal: a free straight edge at w = 0.
+
+    One iteration is one tree extension, one evaluation of a path with its gradient, one refinement move, or a slice of
+    work on a roadmap.
+
+    Args:
+        range: Longest edge of the trees, as a fraction of the diagonal of the limits.
+        spacing: Distance between vertices of a refined path, as a fraction of the diagonal of the limits.
+        challengers: How many paths are refined side by side where there is no gradient.
+        max_nodes: Trees are dropped and grown anew when they hold more nodes.
+        descents: Whether to use the gradient where there is one.
+        scouts: Whether to look for valleys with roadmaps; only with descents.
+    """
+
+    name: ClassVar[str] = "anytime"
+    anytime: ClassVar[bool] = True
+
+    range: float = 0.08
+    spacing: float = 0.018
+    challengers: int = 8
+    max_nodes: int = 10_000
+    descents: bool = True
+    scouts: bool = True
+
+    def __post_init__(self) -> None:
+        positive_fraction("range", self.range)
+        positive_fraction("spacing", self.spacing)
+        count("challengers", self.challengers)
+        count("max_nodes", self.max_nodes, 10)
+
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths."""
+        if start_is_goal(problem):
+            yield Path(problem.start[None])
+            return
+        core = self.search(native_space(problem, objective), problem, rng)
+        while not budget.exhausted and not core.optimal:
+            if run_slice(core.run, budget):
+                yield Path(core.path)
+
+    def search(self, space: _native.Space, problem: Problem, rng: np.random.Generator) -> _native.Anytime:
+        """Return the search in the core, not begun."""
+        return _native.Anytime(
+            space,
+            problem.start,
+            problem.goals,
+            self.range * problem.extent,
+            self.max_nodes,
+            self.spacing * problem.extent,
+            self.challengers,
+            seed_from(rng),
+            self.descents,
+            self.scouts,
+        )

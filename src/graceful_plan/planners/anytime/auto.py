@@ -1,0 +1,117 @@
+"""The default planner: several anytime searches at once, which tell each other of their best path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.core import _native
+from graceful_plan.exceptions import SettingError
+from graceful_plan.path import Path
+from graceful_plan.planners.anytime.anytime import Anytime
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.optimisers.optimiser import joined_to_ends
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.planners.settings import count
+from graceful_plan.planners.trivial import start_is_goal
+
+Array = np.ndarray
+
+_ROUND_SECONDS = 0.01
+"""How long all searches work between two exchanges [s]."""
+_ROUND_ITERATIONS = 64
+"""The same without a time limit: then no clock may decide when an exchange takes place."""
+_FIRST_SECONDS = 0.004
+"""How long the first search may look for a path before the others join in [s]: most first paths are found earlier."""
+_WORTH_TELLING = 1e-3
+"""Relative gain from which on the others are told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Auto(Planner):
+    """Improves its path until the budget ends, or until it is proven optimal.
+
+    One iteration is one of `Anytime`, in any of the searches. They run on threads of their own where the whole
+    objective is native; else, or if nothing is to be feared (w = 0), there is one.
+
+    Args:
+        initial: A path to begin with, or an array of configurations; see `Optimiser`. It need not be free.
+        workers: How many searches. The result depends on it, not on how many cores there are.
+        search: What each of them does.
+    """
+
+    name: ClassVar[str] = "auto"
+    anytime: ClassVar[bool] = True
+
+    initial: Path | Array | None = None
+    workers: int = 2
+    search: Anytime = field(default_factory=Anytime)
+
+    def __post_init__(self) -> None:
+        count("workers", self.workers)
+        if not isinstance(self.search, Anytime):
+            raise SettingError("search", self.search, "an Anytime")
+        if not isinstance(self.initial, Path | Array | None):
+            raise SettingError("initial", self.initial, "a Path, an array of configurations or None")
+
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths."""
+        if start_is_goal(problem):
+            yield Path(problem.start[None])
+            return
+        space = native_space(problem, objective)
+        several = isinstance(space, _native.SceneSpace) and objective.w > 0.0
+        cores = [self.search.search(space, problem, rng) for _ in range(self.workers if several else 1)]
+        if self.initial is not None:
+            yield from _begin(cores, joined_to_ends(self.initial, problem), problem)
+        best = min(core.total for core in cores)
+        with ExitStack() as stack:
+            pool = stack.enter_context(ThreadPoolExecutor(len(cores))) if len(cores) > 1 else None
+            active = cores[:1]
+            while not budget.exhausted and not any(core.optimal for core in cores):
+                _work(active, pool, budget, _FIRST_SECONDS if active is not cores else _ROUND_SECONDS)
+                active = cores
+                winner = min(cores, key=lambda core: core.total)
+                if winner.total < best:
+                    best = winner.total
+                    path = winner.path
+                    yield Path(path)
+                    for core in cores:
+                        if core.total > best * (1.0 + _WORTH_TELLING):
+                            core.adopt(path)
+
+
+def _begin(cores: list[_native.Anytime], initial: Path, problem: Problem) -> Iterator[Path]:
+    """Let all searches begin with a path in the limits: as their best one if it is free, in any case to improve it."""
+    q = np.ascontiguousarray(Path(np.clip(initial.q, problem.lower, problem.upper)).without_duplicates().q)
+    free = cores[0].admits(q)
+    for core in cores:
+        if free:
+            core.adopt(q)
+        core.suggest(q)
+    if free:
+        yield Path(q)
+
+
+def _work(cores: list[_native.Anytime], pool: ThreadPoolExecutor | None, budget: Budget, seconds: float) -> None:
+    """Let searches work for one round of the budget, and no more of them than there are iterations left."""
+    cores = cores[: int(min(len(cores), budget.remaining_iterations))]
+    if not cores:  # the time was up, or somebody cancelled, but a moment ago
+        return
+    timed = budget.iterations is None or np.isfinite(budget.time_limit)
+    share = budget.remaining_iterations / len(cores)
+    iterations = int(min(np.inf if timed else _ROUND_ITERATIONS, max(1.0, share), 1e6))
+    limit = min(seconds, budget.remaining_seconds) if timed else np.inf
+
+    def run(core: _native.Anytime) -> int:
+        return core.run(iterations, limit)[1]
+
+    work: Callable[..., object] = map if pool is None or len(cores) == 1 else pool.map
+    budget.spent += sum(work(run, cores))

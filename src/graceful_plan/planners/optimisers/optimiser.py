@@ -1,0 +1,86 @@
+"""The contract of trajectory optimisers: planners that improve a path."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.path import Path, finite_array
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.planners.trees.rrt_connect import RRTConnect
+from graceful_plan.planners.trivial import start_is_goal
+
+Array = np.ndarray
+
+_SHARE_OF_SHORTCUTS = 0.1
+"""Of the budget that is left when the first path is found; the rest is the optimiser's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optimiser(Planner):
+    """Improves a path within its class: local, so it needs one to begin with.
+
+    Args:
+        initial: Where to begin: a path, or an array of configurations. It need not be free; where it does not begin at
+            the start or end at a goal, it is joined to them. None begins with the path of RRT-Connect after shortcuts
+            for a tenth of the budget.
+    """
+
+    anytime: ClassVar[bool] = True
+
+    initial: Path | Array | None = None
+
+    @abstractmethod
+    def improve(
+        self, path: Path, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield free paths between the same ends, each of lower total cost than the one before.
+
+        If `path` itself is free, they cost less than it does. Nothing is yielded if there is none within the budget.
+        """
+
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths."""
+        if start_is_goal(problem):
+            yield Path(problem.start[None])
+            return
+        path = None if self.initial is None else joined_to_ends(self.initial, problem)
+        if path is None:
+            for path in _first_paths(problem, objective, budget, rng):
+                yield path
+        if path is not None:
+            yield from self.improve(path, problem, objective, budget, rng)
+
+
+def _first_paths(
+    problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+) -> Iterator[Path]:
+    """Yield the path of RRT-Connect and shorter cuts of it, for a share of the budget."""
+    seconds = iterations = np.inf
+    for path in RRTConnect().solve(problem, objective, budget, rng):
+        yield path
+        if seconds == np.inf and iterations == np.inf:
+            seconds = budget.elapsed + _SHARE_OF_SHORTCUTS * budget.remaining_seconds
+            iterations = budget.spent + _SHARE_OF_SHORTCUTS * budget.remaining_iterations
+        if budget.elapsed > seconds or budget.spent > iterations:
+            return
+
+
+def joined_to_ends(path: Path | Array, problem: Problem) -> Path:
+    """Return a path from the start along `path` to the nearest goal; straight where `path` does not reach them.
+
+    Raises:
+        ShapeError: If the path does not have the joints of the problem.
+        NonFiniteError: If it holds a NaN or an infinity.
+    """
+    nq = len(problem.start)
+    q = finite_array("initial", path.q if isinstance(path, Path) else path, ndim=2, last=nq)
+    last = q[-1] if len(q) else problem.start
+    goal = problem.goals[np.linalg.norm(problem.goals - last, axis=1).argmin()]
+    return Path(np.concatenate([problem.start[None], q, goal[None]])).without_duplicates()

@@ -1,0 +1,120 @@
+r"""What CHOMP descends: the energy of a path in a metric that is stretched where a failure would hurt.
+
+A path is a polyline of n edges; edge i costs :math:`c_i = V_i + w S_i + \lambda O_i`, its share of the objective and of
+a potential that keeps away from obstacles. Instead of their sum, the energy
+
+.. math:: U = \frac n2 \sum_i c_i^2 = \frac12 \Big(\sum_i c_i\Big)^2 + \frac{n^2}{2} \mathrm{Var}(c_i)
+
+is minimised, as for geodesics: its least paths are those of the least sum, with vertices spread so that all edges cost
+the same. The sum alone does not change when vertices slide along the path, and a descent would let them drift. In free
+space without impact, U is CHOMP's own smoothness term, half the integral of the squared velocity.
+
+The potential is that of CHOMP, a function of the clearance d, integrated over arc length so that nothing is gained by
+rushing past an obstacle:
+
+.. math:: c(d) = -d + \epsilon/2 \;(d < 0), \qquad (d - \epsilon)^2/(2 \epsilon) \;(0 \le d \le \epsilon), \qquad 0
+
+References:
+    Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013, Eq. (2) to (7). Differs
+    in: exact derivatives of the sums, so that the curvature term needs no formula of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.planners.optimisers.edge_derivatives import Slopes
+
+Array = np.ndarray
+
+_TINY = 1e-12
+"""Length below which an edge has no direction [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObstaclePotential:
+    """How much a path is charged for being close to obstacles.
+
+    Args:
+        weight: Charge per unit of length one unit of clearance deep inside [1/m].
+        reach: Clearance from which on nothing is charged [m].
+        step: Largest distance between samples along an edge [rad].
+    """
+
+    weight: float
+    reach: float
+    step: float
+
+    def density(self, clearance: Float[Array, "*batch"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Weighted potential at a clearance, and its derivative."""
+        gap = np.clip(self.reach - clearance, 0.0, self.reach)
+        inside = np.minimum(clearance, 0.0)
+        value = 0.5 * gap**2 / self.reach - inside
+        return self.weight * value, np.where(clearance < 0.0, -self.weight, -self.weight * gap / self.reach)
+
+    def edges(
+        self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], slopes: Slopes
+    ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
+        """Integral of the potential over each edge, and its derivatives; None if the problem knows no clearance.
+
+        Trapezoid sums on as many samples for all edges as the longest one needs.
+        """
+        n, nq = q0.shape
+        delta = q1 - q0
+        length = np.linalg.norm(delta, axis=1)
+        pieces = max(1, int(np.ceil(length.max(initial=0.0) / self.step)))
+        t = np.linspace(0.0, 1.0, pieces + 1)
+        share = np.full(pieces + 1, 1.0 / pieces)
+        share[[0, -1]] *= 0.5
+        known = slopes.clearance_slopes((q0[:, None] + t[:, None] * delta[:, None]).reshape(-1, nq))
+        if known is None:
+            return None
+        value, slope = self.density(known[0].reshape(n, pieces + 1))
+        force = slope[..., None] * known[1].reshape(n, pieces + 1, nq) * (share * length[:, None])[..., None]
+        mean = value @ share
+        longer = mean[:, None] * delta / np.maximum(length, _TINY)[:, None]
+        d_q1 = np.einsum("nkj,k->nj", force, t) + longer
+        d_q0 = np.einsum("nkj,k->nj", force, 1.0 - t) - longer
+        return length * mean, d_q0, d_q1
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A path with its energy."""
+
+    q: Float[Array, "point nq"]
+    energy: float
+    gradient: Float[Array, "inner nq"]
+    """Of the energy with respect to the inner points."""
+    total: float
+    """J = V + w S of the path, without the potential."""
+    cost: Float[Array, " edge"]
+    """Of each edge, with the potential."""
+
+
+class PathEnergy:
+    """Evaluates whole paths.
+
+    Args:
+        slopes: The objective, and the clearance.
+        potential: Of obstacles, if any.
+    """
+
+    def __init__(self, slopes: Slopes, potential: ObstaclePotential | None = None) -> None:
+        self.slopes, self.potential = slopes, potential
+
+    def __call__(self, q: Float[Array, "point nq"]) -> Evaluation:
+        """Return the energy of a path and its gradient: one question for all edges."""
+        q0, q1 = q[:-1], q[1:]
+        cost, d_q0, d_q1 = self.slopes.edge_slopes(q0, q1)
+        total = float(cost.sum())
+        if self.potential is not None:
+            charged = self.potential.edges(q0, q1, self.slopes)
+            if charged is not None:
+                cost, d_q0, d_q1 = cost + charged[0], d_q0 + charged[1], d_q1 + charged[2]
+        n = len(cost)
+        gradient = n * (cost[:-1, None] * d_q1[:-1] + cost[1:, None] * d_q0[1:])
+        return Evaluation(q, 0.5 * n * float(cost @ cost), gradient, total, cost)

@@ -1,0 +1,127 @@
+"""Batches of paths of evenly many points, and how STOMP weighs them against each other at every point.
+
+References:
+    Kalakrishnan et al., "STOMP: stochastic trajectory optimization for motion planning", ICRA 2011, Table I.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.core.kernels import FINE_STEP
+from graceful_plan.planners.planner import Problem
+from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.scene_problem import SceneProblem
+
+Array = np.ndarray
+
+_FLAT = 1e-3
+"""Share of the greatest difference of costs anywhere below which differences at a point count as none."""
+_TINY = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rollouts:
+    """Paths between the same ends, and what their edges cost."""
+
+    q: Float[Array, "rollout point nq"]
+    cost: Float[Array, "rollout edge"]
+    """Total cost J of each edge."""
+    blocked: Bool[Array, "rollout edge"]
+    """Which edges are not free."""
+
+    @staticmethod
+    def asked(q: Float[Array, "rollout point nq"], questions: Questions) -> Rollouts:
+        """Evaluate paths, all in one batch.
+
+        Raises:
+            Interrupted: If the time is over.
+        """
+        q0, q1 = (part.reshape(-1, q.shape[2]) for part in (q[:, :-1], q[:, 1:]))
+        shape = len(q), q.shape[1] - 1
+        free = questions.edges_free(q0, q1).reshape(shape)
+        return Rollouts(q=q, cost=questions.edge_costs(q0, q1).reshape(shape), blocked=~free)
+
+    @staticmethod
+    def joined(parts: Sequence[Rollouts]) -> Rollouts:
+        """Put batches together."""
+        return Rollouts(
+            q=np.concatenate([part.q for part in parts]),
+            cost=np.concatenate([part.cost for part in parts]),
+            blocked=np.concatenate([part.blocked for part in parts]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, which: slice | Int[Array, " n"]) -> Rollouts:
+        return Rollouts(q=self.q[which], cost=self.cost[which], blocked=self.blocked[which])
+
+    def best(self, n: int) -> Rollouts:
+        """Return the best n, the best first: those with the fewest blocked edges, and of these the cheapest."""
+        return self[np.lexsort((self.cost.sum(axis=1), self.blocked.sum(axis=1)))[:n]]
+
+    def first_in_close_up(self, problem: Problem) -> Rollouts:
+        """Check the first path as finely as results are checked; itself if there is nothing new to say."""
+        if in_close_up(problem) is problem or self.blocked[0].any():
+            return self
+        free = in_close_up(problem).edges_free(self.q[0, :-1], self.q[0, 1:])
+        if free.all():
+            return self
+        blocked = self.blocked.copy()
+        blocked[0] = ~free
+        return replace(self, blocked=blocked)
+
+    def beats(self, other: Rollouts, gain: float) -> bool:
+        """Whether the first path here is better than the first of another batch.
+
+        It is if it has fewer blocked edges, or as many and costs less by more than a share `gain`.
+        """
+        mine, yours = int(self.blocked[0].sum()), int(other.blocked[0].sum())
+        return mine < yours or (mine == yours and bool(self.cost[0].sum() < other.cost[0].sum() * (1.0 - gain)))
+
+
+def in_close_up(problem: Problem) -> Problem:
+    """Return the problem with edges checked as finely as those of results are."""
+    return replace(problem, check_step=FINE_STEP) if isinstance(problem, SceneProblem) else problem
+
+
+def weights(rollouts: Rollouts, spread: Float[Array, "point point"], sharpness: float) -> Float[Array, "rollout point"]:
+    r"""Return how much each rollout counts at each inner point.
+
+    .. math:: P_{k,t} \propto \exp\Bigl(-h \frac{S_{k,t} - \min_k S_{k,t}}{\max_k S_{k,t} - \min_k S_{k,t}}\Bigr)
+
+    A point is charged with half of the edges beside it. Where paths are blocked they score worse than all that are
+    free, by an amount that is bounded, or the differences among the free ones would drown in the penalty.
+
+    Args:
+        rollouts: The paths.
+        spread: Rows of positive weights that sum to 1: to whom else a cost at a point is charged.
+        sharpness: h.
+    """
+    cost = _at_points(rollouts.cost) @ spread.T
+    blocked = _at_points(rollouts.blocked.astype(np.float64)) @ spread.T
+    free = _at_points(rollouts.blocked.astype(np.float64)) == 0.0
+    counted = free | ~free.any(axis=0)
+    low = np.where(counted, cost, np.inf).min(axis=0)
+    width = np.where(counted, cost, -np.inf).max(axis=0) - low
+    width = np.maximum(width, max(_FLAT * width.max(), _TINY))
+    score = np.clip((cost - low) / width, 0.0, 1.0)
+    score += blocked / np.maximum(blocked.max(axis=0), _TINY) + 2.0 * ~free
+    weight = np.exp(-sharpness * (score - score.min(axis=0)))
+    return weight / weight.sum(axis=0)
+
+
+def _at_points(edge: Float[Array, "rollout edge"]) -> Float[Array, "rollout point"]:
+    return 0.5 * (edge[:, :-1] + edge[:, 1:])
+
+
+def evenly(q: Float[Array, "vertex nq"], points: int) -> Float[Array, "point nq"]:
+    """Return points at even distances along a polyline, both ends among them."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+    s = np.linspace(0.0, arc[-1], points)
+    return np.stack([np.interp(s, arc, q[:, joint]) for joint in range(q.shape[1])], axis=1)

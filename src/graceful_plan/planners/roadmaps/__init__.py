@@ -1,0 +1,1 @@
+"""Roadmaps, and graphs in general."""

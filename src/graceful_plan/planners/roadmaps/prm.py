@@ -1,0 +1,168 @@
+"""PRM and PRM*: probabilistic roadmaps, grown in rounds and searched in between.
+
+References:
+    [Kavraki1996] Probabilistic roadmaps for path planning in high-dimensional configuration spaces.
+    [Karaman2011] Sampling-based algorithms for optimal motion planning, Sec. 3.3. Both differ from the papers in:
+    a sample is joined to its nearest among those drawn before it (so roadmaps are nested), collision checks are
+    lazy, samples are informed once there is a solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.array_types import Int
+from graceful_plan.path import Path
+from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.planners.questions import Interrupted, Questions
+from graceful_plan.planners.roadmaps.lazy_roadmap import LazyRoadmap
+from graceful_plan.planners.settings import count, positive
+from graceful_plan.planners.shortcut import MOVES, Shortcut
+from graceful_plan.planners.trivial import start_is_goal
+
+Array = np.ndarray
+
+_PROVEN = 1e-8
+"""Relative gap to the least possible cost at which a path is the best there is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Growth:
+    """How a roadmap grows; what PRM and PRM* differ in."""
+
+    neighbours: Callable[[Array], Array]
+    batch: int
+    informed: bool
+    first_only: bool
+    max_samples: int
+    shortcut: Shortcut | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PRM(Planner):
+    """Probabilistic roadmap; stops at the first path, after shortcutting it.
+
+    One iteration is one sample, or one round of shortcutting.
+    """
+
+    name: ClassVar[str] = "prm"
+    anytime: ClassVar[bool] = False
+
+    neighbours: int = 10
+    """Earlier samples that a new one is joined to (OMPL's default)."""
+    batch: int = 50
+    """Samples between two searches."""
+    max_samples: int = 6000
+    """Size at which the roadmap is started afresh, so that no step takes long."""
+    shortcut: bool = True
+    """Whether to shortcut the path with what is left of the budget."""
+
+    def __post_init__(self) -> None:
+        count("neighbours", self.neighbours)
+        count("batch", self.batch)
+        count("max_samples", self.max_samples, 10)
+
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield the first path found, then shorter cuts of it."""
+        growth = _Growth(
+            neighbours=lambda i: np.full(len(i), self.neighbours),
+            batch=self.batch,
+            informed=False,
+            first_only=True,
+            max_samples=self.max_samples,
+            shortcut=Shortcut() if self.shortcut else None,
+        )
+        return _solve(growth, problem, objective, budget, rng)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PRMStar(Planner):
+    """Asymptotically optimal roadmap: k(n) = factor * e (1 + 1/d) ln n neighbours.
+
+    One iteration is one sample, or one round of shortcutting.
+    """
+
+    name: ClassVar[str] = "prm_star"
+    anytime: ClassVar[bool] = True
+
+    factor: float = 1.0
+    """Multiplies the number of neighbours; 1 is the theory's constant."""
+    batch: int = 100
+    """Samples between two searches at first; later a tenth of the roadmap."""
+    informed: bool = True
+    """Whether to draw samples only where they can improve the best path."""
+    max_samples: int = 6000
+    """Size at which the roadmap is started afresh around the best path, so that no step takes long."""
+    shortcut: bool = True
+    """Whether to shortcut the best path for a few rounds between two searches."""
+
+    def __post_init__(self) -> None:
+        positive("factor", self.factor)
+        count("batch", self.batch)
+        count("max_samples", self.max_samples, 10)
+
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths until the budget ends or a straight line is proven best."""
+        constant = self.factor * np.e * (1.0 + 1.0 / len(problem.start))
+
+        def neighbours(i: Int[Array, " n"]) -> Int[Array, " n"]:
+            return np.maximum(1, np.ceil(constant * np.log(i + 1.0))).astype(int)
+
+        growth = _Growth(
+            neighbours=neighbours,
+            batch=self.batch,
+            informed=self.informed,
+            first_only=False,
+            max_samples=self.max_samples,
+            shortcut=Shortcut(patience=len(MOVES)) if self.shortcut else None,
+        )
+        return _solve(growth, problem, objective, budget, rng)
+
+
+def _solve(
+    growth: _Growth, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+) -> Iterator[Path]:
+    if start_is_goal(problem):
+        if budget.spend():
+            yield Path(problem.start[None])
+        return
+    with suppress(Interrupted):
+        yield from _grow(growth, Questions(problem, objective, budget), budget, rng)
+
+
+def _grow(growth: _Growth, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+    facts = learn_objective(questions.objective, questions.problem)
+    sampler = InformedSampler(questions.problem, facts.length_bound if growth.informed else 0.0)
+    cut_rng = rng.spawn(1)[0]  # so that cutting does not change which samples are drawn
+    best, best_path = np.inf, None
+    roadmap = LazyRoadmap(questions, sampler, facts.symmetric, growth.neighbours)
+    while best > sampler.least_cost * (1.0 + _PROVEN) or best_path is None:
+        found = roadmap.cheapest(best)
+        if found is not None:
+            best, best_path = found
+            yield best_path
+        if best_path is not None and growth.shortcut is not None:
+            for better in growth.shortcut.improve(best_path, questions, budget, cut_rng):
+                best_path, best = better, questions.path_cost(better)
+                yield best_path
+        if best_path is not None and growth.first_only:
+            return
+        if len(roadmap) > growth.max_samples:
+            roadmap = LazyRoadmap(questions, sampler, facts.symmetric, growth.neighbours)
+            if best_path is not None:
+                roadmap.add(best_path.q[1:-1], np.inf)
+        samples = sampler.draw(max(growth.batch, len(roadmap) // 10), best, rng)
+        samples = samples[: int(min(len(samples), budget.remaining_iterations))]
+        if not budget.spend(max(1, len(samples))):
+            return
+        roadmap.add(samples[questions.states_free(samples)], best)

@@ -1,0 +1,68 @@
+"""RRT-Connect, in the native core.
+
+References:
+    Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.core import _native
+from graceful_plan.path import Path
+from graceful_plan.planners.native import native_space, run_slice, seed_from
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.settings import count, positive_fraction
+from graceful_plan.planners.shortcut import Shortcut
+from graceful_plan.planners.trivial import start_is_goal
+
+
+@dataclass(frozen=True, kw_only=True)
+class RRTConnect(Planner):
+    """Two trees that grow towards each other. The fastest way to a first path; pays no heed to the cost.
+
+    The straight edge to each goal is tried first. One iteration is one extension of a tree with the attempts to connect
+    the other to it; after that, one round of shortcuts.
+
+    Args:
+        range: Longest edge, as a fraction of the diagonal of the limits.
+        max_nodes: The trees are dropped and grown anew when they hold more nodes.
+        shortcut: Cost-aware shortcuts of the path found; None yields it as it is.
+    """
+
+    name: ClassVar[str] = "rrt_connect"
+    anytime: ClassVar[bool] = False
+
+    range: float = 0.08
+    max_nodes: int = 10_000
+    shortcut: Shortcut | None = Shortcut()
+
+    def __post_init__(self) -> None:
+        positive_fraction("range", self.range)
+        count("max_nodes", self.max_nodes, 10)
+
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield the first path, then shorter cuts of it."""
+        if start_is_goal(problem):
+            yield Path(problem.start[None])
+            return
+        space = native_space(problem, objective)
+        core = _native.Connect(
+            space, problem.start, problem.goals, self.range * problem.extent, self.max_nodes, seed_from(rng)
+        )
+        solved = False
+        while not solved and not budget.exhausted:
+            solved = run_slice(core.run, budget)
+        if not solved:
+            return
+        path = Path(core.path)
+        yield path
+        if self.shortcut is not None:
+            yield from self.shortcut.improve(path, Questions(problem, objective, budget), budget, rng)

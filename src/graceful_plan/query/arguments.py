@@ -1,0 +1,118 @@
+"""Early checks of what users hand to `plan`."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
+from graceful_plan.costs.objective import MEAN_PACE, Objective
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.planners import PLANNERS, Planner
+from graceful_plan.scene.scene import Scene
+
+FAILURE_AWARE = "failure_aware"
+"""The speed that is slower where that makes failures less harmful."""
+DEFAULT_TIME_LIMIT = 1.0
+"""Seconds that a call may take when neither a time limit nor a number of iterations is given."""
+
+
+def checked_planner(planner: object) -> Planner:
+    """Return a planner, looked up by its name if need be."""
+    if isinstance(planner, Planner):
+        return planner
+    if isinstance(planner, type) and issubclass(planner, Planner):
+        raise SettingError("planner", planner.__name__, f"an instance: {planner.__name__}()")
+    if not isinstance(planner, str):
+        raise SettingError("planner", planner, "a name or a Planner")
+    if planner not in PLANNERS:
+        raise UnknownNameError("planner", planner, PLANNERS)
+    return PLANNERS[planner]()
+
+
+def checked_speed(speed: object) -> float:
+    """Return the share of the velocity limits to use: all of it where `failure_aware` timing decides."""
+    if isinstance(speed, str):
+        if speed != FAILURE_AWARE:
+            raise UnknownNameError("speed", speed, (FAILURE_AWARE, "a fraction in (0, 1]"))
+        return 1.0
+    if not (_is_real(speed) and 0.0 < speed <= 1.0):  # type: ignore[operator]
+        raise SettingError("speed", speed, f"a fraction in (0, 1], or {FAILURE_AWARE!r}")
+    return float(speed)  # type: ignore[arg-type]
+
+
+def checked_risk(risk: object) -> RiskMeasure:
+    """Return a risk measure, looked up by its name if need be."""
+    if isinstance(risk, RiskMeasure):
+        return risk
+    if not isinstance(risk, str):
+        raise SettingError("risk", risk, f"a RiskMeasure or one of {', '.join(MEASURES)}")
+    return RiskMeasure(risk)
+
+
+def checked_objective(objective: object, w: object, speed: float) -> Objective:
+    """Return the objective to minimise, with the weight that was asked for; by default at the pace of that speed."""
+    if w is not None and not _is_real(w):
+        raise SettingError("w", w, "a finite number, at least 0")
+    if objective is None:
+        return Objective(w=1.0 if w is None else float(w), pace=MEAN_PACE * speed)  # type: ignore[arg-type]
+    if not isinstance(objective, Objective):
+        raise SettingError("objective", objective, "an Objective, such as Objective(motion=..., impact=...)")
+    return objective if w is None else objective.with_weight(float(w))  # type: ignore[arg-type]
+
+
+def checked_wait(max_wait: object, scene: Scene) -> float:
+    """Return how long the robot may wait before it goes [s]; waiting is for those who move."""
+    if not (_is_real(max_wait) and 0.0 <= max_wait < np.inf):  # type: ignore[operator]
+        raise SettingError("max_wait", max_wait, "a finite time of at least 0 s")
+    if max_wait and not scene.moving:
+        raise SettingError("max_wait", max_wait, "0 in a scene where nothing moves; see Scene.with_moving")
+    return float(max_wait)  # type: ignore[arg-type]
+
+
+def checked_seed(seed: object) -> np.random.Generator:
+    """Return the source of all random numbers."""
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or int(seed) < 0:
+        raise SettingError("seed", seed, "a whole number, at least 0")
+    return np.random.default_rng(int(seed))
+
+
+@dataclass
+class Cancelled:
+    """The question whether somebody cancelled: once the answer is yes, it stays so and nobody is asked again."""
+
+    ask: Callable[[], object]
+    said: bool = False
+
+    def __call__(self) -> bool:
+        """Ask, unless the answer is known."""
+        self.said = self.said or bool(self.ask())
+        return self.said
+
+
+def checked_cancelled(cancelled: object) -> Cancelled:
+    """Return the question whether somebody cancelled."""
+    if cancelled is None:
+        return Cancelled(lambda: False)
+    if not callable(cancelled):
+        raise SettingError("cancelled", cancelled, "a function without arguments, such as threading.Event().is_set")
+    return Cancelled(cancelled)
+
+
+def checked_time_limit(time_limit: object, iterations: object) -> float:
+    """Return how many seconds the call may take; infinite if iterations alone limit it."""
+    whole = isinstance(iterations, numbers.Integral) and not isinstance(iterations, bool)
+    if iterations is not None and not (whole and int(iterations) >= 0):  # type: ignore[call-overload]
+        raise SettingError("iterations", iterations, "a whole number, at least 0")
+    if time_limit is not None and not (_is_real(time_limit) and time_limit >= 0.0):  # type: ignore[operator]
+        raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
+    if time_limit is None:
+        return DEFAULT_TIME_LIMIT if iterations is None else np.inf
+    return float(time_limit)  # type: ignore[arg-type]
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)

@@ -1,0 +1,151 @@
+"""When to go and which way, if somebody moves: candidates of a search are timed, and the best by its times is taken.
+
+A search knows no times. So it looks for paths as if nobody moved, and from the best of these local moves look for paths
+of less J where those who move are anywhere along their predicted paths. What was found on both ways is timed, each with
+several times of departure, and the path and departure of least J at these times are taken: what lies between these, or
+beyond, is not considered.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.cost import StateBatch, checked_state
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.path import Path
+from graceful_plan.planners.planner import Budget, Planner
+from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.planners.shortcut import Shortcut
+from graceful_plan.query.arguments import checked_speed
+from graceful_plan.query.ends import Ends
+from graceful_plan.query.search import ALL, Callback, Search, is_solution, search
+from graceful_plan.result import CostBreakdown
+from graceful_plan.timing.retiming import retime
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+WAIT_STEP = 0.25
+"""Times of departure that are tried are so far apart [s], or farther if that would be more than `MOST_WAITS`."""
+MOST_WAITS = 16
+WORTH = 0.01
+"""A wait has to lower J by more than this share of it for all that a shorter one does."""
+RESERVE = 0.15
+"""Seconds after the end of the budget in which candidates are still timed."""
+_PIECES = 60  # of a coarse trajectory
+_STILL = 0.6
+"""Share of the budget for the search as if nobody moved."""
+
+
+def waits(max_wait: float) -> Float[Array, " wait"]:
+    """Return the waiting times to try [s], from 0."""
+    count = int(np.clip(np.ceil(max_wait / WAIT_STEP), 0, MOST_WAITS))
+    return np.linspace(0.0, max_wait, count + 1)
+
+
+def best_departure(
+    trajectory: Trajectory, objective: SceneObjective, max_wait: float = 0.0
+) -> tuple[Trajectory, CostBreakdown]:
+    """Return a trajectory with the wait at its start that pays, and its cost at its times.
+
+    Args:
+        trajectory: Without a wait.
+        objective: In a scene where something moves.
+        max_wait: Longest wait [s].
+    """
+    wait = _best_wait(trajectory, objective, max_wait)[0]
+    delayed = trajectory.delayed(wait)
+    return delayed, objective.breakdown(delayed)
+
+
+def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: float) -> tuple[float, float]:
+    """Return the wait that pays [s], and J after it but for the motion, which no wait changes."""
+    tried = waits(max_wait)
+    trajectory = trajectory.sample(max(trajectory.duration / _PIECES, 1e-3))
+    charged, impact, w = objective.charged_states(trajectory), objective.objective.impact, objective.w
+    assert charged.batch.time is not None
+    totals = [
+        w * float(charged.weight @ checked_state(impact, charged.batch.at(charged.batch.time + t))) for t in tried
+    ]
+    if objective.objective.exposure == "time" and len(tried) > 1:  # failures while it waits
+        start = np.repeat(trajectory.q[:1], len(tried), axis=0)
+        rest = checked_state(impact, StateBatch(objective.scene, start, time=trajectory.t[0] + tried))
+        totals = totals + w * np.append(0.0, np.cumsum(0.5 * (rest[1:] + rest[:-1]) * np.diff(tried)))
+    totals = np.array(totals)
+    chosen = int(np.argmax(totals <= totals.min() + WORTH * (trajectory.path.length + totals.min())))
+    return float(tried[chosen]), float(totals[chosen])
+
+
+def search_among_moving(
+    planner: Planner,
+    problem: SceneProblem,
+    ends: Ends,
+    objective: SceneObjective,
+    budget: Budget,
+    rng: np.random.Generator,
+    callback: Callback | None = None,
+    speed: float | str = 1.0,
+    max_wait: float = 0.0,
+) -> Search:
+    """Search as if nobody moved, improve what was found by J among those who move, and order by J at its times.
+
+    The trace and what the callback is told are of the search as if nobody moved. The best path is at the end.
+    """
+    still = SceneObjective(objective.objective, objective.scene.without_moving())
+    limit, iterations = budget.time_limit, budget.iterations
+    budget.time_limit = budget.elapsed + _STILL * budget.remaining_seconds
+    if iterations is not None:
+        budget.iterations = budget.spent + int(np.ceil(_STILL * budget.remaining_iterations))
+    found = search(planner, replace(problem, kernels=still.kernels), still, budget, rng, callback, kept=ALL)
+    budget.time_limit, budget.iterations = limit, iterations
+    paths = list(found.paths)
+    if paths and objective.w > 0.0 and not found.stopped:
+        better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)
+        paths += [path for path in better if is_solution(path, problem)]
+    choice = _Choice(ends, objective, checked_speed(speed), max_wait)
+    deadline = -np.inf if budget.cancelled() else budget.started + budget.time_limit + RESERVE
+    found.paths = choice.ordered(paths, len(found.paths) - 1, deadline)
+    return found
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """By what paths are compared: J at the departure that pays, on a coarse trajectory."""
+
+    ends: Ends
+    objective: SceneObjective
+    speed: float
+    max_wait: float
+
+    def ordered(self, paths: Sequence[Path], still: int, deadline: float) -> list[Path]:
+        """Return some improvements in the order of J, the best at the end; not all of them if time is short.
+
+        Args:
+            paths: In the order in which they were found.
+            still: Index of the best as if nobody moved.
+            deadline: Clock reading after which no more are looked at [s].
+        """
+        # Improvements come ever closer to each other: the last, the one before, the one before three, seven, ...
+        n = len(paths)
+        order = dict.fromkeys([n - 1, still, *(n - 2**k for k in range(n.bit_length()) if 2**k <= n)] if n else [])
+        totals: dict[int, float] = {}
+        for index in order:
+            if len(totals) < 2 or time.perf_counter() < deadline:
+                totals[index] = self._total(paths[index])
+        return [paths[index] for index in sorted(totals, key=lambda index: -totals[index])]
+
+    def _total(self, path: Path) -> float:
+        whole, scene = self.ends.joined(path)[0], self.objective.scene
+        try:
+            timed = retime(whole, scene.limits, scene.joints, speed=self.speed)
+        except RetimingError:
+            return np.inf
+        motion = float(self.objective.edges(whole.q[:-1], whole.q[1:])[:, 0].sum())
+        return motion + _best_wait(timed, self.objective, self.max_wait)[1]

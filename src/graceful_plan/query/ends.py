@@ -1,0 +1,71 @@
+"""Both ends of a plan: start and goals with clearance, and the short ways between them and the real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.compile import CompiledScene
+from graceful_plan.path import Path
+from graceful_plan.query.escape import way_out
+from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ends:
+    """Where the planner starts and where it may end, and how that is reached and left."""
+
+    compiled: CompiledScene
+    departure: Path
+    """From the real start to where the planner starts."""
+    arrivals: tuple[Path, ...]
+    """From where the planner may end to the real goals."""
+    goal_index: tuple[int, ...]
+    """Which of the given goals each arrival leads to."""
+
+    @property
+    def clearance(self) -> float:
+        """Least clearance of the planner's start and goals [m]; at least 0."""
+        q = np.stack([self.departure.q[-1], *(arrival.q[0] for arrival in self.arrivals)])
+        return max(0.0, float(self.compiled.kernels.clearance(q).min()))
+
+    def joined(self, path: Path) -> tuple[Path, int]:
+        """Return the whole path, from the real start to a real goal, and which arrival it takes."""
+        away = [float(np.linalg.norm(arrival.q[0] - path.q[-1])) for arrival in self.arrivals]
+        index = int(np.argmin(away))
+        q = np.concatenate([self.departure.q[:-1], path.q, self.arrivals[index].q[1:]])
+        return Path(q).without_duplicates(), index
+
+    def in_the_clear(self, index: int) -> bool:
+        """Whether a whole path is free by the fast checker's account: there are no ways out in it."""
+        return len(self.departure) == 1 and len(self.arrivals[index]) == 1
+
+
+def ways_out(
+    start: Float[Array, " nq"],
+    goals: Float[Array, "goal nq"],
+    compiled: CompiledScene,
+    scene: Scene,
+    rng: np.random.Generator,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> Ends | PlanResult:
+    """Find a way from the start, and to as many goals as have one; a result that says so if there is none."""
+    departure = way_out(start, compiled.kernels, scene, rng)
+    if departure is None:
+        return PlanResult(status=PlanStatus.INVALID_START, detail=_NO_WAY.format("start"))
+    ways = [(k, way_out(goal, compiled.kernels, scene, rng)) for k, goal in enumerate(goals) if not cancelled()]
+    arrivals = [(k, way.reversed()) for k, way in ways if way is not None]
+    if cancelled():
+        return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
+    if not arrivals:
+        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_NO_WAY.format("goal"))
+    index, paths = zip(*arrivals, strict=True)
+    return Ends(compiled=compiled, departure=departure, arrivals=paths, goal_index=index)

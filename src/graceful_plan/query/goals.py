@@ -1,0 +1,167 @@
+"""Starts and goals as users give them -> configurations that a planner may use, or the reasons why not.
+
+Misuse (wrong shape, NaN, a name that does not exist) raises; a configuration that is out of limits or in collision is
+an outcome, told in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.exceptions import ShapeError, UnknownNameError
+from graceful_plan.judge.exact import Judge, state_contacts
+from graceful_plan.path import finite_array
+from graceful_plan.query.ik import solve_ik
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+Configuration = ArrayLike | str
+"""A configuration [nq] or the name of a keyframe."""
+Goal = Configuration | Sequence[Configuration] | PoseGoal
+
+CLAMPED = 1e-6
+"""How far outside of a position limit [rad or m] a configuration is moved onto it instead of being refused."""
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """Configurations that may be used, and what happened to the others.
+
+    | field    | meaning                                                        | unit     | shape   |
+    |----------|----------------------------------------------------------------|----------|---------|
+    | q        | configurations inside the limits and free of collision         | rad or m | usable nq |
+    | index    | which of the given configurations each of them is; 0 for poses |          | usable  |
+    | notes    | what was adjusted                                              |          |         |
+    | problems | why the others cannot be used                                  |          |         |
+    """
+
+    q: Float[Array, "usable nq"]
+    index: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    @property
+    def detail(self) -> str:
+        """Everything there is to say, in one line."""
+        return "; ".join([*self.notes, *self.problems])
+
+
+def resolve_start(start: Configuration, scene: Scene) -> Resolved:
+    """Turn a start into one usable configuration, or none.
+
+    Raises:
+        ShapeError: If it does not fit the scene's joints.
+        NonFiniteError: If it holds a NaN or an infinity.
+        UnknownNameError: If there is no keyframe of that name.
+    """
+    q = _named(start, scene) if isinstance(start, str) else finite_array("start", start, ndim=1, last=len(scene.joints))
+    return _usable([("start", q)], scene)
+
+
+def resolve_goal(
+    goal: Goal, scene: Scene, start: ArrayLike, *, seed: int = 0, cancelled: Callable[[], bool] = lambda: False
+) -> Resolved:
+    """Turn a goal into usable configurations, in the order given; of a pose, those nearest to the start first.
+
+    Args:
+        goal: A configuration, several, keyframes by name, or a pose.
+        scene: Where.
+        start: Where the motion begins; poses are solved near to it.
+        seed: Of the random numbers of inverse kinematics.
+        cancelled: Ends inverse kinematics early.
+
+    Raises:
+        ShapeError: If it does not fit the scene's joints.
+        NonFiniteError: If it holds a NaN or an infinity.
+        UnknownNameError: If there is no keyframe of that name.
+    """
+    if isinstance(goal, PoseGoal):
+        return _pose(goal, scene, start, seed, cancelled)
+    configurations = _configurations(goal, scene)
+    words = ["goal"] if len(configurations) == 1 else [f"goal {i}" for i in range(len(configurations))]
+    return _usable(list(zip(words, configurations, strict=True)), scene)
+
+
+def _configurations(goal: Configuration | Sequence[Configuration], scene: Scene) -> list[Float[Array, " nq"]]:
+    nq = len(scene.joints)
+    if isinstance(goal, str):
+        return [_named(goal, scene)]
+    if isinstance(goal, Sequence) and any(isinstance(item, str) for item in goal):
+        return [q for item in goal for q in _configurations(item, scene)]  # type: ignore[arg-type]
+    q = finite_array("goal", goal, last=nq)  # type: ignore[arg-type]
+    if q.ndim > 2 or q.size == 0:
+        raise ShapeError("goal", q.shape, f"({nq},) or (n >= 1, {nq})")
+    return list(np.atleast_2d(q))
+
+
+def _named(name: str, scene: Scene) -> Float[Array, " nq"]:
+    if name not in scene.keyframes:
+        raise UnknownNameError("keyframe", name, scene.keyframes)
+    return np.asarray(scene.keyframes[name], dtype=float)
+
+
+def _usable(candidates: list[tuple[str, Float[Array, " nq"]]], scene: Scene) -> Resolved:
+    q, index, notes, problems = [], [], [], []
+    for i, (word, configuration) in enumerate(candidates):
+        inside, note, problem = _clamped(word, configuration, scene)
+        notes += [note] if note else []
+        problem = problem or _collision(word, inside, scene)
+        if problem:
+            problems.append(problem)
+        else:
+            q.append(inside)
+            index.append(i)
+    return Resolved(np.array(q).reshape(-1, len(scene.joints)), tuple(index), tuple(notes), tuple(problems))
+
+
+def _clamped(word: str, q: Float[Array, " nq"], scene: Scene) -> tuple[Float[Array, " nq"], str, str]:
+    """Return the configuration inside the limits, what was adjusted, and what cannot be."""
+    lower, upper = scene.limits.position.T
+    inside = np.clip(q, lower, upper)
+    excess = np.abs(q - inside)
+    worst = int(np.argmax(excess))
+    if excess[worst] == 0.0:
+        return inside, "", ""
+    limit = f"{'lower' if q[worst] < lower[worst] else 'upper'} limit {inside[worst]:.9g}"
+    place = f"{word}: joint {scene.joints[worst]!r} is at {q[worst]:.9g}, beyond its {limit}"
+    if excess[worst] > CLAMPED:
+        return inside, "", place
+    return inside, f"{place}; moved onto it", ""
+
+
+def _collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
+    contacts = state_contacts(q, scene)
+    if not contacts:
+        return ""
+    deepest = contacts[0]
+    more = f" and {len(contacts) - 1} more" if len(contacts) > 1 else ""
+    return f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
+
+
+def _pose(goal: PoseGoal, scene: Scene, start: ArrayLike, seed: int, cancelled: Callable[[], bool]) -> Resolved:
+    judge = Judge(scene)
+    blocked: list[Array] = []
+
+    def free(q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        ok = np.ones(len(q), dtype=bool)
+        ok[[t.sample for t in judge.touches(q) if judge.is_violation(t, at_end=True)]] = False
+        blocked.extend(q[~ok])
+        return ok
+
+    found = solve_ik(goal, scene, start, free=free, seed=seed, cancelled=cancelled)
+    if len(found.q):
+        return Resolved(found.q, (0,) * len(found.q))
+    if blocked:
+        problem = (
+            f"all {len(blocked)} configurations found for the pose collide; {_collision('goal', blocked[0], scene)}"
+        )
+    else:
+        missing = f"{1e3 * found.position_error:.3g} mm and {found.orientation_error:.3g} rad"
+        problem = f"goal: no configuration within the limits reaches the pose; the nearest found misses it by {missing}"
+    return Resolved(found.q, (), (), (problem,))

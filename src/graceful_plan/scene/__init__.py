@@ -1,0 +1,1 @@
+"""What is described: robot, surroundings, what is carried, who may be harmed."""

@@ -1,0 +1,116 @@
+"""What may touch what: MuJoCo's own filters, without running it, and the contacts that a scene allows.
+
+The filters are those of MuJoCo's manual, section "Collision detection": contype and conaffinity, bodies welded
+together, parent and child (unless the parent is welded to the world), excluded pairs of bodies, listed pairs of geoms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Bool, Int
+from graceful_plan.scene.elements import AllowedContact, Notes
+from graceful_plan.scene.model_parts import colliding_geoms, find, names, rigid_group, subtree
+
+Array = np.ndarray
+
+_OBJ = mujoco.mjtObj
+
+
+def tested_pairs(model: mujoco.MjModel, moving: Collection[int]) -> Int[Array, "pair 2"]:
+    """Return every pair of geoms that MuJoCo tests with at least one geom of the bodies `moving` in it.
+
+    The first geom of a pair is one of those. If both are, one that is not welded to the world comes first, then the
+    one of lower id.
+    """
+    n = model.ngeom
+    body = np.asarray(model.geom_bodyid)
+    weld = np.asarray(model.body_weldid)[body]
+    tested = _affine(model) & ~_related(model, weld) & ~_excluded(model, body)
+    tested &= weld[:, None] != weld[None, :]
+    tested[model.pair_geom1, model.pair_geom2] = tested[model.pair_geom2, model.pair_geom1] = True
+    mine = np.isin(body, list(moving))
+    tested &= mine[:, None]
+    # One of (a, b) and (b, a): prefer a first geom that moves.
+    both = mine[:, None] & mine[None, :]
+    rank = np.arange(n) + n * (weld == 0)
+    tested &= ~both | (rank[:, None] < rank[None, :])
+    return np.argwhere(tested)
+
+
+def _affine(model: mujoco.MjModel) -> Bool[Array, "geom geom"]:
+    contype, conaffinity = np.asarray(model.geom_contype), np.asarray(model.geom_conaffinity)
+    one_way = (contype[:, None] & conaffinity[None, :]) != 0
+    return one_way | one_way.T
+
+
+def _related(model: mujoco.MjModel, weld: Int[Array, " geom"]) -> Bool[Array, "geom geom"]:
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        return np.zeros((len(weld), len(weld)), dtype=bool)
+    parent = np.asarray(model.body_weldid)[np.asarray(model.body_parentid)[weld]]
+    child_of = (weld[:, None] == parent[None, :]) & (weld[:, None] != 0) & (weld[None, :] != 0)
+    return child_of | child_of.T
+
+
+def _excluded(model: mujoco.MjModel, body: Int[Array, " geom"]) -> Bool[Array, "geom geom"]:
+    excluded = np.zeros((model.nbody, model.nbody), dtype=bool)
+    for signature in np.asarray(model.exclude_signature):
+        first, second = int(signature) >> 16, int(signature) & 0xFFFF
+        excluded[first, second] = excluded[second, first] = True
+    return excluded[body[:, None], body[None, :]]
+
+
+def declared_contacts(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tuple[AllowedContact, ...]:
+    """Return what may touch: as declared; gripper and held object always; held object and its supports at the ends.
+
+    The gripper is the body of the tool and what hangs on it.
+
+    Raises:
+        UnknownNameError: If a name is neither a body nor a geom.
+    """
+    found = list(notes.allowed)
+    if notes.held is not None:
+        gripper = [b for b in sorted(subtree(model, tool_body)) if colliding_geoms(model, [b])]
+        found += [AllowedContact(name, notes.held.body, "always") for name in names(model, _OBJ.mjOBJ_BODY, gripper)]
+        found += [AllowedContact(notes.held.body, support, "ends") for support in notes.support]
+    with notes.about("allowed_contacts"):
+        for contact in found:
+            geoms_named(model, contact.first)
+            geoms_named(model, contact.second)
+    return tuple(found)
+
+
+def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
+    """Return the geoms of a rigid group of bodies by the name of its first, or else the geom of that name.
+
+    Raises:
+        UnknownNameError: If there is neither.
+    """
+    body = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name)
+    if body < 0 and name.startswith("#") and name[1:].isdigit() and int(name[1:]) < model.nbody:
+        body = int(name[1:])  # what `names` calls a nameless one, such as a finger that nobody named
+    if body >= 0:
+        return colliding_geoms(model, {0} if body == 0 else rigid_group(model, body))
+    return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)
+
+
+def allowed_pairs(model: mujoco.MjModel, contacts: Iterable[AllowedContact], when: str) -> frozenset[tuple[int, int]]:
+    """Return the pairs of geoms, lower id first, that may touch "always" or at the "ends"."""
+    return frozenset(
+        (min(a, b), max(a, b))
+        for contact in contacts
+        if contact.when == when
+        for a in geoms_named(model, contact.first)
+        for b in geoms_named(model, contact.second)
+    )
+
+
+def without(pairs: Int[Array, "pair 2"], allowed: Collection[tuple[int, int]]) -> Int[Array, "kept 2"]:
+    """Return the pairs that are not allowed, as an array that cannot be written to."""
+    keep = [(min(a, b), max(a, b)) not in allowed for a, b in pairs.tolist()]
+    kept = pairs[np.array(keep, dtype=bool)]
+    kept.flags.writeable = False
+    return kept

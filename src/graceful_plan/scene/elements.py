@@ -1,0 +1,223 @@
+"""What a scene is made of: small frozen records, no MuJoCo.
+
+Components are the parts of the robot that can do harm (`body`, `carried`, `contents`); entities are what can be
+harmed. `Notes` is everything a scene knows beyond its MuJoCo model, from a scene file or from arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
+from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.moving import MovingEntity
+
+Array = np.ndarray
+
+COMPONENTS = ("body", "carried", "contents")
+"""Names of the components: the links, the object in the gripper, what is inside of a carried container."""
+
+BODY_CLASSES = ("arm_collapse", "arm_braked", "base_coast")
+CARRIED_CLASSES = ("light", "medium", "heavy", "sharp", "glass")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Limits:
+    """What the planned joints can do.
+
+    | field        | meaning                                               | unit           | shape |
+    |--------------|-------------------------------------------------------|----------------|-------|
+    | position     | lower and upper limit                                 | rad or m       | nq 2  |
+    | velocity     | greatest speed                                        | rad/s or m/s   | nq    |
+    | acceleration | greatest acceleration                                 | rad/s2 or m/s2 | nq    |
+    | torque       | greatest torque or force, infinite if not known       | N m or N       | nq    |
+    """
+
+    position: Float[Array, "nq 2"]
+    velocity: Float[Array, " nq"]
+    acceleration: Float[Array, " nq"]
+    torque: Float[Array, " nq"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """A part of the robot that can do harm, with the column of the severity table that it uses."""
+
+    name: str
+    geoms: tuple[int, ...]
+    component_class: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entity:
+    """Something that can be harmed, with the severity of being hit by each component."""
+
+    name: str
+    category: str
+    geoms: tuple[int, ...]
+    severity: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Carried:
+    """The object in the gripper. `X_TO` is the pose of its body in the tool frame."""
+
+    body: str
+    X_TO: Float[Array, "4 4"]
+    object_class: str
+
+
+@dataclass(frozen=True)
+class Liquid:
+    """A liquid in a carried container.
+
+    Args:
+        volume: Amount [litres].
+        temperature: [degrees Celsius]; from 60 on, water counts as hot.
+        kind: "water" for anything thin, "oil" for hot oil and soup.
+        geoms: Names of the geoms of the carried body that stand for it; without any, the geom "<body>_contents".
+    """
+
+    volume: float
+    temperature: float = 20.0
+    kind: str = "water"
+    geoms: tuple[str, ...] = ()
+    HOT: ClassVar[float] = 60.0
+    """Temperature [degrees Celsius] from which a splash scalds."""
+
+    def __post_init__(self) -> None:
+        _check_positive("volume", self.volume)
+        if not -50.0 <= self.temperature <= 400.0:
+            raise SettingError("temperature", self.temperature, "degrees Celsius between -50 and 400")
+        if self.kind not in ("water", "oil"):
+            raise SettingError("kind", self.kind, "'water' or 'oil'")
+
+    @property
+    def component_class(self) -> str:
+        """Column of the severity table: hot oil, hot water or anything cold."""
+        if self.temperature < self.HOT:
+            return "cold"
+        return "oil" if self.kind == "oil" else "hot"
+
+
+@dataclass(frozen=True)
+class Dry:
+    """Something dry in a carried container: rice, screws, letters.
+
+    Args:
+        volume: Amount [litres].
+        geoms: Names of the geoms of the carried body that stand for it; without any, the geom "<body>_contents".
+    """
+
+    volume: float
+    geoms: tuple[str, ...] = ()
+    component_class: ClassVar[str] = "dry"
+
+    def __post_init__(self) -> None:
+        _check_positive("volume", self.volume)
+
+
+Contents = Liquid | Dry
+
+
+@dataclass(frozen=True)
+class AllowedContact:
+    """Two geoms or bodies, by name, that may touch.
+
+    "always": along the whole path. "ends": only in one unbroken stretch at the beginning of a path and one at its end,
+    such as an object that stands on its support until it is lifted.
+    """
+
+    first: str
+    second: str
+    when: str = "always"
+
+    def __post_init__(self) -> None:
+        if self.when not in ("always", "ends"):
+            raise SettingError("when", self.when, "'always' or 'ends'")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EntityNote:
+    """What an entity is: its class, and severities that replace the table's, for all components or by component."""
+
+    category: str
+    severity: float | Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObjectNote:
+    """How an object is held: see `Scene.attach` for the defaults."""
+
+    body: str
+    X_TO: Float[Array, "4 4"] | None = None
+    object_class: str | None = None
+    contents: Contents | None = None
+    fingers: float | Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TaskNote:
+    """A task as declared; start and goals are configurations or names of keyframes."""
+
+    start: str | tuple[float, ...]
+    goal: tuple[str | tuple[float, ...], ...]
+    description: str = ""
+    object_name: str | None = None
+    support: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Notes:
+    """Everything a scene knows beyond its MuJoCo model."""
+
+    name: str
+    description: str = ""
+    robot: str
+    tool: str
+    body_class: str = "arm_collapse"
+    fingers: float | Mapping[str, float] | None = None
+    velocity: tuple[float, ...] | None = None
+    acceleration: tuple[float, ...] | None = None
+    torque: tuple[float, ...] | None = None
+    entities: Mapping[str, EntityNote] = field(default_factory=lambda: MappingProxyType({}))
+    severity: SeverityTable
+    overrides: Mapping[str, float | Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
+    """Severities that replace those of the table: by entity and component, or by entity class and component class."""
+    objects: Mapping[str, ObjectNote] = field(default_factory=lambda: MappingProxyType({}))
+    keyframes: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    tasks: Mapping[str, TaskNote] = field(default_factory=lambda: MappingProxyType({}))
+    allowed: tuple[AllowedContact, ...] = ()
+    moving: Mapping[str, MovingEntity] = field(default_factory=lambda: MappingProxyType({}))
+    held: ObjectNote | None = None
+    """The object in the gripper, with nothing left to default."""
+    support: tuple[str, ...] = ()
+    """What the held object may touch at the ends of a path."""
+    file: str | None = None
+    """The scene file while it is being read; later mistakes are not its fault."""
+    lines: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    """Where things stand in that file, by dotted name such as "entities.mug"."""
+
+    @contextmanager
+    def about(self, place: str) -> Generator[None, None, None]:
+        """Turn errors about something from a scene file into a SceneError with file and line."""
+        try:
+            yield
+        except GracefulPlanError as error:
+            if self.file is None or getattr(error, "file", None) is not None:
+                raise
+            kind = type(error) if isinstance(error, SceneError) else SceneError
+            raise kind(f"{place}: {error}", file=self.file, line=self.lines.get(place)) from error
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise SettingError(name, value, "a finite number above 0")

@@ -1,0 +1,1 @@
+"""How bad it is: tables of severity and of fragility."""

@@ -1,0 +1,312 @@
+"""Scene files: YAML next to a MJCF world. Unknown keys are refused; units are m, rad, s, litres, degrees Celsius.
+
+version: 1
+name: tabletop                   # default: the file's name
+description: One sentence.
+world: tabletop.xml              # MJCF in the same folder or below it
+robot:
+  model: panda                   # a bundled robot or a MJCF file beside this one; none if the world has the robot in it
+  prefix: panda/                 # goes before the names of the robot's bodies, joints, sites; default "<model>/"
+  position: [0, 0, 0]            # of the base in W
+  quaternion: [1, 0, 0, 0]       # wxyz
+  body_class: arm_collapse       # how it fails: arm_collapse, arm_braked or base_coast
+  velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
+tool: panda/tool                 # site; default "<prefix>tool"
+fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
+entities:                        # what can be harmed: each body with its subtree
+  mug: glass                     # its class
+  vase: {class: heirloom, severity: 40}    # a number, or by component: {body: 40, carried: 30, contents: 1}
+severity:                        # replaces values of the shipped table, by entity class
+  table: {medium: 1}             # by component class, or one number for all
+objects:                         # what can be carried: defaults of attach() and of tasks
+  mug:
+    body: mug                    # default: the object's name
+    class: glass                 # light, medium, heavy, sharp or glass; default: by mass
+    grasp: {position: [0, 0, 0], quaternion: [0, 1, 0, 0]}    # pose of the body in the tool frame
+    fingers: 0.035
+    contents: {kind: water, volume: 0.25, temperature: 85, geoms: [coffee]}    # kind: water, oil or dry
+moving:                          # what can be harmed and moves: hazards, not obstacles; see MovingEntity
+  person:
+    class: adult
+    size: [0.25, 0.85]           # of an upright cylinder: radius and half height; of a box: three half sizes
+    t: [0, 3]
+    position: [[1, -2, 0.85], [1, 2, 0.85]]    # of the centre at these times; yaw: [...] likewise, for boxes
+    spread: 0.05                 # standard deviation of the place at the first time, 0 by default
+    growth: 0.1                  # standard deviation of the velocity, 0 by default; severity: as for entities
+keyframes:
+  ready: [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
+tasks:
+  serve:
+    description: One sentence.
+    start: ready                 # keyframe or configuration
+    goal: [by_plate, by_window]  # keyframe, configuration, or a list of those to choose from
+    object: mug
+    support: {start: counter, goal: table}    # what the object stands on at the ends: bodies or geoms
+allowed_contacts:
+  - {first: cable, second: pedestal, when: always}    # or: ends
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
+
+import mujoco
+import numpy as np
+
+from graceful_plan.exceptions import GracefulPlanError, SceneError
+from graceful_plan.scene import roles, screening
+from graceful_plan.scene.elements import AllowedContact, Contents, Dry, EntityNote, Liquid, Notes, ObjectNote, TaskNote
+from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.loading.robot_models import robot_file, robots
+from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.tasks import check_keyframes
+from graceful_plan.yaml_file import Block, read_yaml
+
+T = TypeVar("T")
+
+
+def read_scene(file: Path) -> Scene:
+    """Load a scene file.
+
+    Raises:
+        SceneError: If it or its world is broken or hostile, with file and line.
+        UnsupportedError: If the model has features that cannot be represented.
+    """
+    root = read_yaml(file)
+    root.only("version", "name", "description", "world", "robot", "tool", "fingers", "entities", "severity", "objects",
+              "moving", "keyframes", "tasks", "allowed_contacts")  # fmt: skip
+    if root["version"].number() != 1:
+        raise root["version"].error("only version 1 of scene files is known")
+    notes = _notes(root, file)
+    scene = Scene.build(_spec(root, file, notes.robot), notes)
+    _check_promises(scene)
+    return replace(scene, notes=replace(scene.notes, file=None, lines={}))
+
+
+def _check_promises(scene: Scene) -> None:
+    """Complain now, with a line, about what would fail only when somebody plans a task."""
+    notes = scene.notes
+    check_keyframes(notes, scene.limits)
+    for name in notes.objects:
+        with notes.about(f"objects.{name}"):
+            held = roles.held_note(scene.model, notes, scene.robot_bodies, name)
+            Scene.build(scene.spec, replace(notes, held=held, file=None), scene.model)
+    scene.tasks  # noqa: B018  refuses tasks that name what does not exist
+
+
+@dataclass
+class _Lines:
+    """Remembers where named things stand."""
+
+    at: dict[str, int] = field(default_factory=dict)
+
+    def table(self, root: Block, key: str, read: Callable[[str, Block], T]) -> dict[str, T]:
+        """Read a mapping of named things; none if it is absent."""
+        found = {}
+        section = root.get(key)
+        for name, block in section.items() if section else ():
+            self.at[f"{key}.{name}"] = block.line
+            try:
+                found[name] = read(name, block)
+            except SceneError:
+                raise
+            except GracefulPlanError as error:
+                raise block.error(f"{block.name}: {error}") from error
+        return found
+
+
+def _notes(root: Block, file: Path) -> Notes:
+    lines = _Lines({key: block.line for key, block in root.items()})
+    robot = root["robot"]
+    robot.only("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque")
+    prefix = _prefix(robot)
+    name, description, tool, allowed = (root.get(key) for key in ("name", "description", "tool", "allowed_contacts"))
+    body_class = robot.get("body_class")
+    return Notes(
+        name=name.string() if name else file.stem,
+        description=description.string() if description else "",
+        robot=prefix,
+        tool=tool.string() if tool else f"{prefix}tool",
+        body_class=body_class.string() if body_class else "arm_collapse",
+        fingers=_fingers(root.get("fingers")),
+        velocity=_optional_numbers(robot.get("velocity")),
+        acceleration=_optional_numbers(robot.get("acceleration")),
+        torque=_optional_numbers(robot.get("torque")),
+        entities=lines.table(root, "entities", _entity),
+        severity=SeverityTable.shipped(),
+        overrides=lines.table(root, "severity", lambda _, block: _number_or_numbers(block)),
+        objects=lines.table(root, "objects", _object),
+        moving=lines.table(root, "moving", _moving),
+        keyframes=lines.table(root, "keyframes", lambda _, block: block.numbers()),
+        tasks=lines.table(root, "tasks", _task),
+        allowed=tuple(_allowed(block) for block in allowed.entries()) if allowed else (),
+        file=str(file),
+        lines=lines.at,
+    )
+
+
+def _prefix(robot: Block) -> str:
+    model, prefix = robot.get("model"), robot.get("prefix")
+    if prefix is not None:
+        return prefix.string()
+    if model is None:
+        raise robot.error("the robot needs a model, or the prefix of its bodies in the world")
+    return f"{Path(model.string()).stem}/"
+
+
+def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
+    """Compose world and robot."""
+    world = _relative(file, root["world"])
+    spec = screening.load_spec(world)
+    block = root["robot"].get("model")
+    if block is None:
+        return spec
+    model = robot_file(block.string()) if block.string() in robots() else _relative(file, block)
+    position, quaternion = root["robot"].get("position"), root["robot"].get("quaternion")
+    frame = spec.worldbody.add_frame(
+        pos=position.numbers(3) if position else (0.0, 0.0, 0.0),
+        quat=_quaternion(quaternion) if quaternion else (1.0, 0.0, 0.0, 0.0),
+    )
+    try:
+        spec.attach(screening.load_spec(model), prefix=prefix, frame=frame)
+    except ValueError as error:
+        raise root["robot"].error(" ".join(str(error).split())) from None
+    return spec
+
+
+def _relative(file: Path, block: Block) -> Path:
+    """Return a file beside the scene file or below it."""
+    given = Path(block.string())
+    path = (file.parent / given).resolve()
+    if given.is_absolute() or ".." in given.parts or not path.is_relative_to(file.parent.resolve()):
+        raise block.error(f"{str(given)!r} is outside of the folder of the scene")
+    if given.suffix != ".xml":
+        raise block.error(f"{str(given)!r} is neither a MJCF file (.xml) nor a bundled robot: {', '.join(robots())}")
+    if not path.is_file():
+        raise block.error(f"there is no file {str(given)!r}")
+    return path
+
+
+def _entity(_name: str, block: Block) -> EntityNote:
+    if not block.is_mapping:
+        return EntityNote(category=block.string())
+    block.only("class", "severity")
+    severity = block.get("severity")
+    return EntityNote(category=block["class"].string(), severity=_number_or_numbers(severity) if severity else None)
+
+
+def _moving(name: str, block: Block) -> MovingEntity:
+    block.only("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
+    yaw, spread, growth, severity = (block.get(key) for key in ("yaw", "spread", "growth", "severity"))
+    return MovingEntity(
+        name,
+        block["class"].string(),
+        size=np.array(block["size"].numbers()),
+        t=np.array(block["t"].numbers()),
+        position=np.array([row.numbers(3) for row in block["position"].entries()]).reshape(-1, 3),
+        yaw=np.array(yaw.numbers()) if yaw else None,
+        spread=spread.number() if spread else 0.0,
+        growth=growth.number() if growth else 0.0,
+        severity=_number_or_numbers(severity) if severity else None,
+    )
+
+
+def _object(name: str, block: Block) -> ObjectNote:
+    block.only("body", "class", "grasp", "fingers", "contents")
+    body, object_class, grasp, contents = (block.get(key) for key in ("body", "class", "grasp", "contents"))
+    return ObjectNote(
+        body=body.string() if body else name,
+        X_TO=_pose(grasp) if grasp else None,
+        object_class=object_class.string() if object_class else None,
+        contents=_contents(contents) if contents else None,
+        fingers=_fingers(block.get("fingers")),
+    )
+
+
+def _contents(block: Block) -> Contents:
+    block.only("kind", "volume", "temperature", "geoms")
+    kind, temperature, geoms = block["kind"].string(), block.get("temperature"), block.get("geoms")
+    names = geoms.strings() if geoms else ()
+    volume = block["volume"].number()
+    if kind == "dry":
+        if temperature is not None:
+            raise temperature.error("dry contents have no temperature")
+        return Dry(volume, names)
+    if kind not in ("water", "oil"):
+        raise block["kind"].error(f"kind {kind!r}, expected water, oil or dry")
+    return Liquid(volume, temperature.number() if temperature else 20.0, kind, names)
+
+
+def _task(_name: str, block: Block) -> TaskNote:
+    block.only("description", "start", "goal", "object", "support")
+    description, object_name, support = block.get("description"), block.get("object"), block.get("support")
+    if support is not None:
+        support.only("start", "goal")
+        if object_name is None:
+            raise support.error("a task without an object has no support")
+    return TaskNote(
+        start=_end(block["start"]),
+        goal=_goals(block["goal"]),
+        description=description.string() if description else "",
+        object_name=object_name.string() if object_name else None,
+        support=tuple(dict.fromkeys(child.string() for _, child in support.items())) if support else (),
+    )
+
+
+def _end(block: Block) -> str | tuple[float, ...]:
+    return block.numbers() if block.is_list else block.string()
+
+
+def _goals(block: Block) -> tuple[str | tuple[float, ...], ...]:
+    if not block.is_list:
+        return (block.string(),)
+    children = block.entries()
+    if not children:
+        raise block.error("needs at least one goal")
+    if any(child.is_list or child.is_string for child in children):
+        return tuple(_end(child) for child in children)
+    return (block.numbers(),)
+
+
+def _allowed(block: Block) -> AllowedContact:
+    block.only("first", "second", "when")
+    when = block.get("when")
+    word = when.string() if when else "always"
+    if word not in ("always", "ends"):
+        raise block.error(f"when is {word!r}, expected always or ends")
+    return AllowedContact(block["first"].string(), block["second"].string(), word)
+
+
+def _pose(block: Block) -> np.ndarray:
+    block.only("position", "quaternion")
+    X = np.eye(4)
+    position, quaternion = block.get("position"), block.get("quaternion")
+    X[:3, 3] = position.numbers(3) if position else 0.0
+    R = np.empty(9)
+    mujoco.mju_quat2Mat(R, np.array(_quaternion(quaternion) if quaternion else (0.0, 1.0, 0.0, 0.0)))
+    X[:3, :3] = R.reshape(3, 3)
+    return X
+
+
+def _quaternion(block: Block) -> tuple[float, ...]:
+    values = np.array(block.numbers(4))
+    length = np.linalg.norm(values)
+    if not 0.9 < length < 1.1:
+        raise block.error(f"{block.name} has length {length:g}, expected 1 (wxyz)")
+    return tuple((values / length).tolist())
+
+
+def _number_or_numbers(block: Block) -> float | Mapping[str, float]:
+    return {name: child.number() for name, child in block.items()} if block.is_mapping else block.number()
+
+
+def _fingers(block: Block | None) -> float | Mapping[str, float] | None:
+    return None if block is None else _number_or_numbers(block)
+
+
+def _optional_numbers(block: Block | None) -> tuple[float, ...] | None:
+    return None if block is None else block.numbers()

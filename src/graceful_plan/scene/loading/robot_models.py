@@ -1,0 +1,25 @@
+"""Robot models of our own, by name. Limits that MJCF has no place for are custom numbers in the model files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from graceful_plan.exceptions import UnknownNameError
+
+_FOLDER = Path(__file__).parents[1] / "robots"
+
+
+def robots() -> tuple[str, ...]:
+    """Names of the bundled robots."""
+    return tuple(sorted(file.stem for file in _FOLDER.glob("*.xml")))
+
+
+def robot_file(name: str) -> Path:
+    """Return the MJCF file of a bundled robot.
+
+    Raises:
+        UnknownNameError: If there is no such robot.
+    """
+    if name not in robots():
+        raise UnknownNameError("robot", name, robots())
+    return _FOLDER / f"{name}.xml"

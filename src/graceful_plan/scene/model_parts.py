@@ -1,0 +1,280 @@
+"""Find the parts of a scene in a MuJoCo model: robot bodies, planned joints and their limits, geoms of bodies.
+
+Everything here reads the model and raises when it is not what a scene needs; nothing changes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
+from graceful_plan.scene.elements import Limits, Notes
+
+Array = np.ndarray
+
+_OBJ = mujoco.mjtObj
+_GEOM = mujoco.mjtGeom
+_JOINT = mujoco.mjtJoint
+_NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_SCALAR_JOINTS = (int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE))
+
+SUPPORTED_GEOMS = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CAPSULE, _GEOM.mjGEOM_ELLIPSOID,
+                   _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_BOX, _GEOM.mjGEOM_MESH)  # fmt: skip
+"""Types of geoms that may collide; meshes count as their convex hulls, as in MuJoCo."""
+
+
+def names(model: mujoco.MjModel, kind: mujoco.mjtObj, ids: Iterable[int]) -> list[str]:
+    """Return the names of some bodies, geoms, joints...; "#3" for a nameless one."""
+    return [mujoco.mj_id2name(model, kind, int(i)) or f"#{int(i)}" for i in ids]
+
+
+def geom_label(model: mujoco.MjModel, geom: int) -> str:
+    """Name of a geom, or of its body with the geom's number if it has none."""
+    return model.geom(geom).name or f"{model.body(model.geom_bodyid[geom]).name}#{geom}"
+
+
+def find(model: mujoco.MjModel, kind: mujoco.mjtObj, word: str, name: str) -> int:
+    """Return an id by name; `word` says in the error what it should have been.
+
+    Raises:
+        UnknownNameError: If there is none.
+    """
+    found = mujoco.mj_name2id(model, kind, name)
+    if found < 0:
+        count = {_OBJ.mjOBJ_BODY: model.nbody, _OBJ.mjOBJ_SITE: model.nsite, _OBJ.mjOBJ_JOINT: model.njnt,
+                 _OBJ.mjOBJ_GEOM: model.ngeom}[kind]  # fmt: skip
+        raise UnknownNameError(word, name, (n for n in names(model, kind, range(count)) if not n.startswith("#")))
+    return found
+
+
+def subtree(model: mujoco.MjModel, body: int) -> frozenset[int]:
+    """Return a body and everything that hangs on it; the world stands for itself alone."""
+    inside = {body}
+    if body != 0:
+        for other, parent in enumerate(model.body_parentid.tolist()):  # parents come first
+            if parent in inside:
+                inside.add(other)
+    return frozenset(inside)
+
+
+def rigid_group(model: mujoco.MjModel, body: int) -> frozenset[int]:
+    """Return a body and what hangs on it without a joint in between."""
+    return frozenset(b for b in subtree(model, body) if model.body_weldid[b] == model.body_weldid[body])
+
+
+def collides(model: mujoco.MjModel) -> Bool[Array, " geom"]:
+    """Tell which geoms take part in collisions at all."""
+    taking_part = (np.asarray(model.geom_contype) != 0) | (np.asarray(model.geom_conaffinity) != 0)
+    taking_part[model.pair_geom1] = taking_part[model.pair_geom2] = True
+    return taking_part
+
+
+def colliding_geoms(model: mujoco.MjModel, bodies: Collection[int]) -> tuple[int, ...]:
+    """Return the geoms of some bodies that can collide, ascending."""
+    mine = np.isin(model.geom_bodyid, list(bodies))
+    return tuple(np.flatnonzero(mine & collides(model)).tolist())
+
+
+def check_supported(model: mujoco.MjModel) -> None:
+    """Refuse a model with things that move or collide in ways nobody downstream can represent.
+
+    Raises:
+        UnsupportedError: Naming them all.
+    """
+    problems = []
+    for geom in np.flatnonzero(collides(model)).tolist():
+        kind = _GEOM(model.geom_type[geom])
+        if kind not in SUPPORTED_GEOMS:
+            problems.append(f"geom {geom_label(model, geom)!r} of type {kind.name.removeprefix('mjGEOM_').lower()}")
+    if model.opt.disableflags & _NO_CONTACTS:
+        problems.append("contacts switched off by <flag>")
+    problems += ["flexible bodies"] * bool(model.nflex) + ["plugins"] * bool(model.nplugin)
+    if problems:
+        known = ", ".join(kind.name.removeprefix("mjGEOM_").lower() for kind in SUPPORTED_GEOMS)
+        raise UnsupportedError(f"not supported: {', '.join(problems)}; geoms that collide may be {known}")
+
+
+def check_numbers(model: mujoco.MjModel) -> None:
+    """Refuse NaN, infinities and a timestep that is not above 0, which MuJoCo's compiler lets through.
+
+    Raises:
+        SceneError: Naming the field and the object.
+    """
+    if not (np.isfinite(model.opt.timestep) and model.opt.timestep > 0.0):
+        raise SceneError(f"the timestep is {model.opt.timestep}, it has to be above 0")
+    for kind, fields in _FINITE_FIELDS.items():
+        for field in fields:
+            values = np.asarray(getattr(model, field))
+            bad = np.argwhere(~np.isfinite(values))
+            if len(bad):
+                index = int(bad[0, 0])
+                name = "" if kind is None else f" of {names(model, kind, [index])[0]!r}"
+                raise SceneError(f"{field}{name} is not finite")
+
+
+_FINITE_FIELDS: Mapping[mujoco.mjtObj | None, tuple[str, ...]] = {
+    _OBJ.mjOBJ_BODY: ("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
+    _OBJ.mjOBJ_GEOM: ("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_margin"),
+    _OBJ.mjOBJ_JOINT: ("jnt_range", "jnt_pos", "jnt_axis", "jnt_stiffness"),
+    _OBJ.mjOBJ_SITE: ("site_pos", "site_quat"),
+    None: ("qpos0", "qpos_spring", "mesh_vert", "dof_armature", "dof_damping", "actuator_gainprm", "actuator_biasprm",
+           "actuator_forcerange", "key_qpos", "numeric_data"),
+}  # fmt: skip
+
+
+def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
+    """Return the bodies of the robot: the subtree of the body of that name, else all whose names start with it.
+
+    Raises:
+        UnknownNameError: If there are none.
+    """
+    root = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, robot) if robot else -1
+    if root > 0:
+        return subtree(model, root)
+    every = names(model, _OBJ.mjOBJ_BODY, range(model.nbody))
+    found = frozenset(b for b, name in enumerate(every) if b > 0 and robot and name.startswith(robot))
+    if not found:
+        prefixes = {name.partition("/")[0] + "/" for name in every if "/" in name}
+        roots = {every[b] for b in range(1, model.nbody) if model.body_parentid[b] == 0}
+        raise UnknownNameError("robot prefix or root body", robot, prefixes | roots)
+    return found
+
+
+def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]) -> tuple[int, ...]:
+    """Return the hinges and slides on the way from the world to the tool, base first.
+
+    Raises:
+        SceneError: If the tool is not on the robot or there are none.
+        UnsupportedError: If there is a joint of another kind among them.
+    """
+    if tool_body not in robot:
+        raise SceneError(f"the tool is on body {model.body(tool_body).name!r}, which is not part of the robot")
+    chain: list[int] = []
+    body = tool_body
+    while body != 0:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        chain[:0] = range(first, first + count)
+        body = int(model.body_parentid[body])
+    other = [j for j in chain if int(model.jnt_type[j]) not in _SCALAR_JOINTS]
+    if other:
+        wrong = ", ".join(names(model, _OBJ.mjOBJ_JOINT, other))
+        raise UnsupportedError(f"joints between world and tool have to be hinge or slide, not: {wrong}")
+    if not chain:
+        raise SceneError(f"no joint moves the body {model.body(tool_body).name!r} of the tool")
+    return tuple(chain)
+
+
+def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -> Limits:
+    """Collect limits: positions and torques from the model, the rest from the notes or custom numbers.
+
+    A hinge without limits gets one turn to each side. Torque comes from the notes, actuatorfrcrange or the
+    forcerange of the actuators on the joint; infinite if none of them is there.
+
+    Raises:
+        SceneError: If a slide has no limits, or speeds or accelerations are given nowhere.
+    """
+    torque = _limit(model, joints, notes, "torque", notes.torque)
+    if torque is None:
+        torque = np.array([_torque(model, j) for j in joints])
+    limits = Limits(
+        position=np.array([_range(model, j) for j in joints]),
+        velocity=_needed_limit(model, joints, notes, "velocity", notes.velocity),
+        acceleration=_needed_limit(model, joints, notes, "acceleration", notes.acceleration),
+        torque=torque,
+    )
+    for values in (limits.position, limits.velocity, limits.acceleration, limits.torque):
+        values.flags.writeable = False
+    return limits
+
+
+def _needed_limit(
+    model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes, name: str, given: tuple[float, ...] | None
+) -> Float[Array, " nq"]:
+    found = _limit(model, joints, notes, name, given)
+    if found is None:
+        custom = _custom(model, notes, name)
+        raise SceneError(
+            f"no {name} limits: give {name}=[{len(joints)} numbers], or the model a custom numeric {custom!r}"
+        )
+    return found
+
+
+def _custom(model: mujoco.MjModel, notes: Notes, name: str) -> str:
+    is_body = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, notes.robot) > 0
+    prefix = notes.robot[: notes.robot.rfind("/") + 1] if is_body else notes.robot
+    return f"{prefix}{name}_limit"
+
+
+def _limit(
+    model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes, name: str, given: tuple[float, ...] | None
+) -> Float[Array, " nq"] | None:
+    custom = mujoco.mj_name2id(model, _OBJ.mjOBJ_NUMERIC, _custom(model, notes, name))
+    if given is None and custom < 0:
+        return None
+    values = np.array(model.numeric(custom).data if given is None else given, dtype=float)
+    if values.shape != (len(joints),) or not np.isfinite(values).all() or (values <= 0.0).any():
+        raise SettingError(
+            f"{name} limits", values.tolist(), f"{len(joints)} finite numbers above 0, one a planned joint"
+        )
+    return values
+
+
+def _range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    if model.jnt_limited[joint]:
+        return tuple(model.jnt_range[joint])
+    if int(model.jnt_type[joint]) == int(_JOINT.mjJNT_SLIDE):
+        raise SceneError(f"the sliding joint {model.joint(joint).name!r} has no range")
+    return -2.0 * np.pi, 2.0 * np.pi
+
+
+def _torque(model: mujoco.MjModel, joint: int) -> float:
+    if model.jnt_actfrclimited[joint]:
+        return float(np.abs(model.jnt_actfrcrange[joint]).max())
+    on_joint = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)) & (model.actuator_trnid[:, 0] == joint)
+    limited = np.flatnonzero(on_joint & (model.actuator_forcelimited != 0))
+    forces = np.abs(model.actuator_forcerange[limited]).max(axis=1) * np.abs(model.actuator_gear[limited, 0])
+    return float(forces.sum()) if len(limited) else np.inf
+
+
+def finger_positions(
+    model: mujoco.MjModel, robot: Collection[int], planned: tuple[int, ...], tool_body: int, notes: Notes
+) -> dict[int, float]:
+    """Return qpos address and position of the robot's joints that are held still.
+
+    Args:
+        model: The model.
+        robot: Bodies of the robot.
+        planned: Planned joints.
+        tool_body: Body that the tool is on.
+        notes: Says where: one position for all joints behind the tool's body, or positions by joint name [rad or m].
+
+    Raises:
+        UnknownNameError: If a joint is not among those that are held still.
+        SettingError: If a position is outside of its joint's range.
+    """
+    held = {
+        model.joint(j).name: j
+        for j in range(model.njnt)
+        if int(model.jnt_bodyid[j]) in robot and j not in planned and int(model.jnt_type[j]) in _SCALAR_JOINTS
+    }
+    fingers = notes.fingers
+    if notes.held is not None and notes.held.fingers is not None:
+        fingers = notes.held.fingers
+    if fingers is None:
+        return {}
+    if not isinstance(fingers, Mapping):
+        behind = subtree(model, tool_body)
+        fingers = {name: fingers for name, j in held.items() if int(model.jnt_bodyid[j]) in behind}
+    positions = {}
+    for name, position in fingers.items():
+        if name not in held:
+            raise UnknownNameError("finger joint", name, held)
+        lower, upper = _range(model, held[name])
+        if not lower - 1e-9 <= position <= upper + 1e-9:
+            raise SettingError(f"position of {name}", position, f"between {lower:g} and {upper:g}")
+        positions[int(model.jnt_qposadr[held[name]])] = float(position)
+    return positions

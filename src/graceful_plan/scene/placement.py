@@ -1,0 +1,52 @@
+"""Where robot and carried object are in a configuration, by MuJoCo's kinematics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+
+class Placement:
+    """Kinematics of one scene, again and again. Holds MuJoCo state: one per thread.
+
+    It gives what `scene.data_at` gives, but on the same data every time and hundreds of times faster.
+
+    Args:
+        scene: The scene.
+        model: Model to use instead of the scene's, with the same joints and bodies.
+    """
+
+    def __init__(self, scene: Scene, model: mujoco.MjModel | None = None) -> None:
+        self.model = scene.model if model is None else model
+        self.data = data = mujoco.MjData(self.model)
+        data.qpos[:] = scene.home_qpos
+        first, last = int(scene.qpos_adr[0]), int(scene.qpos_adr[-1])
+        contiguous = np.array_equal(scene.qpos_adr, np.arange(first, last + 1))
+        self._adr = slice(first, last + 1) if contiguous else scene.qpos_adr
+        self._carried = scene.carried is not None
+        if scene.carried is not None:
+            # Views into the data and scratch space: this runs a thousand times a motion.
+            adr = int(self.model.jnt_qposadr[self.model.body(scene.carried.body).jntadr[0]])
+            self._p_WO, self._quat_WO = data.qpos[adr : adr + 3], data.qpos[adr + 3 : adr + 7]
+            site = self.model.site(scene.tool).id
+            self._R_WT, self._p_WT, self._quat_WT = data.site_xmat[site], data.site_xpos[site], np.zeros(4)
+            self._p_TO, self._quat_TO = np.array(scene.carried.X_TO[:3, 3]), np.zeros(4)
+            mujoco.mju_mat2Quat(self._quat_TO, scene.carried.X_TO[:3, :3].ravel())
+
+    def place(self, q: Float[Array, " nq"]) -> mujoco.MjData:
+        """Put robot and carried object where a configuration puts them; the next call overwrites the data."""
+        data = self.data
+        data.qpos[self._adr] = q
+        mujoco.mj_kinematics(self.model, data)
+        if self._carried:
+            mujoco.mju_mat2Quat(self._quat_WT, self._R_WT)
+            mujoco.mju_rotVecQuat(self._p_WO, self._p_TO, self._quat_WT)
+            self._p_WO += self._p_WT
+            mujoco.mju_mulQuat(self._quat_WO, self._quat_WT, self._quat_TO)
+            mujoco.mj_kinematics(self.model, data)
+        return data

@@ -1,0 +1,377 @@
+"""A scene: robot, surroundings and what is known about both; the library's door to MuJoCo.
+
+A `Scene` never changes: `attach`, `detach`, `with_severity` and `add_*` return new ones. Frames: W world, T tool,
+O carried object. Batches of configurations are the business of `kernels.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, final
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SceneError
+from graceful_plan.path import finite_array
+from graceful_plan.scene import roles, screening
+from graceful_plan.scene.contacts import declared_contacts
+from graceful_plan.scene.edit import add_hull, add_primitive
+from graceful_plan.scene.elements import (
+    AllowedContact,
+    Contents,
+    EntityNote,
+    Notes,
+)
+from graceful_plan.scene.facts import SceneFacts
+from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.model_parts import (
+    check_numbers,
+    check_supported,
+    find,
+    finger_positions,
+    joint_limits,
+    names,
+    planned_joints,
+    robot_bodies,
+)
+from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.summary import summary
+from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
+
+Array = np.ndarray
+
+_OBJ = mujoco.mjtObj
+_GEOM = mujoco.mjtGeom
+
+
+@final
+class Scene(SceneFacts):
+    """A robot among things that can be harmed. Made by `load_scene` or `Scene.from_mjcf`; equal only to itself."""
+
+    # --- making one ---------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        source: str | Path | mujoco.MjSpec,
+        *,
+        robot: str,
+        tool: str,
+        carried: str | None = None,
+        X_TO: ArrayLike | None = None,
+        contents: Contents | None = None,
+        entities: Mapping[str, str | EntityNote] | None = None,
+        severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
+        fingers: float | Mapping[str, float] | None = None,
+        velocity: Sequence[float] | None = None,
+        acceleration: Sequence[float] | None = None,
+        torque: Sequence[float] | None = None,
+        keyframes: Mapping[str, ArrayLike] | None = None,
+        allowed_contacts: Sequence[AllowedContact] = (),
+        body_class: str = "arm_collapse",
+        name: str | None = None,
+    ) -> Scene:
+        """Make a scene from any MJCF model with an arm in it.
+
+        Args:
+            source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
+                name other files only in the same folder and below; a MjSpec is trusted.
+            robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
+            tool: Name of the site that stands for the tool. The hinges and slides between the world and it are planned.
+            carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
+            X_TO: Pose of the carried body in the tool frame.
+            contents: What is inside of it.
+            entities: Class of each body that can be harmed, by body name; each stands for its whole subtree. The model
+                may say the same in custom text: `<text name="entity/BODY" data="CLASS"/>`. Bodies without a class are
+                obstacles only.
+            severity: A table, a file with one, or replacements as for `with_severity`.
+            fingers: Position of the joints behind the tool's body, or positions by joint name.
+            velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric
+                "<robot>velocity_limit".
+            acceleration: The same for accelerations [rad/s2 or m/s2], custom numeric "<robot>acceleration_limit".
+            torque: The same [N m or N]. Default: the model's actuators; infinite if they have no limits.
+            keyframes: Configurations by name, besides the model's own keyframes.
+            allowed_contacts: What may touch, besides gripper and carried object.
+            body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
+            name: What to call the scene; the model's name by default.
+
+        Raises:
+            SceneError: If the model is broken or hostile.
+            UnsupportedError: If it has features that cannot be represented.
+            UnknownNameError: If a body, site, joint or class does not exist.
+        """
+        spec = screening.load_spec(source)
+        table, overrides = _severity(severity)
+        notes = Notes(
+            name=name or spec.modelname,
+            robot=robot,
+            tool=tool,
+            body_class=body_class,
+            fingers=fingers,
+            velocity=None if velocity is None else tuple(velocity),
+            acceleration=None if acceleration is None else tuple(acceleration),
+            torque=None if torque is None else tuple(torque),
+            entities={
+                k: v if isinstance(v, EntityNote) else EntityNote(category=v) for k, v in (entities or {}).items()
+            },
+            severity=table,
+            overrides=overrides,
+            keyframes={k: tuple(finite_array(f"keyframe {k}", q, ndim=1)) for k, q in (keyframes or {}).items()},
+            allowed=tuple(allowed_contacts),
+        )
+        scene = cls.build(spec, notes)
+        check_keyframes(notes, scene.limits)
+        return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+
+    @classmethod
+    def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
+        """Make a scene of a MjSpec, which must not change any more, and notes. For loaders; users call `from_mjcf`."""
+        model = _compile(spec, notes) if compiled is None else compiled
+        with notes.about("robot"):
+            robot = robot_bodies(model, notes.robot)
+        with notes.about("tool"):
+            tool_body = int(model.site_bodyid[find(model, _OBJ.mjOBJ_SITE, "tool site", notes.tool)])
+            joints = planned_joints(model, tool_body, robot)
+        with notes.about("robot"):
+            limits = joint_limits(model, joints, notes)
+            components = roles.find_components(model, notes, robot)
+        with notes.about("fingers"):
+            held_still = finger_positions(model, robot, joints, tool_body, notes)
+        qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
+        home = model.qpos0.copy()
+        home[list(held_still)] = list(held_still.values())
+        home.flags.writeable = qpos_adr.flags.writeable = False
+        notes = replace(
+            notes,
+            entities=roles.custom_entities(model) | dict(notes.entities),
+            # Kept here, since adding a joint to a MjSpec spoils its keyframes.
+            keyframes=model_keyframes(model, qpos_adr) | dict(notes.keyframes),
+        )
+        return cls(
+            model=model,
+            joints=tuple(names(model, _OBJ.mjOBJ_JOINT, joints)),
+            qpos_adr=qpos_adr,
+            limits=limits,
+            home_qpos=home,
+            components=components,
+            entities=roles.find_entities(model, notes, robot, components),
+            moving_severity=roles.moving_severities(model, notes, components),
+            unlabelled=roles.unlabelled_bodies(model, notes, robot),
+            keyframes=find_keyframes(notes, len(joints)),
+            allowed_contacts=declared_contacts(model, notes, tool_body),
+            notes=notes,
+            robot_bodies=robot,
+            spec=spec,
+        )
+
+    # --- what is built on these facts ---------------------------------------------------------------------------------
+
+    @cached_property
+    def tasks(self) -> Mapping[str, Task]:
+        """What to plan in this scene, by name."""
+        tasks = {}
+        for name, note in self.notes.tasks.items():
+            start, goal = task_ends(self, name)
+            tasks[name] = Task(
+                name=name,
+                start=start,
+                goal=goal,
+                description=note.description,
+                object_name=note.object_name,
+                support=note.support,
+                world=self,
+            )
+        return MappingProxyType(tasks)
+
+    def describe(self) -> str:
+        """Return a readable summary: robot, components, entities with severities, what may touch."""
+        return summary(self, {name: task.description for name, task in self.tasks.items()})
+
+    # --- new scenes ---------------------------------------------------------------------------------------------------
+
+    def attach(
+        self,
+        name: str,
+        *,
+        X_TO: ArrayLike | None = None,
+        contents: Contents | None = None,
+        object_class: str | None = None,
+        fingers: float | Mapping[str, float] | None = None,
+        support: Sequence[str] = (),
+    ) -> Scene:
+        """Return this scene with an object in the gripper, no entity or obstacle any more; the gripper may touch it.
+
+        Args:
+            name: An object of the scene, or any body that stands by itself.
+            X_TO: Pose of the object's body in the tool frame. Default: as declared for the object, else the body's
+                origin at the tool, upright while the tool points down.
+            contents: What is inside of it. Default: as declared.
+            object_class: "light" (below 0.2 kg), "medium" (up to 1 kg), "heavy", "sharp" or "glass". Default: as
+                declared, else by mass.
+            fingers: Position of the joints behind the tool's body while carrying, or by joint name. Default: as
+                declared.
+            support: Bodies or geoms that it may touch at the ends of a path, since it stands on them there.
+
+        Raises:
+            SceneError: If something is in the gripper already.
+            UnknownNameError: If there is no such object, support or contents geom.
+            UnsupportedError: If it cannot be held.
+        """
+        if self.notes.held is not None:
+            raise SceneError(f"{self.notes.held.body!r} is in the gripper already; detach() it first")
+        held = roles.held_note(
+            self.model,
+            self.notes,
+            self.robot_bodies,
+            name,
+            X_TO=X_TO,
+            contents=contents,
+            object_class=object_class,
+            fingers=fingers,
+        )
+        notes = replace(self.notes, held=held, support=tuple(support))
+        if roles.free_joint(self.model, self.model.body(held.body).id) >= 0:
+            return Scene.build(self.spec, notes, self.model)
+        spec = self.spec.copy()
+        spec.body(held.body).add_freejoint(name=f"{held.body}_free")
+        return Scene.build(spec, notes)
+
+    def detach(self) -> Scene:
+        """Return this scene with nothing in the gripper; the object is back at its initial pose.
+
+        Raises:
+            SceneError: If nothing is in the gripper.
+        """
+        if self.notes.held is None:
+            raise SceneError("nothing is in the gripper")
+        return Scene.build(self.spec, replace(self.notes, held=None, support=()), self.model)
+
+    def with_severity(self, severity: SeverityTable | Mapping[str, float | Mapping[str, float]]) -> Scene:
+        """Return this scene with other severities.
+
+        Args:
+            severity: A whole table, or replacements: by entity, a number or numbers by component ("body", "carried",
+                "contents"); by entity class, a number or numbers by component class. A name that is both is the entity.
+
+        Raises:
+            UnknownNameError: If a name is neither an entity nor a class.
+            SettingError: If a severity is not a finite number of at least 0.
+        """
+        table, overrides = _severity(severity)
+        table = table if isinstance(severity, SeverityTable) else self.notes.severity
+        notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
+        return Scene.build(self.spec, notes, self.model)
+
+    def with_moving(self, *entities: MovingEntity) -> Scene:
+        """Return this scene with more entities that move; a prediction replaces an earlier one of the same name.
+
+        They are hazards, not obstacles: collision checks and `verify` do not look at them.
+
+        Raises:
+            SceneError: If a name is given twice or is that of a body of the scene.
+            UnknownNameError: If the severity table does not have a class.
+        """
+        given = {entity.name: entity for entity in entities}
+        if len(given) < len(entities):
+            raise SceneError(f"two of these moving entities have one name: {', '.join(e.name for e in entities)}")
+        notes = replace(self.notes, moving=MappingProxyType({**self.notes.moving, **given}))
+        return Scene.build(self.spec, notes, self.model)
+
+    def without_moving(self) -> Scene:
+        """Return this scene without entities that move."""
+        return Scene.build(self.spec, replace(self.notes, moving=MappingProxyType({})), self.model)
+
+    def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with a box that does not move.
+
+        Args:
+            name: Name of the new body.
+            half_size: Half of its length along each axis [m].
+            pose: Pose in W as a 4 x 4 matrix, or the position of its centre [m].
+            entity: Its class, if it can be harmed; otherwise it is an obstacle only.
+        """
+        return self._with_body(name, _GEOM.mjGEOM_BOX, half_size, 3, pose, entity)
+
+    def add_sphere(self, name: str, radius: float, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with a sphere of some radius [m] that does not move; the rest as in `add_box`."""
+        return self._with_body(name, _GEOM.mjGEOM_SPHERE, [radius], 1, pose, entity)
+
+    def add_cylinder(
+        self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
+    ) -> Scene:
+        """Return this scene with a cylinder along z of its pose [m] that does not move; the rest as in `add_box`."""
+        return self._with_body(name, _GEOM.mjGEOM_CYLINDER, [radius, half_length], 2, pose, entity)
+
+    def add_capsule(
+        self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
+    ) -> Scene:
+        """Return this scene with a capsule along z of its pose that does not move.
+
+        `half_length` [m] is that of the straight part, without the caps; the rest as in `add_box`.
+        """
+        return self._with_body(name, _GEOM.mjGEOM_CAPSULE, [radius, half_length], 2, pose, entity)
+
+    def add_mesh(self, name: str, vertices: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
+        """Return this scene with the convex hull of points [m] in the frame of `pose`; the rest as in `add_box`."""
+        spec = self.spec.copy()
+        add_hull(spec, name, vertices, pose)
+        return self._rebuilt(spec, name, entity)
+
+    def _with_body(
+        self, name: str, kind: mujoco.mjtGeom, size: ArrayLike, count: int, pose: ArrayLike, entity: str | None
+    ) -> Scene:
+        spec = self.spec.copy()
+        add_primitive(spec, name, kind, finite_array(f"size of {name}", size, ndim=1, last=count), pose)
+        return self._rebuilt(spec, name, entity)
+
+    def _rebuilt(self, spec: mujoco.MjSpec, name: str, entity: str | None) -> Scene:
+        known = dict(self.notes.entities)
+        if entity is not None:
+            known[name] = EntityNote(category=entity)
+        return Scene.build(spec, replace(self.notes, entities=known))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """Something to plan in a scene: a start, goals to choose from, and the object to carry.
+
+    `goal` has one row if there is one goal. `scene` is made at the first use: it has the object in the gripper.
+    """
+
+    name: str
+    start: Float[Array, " nq"]
+    goal: Float[Array, "goal nq"]
+    description: str
+    object_name: str | None
+    support: tuple[str, ...]
+    world: Scene
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene with the task's object attached and its supports allowed at the ends."""
+        if self.object_name is None:
+            return self.world
+        return self.world.attach(self.object_name, support=self.support)
+
+
+def _compile(spec: mujoco.MjSpec, notes: Notes) -> mujoco.MjModel:
+    with notes.about("world"):
+        model = screening.compile_spec(spec)
+        check_numbers(model)
+        check_supported(model)
+    return model
+
+
+def _severity(given: SeverityTable | Mapping[str, Any] | str | Path | None) -> tuple[SeverityTable, dict[str, Any]]:
+    if isinstance(given, SeverityTable):
+        return given, {}
+    if isinstance(given, str | Path):
+        return SeverityTable.load(given), {}
+    return SeverityTable.shipped(), dict(given or {})

@@ -1,0 +1,93 @@
+"""Named configurations and tasks of a scene, resolved from the notes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
+from graceful_plan.scene.elements import Limits, Notes
+from graceful_plan.scene.facts import SceneFacts
+
+Array = np.ndarray
+
+_SLACK = 1e-6
+
+
+def model_keyframes(model: mujoco.MjModel, qpos_adr: Int[Array, " nq"]) -> dict[str, tuple[float, ...]]:
+    """Return the model's own keyframes, as far as the planned joints go."""
+    return {
+        model.key(i).name: tuple(model.key_qpos[i][qpos_adr].tolist()) for i in range(model.nkey) if model.key(i).name
+    }
+
+
+def find_keyframes(notes: Notes, nq: int) -> Mapping[str, Float[Array, " nq"]]:
+    """Return the keyframes of the notes as arrays that cannot be written to.
+
+    Raises:
+        ShapeError: If one has the wrong number of joints.
+    """
+    found = {}
+    for name, values in notes.keyframes.items():
+        with notes.about(f"keyframes.{name}"):
+            found[name] = _configuration(f"keyframe {name!r}", values, nq)
+    return MappingProxyType(found)
+
+
+def check_keyframes(notes: Notes, limits: Limits) -> None:
+    """Check declared keyframes. Those of a model are not: many models have some outside of their limits.
+
+    Raises:
+        SettingError: If one is outside of the limits.
+    """
+    for name, q in notes.keyframes.items():
+        with notes.about(f"keyframes.{name}"):
+            _check_limits(f"keyframe {name!r}", np.array(q), limits)
+
+
+def task_ends(scene: SceneFacts, name: str) -> tuple[Float[Array, " nq"], Float[Array, "goal nq"]]:
+    """Return start and goals of a declared task.
+
+    Raises:
+        UnknownNameError: If the task names a keyframe, an object or a support that does not exist.
+    """
+    note = scene.notes.tasks[name]
+    with scene.notes.about(f"tasks.{name}"):
+        if note.object_name is not None and note.object_name not in scene.notes.objects:
+            raise UnknownNameError("object", note.object_name, scene.notes.objects)
+        for support in note.support:
+            scene.geoms_named(support)
+        goals = np.stack([_end(scene, goal) for goal in note.goal])
+        goals.flags.writeable = False
+        return _end(scene, note.start), goals
+
+
+def _end(scene: SceneFacts, given: str | tuple[float, ...]) -> Float[Array, " nq"]:
+    if not isinstance(given, str):
+        q = _configuration("configuration", given, len(scene.joints))
+    elif given in scene.keyframes:
+        q = scene.keyframes[given]
+    else:
+        raise UnknownNameError("keyframe", given, scene.keyframes)
+    _check_limits("configuration" if not isinstance(given, str) else f"keyframe {given!r}", q, scene.limits)
+    return q
+
+
+def _configuration(name: str, values: tuple[float, ...], nq: int) -> Float[Array, " nq"]:
+    q = np.array(values, dtype=float)
+    if q.shape != (nq,):
+        raise ShapeError(name, q.shape, f"({nq},), one number for each planned joint")
+    q.flags.writeable = False
+    return q
+
+
+def _check_limits(name: str, q: Float[Array, " nq"], limits: Limits) -> None:
+    lower, upper = limits.position.T
+    outside = np.flatnonzero((q < lower - _SLACK) | (q > upper + _SLACK))
+    if len(outside):
+        j = int(outside[0])
+        raise SettingError(f"joint {j} of {name}", float(q[j]), f"between {lower[j]:g} and {upper[j]:g}")

@@ -1,0 +1,207 @@
+"""Timing: from a path to the fastest trajectory that keeps the limits of velocity, acceleration and torque.
+
+Corners of the path are rounded first (`blend`), then the curve is timed (`topp`), if asked slowed down where speed does
+harm (`failure_aware`), then the result is checked again and, where sampling let it exceed a limit by a little, slowed
+down evenly until it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
+from graceful_plan.path import Path
+from graceful_plan.scene.elements import Limits
+from graceful_plan.timing.blend import CurveGrid, Piece, rounded, sampled
+from graceful_plan.timing.failure_aware import ImpactOfStates, graded, timed_cost
+from graceful_plan.timing.topp import InverseDynamics, fastest, fastest_with_toppra
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_ROUNDING = 1e-9
+"""Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
+_Regrade = Callable[[CurveGrid, Array, Array], Array]
+"""Other path speeds, of grid, fastest path speeds and acceleration limits."""
+_ACCEPTED_SLOWDOWN = 1.02
+"""The grid is refined while checking against the limits would slow the motion down by more than this."""
+
+
+def retime(
+    path: Path,
+    limits: Limits,
+    joints: tuple[str, ...] | None = None,
+    *,
+    deviation: float = 0.05,
+    speed: float = 1.0,
+    inverse_dynamics: InverseDynamics | None = None,
+    impact: ImpactOfStates | None = None,
+    w: float = 1.0,
+) -> Trajectory:
+    """Time a path as fast as the limits allow, from rest to rest; or, given an impact, so that failing does less harm.
+
+    Args:
+        path: Polyline in configuration space; start and end are kept exactly.
+        limits: Velocity and acceleration limits; torque limits too if `inverse_dynamics` is given.
+        joints: Names of the joints; "0", "1"... if None.
+        deviation: How far the motion may cut a corner of the path [rad, Euclidean]. With 0 it follows the polyline
+            exactly and stops at every corner.
+        speed: In (0, 1]: velocities are scaled by it, accelerations by its square.
+        inverse_dynamics: Joint torques of (q, qd, qdd), to keep torque limits too.
+        impact: Impact of a failure at states (q, qd) [n, nq], such as `Objective().bind(scene).states`. With it, the
+            trajectory is slower where that lowers F = integral of 1 + w I(q, qd) over time [s]; see `failure_aware`.
+        w: Safety weight in F: a second under an impact of 1 / w costs as much as two under none.
+
+    Returns:
+        A trajectory that keeps the limits at every time, not only at its samples. A path without length gives a single
+        sample. With an impact: the fastest one if that has the lower F.
+
+    Raises:
+        RetimingError: If the limits cannot be kept.
+        ShapeError: If path, limits and joints are of different sizes.
+        SettingError: If a setting is outside of its range.
+    """
+    nq = path.q.shape[1]
+    joints = tuple(str(i) for i in range(nq)) if joints is None else tuple(joints)
+    if len(joints) != nq:
+        raise ShapeError("path", path.q.shape, f"(n, {len(joints)} joints)")
+    if not 0.0 < speed <= 1.0:
+        raise SettingError("speed", speed, "0 < speed <= 1")
+    if not (np.isfinite(deviation) and deviation >= 0.0):
+        raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
+    if not (np.isfinite(w) and w >= 0.0):
+        raise SettingError("w", w, "a finite number, at least 0")
+    pieces = rounded(path, deviation)
+    if not pieces:
+        still = np.zeros((1, nq))
+        return Trajectory(np.zeros(1), path.q[:1], still, still, joints)
+    _check_limits(limits, joints)
+    plain = slowed(_refined(pieces, path.q[-1], limits, joints, inverse_dynamics), 1.0 / speed)
+    if impact is None or w == 0.0:
+        return plain
+
+    def regrade(grid: CurveGrid, fastest: Array, acceleration: Array) -> Array:
+        # On the clock of full speed, to which all trajectories of this curve are timed before they are slowed.
+        return graded(grid, fastest, acceleration, lambda q, qd: impact(q, speed * qd), w)
+
+    aware = slowed(_refined(pieces, path.q[-1], limits, joints, inverse_dynamics, regrade), 1.0 / speed)
+    return min(plain, aware, key=lambda trajectory: timed_cost(trajectory, impact, w))
+
+
+def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
+    """Stretch the time of a trajectory by `factor`; positions stay."""
+    return Trajectory(
+        trajectory.t * factor,
+        trajectory.q,
+        trajectory.qd / factor,
+        trajectory.qdd / factor**2,
+        trajectory.joints,
+    )
+
+
+def _check_limits(limits: Limits, joints: tuple[str, ...]) -> None:
+    for name in ("velocity", "acceleration"):
+        value = np.asarray(getattr(limits, name))
+        if value.shape != (len(joints),):
+            raise ShapeError(f"limits.{name}", value.shape, f"({len(joints)},)")
+        bad = np.flatnonzero(~((value > 0.0) & (np.isfinite(value) | (name == "velocity"))))
+        if len(bad):
+            raise RetimingError(f"the {name} limit of joint {joints[bad[0]]!r} is {value[bad[0]]}, it must be > 0")
+
+
+def _refined(
+    pieces: tuple[Piece, ...],
+    end: Float[Array, " nq"],
+    limits: Limits,
+    joints: tuple[str, ...],
+    inverse_dynamics: InverseDynamics | None,
+    regrade: _Regrade | None = None,
+) -> Trajectory:
+    """Time a curve on finer and finer grids until it hardly exceeds a limit between their points."""
+    for density in (1, 2, 4):
+        trajectory = _timed(pieces, end, limits, joints, density, inverse_dynamics, regrade)
+        factor = slowdown(trajectory, limits, inverse_dynamics)
+        if factor <= _ACCEPTED_SLOWDOWN:
+            break
+    return slowed(trajectory, factor * (1.0 + _ROUNDING))
+
+
+def _timed(
+    pieces: tuple[Piece, ...],
+    end: Float[Array, " nq"],
+    limits: Limits,
+    joints: tuple[str, ...],
+    density: int,
+    inverse_dynamics: InverseDynamics | None,
+    regrade: _Regrade | None,
+) -> Trajectory:
+    length = sum(piece.length for piece in pieces)
+    grid = sampled(pieces, end, length / (100.0 * density), density)
+    velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
+    if inverse_dynamics is None:
+        speeds = fastest(grid, velocity, acceleration)
+    else:
+        _check_holdable(grid, np.asarray(limits.torque, float), joints, inverse_dynamics)
+        speeds = fastest_with_toppra(grid, velocity, acceleration, np.asarray(limits.torque, float), inverse_dynamics)
+    if regrade is not None:
+        speeds = regrade(grid, speeds, acceleration)
+    return _trajectory(grid, speeds, joints)
+
+
+def _trajectory(grid: CurveGrid, speeds: Float[Array, " point"], joints: tuple[str, ...]) -> Trajectory:
+    """Integrate path speeds to times, with constant path acceleration on each interval."""
+    mean = 0.5 * (speeds[:-1] + speeds[1:])
+    if not np.all(mean > 0.0):
+        raise RetimingError(f"the motion comes to a halt {grid.s[int(np.argmin(mean))]:.3g} rad along the path")
+    step = np.diff(grid.s)
+    push = 0.5 * np.diff(speeds**2) / step
+    qd = np.concatenate([grid.slope[:, 0], grid.slope[-1:, 1]]) * speeds[:, None]
+    qdd = grid.slope[:, 0] * push[:, None] + grid.bend[:, 0] * speeds[:-1, None] ** 2
+    last = grid.slope[-1] * push[-1] + grid.bend[-1] * speeds[-1] ** 2
+    t = np.concatenate([[0.0], np.cumsum(step / mean)])
+    return Trajectory(t, grid.q, qd, np.concatenate([qdd, last[1:]]), joints)
+
+
+def slowdown(trajectory: Trajectory, limits: Limits, inverse_dynamics: InverseDynamics | None) -> float:
+    """By what factor, at least 1, to stretch the time so that the cubics between the samples keep all limits."""
+    a0, a1 = trajectory.piece_accelerations
+    acceleration = np.maximum(np.abs(a0), np.abs(a1))
+    acceleration = np.maximum(acceleration, np.abs(trajectory.qdd[:-1]))
+    factor = max(1.0, float(np.sqrt((acceleration / limits.acceleration).max())))
+    # Within a piece the velocity peaks where the linear acceleration changes sign.
+    crossing = np.where(a0 * a1 < 0.0, a0 / np.where(a0 == a1, 1.0, a0 - a1), 0.0) * np.diff(trajectory.t)[:, None]
+    peak = np.maximum(np.abs(trajectory.qd[:-1] + 0.5 * a0 * crossing), np.abs(trajectory.qd[:-1]))
+    factor = max(factor, float((peak / limits.velocity).max()))
+    if inverse_dynamics is not None:
+        factor = max(factor, _torque_slowdown(trajectory, np.asarray(limits.torque, float), inverse_dynamics))
+    return factor
+
+
+def _torque_slowdown(trajectory: Trajectory, torque: Float[Array, " nq"], inverse_dynamics: InverseDynamics) -> float:
+    """Torque is gravity plus a part that shrinks with the square of the slowdown."""
+    a0, a1 = trajectory.piece_accelerations
+    rest = np.zeros(len(torque))
+    worst = 1.0
+    for i in range(len(a0)):
+        for k, qdd in ((i, a0[i]), (i + 1, a1[i])):
+            q, qd = trajectory.q[k], trajectory.qd[k]
+            hold = inverse_dynamics(q, rest, rest)
+            motion = inverse_dynamics(q, qd, qdd) - hold
+            room = np.where(motion > 0.0, torque - hold, torque + hold)
+            worst = max(worst, float((np.abs(motion) / np.maximum(room, 1e-12)).max()))
+    return float(np.sqrt(worst))
+
+
+def _check_holdable(
+    grid: CurveGrid, torque: Float[Array, " nq"], joints: tuple[str, ...], inverse_dynamics: InverseDynamics
+) -> None:
+    rest = np.zeros(grid.q.shape[1])
+    for q in grid.q:
+        hold = np.abs(inverse_dynamics(q, rest, rest))
+        worst = int(np.argmax(hold - torque))
+        if hold[worst] >= torque[worst]:
+            need = f"{hold[worst]:.3g} N m to hold still on the path"
+            raise RetimingError(f"joint {joints[worst]!r} needs {need}, its limit is {torque[worst]:.3g}")

@@ -1,0 +1,186 @@
+"""What `graceful-plan tune` makes: the front of a task, a choice from it, files to look at, and what FailBench says."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import graceful_plan as gp
+from graceful_plan import documents
+from graceful_plan.exceptions import GracefulPlanError, SettingError
+from graceful_plan.tuning.fronts import Progress
+
+
+class ValidationError(GracefulPlanError, RuntimeError):
+    """A validation that could not be done."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What was found, and the files that were written.
+
+    Args:
+        front: The front.
+        choice: What was chosen from it.
+        validation: The document of `failbench validate-front`, if there was a validation.
+        files: What was written.
+    """
+
+    front: gp.ParetoFront
+    choice: gp.Choice
+    validation: Mapping[str, Any] | None = None
+    files: tuple[Path, ...] = ()
+
+    def to_document(self) -> dict[str, Any]:
+        """Return everything but the motions themselves, which are in front.json, as a document of plain values."""
+        points = [
+            {
+                "motion": point.motion,
+                "impact": point.impact,
+                "made_by": point.made_by,
+                "weights": None if point.weights is None else list(point.weights),
+            }
+            for point in self.front.points
+        ]
+        chosen, knee = self.choice.point, self.front.knee
+        return {
+            "schema": "graceful_plan.tune",
+            "version": 1,
+            "status": self.front.status.name,
+            "detail": self.front.detail,
+            "hypervolume": self.front.hypervolume(),
+            "points": points,
+            "knee": None if knee is None else {"motion": knee.motion, "impact": knee.impact},
+            "choice": {
+                "status": self.choice.status.name,
+                "motion": None if chosen is None else chosen.motion,
+                "impact": None if chosen is None else chosen.impact,
+                "w": self.choice.w,
+                "detail": self.choice.detail,
+            },
+            "stats": dict(self.front.stats),
+            "validation": self.validation,
+            "files": [str(file) for file in self.files],
+        }
+
+    def __str__(self) -> str:
+        front, choice = self.front, self.choice
+        head = f"{front.status.name}: {front.status.value}" + (f" ({front.detail})" if front.detail else "")
+        if not len(front):
+            return head
+        seconds = front.stats["total_time"]
+        head += f"\n{len(front)} motions after {seconds:.1f} s, hypervolume {front.hypervolume():.3f}"
+        rows = [self._row(i) for i in range(len(front))]
+        columns = [
+            "motion V",
+            "impact S",
+            "detour",
+            "w from",
+            "to",
+            *(["predicted", "observed"] if self._seen else []),
+            "",
+        ]
+        lines = [head, "", documents.table(columns, rows), "", f"choice: {choice.status.value} {choice.detail}"]
+        lines += [f"w = {choice.w:.4g}"] if choice.w is not None else []
+        return "\n".join([*lines, "", *(f"wrote {file}" for file in self.files)])
+
+    @property
+    def _seen(self) -> Sequence[Mapping[str, Any]]:
+        return () if self.validation is None else self.validation["points"]
+
+    def _row(self, i: int) -> list[object]:
+        front, point = self.front, self.front.points[i]
+        shortest = front.points[0].motion
+        detour = f"{100.0 * (point.motion / shortest - 1.0):.1f} %" if shortest else "-"
+        weights = ["-", "-"] if point.weights is None else [f"{w:.3g}" for w in point.weights]
+        seen = [self._seen[i]] if self._seen else []
+        marks = [name for name, p in (("knee", front.knee), ("chosen", self.choice.point)) if p is point]
+        observed = [cell for entry in seen for cell in _cells(entry)]
+        return [point.motion, point.impact, detour, *weights, *observed, ", ".join(marks)]
+
+
+def run(
+    scene_name: str,
+    task: gp.Task,
+    output: Path,
+    *,
+    target_impact: float | None = None,
+    max_detour: float | None = None,
+    failures: int = 0,
+    callback: Callable[[Progress], bool | None] | None = None,
+    **settings: Any,
+) -> Outcome:
+    """Find the front of a task, choose from it, and write front.json, front.png, front.html and chosen.json.
+
+    Args:
+        scene_name: Bundled scene or scene file, as FailBench is told.
+        task: The task.
+        output: Folder; made if it does not exist.
+        target_impact: As of `ParetoFront.choose`.
+        max_detour: As of `ParetoFront.choose`.
+        failures: How often FailBench lets the robot fail along each motion; 0: it is not asked.
+        callback: Told how far the search has come.
+        settings: Of `gp.pareto`.
+
+    Raises:
+        ValidationError: If FailBench is not installed, or cannot judge the front.
+    """
+    if failures < 0:
+        raise SettingError("validate", failures, "a number of failures, at least 0")
+    if failures and importlib.util.find_spec("failbench") is None:
+        raise ValidationError("FailBench is not installed: there is nothing to validate with")
+    gp.ParetoFront(status=gp.PlanStatus.TIMEOUT).choose(target_impact=target_impact, max_detour=max_detour)
+    front = gp.pareto(task.start, task.goal, task.scene, callback=callback, **settings)
+    choice = front.choose(target_impact=target_impact, max_detour=max_detour)
+    output.mkdir(parents=True, exist_ok=True)
+    files = [output / "front.json"]
+    front.save(files[0])
+    if not len(front):
+        return Outcome(front=front, choice=choice, files=tuple(files))
+    from graceful_plan.viz.front import draw_front
+    from graceful_plan.viz.front_page import write_front_page
+
+    if choice.status is gp.ChoiceStatus.MET and choice.point is not None:
+        files.append(output / "chosen.json")
+        choice.point.trajectory.to_json(files[-1])
+    validation = validated(files[0], scene_name, task.name, failures) if failures else None
+    files += [output / "front.png", output / "front.html"]
+    draw_front(front, files[-2], choice)
+    observed = () if validation is None else validation["points"]
+    title = f"{front.scene}, {task.name}"
+    write_front_page(front, task.scene, files[-1], choice, [_seen(entry) for entry in observed], title)
+    return Outcome(front=front, choice=choice, validation=validation, files=tuple(files))
+
+
+def validated(front: Path, scene: str, task: str, failures: int) -> Mapping[str, Any]:
+    """Ask FailBench about a front in a file, in a process of its own: this library does not import it.
+
+    Raises:
+        ValidationError: With what it said, if it failed.
+    """
+    command = [sys.executable, "-m", "failbench.cli", "validate-front", str(front), "--scene", scene, "--task", task]
+    done = subprocess.run([*command, "-n", str(failures), "--json"], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ValidationError((done.stderr or done.stdout).strip() or f"FailBench ended with {done.returncode}")
+    return json.loads(done.stdout)
+
+
+def _cells(entry: Mapping[str, Any]) -> list[str]:
+    seen = entry["observed"]
+    if seen is None:
+        return ["-", "cannot be executed"]
+    return [f"{entry['predicted']:.3g}", f"{seen['mean']:.3g} [{seen['low']:.3g}, {seen['high']:.3g}]"]
+
+
+def _seen(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return predicted and observed impact of one point; None if it could not be executed."""
+    seen = entry["observed"]
+    if seen is None:
+        return None
+    return {"predicted": entry["predicted"], "observed": seen["mean"], "low": seen["low"], "high": seen["high"]}

@@ -1,0 +1,1 @@
+"""Path and timing optimised at once."""

@@ -1,0 +1,179 @@
+"""Which limit a trajectory breaks, of which joint and when; and how much slower it has to be to keep them all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.scene.elements import Limits
+from graceful_plan.timing.retiming import slowdown
+from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.transcription.symbolic import SymbolicRobot
+
+Array = np.ndarray
+
+TOLERANCE = 1e-6
+"""Absolute on positions [rad or m], relative on everything else."""
+_FRACTIONS = np.linspace(0.0, 1.0, 5)
+"""Of each piece, where torques and positions are checked."""
+_JUMP = 1e-4
+"""Jump of an acceleration, relative to its limit, that counts as one where the jerk is limited."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Violation:
+    """A limit that is broken, where it is broken most."""
+
+    limit: str
+    """"position", "velocity", "acceleration", "jerk", "torque", "clearance", "duration", or a check of `verify`."""
+    joint: str = ""
+    """Name of the joint, if it is about one."""
+    time: float | None = None
+    """When [s], if it is at a moment."""
+    value: float
+    """What is reached, in the unit of the limit."""
+    bound: float
+    """What is allowed."""
+
+    def __str__(self) -> str:
+        where = f" of {self.joint}" if self.joint else ""
+        when = "" if self.time is None else f" at {self.time:.3f} s"
+        return f"{self.limit}{where}{when}: {self.value:.4g}, allowed {self.bound:.4g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Values of one kind over their bounds, rows at times, columns of joints."""
+
+    limit: str
+    at: Float[Array, " n"]
+    value: Float[Array, "n nq"]
+    bound: Float[Array, " nq"]
+
+    def worst(self, joints: tuple[str, ...]) -> Violation | None:
+        """The largest share of a bound, if it is above 1."""
+        share = np.abs(self.value) / self.bound
+        if not share.size or share.max() <= 1.0 + TOLERANCE:
+            return None
+        row, column = (int(i) for i in np.unravel_index(int(np.argmax(share)), share.shape))
+        return Violation(
+            limit=self.limit,
+            joint=joints[column],
+            time=float(self.at[row]),
+            value=float(self.value[row, column]),
+            bound=float(self.bound[column]),
+        )
+
+
+def violations(
+    trajectory: Trajectory,
+    limits: Limits,
+    *,
+    jerk: Float[Array, " nq"] | None = None,
+    robot: SymbolicRobot | None = None,
+    duration: float = np.inf,
+) -> tuple[Violation, ...]:
+    """Return every limit that a trajectory breaks, each where it is broken most.
+
+    Args:
+        trajectory: The trajectory.
+        limits: Limits of position, velocity, acceleration and, with a robot, torque.
+        jerk: Limit of the jerk [rad/s^3], if there is one.
+        robot: Whose torques count.
+        duration: Longest duration [s].
+    """
+    found: list[Violation | None] = [_beyond_position(trajectory, limits)]
+    if len(trajectory) > 1:
+        found += [reach.worst(trajectory.joints) for reach in _reaches(trajectory, limits, jerk, robot)]
+    if trajectory.duration > duration * (1.0 + TOLERANCE):
+        found.append(Violation(limit="duration", value=trajectory.duration, bound=duration))
+    return tuple(violation for violation in found if violation is not None)
+
+
+def within_limits(
+    trajectory: Trajectory, limits: Limits, jerk: Float[Array, " nq"] | None, robot: SymbolicRobot | None
+) -> Trajectory:
+    """Return the same motion, slower by as little as its limits of velocity, acceleration, jerk and torque ask for."""
+    if len(trajectory) < 2:
+        return trajectory
+    factor = slowdown(trajectory, limits, None)
+    if jerk is not None:
+        factor = max(factor, float(np.abs(_jerks(trajectory) / jerk).max()) ** (1.0 / 3.0))
+    if robot is not None:
+        factor = max(factor, _slower_for_torque(trajectory, np.asarray(limits.torque), robot))
+    if factor <= 1.0:
+        return trajectory
+    factor *= 1.0 + 1e-9  # for rounding, when somebody else evaluates it
+    return replace(trajectory, t=trajectory.t * factor, qd=trajectory.qd / factor, qdd=trajectory.qdd / factor**2)
+
+
+def _beyond_position(trajectory: Trajectory, limits: Limits) -> Violation | None:
+    at = _moments(trajectory)
+    q = trajectory.at(at).q
+    lower, upper = limits.position.T
+    excess = np.maximum(lower - q, q - upper)
+    row, column = (int(i) for i in np.unravel_index(int(np.argmax(excess)), excess.shape))
+    if excess[row, column] <= TOLERANCE:
+        return None
+    value = float(q[row, column])
+    bound = float(lower[column] if value < lower[column] else upper[column])
+    return Violation(limit="position", joint=trajectory.joints[column], time=float(at[row]), value=value, bound=bound)
+
+
+def _moments(trajectory: Trajectory) -> Float[Array, " n"]:
+    if len(trajectory) < 2:
+        return trajectory.t
+    steps = np.diff(trajectory.t)[:, None] * _FRACTIONS[:-1]
+    return np.append((trajectory.t[:-1, None] + steps).ravel(), trajectory.t[-1])
+
+
+def _reaches(
+    trajectory: Trajectory, limits: Limits, jerk: Float[Array, " nq"] | None, robot: SymbolicRobot | None
+) -> list[Reach]:
+    a0, a1 = trajectory.piece_accelerations
+    h, t = np.diff(trajectory.t)[:, None], trajectory.t
+    # Within a piece the velocity peaks where the linear acceleration changes sign.
+    crossing = np.where(a0 * a1 < 0.0, a0 / np.where(a0 == a1, 1.0, a0 - a1), 0.0) * h
+    peak = trajectory.qd[:-1] + 0.5 * a0 * crossing
+    found = [
+        Reach("velocity", np.append(t, t[:-1]), np.concatenate([trajectory.qd, peak]), limits.velocity),
+        Reach("acceleration", np.append(t[:-1], t[1:]), np.concatenate([a0, a1]), limits.acceleration),
+    ]
+    if jerk is not None:
+        jump = np.concatenate([a0[:1], a0[1:] - a1[:-1], -a1[-1:]])
+        found.append(Reach("jerk", t[:-1], _jerks(trajectory), jerk))
+        found.append(Reach("acceleration continuity", t, jump, _JUMP * limits.acceleration))
+    if robot is not None:
+        at, states = _piecewise(trajectory)
+        found.append(Reach("torque", at, robot.torques(*states), np.asarray(limits.torque)))
+    return found
+
+
+def _jerks(trajectory: Trajectory) -> Float[Array, "piece nq"]:
+    a0, a1 = trajectory.piece_accelerations
+    return (a1 - a0) / np.diff(trajectory.t)[:, None]
+
+
+def _piecewise(trajectory: Trajectory) -> tuple[Float[Array, " n"], tuple[Array, Array, Array]]:
+    """Moments and states of every piece, both of its ends included: accelerations jump from one to the next."""
+    a0, a1 = trajectory.piece_accelerations
+    h = np.diff(trajectory.t)
+    u = _FRACTIONS[:, None]
+    at = (trajectory.t[:-1, None] + h[:, None] * _FRACTIONS).ravel()
+    state = trajectory.at(at)
+    qdd = a0[:, None] * (1.0 - u) + a1[:, None] * u
+    return at, (state.q, state.qd, qdd.reshape(state.q.shape))
+
+
+def _slower_for_torque(trajectory: Trajectory, limit: Float[Array, " nq"], robot: SymbolicRobot) -> float:
+    """Torque is gravity plus a part that, but for damping, shrinks with the square of the slowdown."""
+    q, qd, qdd = _piecewise(trajectory)[1]
+    hold = robot.torques(q, np.zeros_like(q), np.zeros_like(q))
+    motion = robot.torques(q, qd, qdd) - hold
+    room = np.where(motion > 0.0, limit - hold, limit + hold)
+    over = np.abs(motion) > room * (1.0 + 0.1 * TOLERANCE)
+    if not over.any() or np.any(room[over] <= 0.0):  # a robot that cannot even stand there is not helped by time
+        return 1.0
+    return float(np.sqrt((np.abs(motion[over]) / room[over]).max()))

@@ -1,0 +1,150 @@
+"""What `optimise_trajectory` minimises, as a program: the terms of cost and limits that a task asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.cost import Cost
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.transcription.motion_charges import ImpactCharge, acceleration_charge, effort_charge, length_charge
+from graceful_plan.transcription.motion_rows import (
+    acceleration_rows,
+    clearance_rows,
+    continuity_rows,
+    jerk_rows,
+    position_rows,
+    samples_at,
+    torque_rows,
+    velocity_rows,
+)
+from graceful_plan.transcription.spline_program import Charging, Integral, Layout, SplineProgram
+from graceful_plan.transcription.symbolic import SymbolicRobot
+
+Array = np.ndarray
+
+OBJECTIVES = ("time", "effort", "acceleration", "length")
+_HALVES = np.array([0.0, 0.5])
+_THIRDS = np.array([0.0, 0.5, 1.0])
+_SIMPSON = np.array([1.0, 4.0, 1.0]) / 6.0
+_STRETCH = 1.05
+"""Times are longer than those to begin with, so that limits are kept between nodes, too."""
+_SHORTEST, _LONGEST = 0.05, 50.0
+"""Bounds of the duration, as shares of that to begin with."""
+_SLACK = {
+    "position": 1e-6,
+    "velocity": 1e-3,
+    "acceleration": 1e-3,
+    "jerk": 1e-3,
+    "acceleration continuity": 1e-6,
+    "torque": 1e-3,
+    "clearance": 1e-3,
+}
+"""How far an iterate may be beyond each limit and still be kept, by its share: what a slightly slower motion mends."""
+_MOMENTS = 800
+"""Moments of a trajectory at which its cost is sampled."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionTask:
+    """What is asked for; see `optimise_trajectory`."""
+
+    scene: Scene
+    objective: str
+    w: float
+    impact: Cost
+    duration: float
+    jerk: Float[Array, " nq"] | None
+    robot: SymbolicRobot | None
+    """Known if torques are charged or limited."""
+    torque: bool
+    margin: float
+    intervals: int
+
+
+def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[SplineProgram, Array]:
+    """Return the program of a task and where to begin, with a clearance to keep [m]."""
+    limits, nq = task.scene.limits, len(task.scene.joints)
+    h = min(_STRETCH * guess.duration, max(task.duration, 1e-6)) / task.intervals
+    layout = Layout(task.intervals, nq, h)
+    state = guess.at(np.linspace(guess.t[0], guess.t[-1], task.intervals + 1))
+    x = layout.pack(state.q, state.qd * guess.duration / task.intervals, h)
+    linear = [
+        position_rows(layout, *limits.position.T),
+        velocity_rows(layout, limits.velocity),
+        acceleration_rows(layout, limits.acceleration),
+    ]
+    if task.jerk is not None:
+        linear += [jerk_rows(layout, task.jerk), continuity_rows(layout, limits.acceleration)]
+    near = samples_at(layout, _HALVES, first=False)
+    kernels = compile_scene(task.scene).kernels
+    clearance = kernels.clearance(near.states(x)[0])
+    sampled = [clearance_rows(near, kernels, _wanted_clearance(clearance, margin))]
+    if task.torque and task.robot is not None:
+        sampled.append(torque_rows(samples_at(layout, _THIRDS), task.robot, np.asarray(limits.torque)))
+    time_cost = 1.0 if task.objective == "time" else 0.0
+    bounds, integrals = _bounds(task, layout, x), _integrals(task, layout)
+    return SplineProgram(layout, bounds, time_cost, integrals, linear, sampled, _SLACK), x
+
+
+def motion_cost(task: MotionTask, motion: Trajectory) -> float:
+    """Return what is minimised, of any trajectory, by the midpoint rule in time."""
+    if not motion.duration > 0.0:
+        return 0.0
+    state = motion.at(motion.t[0] + (np.arange(_MOMENTS) + 0.5) / _MOMENTS * motion.duration)
+    states = np.stack(state)
+    density = np.full(_MOMENTS, 1.0 if task.objective == "time" else 0.0)
+    for charge in _charges(task):
+        density += charge(states, False).value
+    return motion.duration * float(density.mean())
+
+
+def _charges(task: MotionTask) -> list[Charging]:
+    limits = task.scene.limits
+    found: list[Charging] = []
+    if task.objective == "effort":
+        assert task.robot is not None
+        found.append(effort_charge(task.robot, np.asarray(limits.torque)))
+    if task.objective == "acceleration":
+        found.append(acceleration_charge(np.asarray(limits.acceleration)))
+    if task.objective == "length":
+        found.append(length_charge)
+    if task.w > 0.0:
+        found.append(ImpactCharge(task.impact, task.scene, task.w))
+    return found
+
+
+def _integrals(task: MotionTask, layout: Layout) -> list[Integral]:
+    """Simpson's rule on every piece; accelerations may jump at nodes, so both sides of them count."""
+    samples = samples_at(layout, _THIRDS)
+    return [Integral(samples, np.tile(_SIMPSON, layout.pieces), charge) for charge in _charges(task)]
+
+
+def _wanted_clearance(clearance: Float[Array, " n"], margin: float) -> Float[Array, " n"]:
+    """Return the margin, but less next to ends that have less: a grasp is as close as it is."""
+    least = np.full(len(clearance), margin)
+    for view, own in ((least, clearance), (least[::-1], clearance[::-1])):
+        run = int(np.argmax(own >= margin)) if np.any(own >= margin) else 0
+        view[:run] = np.minimum(view[:run], own[:run])
+    return least
+
+
+def _bounds(task: MotionTask, layout: Layout, x: Array) -> tuple[Array, Array]:
+    """Nodes within the position limits, both ends fixed and at rest, the time positive and not too long."""
+    lower, upper = task.scene.limits.position.T
+    found = []
+    for position, velocity, duration in (
+        (lower, -np.inf, _SHORTEST * task.intervals * layout.time),
+        (upper, np.inf, min(task.duration, _LONGEST * task.intervals * layout.time)),
+    ):
+        node = np.concatenate([position, np.full(layout.nq, velocity)])
+        bound = np.append(np.tile(node, layout.pieces + 1), duration / (layout.pieces * layout.time))
+        n = 2 * layout.nq
+        bound[:n], bound[-1 - n : -1] = x[:n], x[-1 - n : -1]
+        bound[layout.nq : n] = bound[-1 - layout.nq : -1] = 0.0
+        found.append(bound)
+    return found[0], found[1]

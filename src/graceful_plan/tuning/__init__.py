@@ -1,0 +1,1 @@
+"""Fronts of motion against impact, and the choice of w."""

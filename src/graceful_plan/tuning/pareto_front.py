@@ -1,0 +1,197 @@
+r"""The front of motion against impact: which of its points to take, which weight leads there, how good it is.
+
+A point is better than another if it costs no more in motion V and in impact S, and less in one of them. A front holds
+only points that no other is better than. Minimising V + w S reaches the points on its lower convex hull, and those
+only: the rest is what other methods find, and no safety weight leads there.
+
+References:
+    I. Das and J. E. Dennis, "A closer look at drawbacks of minimizing weighted sums of objectives for Pareto set
+        generation", Structural Optimization 1997.
+    E. Zitzler and L. Thiele, "Multiobjective evolutionary algorithms: a comparative case study and the strength Pareto
+        approach", IEEE TEC 1999 (hypervolume).
+    I. Das, "On characterizing the knee of the Pareto curve", Structural Optimization 1999.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+from pathlib import Path as FilePath
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
+from graceful_plan.path import finite_array
+from graceful_plan.result import PlanStatus
+from graceful_plan.tuning.front_file import FrontParts, front_text, read_front
+from graceful_plan.tuning.points import ParetoPoint, dominated_area
+
+Array = np.ndarray
+
+REFERENCE = 1.1
+"""A front's own reference point lies at so many times its greatest motion and its greatest impact."""
+
+
+class ChoiceStatus(Enum):
+    """How a choice ended; the value says what to do about it."""
+
+    MET = "A point of the front meets every demand."
+    UNREACHABLE = "No point of the front meets every demand; relax one of them, or search longer."
+    NO_FRONT = "The front is empty; see its status."
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Choice:
+    """What a front offers to someone with demands.
+
+    Args:
+        status: Whether they can be met.
+        point: The point of least motion that meets them, or of least impact if only the detour is limited; if they
+            cannot be met, the nearest miss: the least impact within the detour, or at all.
+        w: Smallest safety weight whose best point on the front meets the demands; None if there is none.
+        detail: What the status means here.
+    """
+
+    status: ChoiceStatus
+    point: ParetoPoint | None = None
+    w: float | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParetoFront:
+    """Verified motions between one start and one goal, none of them better than another, the shortest first.
+
+    Args:
+        status: SOLVED if there is at least one point; otherwise why there is none, as of `plan`.
+        points: Sorted by motion.
+        detail: What the status means here.
+        scene: Name of the scene.
+        stats: Seconds per stage, iterations spent, candidates that were refused.
+    """
+
+    status: PlanStatus
+    points: tuple[ParetoPoint, ...] = ()
+    detail: str = ""
+    scene: str = ""
+    stats: Mapping[str, float] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @cached_property
+    def costs(self) -> Float[Array, "n 2"]:
+        """Motion and impact of each point."""
+        return np.array([(point.motion, point.impact) for point in self.points], dtype=np.float64).reshape(-1, 2)
+
+    @property
+    def reference(self) -> Float[Array, " 2"]:
+        """The front's own reference point: `REFERENCE` times its greatest motion and impact."""
+        return REFERENCE * self.costs.max(axis=0) if len(self) else np.zeros(2)
+
+    def hypervolume(self, reference: ArrayLike | None = None) -> float:
+        """Share of the rectangle between zero and the reference that is worse than some point of the front.
+
+        Args:
+            reference: Motion and impact; the front's own by default. Fronts compare only with the same one.
+
+        Raises:
+            SettingError: If the reference is not positive.
+        """
+        corner = self.reference if reference is None else finite_array("reference", reference, ndim=1, last=2)
+        if reference is not None and np.any(corner <= 0.0):
+            raise SettingError("reference", corner.tolist(), "a motion and an impact > 0")
+        area = float(np.prod(corner))
+        return dominated_area(self.costs, corner) / area if area > 0.0 else 0.0
+
+    @property
+    def knee(self) -> ParetoPoint | None:
+        """The point farthest below the chord of the front, both axes scaled to its extent; None if it is empty.
+
+        From there, less impact begins to cost much motion, and less motion much impact.
+        """
+        if not len(self):
+            return None
+        low, extent = self.costs.min(axis=0), np.ptp(self.costs, axis=0)
+        scaled = (self.costs - low) / np.where(extent > 0.0, extent, 1.0)
+        return self.points[int(np.argmin(np.round(scaled.sum(axis=1), 12)))]
+
+    def smallest_w(self, target_impact: float) -> float | None:
+        """Smallest safety weight whose best point on the front has at most this impact; None if there is none."""
+        return self.choose(target_impact=target_impact).w
+
+    def choose(self, *, target_impact: float | None = None, max_detour: float | None = None) -> Choice:
+        """Pick the point and the weight for a risk target, a limit on the detour, or both; without either, the knee.
+
+        Args:
+            target_impact: Greatest impact S.
+            max_detour: Greatest motion beyond that of the shortest point, relative to it: 0.05 is 5 % longer.
+
+        Raises:
+            SettingError: If a demand is not a number of at least 0.
+        """
+        for name, value in (("target_impact", target_impact), ("max_detour", max_detour)):
+            if value is not None and not (np.isfinite(value) and value >= 0.0):
+                raise SettingError(name, value, "a finite number, at least 0")
+        knee = self.knee
+        if knee is None:
+            return Choice(status=ChoiceStatus.NO_FRONT, detail=f"{self.status.name}: {self.detail}".rstrip(": "))
+        if target_impact is None and max_detour is None:
+            return Choice(status=ChoiceStatus.MET, point=knee, w=_weight(knee), detail="the knee")
+        shortest = self.points[0].motion
+        within = [p for p in self.points if max_detour is None or p.motion <= (1.0 + max_detour) * shortest]
+        meets = [p for p in within if target_impact is None or p.impact <= target_impact]
+        if not meets:
+            return self._missed(within[-1], target_impact)
+        # Along the front motion rises and impact falls, so the first that meets a target is the shortest.
+        point = meets[0] if target_impact is not None else meets[-1]
+        weighted = [p for p in meets if p.weights is not None]
+        chosen = (weighted[0] if target_impact is not None else weighted[-1]) if weighted else None
+        detail = f"motion {100.0 * (point.motion / shortest - 1.0):.3g} % above the shortest" if shortest else ""
+        if chosen is None:
+            detail += "; no weight leads to what meets the demands, as the front is not convex there"
+        elif chosen is not point:
+            detail += f"; w leads to motion {chosen.motion:.4g}, impact {chosen.impact:.4g}, as the front is not convex"
+        return Choice(status=ChoiceStatus.MET, point=point, w=_weight(chosen), detail=detail)
+
+    def _missed(self, nearest: ParetoPoint, target: float | None) -> Choice:
+        there = f"impact {nearest.impact:.4g} at motion {nearest.motion:.4g}"
+        reachable = [p for p in self.points if target is not None and p.impact <= target]
+        detail = f"the least within the demands is {there}"
+        if reachable:
+            detour = reachable[0].motion / self.points[0].motion - 1.0
+            detail += f"; the target takes a detour of {100.0 * detour:.3g} %"
+        return Choice(status=ChoiceStatus.UNREACHABLE, point=nearest, detail=detail)
+
+    def to_json(self, file: str | FilePath | None = None) -> str:
+        """Return the front as JSON text, trajectories included; write it to `file` if one is given."""
+        parts = FrontParts(self.status, self.points, self.detail, self.scene, self.stats)
+        text = front_text(parts)
+        if file is not None:
+            FilePath(file).write_text(text, encoding="utf-8")
+        return text
+
+    def save(self, file: str | FilePath) -> None:
+        """Write the front to a JSON file."""
+        self.to_json(file)
+
+    @classmethod
+    def load(cls, source: str | FilePath) -> ParetoFront:
+        """Read what `save` or `to_json` wrote, from a file or from JSON text (a string that starts with a brace).
+
+        Nothing is executed. Costs and verdicts are those of the file: `verify` and `evaluate` tell whether they hold.
+
+        Raises:
+            FormatError: If it is not such a document.
+            GracefulPlanError: If a path or trajectory in it is broken.
+        """
+        parts = read_front(source)
+        return cls(status=parts.status, points=parts.points, detail=parts.detail, scene=parts.scene, stats=parts.stats)
+
+
+def _weight(point: ParetoPoint | None) -> float | None:
+    return None if point is None or point.weights is None else point.weights[0]

@@ -1,0 +1,96 @@
+"""Points of a front of motion against impact, and which of them no other is better than; see `pareto_front`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.path import Path
+from graceful_plan.result import CostBreakdown, Verdict
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParetoPoint:
+    """One verified motion of a front.
+
+    Args:
+        path: Its geometry.
+        trajectory: With times.
+        cost: Recomputed from the path, or from the trajectory if the exposure is time.
+        verdict: What the independent judge says of the trajectory; passed.
+        made_by: What found it: "weight", a minimisation of V + w S; "gap", a minimisation between two neighbours;
+            "roadmap", an exact search on a roadmap.
+        made_with: The weight w; of a gap, the impact S that had to be undercut.
+        weights: From which to which safety weight it has the least V + w S of the front; None: at none.
+    """
+
+    path: Path
+    trajectory: Trajectory
+    cost: CostBreakdown
+    verdict: Verdict
+    made_by: str
+    made_with: float
+    weights: tuple[float, float] | None = None
+
+    @property
+    def motion(self) -> float:
+        """Motion V."""
+        return self.cost.motion
+
+    @property
+    def impact(self) -> float:
+        """Impact S."""
+        return self.cost.impact
+
+
+def non_dominated(costs: Float[Array, "n 2"]) -> Bool[Array, " n"]:
+    """Tell which points no other is better than; of equal ones, the first."""
+    order = np.lexsort((np.arange(len(costs)), costs[:, 1], costs[:, 0]))
+    keep = np.zeros(len(costs), dtype=bool)
+    least = np.inf
+    for i in order.tolist():
+        if costs[i, 1] < least:
+            least, keep[i] = costs[i, 1], True
+    return keep
+
+
+def dominated_area(costs: Float[Array, "n 2"], reference: Float[Array, " 2"]) -> float:
+    """Area of what is worse than some point and better than the reference."""
+    inside = costs[np.all(costs < reference, axis=1)]
+    front = inside[non_dominated(inside)]
+    front = front[np.argsort(front[:, 0])]
+    right = np.append(front[1:, 0], reference[0])
+    return float(np.sum((right - front[:, 0]) * (reference[1] - front[:, 1])))
+
+
+def hull_weights(costs: Float[Array, "n 2"]) -> list[tuple[float, float] | None]:
+    """At which safety weights each point of a front, sorted by motion, has the least V + w S; None if at none."""
+    hull: list[int] = []
+    for i in range(len(costs)):
+        while len(hull) > 1 and _slope(costs, hull[-2], hull[-1]) >= _slope(costs, hull[-1], i):
+            hull.pop()
+        hull.append(i)
+    between = [0.0, *(_slope(costs, a, b) for a, b in pairwise(hull)), np.inf]
+    weights: list[tuple[float, float] | None] = [None] * len(costs)
+    for k, i in enumerate(hull):
+        weights[i] = (between[k], between[k + 1])
+    return weights
+
+
+def _slope(costs: Float[Array, "n 2"], a: int, b: int) -> float:
+    """Weight at which two points cost the same."""
+    return float((costs[b, 0] - costs[a, 0]) / (costs[a, 1] - costs[b, 1]))
+
+
+def front_of(points: Sequence[ParetoPoint]) -> tuple[ParetoPoint, ...]:
+    """Drop the points that others are better than, sort the rest by motion and say which weights lead to each."""
+    costs = np.array([(p.motion, p.impact) for p in points], dtype=np.float64).reshape(-1, 2)
+    kept = sorted(np.flatnonzero(non_dominated(costs)).tolist(), key=lambda i: costs[i, 0])
+    return tuple(replace(points[i], weights=w) for i, w in zip(kept, hull_weights(costs[kept]), strict=True))

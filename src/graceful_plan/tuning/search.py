@@ -1,0 +1,173 @@
+"""Search for a front, in turns: the planner at one weight after the other, then refinement of the front as a whole."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import MAX_WEIGHT
+from graceful_plan.path import Path
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.tuning.archive import Archive, Candidate, EdgeTest
+from graceful_plan.tuning.refine import WEIGHTS, Refinement
+
+Array = np.ndarray
+
+Seeds = Callable[[float], Sequence[Path]]
+"""Paths from elsewhere to begin with, within so many seconds; they need not be good, but different."""
+ObjectiveAt = Callable[[float], BoundObjective]
+"""The objective with a safety weight."""
+
+_SHORTEST = 0.06
+"""Share of the budget for the shortest path."""
+_SWEEP = 0.2
+"""Share of the budget for one sweep over the weights."""
+_ONLY = 0.5
+"""Share of the budget for the shortest path if it has no impact."""
+_SEEDS = 0.12
+"""Share of the time for other paths to begin with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontSettings:
+    """How a front is searched for.
+
+    Args:
+        planner: Minimises V + w S; if it has a field `initial`, it is told where to begin.
+        weights: Weights in each sweep.
+        capacity: Paths that are refined at a time.
+    """
+
+    planner: Planner
+    weights: int = 7
+    capacity: int = 24
+
+
+def search_front(
+    problem: Problem,
+    objective_at: ObjectiveAt,
+    certain: EdgeTest,
+    settings: FrontSettings,
+    budget: Budget,
+    rng: np.random.Generator,
+    archive: Archive,
+    seeds: Seeds | None = None,
+) -> Iterator[str]:
+    """Fill an archive until the budget ends; yields the name of the stage after every step. Every path is free."""
+    search = _Search(problem, objective_at, certain, settings, budget, rng, archive)
+    yield from search.shortest()
+    if not len(archive):
+        return
+    if archive.candidates[0].cost[1] <= 0.0:  # nothing to weigh: only length is left to improve
+        search.at(0.0, _ONLY)
+        yield "shortest"
+        return
+    refinement = Refinement(archive, problem, objective_at(1.0), certain, budget, rng, settings.capacity)
+    if seeds is not None and not budget.exhausted:
+        search.begin(seeds(_SEEDS * search.whole[0]))
+        yield "roadmap"
+        for _ in refinement.turn((), rounds=1):
+            yield "refine"
+    for turn in range(1_000_000):
+        # The sweeps go up and down in turns, each over weights that lie between those of the one before.
+        before = budget.spent
+        shift = np.modf(turn * 0.5 * (np.sqrt(5.0) - 1.0))[0]
+        weights = sweep_weights(archive.candidates[0].cost, settings.weights, float(shift))
+        found: list[Candidate] = []
+        for w in weights[:: -1 if turn % 2 else 1].tolist():
+            if budget.exhausted or archive.candidates[0].cost[1] <= 0.0:
+                return
+            found += search.at(w, _SWEEP / len(weights))
+            yield "sweep"
+        for _ in refinement.turn(found):
+            yield "refine"
+        if budget.spent == before:
+            return
+
+
+def sweep_weights(shortest: Float[Array, " 2"], count: int, shift: float = 0.0) -> Float[Array, " count"]:
+    """Geometric weights around the one at which motion and impact of the shortest path count alike.
+
+    Args:
+        shortest: Its motion and impact.
+        count: How many.
+        shift: By which part of the distance between two weights to move them all; the last one stays in range.
+    """
+    if not shortest[1] > 0.0:
+        return np.zeros(count)
+    least, greatest = np.log(WEIGHTS)
+    exponents = least + (greatest - least) * (np.arange(count) + shift) / max(count - 1, 1)
+    return np.minimum(shortest[0] / shortest[1] * np.exp(np.minimum(exponents, greatest)), MAX_WEIGHT)
+
+
+class _Search:
+    """Minimisations of V + w S, one weight after the other."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        objective_at: ObjectiveAt,
+        certain: EdgeTest,
+        settings: FrontSettings,
+        budget: Budget,
+        rng: np.random.Generator,
+        archive: Archive,
+    ) -> None:
+        self.problem, self.objective_at, self.certain = problem, objective_at, certain
+        self.planner, self.budget, self.rng, self.archive = settings.planner, budget, rng, archive
+        self.whole = budget.remaining_seconds, budget.remaining_iterations
+
+    def shortest(self) -> Iterator[str]:
+        """Look for the shortest path, and go on until there is any."""
+        share = _SHORTEST
+        while not self.budget.exhausted and not len(self.archive):
+            before = self.budget.spent
+            self.at(0.0, share)
+            yield "shortest"
+            if self.budget.spent == before:
+                return
+            share = _SWEEP
+
+    def begin(self, paths: Sequence[Path]) -> None:
+        """Offer paths from elsewhere."""
+        objective = self.objective_at(1.0)
+        for path in paths:
+            if _leads_there(path, self.problem) and np.all(self.certain(path.q[:-1], path.q[1:])):
+                candidate = Candidate.of(path, objective, "roadmap", 0.0)
+                self.archive.offer(dataclasses.replace(candidate, made_with=float(candidate.cost[1])))
+
+    def at(self, w: float, share: float) -> list[Candidate]:
+        """Let the planner work for a share of the whole budget; offer all that it finds, and return the best."""
+        objective = self.objective_at(w)
+        planner = begun_at(self.planner, Path(self.archive.best_for(w).q)) if len(self.archive) else self.planner
+        part = self._part(share)
+        best: list[Candidate] = []
+        for path in planner.solve(self.problem, objective, part, self.rng):
+            if _leads_there(path, self.problem) and np.all(self.certain(path.q[:-1], path.q[1:])):
+                best = [Candidate.of(path, objective, "weight", w)]
+                self.archive.offer(best[0])
+        self.budget.spent += part.spent
+        return best
+
+    def _part(self, share: float) -> Budget:
+        seconds = min(share * self.whole[0], self.budget.remaining_seconds)
+        iterations = min(share * self.whole[1], self.budget.remaining_iterations)
+        limit = None if np.isinf(iterations) else int(np.ceil(iterations))
+        return Budget(seconds, limit, self.budget.cancelled)
+
+
+def begun_at(planner: Planner, path: Path) -> Planner:
+    """Return the planner with a path to begin with, if it has a field `initial`; otherwise as it is."""
+    if not dataclasses.is_dataclass(planner) or all(field.name != "initial" for field in dataclasses.fields(planner)):
+        return planner
+    return dataclasses.replace(planner, initial=path)
+
+
+def _leads_there(path: Path, problem: Problem) -> bool:
+    """Whether a path leads from the start to one of the goals."""
+    away = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
+    return bool(max(away) <= 1e-9)

@@ -1,0 +1,277 @@
+"""Explanations: sums equal the breakdown, stretches hold what they say and are the shortest, unhappy paths."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from places import ROOT
+
+import graceful_plan as gp
+from graceful_plan.analysis.explanation import STRETCH, shortest_stretch
+from graceful_plan.viz.explanation import draw_explanation
+
+_ROUNDING = 1e-12
+_OBJECTIVES = {
+    f"{model}-{exposure}": gp.Objective(impact=gp.ImpactCost(model=model), exposure=exposure)
+    for model in ("aabb", "footprint")
+    for exposure in ("length", "time", "waypoints")
+}
+
+
+@pytest.fixture(scope="module")
+def task():
+    return gp.load_scene("desk").tasks["bring_coffee"]
+
+
+@pytest.fixture(scope="module")
+def result(task):
+    return gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50)
+
+
+class TwoFaults(gp.InteractionModel):
+    """Everything is hit by the carried object: 3 times out of 10 by a drop, else by a spill; two faults drop it."""
+
+    def probability(self, batch):
+        return sum(self.sources(batch).values())
+
+    def sources(self, batch):
+        P = np.zeros((len(batch), len(batch.scene.components), len(batch.scene.entities)))
+        P[:, 1] = 1.0
+        return {"drop": 0.3 * P, "spill": 0.7 * P}
+
+    def fault_shares(self):
+        return {"drop": {"slip": 0.1, "opened": 0.2, "never": 0.0}}
+
+
+class HalfTold(TwoFaults):
+    """Its sources leave out half of what happens."""
+
+    def probability(self, batch):
+        return np.minimum(1.0, 2.0 * super().probability(batch))
+
+    def sources(self, batch):
+        return {"drop": 0.25 * np.ones((len(batch), len(batch.scene.components), len(batch.scene.entities)))}
+
+
+@dataclasses.dataclass(frozen=True)
+class Own(gp.Cost):
+    def state(self, batch):
+        return np.ones(len(batch))
+
+
+# --- sums -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", _OBJECTIVES)
+@pytest.mark.parametrize("kind", ["path", "trajectory"])
+def test_parts_add_up_to_the_breakdown(task, result, name, kind):
+    objective, motion = _OBJECTIVES[name], getattr(result, kind)
+    found, cost = gp.explain(motion, task.scene, objective), gp.evaluate(motion, task.scene, objective)
+    assert cost.impact > 0.0
+    assert found.cost == cost
+    assert sum(row.impact for row in found.contributions) == pytest.approx(cost.impact, rel=_ROUNDING)
+    assert sum(row.share for row in found.contributions) == pytest.approx(1.0, rel=_ROUNDING)
+    assert found.weight @ found.density == pytest.approx(cost.impact, rel=_ROUNDING)
+    for key, parts in (("entity", cost.impact_by_entity), ("component", cost.impact_by_component)):
+        for part, impact in parts.items():
+            mine = sum(row.impact for row in found.contributions if getattr(row, key) == part)
+            assert mine == pytest.approx(impact, rel=_ROUNDING, abs=1e-15)
+    along = dict(zip(found.entities, found.weight @ found.by_entity, strict=True))
+    assert along == pytest.approx(dict(cost.impact_by_entity), rel=_ROUNDING)
+
+
+@pytest.mark.parametrize("name", _OBJECTIVES)
+def test_a_result_is_explained_as_it_was_charged(task, result, name):
+    objective = _OBJECTIVES[name]
+    charged = result.trajectory if objective.exposure == "time" else result.path
+    found = gp.explain(result, task.scene, objective)
+    assert found.cost == gp.evaluate(charged, task.scene, objective)
+    assert (found.time is None) == (objective.exposure != "time")
+
+
+def test_the_largest_comes_first(task, result):
+    impact = [row.impact for row in gp.explain(result, task.scene).contributions]
+    assert impact == sorted(impact, reverse=True)
+    assert impact[-1] > 0.0
+
+
+# --- along the motion -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", _OBJECTIVES)
+def test_a_stretch_holds_its_share(task, result, name):
+    objective, scene = _OBJECTIVES[name], task.scene
+    found = gp.explain(result.trajectory, scene, objective)
+    charged = objective.bind(scene).charged_states(result.trajectory)
+    P = objective.impact.interaction.probability(charged.batch)
+    assert found.contributions
+    for row in found.contributions:
+        severity = scene.entities[row.entity].severity[row.component]
+        index = list(scene.components).index(row.component), list(scene.entities).index(row.entity)
+        mass = charged.weight * P[:, *index] * severity
+        inside = (found.place >= row.begin) & (found.place <= row.end)
+        assert mass[inside].sum() >= STRETCH * row.impact * (1.0 - 1e-9)
+        assert row.probability == P[:, *index].max()
+        assert row.severity == severity
+        assert row.begin_time <= row.end_time
+        assert result.trajectory.t[0] <= row.worst_time <= result.trajectory.t[-1]
+
+
+@given(
+    hnp.arrays(float, st.integers(1, 12), elements=st.integers(0, 5)),
+    st.lists(st.integers(0, 3), min_size=12, max_size=12),
+    st.sampled_from([0.1, 0.5, 0.9, 1.0]),
+)
+def test_no_stretch_is_shorter(mass, steps, share):
+    mass[-1] += not mass.any()
+    place = np.cumsum(steps[: len(mass)]).astype(float)
+    first, last = shortest_stretch(place, mass, share)
+    needed = share * mass.sum() * (1.0 - 1e-9)
+    assert mass[first : last + 1].sum() >= needed
+    pairs = [(i, j) for i in range(len(mass)) for j in range(i, len(mass)) if mass[i : j + 1].sum() >= needed]
+    assert place[last] - place[first] == min(place[j] - place[i] for i, j in pairs)
+
+
+def test_the_worst_place_is_where_it_says(task, result):
+    path = result.path
+    length = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
+    entities, components = list(task.scene.entities), list(task.scene.components)
+    for row in gp.explain(path, task.scene, _OBJECTIVES["aabb-length"]).contributions[:5]:
+        q = np.array([np.interp(row.worst, length, joint) for joint in path.q.T])
+        P = gp.interaction_probability(task.scene, q, "aabb")[
+            components.index(row.component), entities.index(row.entity)
+        ]
+        assert row.probability == pytest.approx(P, abs=1e-9)
+        np.testing.assert_allclose(row.position, task.scene.data_at(q).body("mug").xpos, atol=1e-9)
+
+
+def test_times_are_those_of_the_trajectory(task, result):
+    found = gp.explain(result.trajectory, task.scene, _OBJECTIVES["footprint-length"])
+    length = np.concatenate([[0.0], np.cumsum(result.trajectory.path.segment_lengths)])
+    np.testing.assert_allclose(np.interp(found.place, length, result.trajectory.t), found.time, atol=1e-6)
+    assert gp.explain(result.path, task.scene).contributions[0].worst_time is None
+
+
+def test_backwards_it_is_the_mirror_image(task, result):
+    objective = _OBJECTIVES["aabb-length"]  # boxes do not ask which way things move
+    there, back = (gp.explain(path, task.scene, objective) for path in (result.path, result.path.reversed()))
+    assert back.cost.impact == pytest.approx(there.cost.impact, rel=1e-9)
+    first, mirrored = there.contributions[0], back.contributions[0]
+    assert mirrored.event == first.event
+    assert mirrored.end - mirrored.begin == pytest.approx(first.end - first.begin, abs=1e-9)
+    assert there.place[-1] - back.place[-1] == pytest.approx(0.0, abs=1e-12)
+
+
+# --- sources and faults ---------------------------------------------------------------------------------------------
+
+
+def test_sources_and_their_faults_are_told_apart(task, result):
+    found = gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=TwoFaults())))
+    share = {source: sum(r.share for r in found.contributions if r.source == source) for source in ("drop", "spill")}
+    assert share == pytest.approx({"drop": 0.3, "spill": 0.7})
+    for row in found.contributions:
+        expected = {"opened": 2 / 3, "slip": 1 / 3} if row.source == "drop" else {}
+        assert row.faults == pytest.approx(expected)
+        assert list(row.faults) == list(expected)
+    dropped = next(row for row in found.contributions if row.source == "drop")
+    assert dropped.event == f"dropped mug onto {dropped.entity}"
+    assert "opened 67%, slip 33%" in str(found)
+
+
+def test_rows_that_are_not_shown_are_counted(task, result):
+    found = gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=TwoFaults())))
+    *_, last = str(found).splitlines()
+    left = sum(row.share for row in found.contributions[12:])
+    assert last == f"and {len(found.contributions) - 12} others: {left:.1%}"
+
+
+def test_who_moves_is_met_where_it_is_then(task, result):
+    # It sits beside the way of the mug until half a second, and is then gone.
+    q, trajectory = result.trajectory.at([0.3]).q[0], result.trajectory
+    below = task.scene.data_at(q).body("mug").xpos - [0.0, 0.0, 0.3]
+    away = below + [9.0, 0.0, 0.0]
+    cat = gp.MovingEntity("tom", "pet", size=[0.1, 0.1], t=[0.0, 0.5, 0.51], position=[below, below, away])
+    scene = task.scene.with_moving(cat)
+    found = gp.explain(trajectory, scene, _OBJECTIVES["footprint-time"])
+    assert sum(row.impact for row in found.contributions) == pytest.approx(found.cost.impact, rel=_ROUNDING)
+    mine = [row for row in found.contributions if row.entity == "tom"]
+    assert sum(row.impact for row in mine) == pytest.approx(found.cost.impact_by_entity["tom"], rel=_ROUNDING)
+    assert {row.component for row in mine} == {"carried", "contents"}
+    assert max(row.end_time for row in mine) < 0.6
+    later = gp.explain(trajectory, scene, _OBJECTIVES["footprint-time"], start_time=1.0)
+    assert later.cost.impact_by_entity["tom"] < 1e-3 * found.cost.impact_by_entity["tom"]
+    with pytest.raises(gp.SettingError, match="start_time = nan"):
+        gp.explain(trajectory, scene, start_time=np.nan)
+
+
+# --- documents and pictures -----------------------------------------------------------------------------------------
+
+
+def test_the_document_says_the_same(task, result):
+    found = gp.explain(result, task.scene)
+    document = json.loads(found.to_json())
+    assert document["cost"]["impact"] == found.cost.impact
+    assert [row["impact"] for row in document["contributions"]] == [row.impact for row in found.contributions]
+    along = document["along"]
+    total = {name: np.dot(along["weight"], density) for name, density in along["by_entity"].items()}
+    assert total == pytest.approx(dict(found.cost.impact_by_entity), rel=_ROUNDING)
+    assert along["time"] is None
+
+
+@pytest.mark.parametrize("name", [*_OBJECTIVES, "nothing"])
+def test_a_picture_is_drawn(task, result, name, tmp_path):
+    nothing = gp.Objective(impact=gp.ImpactCost(components=()))
+    draw_explanation(gp.explain(result, task.scene, _OBJECTIVES.get(name, nothing)), tmp_path / "picture.png")
+    from matplotlib.image import imread
+
+    assert np.ptp(imread(tmp_path / "picture.png")[..., :3], axis=(0, 1)).max() > 0.5
+
+
+@pytest.mark.parametrize("section", ["A motion, explained", "A scene, mapped"])
+def test_the_guide_runs(section, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "explain.md").read_text().partition(f"## {section}")[2]
+    exec(compile(text.partition("```python\n")[2].partition("```")[0], "explain.md", "exec"), {})
+
+
+# --- unhappy paths --------------------------------------------------------------------------------------------------
+
+
+def test_nothing_to_explain(task, result):
+    found = gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(components=())))
+    assert found.contributions == ()
+    assert str(found) == "impact 0: whatever fails, nothing is hit that matters"
+
+
+def test_standing_still_costs_nothing_but_a_waypoint_does(task):
+    q = gp.Path(task.start[None])
+    assert gp.explain(q, task.scene).contributions == ()
+    point = gp.explain(q, task.scene, _OBJECTIVES["aabb-waypoints"])
+    assert point.cost.impact == pytest.approx(sum(row.impact for row in point.contributions))
+    assert point.cost.impact > 0.0
+    assert {row.begin for row in point.contributions} | {row.end for row in point.contributions} == {0.0}
+
+
+def test_other_costs_do_not_tell_who_is_hit(task, result):
+    with pytest.raises(gp.SettingError, match=r"objective.impact = Own\(\).* who is hit"):
+        gp.explain(result, task.scene, gp.Objective(impact=Own()))
+
+
+def test_sources_that_do_not_add_up(task, result):
+    with pytest.raises(gp.CostError, match=r"HalfTold: sources\(\) add up to .*, probability\(\) to"):
+        gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=HalfTold())))
+
+
+def test_no_path_no_explanation(task):
+    failed = gp.plan(task.start + 9.0, task.goal, task.scene, iterations=1)
+    with pytest.raises(gp.PlanningFailed, match="INVALID_START"):
+        gp.explain(failed, task.scene)
+
+
+def test_a_path_of_another_robot(task):
+    with pytest.raises(gp.ShapeError, match=r"path has shape \(2, 3\), expected \(n, 7\)"):
+        gp.explain(gp.Path(np.zeros((2, 3))), task.scene)

@@ -1,0 +1,219 @@
+import math
+import signal
+
+import numpy as np
+import pytest
+from bench_cases import planner_file, suite_file
+
+import graceful_plan as gp
+from graceful_plan import PlanResult, PlanStatus
+from graceful_plan import compare as bench
+from graceful_plan.compare.runs import workers
+from graceful_plan.compare.runs.comparison import settle
+from graceful_plan.compare.runs.measures import FARTHEST, JERK_STEP, exact_clearance, jerk
+from graceful_plan.compare.runs.runner import aligned_trace, run
+from graceful_plan.judge.exact import state_contacts
+from graceful_plan.result import CostBreakdown, TracePoint
+
+# --- jerk and clearance ----------------------------------------------------------------------------------------------
+
+
+def cubic(duration: float, jerk: float, nq: int = 2) -> gp.Trajectory:
+    """A motion of the first joint with one jerk all along, from rest."""
+    t = np.linspace(0.0, duration, 2)
+    q, qd, qdd = (np.zeros((2, nq)) for _ in range(3))
+    q[:, 0], qd[:, 0], qdd[:, 0] = jerk * t**3 / 6.0, jerk * t**2 / 2.0, jerk * t
+    return gp.Trajectory(t, q, qd, qdd, tuple(f"joint{i}" for i in range(nq)))
+
+
+def test_jerk_by_hand():
+    steps, value = 50, 3.0
+    trajectory = cubic(steps * JERK_STEP, value)
+    q = np.concatenate([np.zeros(3), value / 6.0 * (JERK_STEP * np.arange(steps + 1)) ** 3])
+    q = np.concatenate([q, np.full(3, q[-1])])
+    expected = np.abs(np.diff(q, n=3)) / JERK_STEP**3
+    assert jerk(trajectory) == pytest.approx((expected.max(), math.sqrt(np.mean(expected**2))), rel=1e-6)
+    # Stopping dead at the end is what jerks.
+    assert expected.max() > 100.0 * value
+
+
+def test_jerk_scales_with_the_cube_of_the_pace():
+    slow, fast = cubic(4.0, 1.0), cubic(2.0, 8.0)
+    inside = [jerk(motion)[0] for motion in (slow, fast)]
+    assert inside[1] > inside[0]
+
+
+def test_rest_has_no_jerk():
+    still = gp.Trajectory(np.zeros(1), np.ones((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), ("a", "b", "c"))
+    assert jerk(still) == (0.0, 0.0)
+
+
+def test_clearance_of_a_ball_beside_the_tool():
+    scene = gp.load_scene("tabletop_l1")
+    q = scene.keyframes["ready"]
+    tool = scene.data_at(q).site(scene.tool).xpos
+    at = tool + np.array([0.0, 0.0, -0.09])
+    with_ball = scene.add_sphere("ball", 0.05, at)
+    bigger = scene.add_sphere("ball", 0.06, at)
+    path = gp.Path(q[None])
+    (near, own), (nearer, _), (without, _) = (exact_clearance(path, s) for s in (with_ball, bigger, scene))
+    assert 0.0 < near < without <= FARTHEST
+    assert near - nearer == pytest.approx(0.01, abs=1e-4)
+    assert own == exact_clearance(path, scene)[1]
+    # The fast checker's spheres cover the robot by less than 1 cm.
+    assert -1e-6 <= min(near, own) - gp.clearance(with_ball, q) <= 0.011
+
+
+def test_clearance_is_negative_in_collision_and_only_then():
+    scene = gp.load_scene("desk")
+    lower, upper = scene.limits.position.T
+    signs = []
+    for q in np.random.default_rng(0).uniform(lower, upper, (40, len(lower))):
+        touching = bool(state_contacts(q, scene, at_end=False))
+        assert (min(exact_clearance(gp.Path(q[None]), scene)) < 0.0) == touching
+        signs.append(touching)
+    assert 5 < sum(signs) < 35
+
+
+def test_clearance_of_a_motion_is_the_least_of_its_configurations():
+    task = next(iter(gp.load_scene("tabletop").tasks.values()))
+    result = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=30)
+    trajectory = result.unwrap()
+    whole = exact_clearance(trajectory, task.scene)
+    some = np.array([exact_clearance(gp.Path(q[None]), task.scene) for q in trajectory.q[::5]])
+    assert np.all(np.array(whole) <= some.min(axis=0) + 1e-9)
+    assert min(whole) > 0.0
+
+
+# --- traces ----------------------------------------------------------------------------------------------------------
+
+
+def result_of(total, *trace):
+    points = tuple(TracePoint(time=0.1 * i, total=t, motion=t - 0.5, impact=0.5) for i, t in enumerate(trace, 1))
+    cost = CostBreakdown(motion=total - 0.5, impact=0.5)
+    return PlanResult(status=PlanStatus.SOLVED, cost=cost, trace=points)
+
+
+@pytest.mark.parametrize(
+    ("total", "trace", "expected"),
+    [
+        (2.0, (4.0, 2.0), [(0.1, 4.0), (0.2, 2.0)]),
+        (4.0, (4.0, 2.0), [(0.1, 4.0)]),  # the judge refused the better path
+        (2.5, (4.0, 2.0), [(0.1, 4.5), (0.2, 2.5)]),  # ways out at both ends
+        (1.0, (4.0, 2.0), [(0.1, 4.0), (0.2, 2.0), (0.9, 1.0)]),  # improved after the search
+        (1.0, (), [(0.9, 1.0)]),
+    ],
+)
+def test_traces_end_with_the_result(total, trace, expected):
+    points = aligned_trace(result_of(total, *trace), 0.9)
+    np.testing.assert_allclose([(p.time, p.total) for p in points], expected)
+    assert all(p.motion + p.impact == pytest.approx(p.total) for p in points)
+
+
+def test_totals_over_time():
+    found = bench.Run(
+        problem="a", planner="b", seed=0, status="SOLVED", trace=aligned_trace(result_of(2.0, 4.0, 2.0), 0.9)
+    )
+    assert found.totals_at([0.0, 0.1, 0.15, 0.2, 9.0]).tolist() == [math.inf, 4.0, 4.0, 2.0, 2.0]
+    lost = bench.Run(problem="a", planner="b", seed=0, status="TIMEOUT", trace=found.trace)
+    assert lost.totals_at([9.0]).tolist() == [math.inf]
+
+
+# --- runs ------------------------------------------------------------------------------------------------------------
+
+
+def jobs(tmp_path, *files, suite="free_space", planners=(), **kwargs):
+    source = suite if suite in bench.suites() else suite_file(tmp_path, suite)
+    return settle(source, planners=planners, planner_files=files, seeds=1, **kwargs).jobs
+
+
+def test_a_task_is_planned_and_measured(tmp_path):
+    job = jobs(tmp_path, suite="tabletop", planners=["rrt_connect"], seconds=1.0)[0]
+    found = run(job)
+    assert found.status == "SOLVED"
+    task = gp.load_scene("tabletop").tasks[job.problem.item]
+    path = gp.Path(np.array(found.path))
+    assert found.total == pytest.approx(gp.evaluate(path, task.scene).total)
+    assert found.total == pytest.approx(found.trace[-1].total)
+    assert found.length == pytest.approx(path.length)
+    assert 0.0 < found.first <= found.seconds
+    assert 0.0 < found.jerk_rms < found.jerk_peak
+    assert 0.0 < found.clearance < 1.0
+    assert found.certified <= min(found.clearance, found.self_clearance) + 1e-6
+    assert found.duration > 0.0 and found.iterations > 0
+
+
+def test_the_straight_line_is_optimal_where_nothing_is_in_the_way(tmp_path):
+    found = [run(job) for job in jobs(tmp_path, planner_file(tmp_path), suite="free_space, disc")]
+    assert [x.status for x in found] == ["SOLVED", "INFEASIBLE"]
+    assert found[0].total == pytest.approx(1.5 * math.sqrt(2.0))
+    assert math.isnan(found[0].clearance) and math.isnan(found[0].jerk_peak)
+
+
+def test_paths_that_lead_nowhere_do_not_count(tmp_path):
+    act = "yield Path(np.array([problem.start, problem.start])); return"
+    (found,) = [run(job) for job in jobs(tmp_path, planner_file(tmp_path, act, "liar"))]
+    assert (found.status, found.detail, found.total, found.path) == ("INFEASIBLE", "", math.inf, ())
+
+
+def test_exceptions_are_outcomes(tmp_path):
+    file = planner_file(tmp_path, "raise ZeroDivisionError('oops')", "broken")
+    (plane,) = [run(job) for job in jobs(tmp_path, file)]
+    scene = run(jobs(tmp_path, file, suite="tabletop", seconds=0.2)[0])
+    for found in (plane, scene):
+        assert (found.status, found.detail, found.total) == ("RAISED", "ZeroDivisionError: oops", math.inf)
+
+
+def test_messages_can_be_written_whatever_is_in_them(tmp_path):
+    file = planner_file(tmp_path, "raise ValueError('\\udcff' + 'x' * 10_000)", "babbles")
+    (found,) = [run(job) for job in jobs(tmp_path, file)]
+    assert found.detail.encode().startswith(b"ValueError: ?xxx")
+    assert len(found.detail) == 1000
+
+
+def test_planners_take_turns_at_being_first(tmp_path):
+    given = jobs(tmp_path, suite="free_space, disc", planners=["anytime", "rrt_connect"])
+    assert [job.planner.label for job in given] == ["anytime", "rrt_connect", "rrt_connect", "anytime"]
+    assert len({job.key for job in given}) == 4
+
+
+def test_importing_is_not_in_the_time_of_a_run(tmp_path):
+    # Whatever the first call does, it is not the one that is recorded.
+    mark = tmp_path / "called"
+    act = (
+        f"import pathlib; mark = pathlib.Path({str(mark)!r}); first = not mark.exists(); mark.touch(); assert not first"
+    )
+    (found,) = [run(job) for job in jobs(tmp_path, planner_file(tmp_path, act, "lazy"))]
+    assert (found.status, found.detail) == ("SOLVED", "")
+
+
+# --- workers ---------------------------------------------------------------------------------------------------------
+
+
+def test_workers_survive_what_planners_do(tmp_path):
+    died = planner_file(tmp_path, "import os; os._exit(3)", "exits")
+    crashed = planner_file(tmp_path, f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "crashes")
+    good = planner_file(tmp_path, name="good")
+    found = list(workers.done(jobs(tmp_path, died, crashed, good), 1))
+    assert [(x.planner, x.status) for x in found] == [("exits", "CRASHED"), ("crashes", "CRASHED"), ("good", "SOLVED")]
+    assert found[0].detail == "the process ended with exit code 3"
+    assert found[1].detail == "the process ended with SIGSEGV"
+
+
+def test_what_planners_print_does_not_mix_with_results(tmp_path, capfd):
+    file = planner_file(tmp_path, "print('chatter', flush=True)", "chats")
+    (found,) = workers.done(jobs(tmp_path, file), 1)
+    assert found.status == "SOLVED"
+    out, err = capfd.readouterr()
+    assert out == "" and "chatter" in err
+
+
+def test_a_planner_that_never_returns_is_stopped(tmp_path, monkeypatch):
+    file = planner_file(tmp_path, "import time; time.sleep(100)", "hangs")
+    monkeypatch.setattr(workers, "TIMES", 0.0)
+    (found,) = workers.done(jobs(tmp_path, file), 1, patience=1.0)
+    assert (found.status, found.detail) == ("HUNG", "was still running long after its time limit of 0.3 s")
+
+
+def test_no_jobs_no_workers():
+    assert list(workers.done([], 2)) == []

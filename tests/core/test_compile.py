@@ -1,0 +1,129 @@
+"""From a scene to tables: what is covered, what is ignored, what is refused."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.exceptions import UnsupportedError
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return gp.load_scene("kitchen_counter").tasks["move_oil"].scene
+
+
+def _surface(model, geom, rng, n=300):
+    """Points of a primitive, most of them on its surface, in its frame."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    unit = rng.normal(size=(n, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return unit * size[0] + np.outer(rng.uniform(-1, 1, n), [0, 0, size[1]])
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return unit * size[0]
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        flat = unit[:, :2] / np.linalg.norm(unit[:, :2], axis=1, keepdims=True)
+        return np.column_stack([flat * size[0], rng.choice([-1.0, 1.0, 0.3], n) * size[1]])
+    assert kind == mujoco.mjtGeom.mjGEOM_BOX
+    points = rng.uniform(-1, 1, (n, 3))
+    axis = rng.integers(3, size=n)
+    points[np.arange(n), axis] = np.sign(points[np.arange(n), axis])
+    return points * size
+
+
+def test_spheres_cover_what_collides_and_stick_out_by_less_than_a_centimetre(scene):
+    compiled, model, rng = compile_scene(scene), scene.model, np.random.default_rng(0)
+    robot = compiled.robot
+    assert 0.0 < robot.protrusion < 0.01
+    q = rng.uniform(*scene.limits.position.T)
+    data, X_WL = scene.data_at(q), compiled.kernels.link_poses(q)
+    R, p = X_WL[robot.sphere_link, :3, :3], X_WL[robot.sphere_link, :3, 3]
+    centres = np.einsum("sij,sj->si", R, robot.sphere[:, :3]) + p
+    moving = sorted(set(scene.collision_pairs()[:, 0].tolist()))
+    for geom in moving:
+        points = _surface(model, geom, rng) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        gaps = np.linalg.norm(points[:, None] - centres, axis=-1) - robot.sphere[:, 3]
+        assert gaps.min(axis=1).max() <= 1e-9, model.geom(geom).name
+
+
+def test_bounding_spheres_bound(scene):
+    robot = compile_scene(scene).robot
+    bound = robot.bound[robot.sphere_link]
+    reach = np.linalg.norm(robot.sphere[:, :3] - bound[:, :3], axis=1) + robot.sphere[:, 3]
+    assert np.all(reach <= bound[:, 3] + 1e-9)
+
+
+def test_a_scene_is_compiled_once(scene):
+    assert compile_scene(scene) is compile_scene(scene)
+
+
+def test_allowed_contacts_are_ignored(scene):
+    """The gripper holds the object: in every configuration they overlap, and that is no collision."""
+    free_somewhere = compile_scene(scene).kernels.free(
+        np.random.default_rng(1).uniform(*scene.limits.position.T, (200, 7))
+    )
+    assert free_somewhere.any()
+
+
+def test_ignored_obstacles_are_those_without_a_pair(scene):
+    compiled = compile_scene(scene)
+    world, robot = compiled.world, compiled.robot
+    base_geoms = {
+        g for g in range(scene.model.ngeom) if scene.model.body(scene.model.geom_bodyid[g]).name == "panda/link0"
+    }
+    assert not base_geoms & set(world.geom.tolist()), "the robot's own base is no obstacle but part of self-collision"
+    assert np.all(world.ignores >> len(robot.parent) == 0)
+
+
+def test_severities_follow_the_scene(scene):
+    hazards = compile_scene(scene).hazards
+    for r, component in enumerate(scene.components):
+        for e, entity in enumerate(scene.entities.values()):
+            assert hazards.severity[r, e] == entity.severity[component]
+
+
+def test_a_carried_shape_that_cannot_be_covered_is_named():
+    text = """<mujoco><compiler angle="radian" autolimits="true"/>
+    <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
+    <worldbody><geom name="wall" type="box" size="0.1 0.1 0.1"/>
+      <body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/><geom name="disc" type="hfield" hfield="h"/>
+        <site name="t"/></body>
+    </worldbody><asset><hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 0 0 0"/></asset></mujoco>"""
+    with pytest.raises(UnsupportedError, match=r"hfield|HFIELD"):
+        compile_scene(gp.Scene.from_mjcf(text, robot="r/", tool="t"))
+
+
+def test_a_scene_without_anything_around_compiles():
+    text = """<mujoco><compiler angle="radian" autolimits="true"/>
+    <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
+    <worldbody><body name="r/a"><joint name="j" range="-1 1"/><geom size="0.1"/><site name="t"/>
+      </body></worldbody></mujoco>"""
+    scene = gp.Scene.from_mjcf(text, robot="r/", tool="t")
+    result = gp.plan([-0.5], [0.5], scene, time_limit=0.5)
+    assert result.status is gp.PlanStatus.SOLVED
+    assert result.cost.motion == pytest.approx(1.0)
+
+
+def test_fingers_that_never_move_apart_do_not_block_everything():
+    text = """<mujoco><compiler angle="radian" autolimits="true"/>
+    <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
+    <worldbody><body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <body name="r/b" pos="0.021 0 0"><geom type="box" size="0.02 0.02 0.02"/></body>
+      <body name="r/c" pos="-0.021 0 0"><geom type="box" size="0.02 0.02 0.02"/></body><site name="t"/></body>
+    </worldbody></mujoco>"""
+    result = gp.plan([-0.5], [0.5], gp.Scene.from_mjcf(text, robot="r/", tool="t"), time_limit=0.5)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+
+
+def test_a_robot_too_large_for_the_kernels_is_refused_by_name():
+    text = """<mujoco><compiler angle="radian" autolimits="true"/>
+    <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
+    <worldbody><geom name="wall" type="box" size="0.1 0.1 0.1" pos="9 0 0"/>
+      <body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/>
+        <geom name="door" type="box" size="1 0.02 1"/><site name="t"/></body>
+    </worldbody></mujoco>"""
+    with pytest.raises(UnsupportedError, match=r"spheres, the kernels hold .*'door'"):
+        compile_scene(gp.Scene.from_mjcf(text, robot="r/", tool="t"))

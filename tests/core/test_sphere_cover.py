@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from graceful_plan.core import sphere_cover
+
+_COVERED = 1e-9
+sizes = st.floats(0.004, 0.08)
+
+
+def _uncovered(points, cover):
+    centres, radii = cover
+    return float(np.max(np.min(np.linalg.norm(points[:, None] - centres, axis=-1) - radii, axis=1)))
+
+
+def _in_box(half, rng, n=600):
+    points = rng.uniform(-1.0, 1.0, (n, 3))
+    axis = rng.integers(3, size=n // 2)
+    points[np.arange(n // 2), axis] = np.sign(points[np.arange(n // 2), axis])  # half of them on the faces
+    corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3)
+    return np.concatenate([points, corners]) * half
+
+
+def _in_cylinder(radius, half, rng, n=600):
+    angle, rho, z = rng.uniform(0, 2 * np.pi, n), radius * np.sqrt(rng.uniform(size=n)), rng.uniform(-half, half, n)
+    rho[: n // 3] = radius
+    z[n // 3 : 2 * n // 3] = half * np.sign(z[n // 3 : 2 * n // 3])
+    rho[::7], z[::7] = radius, half  # the rim
+    return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], axis=1)
+
+
+@given(st.tuples(sizes, sizes, sizes), st.integers(0, 99))
+@settings(max_examples=8, deadline=None)
+def test_box_is_covered_and_barely_exceeded(half, seed):
+    cover = sphere_cover.box_cover(half)
+    assert _uncovered(_in_box(np.array(half), np.random.default_rng(seed)), cover) <= _COVERED
+    depth = np.min(np.array(half) - np.abs(cover[0]), axis=1)
+    assert np.max(cover[1] - depth) <= sphere_cover.MAX_PROTRUSION + 1e-12
+
+
+@given(sizes, sizes, st.integers(0, 99))
+@settings(max_examples=8, deadline=None)
+def test_cylinder_is_covered_and_barely_exceeded(radius, half, seed):
+    centres, radii = sphere_cover.cylinder_cover(radius, half)
+    assert _uncovered(_in_cylinder(radius, half, np.random.default_rng(seed)), (centres, radii)) <= _COVERED
+    depth = np.minimum(radius - np.hypot(centres[:, 0], centres[:, 1]), half - np.abs(centres[:, 2]))
+    assert np.max(radii - depth) <= sphere_cover.MAX_PROTRUSION + 1e-12
+
+
+@given(st.floats(0.004, 0.2), st.floats(0.001, 0.4), st.integers(0, 99))
+@settings(max_examples=8, deadline=None)
+def test_capsule_is_covered_and_barely_exceeded(radius, half, seed):
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(size=(1500, 3))
+    normal *= radius / np.linalg.norm(normal, axis=1, keepdims=True)
+    surface = normal + np.outer(rng.uniform(-half, half, 1500), [0, 0, 1])
+    surface[:1000] = normal[:1000] + np.outer(half * np.sign(normal[:1000, 2]), [0, 0, 1])
+    centres, radii = sphere_cover.capsule_cover(radius, half)
+    assert _uncovered(surface, (centres, radii)) <= _COVERED
+    to_axis = np.hypot(np.hypot(centres[:, 0], centres[:, 1]), np.maximum(np.abs(centres[:, 2]) - half, 0.0))
+    assert np.max(radii - (radius - to_axis)) <= sphere_cover.MAX_PROTRUSION + 1e-12
+
+
+@pytest.mark.parametrize("semi_axes", [(0.05, 0.03, 0.04), (0.08, 0.08, 0.02), (0.02, 0.02, 0.1)])
+def test_ellipsoid_is_covered_and_barely_exceeded(semi_axes):
+    rng = np.random.default_rng(0)
+    unit = rng.normal(size=(5000, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    cover = sphere_cover.ellipsoid_cover(semi_axes)
+    assert _uncovered(unit * semi_axes, cover) <= _COVERED
+    assert _greatest_height(cover, lambda p: (np.linalg.norm(p / semi_axes, axis=1) - 1) * min(semi_axes)) <= 0.01
+
+
+def _greatest_height(cover, lower_bound_of_distance):
+    """How far the surfaces of the spheres are from the body, by a lower bound of the distance to it."""
+    rng = np.random.default_rng(1)
+    unit = rng.normal(size=(300, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    return max(float(np.max(lower_bound_of_distance(c + r * unit))) for c, r in zip(*cover, strict=True))
+
+
+def test_hull_of_a_cube_is_covered_and_barely_exceeded():
+    half = np.array([0.03, 0.03, 0.03])
+    corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * half
+    planes = np.concatenate([np.column_stack([s * np.eye(3), half]) for s in (1, -1)])
+    cover = sphere_cover.hull_cover(corners, planes)
+    assert _uncovered(_in_box(half, np.random.default_rng(0)), cover) <= _COVERED
+    assert np.max(cover[1] - np.min(half - np.abs(cover[0]), axis=1)) <= sphere_cover.MAX_PROTRUSION + 1e-9
+
+
+@given(st.integers(1, 30), st.integers(0, 999))
+@settings(max_examples=50, deadline=None)
+def test_enclosing_sphere_encloses(n, seed):
+    rng = np.random.default_rng(seed)
+    centres, radii = rng.normal(size=(n, 3)), rng.uniform(0.01, 0.5, n)
+    bound = sphere_cover.enclosing_sphere(centres, radii)
+    assert np.all(np.linalg.norm(centres - bound[:3], axis=1) + radii <= bound[3] + 1e-9)
+    if n == 1:
+        assert bound[3] == pytest.approx(radii[0])

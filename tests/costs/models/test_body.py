@@ -1,0 +1,311 @@
+"""The body model: laws, and the core against a slow twin and against MuJoCo."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from body_twin import BodyTwin
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import graceful_plan as gp
+from graceful_plan import StateBatch
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.models.body import body as body_module
+from graceful_plan.costs.models.body.body import BodyModel, chance, mode_margins, mode_names, mode_weights
+from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings, Margin, Margins
+from graceful_plan.costs.models.body.tables import BodyTables, body_tables
+from graceful_plan.exceptions import NonFiniteError, SceneError, SettingError, ShapeError
+
+_SAME = 1e-9  # metres; the core and the twin differ by rounding, and by Newton's method stopped a step apart
+_TORQUE = 1e-8  # N m and rad/s^2, MuJoCo's own rounding
+SETTINGS = BodySettings.shipped()
+_COARSE = replace(SETTINGS, steps=2)
+
+_ARM = """
+<mujoco><compiler angle="radian"/><worldbody>
+  <body name="ground"><geom name="ground" type="plane" size="0 0 1"/></body>
+  <body name="vase" pos="{vase}" euler="0 0 {turn}"><freejoint/>
+    <geom type="cylinder" size="0.06 0.2" mass="0.3"/></body>
+  <body name="lamp" pos="{lamp}" euler="0 0 {turn}"><freejoint/>
+    <geom type="ellipsoid" size="0.06 0.1 0.08" mass="0.3"/></body>
+  <body name="arm" pos="0 0 0.5" euler="0 0 {turn}"><geom type="capsule" size="0.05 0.05" mass="1"/>
+    <body name="arm_a"><joint name="a" axis="0.2 0.1 1" range="-2 2" damping="0.3" armature="0.05"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.04" mass="2"/>
+    <body name="arm_b" pos="0.3 0 0"><joint name="b" type="slide" axis="1 0.3 0.1" range="-0.3 0.3" damping="2"/>
+      <geom type="box" size="0.05 0.03 0.04" pos="0.05 0 0" mass="1"/>
+      <body name="arm_c" pos="0.1 0 0.1"><joint name="c" axis="0 1 0.2" pos="0 0.05 0" range="-1 1" frictionloss="0.2"/>
+        <joint name="d" axis="1 0 0" range="-2 2"/><geom type="sphere" size="0.05" pos="0 0.1 0" mass="0.7"/>
+        <site name="tool" pos="0.1 0 -0.05"/>
+  </body></body></body></body>
+  <body name="thing" pos="3 3 1"><freejoint/>
+    <geom type="box" size="0.03 0.04 0.05" mass="0.3"/>
+    <geom type="sphere" size="0.02" pos="0 0 0.07" mass="0.1"/></body>
+</worldbody></mujoco>"""
+
+
+def _odd(turn=0.0, entities=("vase", "lamp", "ground"), held=True):
+    c, s = np.cos(turn), np.sin(turn)
+    place = {"vase": (0.6, 0.15, 0.2), "lamp": (0.5, -0.3, 0.5)}
+    turned = {n: f"{c * x - s * y} {s * x + c * y} {z}" for n, (x, y, z) in place.items()}
+    text = _ARM.format(turn=turn, **turned)
+    notes = {name: gp.EntityNote(category="glass") for name in entities}
+    scene = gp.Scene.from_mjcf(text, robot="arm", tool="tool", velocity=[2.0] * 4,
+                               acceleration=[5.0] * 4, entities=notes)  # fmt: skip
+    return scene.attach("thing", X_TO=np.eye(4)) if held else scene
+
+
+def _stopped(gain, **changes):
+    margins = {name: replace(getattr(SETTINGS, name), stop_gain=gain) for name in GENERATORS}
+    return replace(SETTINGS, **margins, **changes)
+
+
+def _states(scene, n, seed, fastest=1.0):
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(*scene.limits.position.T, size=(n, len(scene.joints)))
+    return q, scene.limits.velocity * rng.uniform(-fastest, fastest, q.shape)
+
+
+def _batch(scene, q, qd):
+    speed = np.linalg.norm(qd, axis=1)
+    return StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+
+
+@pytest.fixture(scope="module")
+def odd():
+    return _odd()
+
+
+@pytest.fixture(scope="module")
+def tabletop():
+    return gp.load_scene("tabletop").tasks["lift_to_goal"].scene
+
+
+# --- the core against others -----------------------------------------------------------------------------------------
+
+
+def test_the_core_is_the_specification(odd):
+    constants = _stopped(2.0, steps=2)
+    q, qd = _states(odd, 4, seed=0)
+    twin, found = BodyTwin(odd, constants), BodyModel(constants).distances(_batch(odd, q, qd))
+    expected = [twin.distances(*state) for state in zip(q, qd, strict=True)]
+    np.testing.assert_allclose(found, expected, atol=_SAME)
+    assert (found < 0.2).any(axis=(0, 1, 3)).all()  # both rows come near something
+    ahead = q[:, None] + np.linspace(0.1, 0.4, 2)[:, None] * qd[:, None]
+    found = BodyModel(constants).distances(_batch(odd, q, qd), ahead)
+    expected = [twin.distances(*state) for state in zip(q, qd, ahead, strict=True)]
+    np.testing.assert_allclose(found, expected, atol=_SAME)
+
+
+@pytest.mark.parametrize("name", ["tabletop", pytest.param("dining_table", marks=pytest.mark.slow)])
+def test_the_core_is_the_specification_in_bundled_scenes(name):
+    task = next(iter(gp.load_scene(name).tasks.values()))
+    constants = replace(SETTINGS, steps=1)
+    qd = 0.4 * (task.goal[:1] - task.start)
+    q = 0.5 * (task.goal[:1] + task.start)
+    found = BodyModel(constants).distances(_batch(task.scene, q, qd))
+    np.testing.assert_allclose(found[0], BodyTwin(task.scene, constants).distances(q[0], qd[0]), atol=_SAME)
+
+
+def _accelerations(scene, q):
+    """Of the scene's joints without any drive, by MuJoCo; what is held is welded to the tool by hand."""
+    model = scene.model.__copy__()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.data_at(q).qpos
+    mujoco.mj_forward(model, data)
+    dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in scene.joints]
+    return data.qacc[dofs]
+
+
+def test_accelerations_are_those_of_mujoco():
+    scene = _odd(held=False)
+    q, _ = _states(scene, 10, seed=1)
+    M, G = body_module._native_model(scene, SETTINGS).dynamics(q)
+    expected = [_accelerations(scene, state) for state in q]
+    np.testing.assert_allclose(-np.linalg.solve(M, G[..., None])[..., 0], expected, atol=_TORQUE)
+
+
+@pytest.mark.parametrize("name", ["tabletop", "dining_table"])
+def test_torques_are_those_of_inverse_dynamics(name):
+    scene = next(iter(gp.load_scene(name).tasks.values())).scene
+    inverse = gp.RobotDynamics(scene)
+    q, _ = _states(scene, 4, seed=2)
+    M, G = body_module._native_model(scene, SETTINGS).dynamics(q)
+    still, axes = np.zeros(len(scene.joints)), np.eye(len(scene.joints))
+    for k, state in enumerate(q):
+        torque = inverse(state, still, still)
+        np.testing.assert_allclose(G[k], torque, atol=_TORQUE)
+        columns = np.array([inverse(state, still, axis) - torque for axis in axes]).T
+        np.testing.assert_allclose(M[k], columns, atol=_TORQUE)
+
+
+def test_a_joint_without_power_rests_on_what_it_meets(odd):
+    q, qd = _states(odd, 400, seed=11)
+    never = replace(SETTINGS, joint=replace(SETTINGS.joint, stop_tolerance=100.0))
+    batch, loose = _batch(odd, q, qd), slice(1, 5)
+    through, resting = (BodyModel(constants).distances(batch)[:, loose] for constants in (never, SETTINGS))
+    # What rests may be carried elsewhere by the other joints, but most of what falls through something gets deeper.
+    assert (resting >= through - 1e-9).mean() > 0.99
+    assert (resting > through + 0.01).sum() > 10
+
+
+# --- laws ------------------------------------------------------------------------------------------------------------
+
+
+@given(seed=st.integers(0, 10_000), fastest=st.floats(0.0, 3.0))
+@settings(max_examples=25, deadline=None)
+def test_probabilities_and_neighbours(odd, seed, fastest):
+    q, qd = _states(odd, 11, seed, fastest)
+    model = BodyModel(_COARSE)
+    P = model.modes(_batch(odd, q, qd))
+    assert P.shape == (11, len(mode_names(odd)), 2, 3)
+    assert (P >= 0.0).all() and (P <= 1.0).all()
+    alone = [model.modes(_batch(odd, q[i : i + 1], qd[i : i + 1]))[0] for i in range(11)]
+    np.testing.assert_allclose(P, alone, atol=1e-9)
+    means = model.probability(_batch(odd, q, qd))
+    np.testing.assert_allclose(means[:, 1], P[:, 1:5].mean(axis=1), atol=1e-15)
+    assert means.shape == (11, len(GENERATORS), 2, 3)
+
+
+@given(seed=st.integers(0, 10_000), turn=st.floats(-3.0, 3.0))
+@settings(max_examples=10, deadline=None)
+def test_robot_and_scene_may_turn_together(odd, seed, turn):
+    q, qd = _states(odd, 9, seed)
+    turned = _odd(turn)
+    model = BodyModel(_COARSE)
+    # Distances move by the rounding of poses to single precision.
+    first, second = model.distances(_batch(odd, q, qd)), model.distances(_batch(turned, q, qd))
+    np.testing.assert_allclose(first, second, atol=5e-6)
+
+
+@given(offset=st.floats(-0.2, 0.2), spread=st.floats(0.001, 0.2))
+def test_chances_fall_with_distance(offset, spread):
+    d = np.linspace(offset - 20.0 * spread, offset + 20.0 * spread, 400)
+    P = chance(d[:, None, None, None], np.array([[offset]]), np.array([[spread]])).ravel()
+    assert P[0] == pytest.approx(1.0, abs=5e-4) and P[-1] == 0.0
+    assert (np.diff(P) <= 1e-15).all()
+    assert chance(np.full((1, 1, 1, 1), offset), np.array([[offset]]), np.array([[spread]])).item() == pytest.approx(
+        0.5, abs=2e-4
+    )
+
+
+def test_who_is_far_away_is_not_hit(odd):
+    q, qd = _states(odd, 50, seed=5)
+    vase = list(odd.entities).index("vase")
+    away = odd.add_box("far", [0.1, 0.1, 0.1], [0.0, 0.0, 9.0], entity="glass")
+    P, before = BodyModel(_COARSE).probability(_batch(away, q, qd)), BodyModel(_COARSE).probability(_batch(odd, q, qd))
+    assert (P[..., list(away.entities).index("far")] < 1e-15).all()  # 0 but for rounding
+    np.testing.assert_allclose(P[..., list(away.entities).index("vase")], before[..., vase], atol=1e-12)
+
+
+def test_entities_without_severity_change_nothing(odd):
+    q, qd = _states(odd, 300, seed=6)
+    severity = np.array([[1.0, 0.0, 2.0], [3.0, 0.0, 0.5]])
+    weights = np.array([[0.1, 0.2], [0.2, 0.0], [0.3, 0.5], [0.4, 0.1]])
+    model, batch = BodyModel(_COARSE), _batch(odd, q, qd)
+    expected = np.einsum("ngre,gr,re->n", model.probability(batch), weights, severity)
+    np.testing.assert_allclose(model.impact(batch, severity, weights), expected, atol=1e-12)
+    assert expected.max() > 1e-3
+    fewer = _odd(entities=("vase", "ground"))
+    found = model.impact(_batch(fewer, q, qd), severity[:, [0, 2]], weights)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_nothing_held_and_nobody_there(tabletop):
+    scene = _odd(held=False)
+    q, qd = _states(scene, 9, seed=7)
+    P = BodyModel(_COARSE).probability(_batch(scene, q, qd))
+    assert (P[:, :, 1] < 1e-15).all() and P[:, :, 0].max() > 0.1
+    empty = _odd(entities=())
+    assert BodyModel(_COARSE).probability(_batch(empty, q, qd)).shape == (9, 4, 2, 0)
+    assert (BodyModel(_COARSE).impact(_batch(empty, q, qd), np.zeros((2, 0)), np.ones((4, 2))) == 0.0).all()
+    assert BodyModel().modes(_batch(tabletop, np.zeros((0, 7)), np.zeros((0, 7)))).shape[0] == 0
+
+
+def test_an_arm_that_is_held_up_does_not_reach_what_is_below(odd):
+    q, qd = _states(odd, 60, seed=8)
+    free = BodyModel(_stopped(0.0, steps=2)).distances(_batch(odd, q, qd))
+    held = BodyModel(_stopped(4.0, steps=2)).distances(_batch(odd, q, qd))
+    assert (held >= free - 1e-12).all()
+    assert (held > free + 1e-3).any()
+
+
+# --- planners --------------------------------------------------------------------------------------------------------
+
+
+def test_what_planners_are_charged(odd):
+    q, _ = _states(odd, 12, seed=9)
+    severity, weights = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]]), np.outer([0.4, 0.3, 0.2, 0.1], [1.0, 0.5])
+    model = BodyModel(_COARSE)
+    kernel = model.kernel(odd, severity, weights, (0.5, 0.5))
+    at_rest = model.impact(_batch(odd, q, np.zeros_like(q)), severity, weights)
+    np.testing.assert_allclose(kernel.states(q), at_rest, atol=1e-12)
+    cost = kernel.edges(q[:-1], q[1:], 0.05)
+    for k in range(4):
+        way = q[k + 1] - q[k]
+        rate = 0.5 * way / (np.abs(way) / odd.limits.velocity).max()
+        s = np.linspace(0.0, 1.0, 2000)
+        states = q[k] + s[:, None] * way
+        I = model.impact(_batch(odd, states, np.tile(rate, (len(s), 1))), severity, weights)  # noqa: E741
+        assert cost[k, 0] == pytest.approx(np.linalg.norm(way))
+        assert cost[k, 1] == pytest.approx(np.trapezoid(I, s) * cost[k, 0], rel=0.02, abs=1e-3)
+
+
+# --- misuse ----------------------------------------------------------------------------------------------------------
+
+
+def test_misuse(odd):
+    q, qd = _states(odd, 3, seed=10)
+    batch, model = _batch(odd, q, qd), BodyModel()
+    with pytest.raises(ShapeError, match="ahead"):
+        model.modes(batch, np.zeros((2, 3, 4)))
+    with pytest.raises(SettingError, match="steps ahead"):
+        model.modes(batch, np.zeros((3, 65, 4)))
+    with pytest.raises(NonFiniteError):
+        model.modes(batch, np.full((3, 1, 4), np.nan))
+    with pytest.raises(ShapeError, match="weights"):
+        mode_weights(np.ones((3, 2)), 4)
+    with pytest.raises(SettingError, match="weights"):
+        mode_weights(np.full((4, 2), -1.0), 4)
+    with pytest.raises(ShapeError, match="severity"):
+        model.impact(batch, np.ones((1, 3)), np.ones((4, 2)))
+    with pytest.raises(SettingError, match="spread"):
+        Margin(offset=0.0, spread=0.0)
+    with pytest.raises(SettingError, match="steps"):
+        replace(SETTINGS, steps=65)
+    with pytest.raises(SettingError, match="stop_gain"):
+        _stopped(-1.0)
+    with pytest.raises(SettingError, match="brake_time"):
+        replace(SETTINGS, brake_time=-1.0)
+
+
+def test_constants_from_a_file(tmp_path):
+    text = (body_module.__file__ or "").replace("body.py", "body.yaml")
+    file = tmp_path / "body.yaml"
+    content = Path(text).read_text(encoding="utf-8")
+    file.write_text(content)
+    assert BodySettings.load(file) == SETTINGS
+    offset, spread = mode_margins(SETTINGS, 2)
+    assert offset.shape == spread.shape == (6, 2)
+    assert offset[0, 1] == SETTINGS.collapse.carried.offset
+    assert isinstance(SETTINGS.joint, Margins)
+    file.write_text(content.replace("version: 1", "version: 2"))
+    with pytest.raises(SceneError, match="version 1"):
+        BodySettings.load(file)
+
+
+def test_tables_are_documented():
+    rows = [line.split("|")[1].strip() for line in (BodyTables.__doc__ or "").splitlines() if "|" in line][2:]
+    assert rows == list(BodyTables.__dataclass_fields__)
+
+
+def test_inertias_are_those_of_the_model(tabletop):
+    tables, model = body_tables(tabletop), tabletop.model
+    held = model.body_rootid == model.body_rootid[model.body(tabletop.carried.body).id]
+    moving = [b for b in tabletop.robot_bodies if model.body(b).name != "panda/link0"]
+    assert tables.mass.sum() == pytest.approx(model.body_mass[moving].sum() + model.body_mass[held].sum())
+    assert compile_scene(tabletop).world.geom.shape == tables.entity.shape

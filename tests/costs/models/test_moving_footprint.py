@@ -1,0 +1,265 @@
+"""Drops on those who move: laws, the model of what stands still as reference, the core beside NumPy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_drop import BOX, gantry
+
+import graceful_plan as gp
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.models.drop.constants import FootprintSettings
+from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.moving.footprint import moving_probability
+
+_STANDING = (0.03, 0.15)
+"""Largest mean and single difference from the model of what stands still: here the object is followed down the side of
+an entity and not to the height of its top alone, a part that falls off is caught a little differently, and those who
+stand beside a drop do not catch what would hit something else."""
+_CORE = 0.25
+"""Relative difference of mean probabilities: in the core nobody moves while the object falls."""
+_SIZES = {"box": [0.05, 0.08, 0.1], "cylinder": [0.06, 0.1]}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return gantry(BOX)
+
+
+def walker(x=0.3, y=0.0, *, size="box", speed=0.0, heading=0.0, passes=0.0, turn=0.0, shift=(0.0, 0.0), **more):
+    """Something 0.2 m high on the ground that passes (x, y) at some time; all of it turned, then moved."""
+    times = passes + np.array([-1.0, 1.0])
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    along = speed * np.array([np.cos(heading), np.sin(heading)])
+    place = (np.array([x, y]) + np.outer(times - passes, along)) @ R.T + shift
+    yaw = np.full(2, 0.4 + turn)
+    position = np.column_stack([place, [0.1, 0.1]])
+    return gp.MovingEntity("walker", "pet", size=_SIZES[size], t=times, position=position, yaw=yaw, **more)
+
+
+def probability(scene, entity, q, qd=None, time=None, component="carried"):
+    q = np.atleast_2d(np.asarray(q, float))
+    qd = np.zeros_like(q) if qd is None else np.atleast_2d(np.asarray(qd, float))
+    speed = np.linalg.norm(qd, axis=1)
+    direction = np.divide(qd, speed[:, None], out=np.zeros_like(qd), where=speed[:, None] > 0.0)
+    times = None if time is None else np.broadcast_to(np.asarray(time, float), (len(q),))
+    batch = StateBatch(scene.with_moving(entity), q, direction, speed, times)
+    P = moving_probability(batch, FootprintSettings.shipped())
+    return P[:, list(scene.components).index(component), 0]
+
+
+places = st.floats(-0.5, 0.5)
+states = st.tuples(places, places, st.floats(-0.4, 0.3), st.floats(-3.0, 3.0)).map(list)
+rates = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4)
+
+
+# --- laws -------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40)
+@given(states, rates, places, places, st.floats(0.0, 2.0), st.floats(0.0, 1.0), st.sampled_from(sorted(_SIZES)))
+def test_probabilities_are_probabilities(scene, q, qd, x, y, speed, spread, size):
+    entity = walker(x, y, size=size, speed=speed, spread=spread)
+    for time in (None, 0.3):
+        P = probability(scene, entity, q, qd, time)
+        assert np.all((P >= 0.0) & (P <= 1.0))
+
+
+@settings(max_examples=25)
+@given(states, rates, places, places, st.floats(-3.0, 3.0), places, places)
+def test_it_does_not_depend_on_where_the_world_is(scene, q, qd, x, y, turn, dx, dy):
+    moved = gantry(BOX, turn=turn, shift=(dx, dy))
+    here = probability(scene, walker(x, y, speed=1.0, heading=0.7), q, qd, 0.1)
+    there = probability(moved, walker(x, y, speed=1.0, heading=0.7, turn=turn, shift=(dx, dy)), q, qd, 0.1)
+    np.testing.assert_allclose(here, there, atol=1e-9)
+
+
+@settings(max_examples=25)
+@given(states, rates, st.floats(-5.0, 5.0), st.floats(-1.0, 1.0))
+def test_only_differences_of_times_matter(scene, q, qd, seconds, time):
+    entity = walker(speed=1.0, heading=2.0, growth=0.1)
+    now = probability(scene, entity, q, qd, time)
+    np.testing.assert_allclose(now, probability(scene, entity.later(seconds), q, qd, time + seconds), atol=1e-9)
+
+
+def test_nobody_is_hit_who_comes_later():
+    scene = gantry({})
+    entity = walker(0.0, 0.0, speed=1.5, passes=3.0)
+    over = np.zeros(4)
+    assert probability(scene, entity, over, time=2.65)[0] > 0.9  # 0.5 m before the place, and 0.3 s to fall
+    for time in (1.0, 3.6):
+        assert probability(scene, entity, over, time=time)[0] < 1e-3
+
+
+def test_they_go_on_while_it_falls():
+    scene = gantry({})
+    height = 0.7 - 0.05 - 0.2  # of the object's bottom above their tops [m]
+    fall = np.sqrt(2.0 * height / 9.81) + FootprintSettings.shipped().box.delay
+    times = np.linspace(-1.0, 1.0, 201)
+    P = probability(scene, walker(0.0, 0.0, speed=1.0, size="cylinder"), np.zeros((201, 4)), time=times)
+    sure = times[P > 0.9]
+    assert len(sure) > 5
+    # Somewhat earlier too, since it may hit their sides while it goes on to the ground.
+    assert -fall - 0.08 < sure.mean() < -fall
+
+
+def test_the_less_is_known_of_a_place_the_less_likely_is_it_hit(scene):
+    over = [0.3, 0.0, 0.0, 0.0]
+    P = [probability(scene, walker(spread=spread), over, time=0.0)[0] for spread in (0.0, 0.05, 0.1, 0.2, 0.5, 2.0)]
+    assert P[0] > 0.95
+    assert np.all(np.diff(P) < 0.0)
+    assert P[-1] < 0.02
+    beside = [0.75, 0.0, 0.0, 0.0]
+    near, wide = (probability(scene, walker(spread=spread), beside, time=0.0)[0] for spread in (0.0, 0.3))
+    assert wide > 10.0 * near
+
+
+def test_growth_is_spread_that_comes_with_time(scene):
+    grown = probability(scene, walker(growth=0.2), [0.3, 0.0, 0.0, 0.0], time=np.array([4.0]))
+    assert grown[0] < 0.5 * probability(scene, walker(), [0.3, 0.0, 0.0, 0.0], time=4.0)[0]
+
+
+def test_without_a_time_it_is_the_mean_over_the_path(scene):
+    entity, rng = walker(speed=0.5, heading=0.5), np.random.default_rng(0)
+    q = np.column_stack([rng.uniform(-0.5, 0.5, (30, 2)), rng.uniform(-0.3, 0.2, 30), rng.uniform(-3, 3, 30)])
+    times = np.linspace(-1.0, 1.0, 401)
+    each = probability(scene, entity, np.repeat(q, 401, axis=0), time=np.tile(times, 30)).reshape(30, 401)
+    assert each.mean(axis=1).max() > 0.1
+    np.testing.assert_allclose(probability(scene, entity, q), each.mean(axis=1), atol=0.01)
+
+
+def test_what_is_higher_catches_it():
+    table = {"table": (0.0, 0.0, 0.3, 'type="box" size="0.6 0.6 0.02"')}
+    under, open_ = (probability(gantry(t), walker(0.0, 0.0), np.zeros(4), time=0.0)[0] for t in (table, {}))
+    assert under < 0.05
+    assert open_ > 0.95
+
+
+def test_a_tall_one_is_hit_from_the_side_on_the_way_down():
+    scene, flies = gantry({}), [2.0, 0.0, 0.0, 0.0]
+    tall = gp.MovingEntity("walker", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.55, 0.0, 0.85]])
+    assert probability(scene, tall, np.zeros(4), flies, 0.0)[0] > 0.9  # 2 m/s for 0.3 s
+    assert probability(scene, tall, np.zeros(4), np.zeros(4), 0.0)[0] < 0.2
+
+
+@pytest.mark.parametrize("geom", ["box", "cylinder"])
+def test_who_stands_still_is_hit_like_what_stands_still(geom):
+    place = {"post": (0.3, 0.1, 0.1, f'type="{geom}" size="{" ".join(map(str, _SIZES[geom]))}" euler="0 0 0.4"')}
+    rng = np.random.default_rng(2)
+    q = np.column_stack([rng.uniform(-0.3, 0.7, (400, 2)), rng.uniform(-0.35, 0.3, 400), rng.uniform(-3, 3, 400)])
+    qd = rng.normal(scale=0.4, size=(400, 4))
+    still, empty = gantry(BOX | place), gantry(BOX)
+    free = gp.clearance(still, q) > 0.0
+    speed = np.linalg.norm(qd, axis=1)
+    expected = Footprint().probability(StateBatch(still, q, qd / speed[:, None], speed))
+    row, column = list(still.components).index("carried"), list(still.entities).index("post")
+    found = probability(empty, walker(0.3, 0.1, size=geom), q, qd, 0.0)
+    error = np.abs(found - expected[:, row, column])[free]
+    assert free.sum() > 200
+    assert expected[free, row, column].max() > 0.9
+    assert error.mean() < _STANDING[0]
+    assert np.quantile(error, 0.99) < _STANDING[1]
+
+
+# --- arms, components -------------------------------------------------------------------------------------------------
+
+
+def test_arms_reach_who_is_near_and_not_below_them():
+    task = gp.load_scene("tabletop").tasks["right_to_left"]
+    hand = task.scene.data_at(task.start).site(task.scene.tool).xpos
+    for offset, low, high in (((0, 0, 0), 0.9, 1.0), ((0, 0, -1.0), 0.9, 1.0), ((0, 0, 1.0), 0.0, 0.01),
+                              ((0.8, -0.8, 0), 0.0, 0.01)):  # fmt: skip
+        entity = gp.MovingEntity("p", "adult", size=[0.1, 0.1], t=[0.0], position=[hand + offset])
+        assert low <= probability(task.scene, entity, task.start, time=0.0, component="body")[0] <= high
+
+
+def test_components_that_are_not_asked_for_are_zero():
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    place = task.scene.data_at(task.start).site(task.scene.tool).xpos * [1, 1, 0] + [0, 0, 0.8]
+    near = task.scene.with_moving(gp.MovingEntity("p", "adult", size=[0.2, 0.05], t=[0.0], position=[place]))
+    batch = StateBatch(near, task.start[None])
+    P = moving_probability(batch, FootprintSettings.shipped(), ("contents",))[0, :, 0]
+    asked = np.array([name == "contents" for name in near.components])
+    assert P[asked] > 0.5
+    assert not P[~asked].any()
+
+
+def test_without_an_object_only_the_arm_hits():
+    scene = gp.load_scene("tabletop")
+    P = probability(scene, walker(), scene.tasks["lift_to_goal"].start, time=0.0, component="body")
+    assert P.shape == (1,)
+
+
+def test_no_states(scene):
+    assert probability(scene, walker(), np.zeros((0, 4))).shape == (0,)
+
+
+# --- costs ------------------------------------------------------------------------------------------------------------
+
+
+def test_impact_adds_up_and_severity_counts(scene):
+    batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
+    cost = gp.ImpactCost(model="footprint")
+    still = cost.state(StateBatch(scene, batch.q))
+    P = probability(scene, walker(), batch.q, time=0.0)
+    np.testing.assert_allclose(cost.state(batch), still + P * batch.scene.moving_severity["walker"]["carried"])
+    for severity in (0.0, 1.0, 50.0):
+        entity = walker(severity=severity)
+        np.testing.assert_allclose(
+            cost.state(StateBatch(scene.with_moving(entity), batch.q, time=batch.time)), still + P * severity
+        )
+
+
+def test_sources_add_up(scene):
+    batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
+    for model in ("footprint", "aabb"):
+        cost = gp.ImpactCost(model=model, components=("body", "carried", "contents"))
+        np.testing.assert_allclose(sum(cost.sources(batch).values()), cost.probability(batch), atol=1e-12)
+        assert cost.probability(batch).shape == (1, len(scene.components), len(batch.scene.hazards))
+
+
+def test_the_core_guides_searches_about_right(scene):
+    entity = walker(0.3, 0.0, speed=0.4, heading=1.0)
+    moving, rng = scene.with_moving(entity), np.random.default_rng(3)
+    q0 = np.column_stack([rng.uniform(-0.4, 0.6, (60, 2)), rng.uniform(-0.2, 0.2, 60), rng.uniform(-3, 3, 60)])
+    q1 = q0 + rng.normal(scale=0.2, size=q0.shape)
+    objective = gp.Objective(impact=gp.ImpactCost(model="footprint"))
+    kernel = objective.impact.kernel(moving, objective.paces)
+    assert kernel is not None
+    alone = objective.bind(moving.with_severity({"target": 0.0}))
+    core = alone.edges(q0, q1)[:, 1]
+    slow = np.array([alone.breakdown(gp.Path(np.stack(edge))).impact for edge in zip(q0, q1, strict=True)])
+    assert core.sum() == pytest.approx(slow.sum(), rel=_CORE)
+    assert np.corrcoef(core, slow)[0, 1] > 0.9
+
+
+def test_models_that_compute_otherwise_have_no_kernel(scene):
+    class Never(Footprint):
+        def moving_sources(self, batch, components=()):
+            rows = len(batch), len(batch.scene.components), len(batch.scene.moving)
+            return {"drop": np.zeros(rows)}
+
+    moving = scene.with_moving(walker())
+    assert Never().moving_kernels(moving, np.ones((len(scene.components), 1)), (1.0, 1.0)) is None
+    batch = StateBatch(moving, np.array([[0.3, 0.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(
+        gp.ImpactCost(model=Never()).state(batch), gp.ImpactCost(model="footprint").state(StateBatch(scene, batch.q))
+    )
+
+
+def test_weights_scale_what_happens(scene):
+    class Rare(Footprint):
+        def moving_settings(self):
+            return replace(super().moving_settings(), drop=0.25)
+
+    entity, q = walker(), np.array([[0.3, 0.0, 0.0, 0.0]])
+    batch = StateBatch(scene.with_moving(entity), q, time=np.zeros(1))
+    often, rarely = (model.moving_sources(batch)["drop"] for model in (Footprint(), Rare()))
+    assert often.max() > 0.9
+    np.testing.assert_allclose(rarely, 0.25 * often)
+    severity = np.ones((len(scene.components), 1)) * [[name != "body"] for name in scene.components]
+    cores = [model.moving_kernels(batch.scene, severity, (1.0, 1.0)) for model in (Footprint(), Rare())]
+    impacts = [sum(kernel.states(q)[0] for kernel in kernels) for kernels in cores]
+    assert impacts[1] == pytest.approx(0.25 * impacts[0])

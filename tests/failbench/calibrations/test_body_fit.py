@@ -1,0 +1,105 @@
+"""Margins are found again in what they have made, and the model reads what the calibration writes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from failbench.calibrations import body_fit, failures
+from failbench.calibrations.body_fit import SINGLE, WHOLE, feared, touches, wide
+from failbench.calibrations.body_margins import fit_margin, predicted
+from failbench.calibrations.calibrate import scenes_of
+from failbench.calibrations.failures import fault_label
+from failbench.cli import DONE, main
+from graceful_plan import SettingError
+from graceful_plan.costs.models.body.body import FAR, BodyModel, mode_names
+from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings, Margin
+from graceful_plan.exceptions import ShapeError
+
+
+@pytest.mark.parametrize("ways", [1, 3])
+def test_a_margin_is_found_again(ways):
+    rng = np.random.default_rng(ways)
+    truth = Margin(offset=-0.04, spread=0.02)
+    d = rng.uniform(-0.15, 0.3, size=(20_000, ways))
+    hit = rng.uniform(size=len(d)) < predicted(d, truth)
+    found = fit_margin(d, hit)
+    assert found.offset == pytest.approx(truth.offset, abs=0.003)
+    assert found.spread == pytest.approx(truth.spread, rel=0.08)
+    assert predicted(d, found).mean() == pytest.approx(hit.mean(), rel=0.02)
+
+
+def test_what_cannot_be_fitted():
+    with pytest.raises(SettingError, match="hit"):
+        fit_margin(np.zeros((3, 1)), np.zeros(3, dtype=bool))
+    with pytest.raises(ShapeError, match="d has shape"):
+        fit_margin(np.zeros((3, 1)), np.zeros(2, dtype=bool))
+
+
+def test_wide_settings_cut_nothing_near():
+    margin = wide(BodySettings.shipped()).stuck.body
+    assert margin.offset + FAR * margin.spread == pytest.approx(0.35)
+
+
+def test_a_weight_counts_as_copies():
+    rng = np.random.default_rng(5)
+    d = rng.uniform(-0.15, 0.3, size=(300, 1))
+    hit = rng.uniform(size=300) < predicted(d, Margin(offset=-0.04, spread=0.02))
+    counts = rng.integers(0, 3, size=300)
+    found = fit_margin(d, hit, counts.astype(float))
+    copied = fit_margin(np.repeat(d, counts, axis=0), np.repeat(hit, counts))
+    assert (found.offset, found.spread) == pytest.approx((copied.offset, copied.spread), abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def parts():
+    faults = feared(gp.load_scene("tabletop_l1").joints)
+    jobs = failures.failure_jobs(gp.load_scene, ["tabletop_l1"], faults, n=2 * len(faults), kinds=failures.KINDS[:1])
+    return [failures.do_job(job) for job in jobs[:2]]
+
+
+def test_labels_tell_what_was_struck(parts):
+    labels = parts[0].faults
+    joints = gp.load_scene("tabletop_l1").joints
+    assert set(labels) == {f"{name} {joint}" for name in SINGLE for joint in joints} | set(WHOLE)
+    assert len(parts[0].only(["stuck_position " + joints[3]])) == 2
+    assert labels == tuple(map(fault_label, feared(joints)))
+
+
+def test_touches_are_those_of_the_joint_that_failed(parts):
+    scenes = scenes_of(parts, gp.load_scene)
+    settings = BodySettings.shipped()
+    found = touches(settings, parts, scenes)
+    assert {generator for generator, _ in found} == set(GENERATORS)
+    assert all(len({len(column) for column in events}) == 1 for events in found.values())
+    part, scene = parts[0], scenes[parts[0].scene, parts[0].task]
+    batch = part.states(scene)
+    d = BodyModel(wide(settings)).distances(batch, batch.ahead)[:, :, 0][..., part.counted[0]]
+    modes = mode_names(scene)
+    expected = [
+        d[i, modes.index(part.faults[part.fault[i]].replace("complete_shutdown ", "joint/"))]
+        for i in range(len(part))
+        if part.faults[part.fault[i]].startswith("complete_shutdown")
+    ]
+    mine = found["joint", "body"]
+    np.testing.assert_array_equal(mine.d[mine.motion == 0], np.ravel(expected))
+    assert mine.hit.sum() <= sum(part.hit[:, 0].sum() for part in parts)
+    with pytest.raises(SettingError, match="step"):
+        touches(dataclasses.replace(settings, step=0.2), parts, scenes)
+
+
+def test_the_command_writes_what_the_model_reads(parts, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(body_fit, "_RESAMPLES", 2)
+    kept, written = tmp_path / "failures.npz", tmp_path / "body.yaml"
+    failures.write_failures(kept, parts)
+    options = ["--model", "body", "--scenes", "tabletop_l1", "--drops", str(kept)]
+    assert main(["calibrate", str(written), *options]) == DONE
+    assert "collapse, body" in capsys.readouterr().out
+    expected, read = body_fit.fit_body(parts, resamples=0).settings(), BodySettings.load(written)
+    assert expected != BodySettings.shipped()
+    for generator in GENERATORS:
+        first, second = (dataclasses.asdict(getattr(x, generator)) for x in (expected, read))
+        for row in ("body", "carried"):
+            assert second[row] == pytest.approx(first[row], rel=1e-3)
+    assert read.steps == BodySettings.shipped().steps

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gaussian_family import GaussianFamily
+
+import graceful_plan as gp
+from failbench.calibrations import calibrate, failures
+from failbench.calibrations.failures import Failures
+from graceful_plan.yaml_file import read_yaml
+
+SCENES = ("tabletop", "tabletop_l1")
+
+
+@pytest.fixture(scope="module")
+def dropped() -> list[Failures]:
+    kinds = failures.KINDS[:1]
+    jobs = [job for name in SCENES for job in failures.failure_jobs(gp.load_scene, [name], n=30, kinds=kinds)[:2]]
+    found = [failures.do_job(job) for job in jobs]
+    return [part for part in found if isinstance(part, Failures)]
+
+
+@pytest.fixture(scope="module")
+def calibrated(dropped: list[Failures]) -> calibrate.Calibration:
+    return calibrate.calibrate(GaussianFamily(), dropped, model="gaussian", shapes=("ball",), about={"horizon": 1.0})
+
+
+def test_fitting_helps(dropped: list[Failures], calibrated: calibrate.Calibration) -> None:
+    assert len(dropped) == 4
+    assert calibrated.fitted.brier_skill > 0.0
+    samples = calibrate.samples_of(GaussianFamily(), dropped, calibrate.scenes_of(dropped, gp.load_scene))
+    priors = {c.name: c.prior for c in GaussianFamily.constants}
+    before = calibrate.figures(
+        *calibrate.events([GaussianFamily().probability(priors, s.prepared) for s in samples], samples)
+    )
+    assert calibrated.fitted.log_loss < before.log_loss
+    assert set(calibrated.held_out) == {*SCENES, "all"}
+    parts = [calibrated.held_out[name].events for name in SCENES]
+    tried = calibrated.provenance["trusts_tried"]
+    assert calibrated.held_out["all"].log_loss == pytest.approx(min(tried.values()), rel=1e-4)
+    assert min(tried, key=lambda x: tried[x]) == str(calibrated.provenance["trust"])
+    assert calibrated.held_out["all"].events == sum(parts) == calibrated.fitted.events
+
+
+def test_the_document_says_where_it_comes_from(calibrated: calibrate.Calibration, tmp_path: Path) -> None:
+    calibrate.write(calibrated, tmp_path / "constants.yaml")
+    root = read_yaml(tmp_path / "constants.yaml")
+    about = root["provenance"]
+    assert (root["version"].number(), about["model"].string()) == (1, "gaussian")
+    assert about["scenes"].strings() == SCENES
+    assert about["failures"].number() == 120
+    assert about["horizon"].number() == 1.0
+    assert about["shapes"]["box"].number() == 120
+    assert about["shapes"]["ball"].number() == 0
+    assert about["units"]["speed"].string() == "m/s"
+    for shape in ("box", "ball"):
+        for name, fitted in calibrated.constants[shape].items():
+            assert root["classes"][shape][name].number() == pytest.approx(fitted.value, rel=1e-4)
+            interval = about["intervals"]["classes"][shape][name].numbers(2)
+            assert interval == pytest.approx((fitted.low, fitted.high), rel=1e-4)
+    assert not list(root["shared"].items())
+    assert "tabletop_l1" in str(calibrated)
+
+
+def test_one_scene_is_not_enough(dropped: list[Failures]) -> None:
+    with pytest.raises(gp.SettingError, match="at least two"):
+        calibrate.calibrate(GaussianFamily(), dropped[:2], model="gaussian")
+
+
+def test_drops_do_not_depend_on_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[int, int]] = []
+    kinds = failures.KINDS[:1]
+    monkeypatch.setattr(failures, "KINDS", kinds)
+    monkeypatch.setattr(
+        calibrate, "failure_jobs", lambda *a, **k: failures.failure_jobs(*a, **{**k, "repeats": 1}, kinds=kinds)[:2]
+    )
+    first, refused = calibrate.generate(["tabletop_l1"], n=4, progress=lambda *x: told.append(x))
+    second, _ = calibrate.generate(["tabletop_l1"], n=4, processes=2)
+    assert not refused
+    assert told == [(1, 2), (2, 2)]
+    for a, b in zip(first, second, strict=True):
+        assert (a.task, a.motion) == (b.task, b.motion)
+        assert np.array_equal(a.q, b.q) and np.array_equal(a.hit, b.hit)

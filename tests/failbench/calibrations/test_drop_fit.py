@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from failbench.calibrations import calibrate, failures
+from failbench.calibrations import drop_fit as footprint_fit
+from failbench.calibrations.drop_fit import FootprintFamily, settings_of
+from failbench.calibrations.failures import Failures
+from failbench.cli import DONE, MISUSE, main
+from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
+from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
+from graceful_plan.costs.models.mixture.mixture import Footprint
+
+FAMILY = FootprintFamily()
+
+
+def test_every_constant_has_a_prior() -> None:
+    assert {c.name for c in FAMILY.constants} == {field.name for field in dataclasses.fields(FootprintConstants)}
+
+
+def test_priors_and_bounds_are_constants_that_the_model_takes() -> None:
+    for end in ("prior", "low", "high"):
+        FootprintConstants(**{c.name: getattr(c, end) for c in FAMILY.constants})
+
+
+def test_it_predicts_what_the_model_does() -> None:
+    scene = gp.load_scene("tabletop_l3").tasks["green_to_blue"].scene
+    task = gp.load_scene("tabletop_l3").tasks["green_to_blue"]
+    u = np.linspace(0.0, 1.0, 7)[:, None]
+    q = task.start + u * (task.goal[0] - task.start)
+    qd = np.vstack([np.zeros(7), np.tile(0.4 * (task.goal[0] - task.start), (6, 1))])
+    shipped = FootprintSettings.shipped()
+    shape = FAMILY.shape(scene)
+    found = FAMILY.probability(dataclasses.asdict(getattr(shipped, shape)), FAMILY.prepare(scene, q, qd))
+    expected = gp.interaction_probability(scene, q, Footprint(), qd)
+    assert shape == "box"
+    assert np.array_equal(found, expected[:, list(scene.components).index("carried")])
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> calibrate.Calibration:
+    jobs = [
+        failures.failure_jobs(gp.load_scene, [name], n=20, kinds=failures.KINDS[:1])[0] for name in ("tabletop", "desk")
+    ]
+    parts = [part for part in map(failures.do_job, jobs) if isinstance(part, Failures)]
+    return calibrate.calibrate(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
+
+
+def test_the_model_reads_what_calibration_writes(calibrated: calibrate.Calibration, tmp_path: Path) -> None:
+    calibrate.write(calibrated, tmp_path / "footprint.yaml")
+    read, given = FootprintSettings.load(tmp_path / "footprint.yaml"), settings_of(calibrated.constants)
+    for shape in SHAPE_CLASSES:
+        for name, value in dataclasses.asdict(getattr(given, shape)).items():
+            assert getattr(getattr(read, shape), name) == pytest.approx(value, rel=1e-4)
+
+
+def test_the_command_keeps_its_drops_and_takes_them_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        calibrate,
+        "failure_jobs",
+        lambda *a, **k: failures.failure_jobs(*a, **{**k, "repeats": 1}, kinds=failures.KINDS[:1])[::4],
+    )
+    monkeypatch.setattr(footprint_fit, "calibrate", partial(calibrate.calibrate, iterations=1, trusts=(25.0,)))
+    kept, first, second = (tmp_path / name for name in ("drops.npz", "first.yaml", "second.yaml"))
+    options = ["--scenes", "tabletop", "tabletop_l1", "-n", "6", "--drops", str(kept), "--workers", "1"]
+    assert main(["calibrate", str(first), *options]) == DONE
+    assert "tabletop_l1" in capsys.readouterr().out
+    assert main(["calibrate", str(second), *options, "--json"]) == DONE
+    assert json.loads(capsys.readouterr().out)["provenance"]["drops_from"] == "drops.npz"
+    assert FootprintSettings.load(first) == FootprintSettings.load(second)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [(["--scenes", "nowhere"], "nowhere"), (["-n", "0"], "n = 0"), (["--scenes", "tabletop"], "at least two")],
+)
+def test_misuse_is_told(
+    options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibrate, "generate", lambda *_, **__: ([], []))
+    assert main(["calibrate", str(tmp_path / "out.yaml"), *options]) == MISUSE
+    assert text in capsys.readouterr().err
+    assert not (tmp_path / "out.yaml").exists()

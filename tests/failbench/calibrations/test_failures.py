@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from failbench.calibrations import failures
+from failbench.calibrations.failures import Failures, MotionKind
+from failbench.fault.registry import GripperFailure, PowerLoss
+from failbench.rollouts.rollout import run
+from failbench.rollouts.sampling import make_jobs
+from failbench.simulated.execution import execute
+from failbench.simulated.world import build_world
+
+SCENE, TASK = "tabletop_l1", "green_to_blue"
+
+
+@pytest.fixture(scope="module")
+def task() -> gp.Task:
+    return gp.load_scene(SCENE).tasks[TASK]
+
+
+@pytest.fixture(scope="module")
+def motion(task: gp.Task) -> gp.Trajectory:
+    made = failures.make_motion(task, MotionKind(way="rrt_connect", speed=0.6), 1)
+    assert made is not None
+    return made
+
+
+@pytest.fixture(scope="module")
+def dropped(task: gp.Task, motion: gp.Trajectory) -> Failures:
+    return failures.fail_along(motion, task.scene, n=24, seed=3, task=TASK)
+
+
+def _same(first: Failures, second: Failures) -> bool:
+    values = [(getattr(first, f.name), getattr(second, f.name)) for f in dataclasses.fields(Failures)]
+    return all(np.array_equal(a, b) for a, b in values)
+
+
+def test_events_are_what_the_recorder_says(task: gp.Task, motion: gp.Trajectory, dropped: Failures) -> None:
+    execution = execute(motion, build_world(task.scene))
+    jobs = make_jobs([GripperFailure(degree="critical")], execution.duration, n=24, seed=3)
+    rollouts = run(execution, jobs)
+    for i, rollout in enumerate(rollouts):
+        touched = {(event.striker, event.entity) for event in rollout.events if not event.secondary}
+        rows, columns = np.nonzero(dropped.hit[i])
+        assert {(dropped.components[r], dropped.entities[c]) for r, c in zip(rows, columns, strict=True)} == touched
+        at = motion.at(motion.t[0] + rollout.onset)
+        assert np.array_equal(dropped.q[i], at.q)
+        assert np.array_equal(dropped.qd[i], at.qd)
+    assert dropped.hit.any() and not dropped.hit.all()
+    assert len(dropped) == 24
+    assert (dropped.grasp, dropped.lost) == ("fingers", 0)
+    assert dropped.entities == tuple(task.scene.entities)
+    assert dropped.faults == ("gripper_failure",)
+    assert dropped.dropped.all() and not dropped.spilled.any()
+
+
+def test_failures_of_one_kind_are_picked_from_many(task: gp.Task, motion: gp.Trajectory) -> None:
+    many = failures.fail_along(motion, task.scene, [*failures.DROP, PowerLoss(brake="none")], n=16, seed=1)
+    falls = many.only(["power_loss", "no such fault"])
+    assert len(falls) == 8 and {many.faults[i] for i in falls.fault} == {"power_loss"}
+    assert len(many.only([])) == 0
+    hit, counted = falls.events(["body", "carried"])
+    assert np.array_equal(hit, falls.hit[:, [many.components.index(c) for c in ("body", "carried")]].any(axis=1))
+    assert hit.shape == (8, len(many.entities)) and counted.shape == (len(many.entities),)
+    assert falls.hit[:, many.components.index("body")].any()
+
+
+def test_drops_repeat_and_survive_a_file(
+    task: gp.Task, motion: gp.Trajectory, dropped: Failures, tmp_path: Path
+) -> None:
+    again = failures.fail_along(motion, task.scene, n=24, seed=3, task=TASK, threads=2)
+    assert _same(again, dropped)
+    failures.write_failures(tmp_path / "drops.npz", [dropped, dataclasses.replace(again, motion="other")])
+    first, second = failures.read_failures(tmp_path / "drops.npz")
+    assert _same(first, dropped)
+    assert second.motion == "other"
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", b"not a file of drops"])
+def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "other.npz").write_bytes(content)
+    with pytest.raises(gp.GracefulPlanError, match="no file of failures"):
+        failures.read_failures(tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_via_points_make_free_motions_that_repeat(task: gp.Task, seed: int) -> None:
+    kind = MotionKind(way="via", speed=0.8)
+    made, again = (failures.make_motion(task, kind, seed) for _ in range(2))
+    assert made is not None and again is not None
+    assert np.array_equal(made.q, again.q)
+    assert gp.verify(made, task.scene).passed
+    assert np.array_equal(made.q[0], task.start)
+    straight = np.linalg.norm(task.goal[0] - task.start)
+    assert made.path.length > 1.01 * straight
+
+
+def test_a_job_for_every_kind_of_motion_and_every_task_with_an_object() -> None:
+    jobs = failures.failure_jobs(gp.load_scene, [SCENE], n=2, seed=5, kinds=failures.KINDS[:2])
+    assert len(jobs) == 2 * len(gp.load_scene(SCENE).tasks)
+    assert len({job.seed for job in jobs}) == len(jobs)
+    made = failures.do_job(jobs[0])
+    assert isinstance(made, Failures)
+    assert (made.scene, made.task, made.motion, len(made)) == (SCENE, jobs[0].task, str(jobs[0].kind), 2)
+
+
+def test_without_an_object_nothing_is_dropped(motion: gp.Trajectory) -> None:
+    with pytest.raises(gp.SettingError, match="object in the gripper"):
+        failures.fail_along(motion, gp.load_scene(SCENE), n=1)
+
+
+def test_jobs_that_cannot_be_done_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    (job, *_) = failures.failure_jobs(gp.load_scene, [SCENE], n=2, kinds=[MotionKind(way="via", iterations=1)])
+    monkeypatch.setattr(failures, "make_motion", lambda *_: None)
+    assert failures.do_job(job) == f"{SCENE}/{job.task}, via, w 0, speed 0.5: no motion"

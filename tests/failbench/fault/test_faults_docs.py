@@ -1,0 +1,80 @@
+"""docs/faults.md says what the classes say, and the example of an own fault runs."""
+
+import dataclasses
+import re
+import sys
+
+import pytest
+from breaking import Record, healthy_run
+from places import ROOT
+
+from failbench.fault.registry import DEGREES, faults, from_document, load_class, to_document
+
+TEXT = (ROOT / "docs" / "faults.md").read_text()
+EXAMPLE = ROOT / "examples" / "custom_fault.py"
+
+
+def rows():
+    """The rows of the table of all faults: name, mechanism, parameter, four values, targets."""
+    cells = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in TEXT.splitlines() if line.startswith("|")
+    ]
+    return {row[0]: row for row in cells if len(row) == 8 and row[0] in faults()}
+
+
+def test_every_fault_is_in_the_table_in_order():
+    assert list(rows()) == list(faults())
+
+
+@pytest.mark.parametrize("name", list(faults()))
+def test_table_has_the_values_of_the_class(name):
+    fault, row = faults()[name], rows()[name]
+    assert [float(value) for value in row[3:7]] == [fault.AMOUNTS[degree] for degree in DEGREES]
+    assert row[7] == fault.TARGETS[0]
+    unit = re.search(r"\[(.*)\]", row[2])
+    assert unit is None or unit.group(0) in fault.PARAMETER
+
+
+@pytest.mark.parametrize("name", list(faults()))
+def test_mechanism_names_fields_that_the_fault_writes(name):
+    fields = " ".join(faults()[name].FIELDS)
+    for word in re.findall(r"`(\w+)`", rows()[name][1]):
+        assert word in fields
+
+
+def test_ramps_and_durations_are_those_of_the_classes():
+    assert faults()["gradual_degradation"]().ramp == 0.5
+    assert faults()["battery_degradation"]().ramp == 1.0
+    assert faults()["voltage_drop"]().duration == 0.2
+    others = [
+        f() for n, f in faults().items() if n not in ("gradual_degradation", "battery_degradation", "voltage_drop")
+    ]
+    assert {(fault.ramp, fault.duration) for fault in others} == {(0.0, None)}
+
+
+def test_snippet_runs():
+    (snippet,) = re.findall(r"^```python\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
+    exec(compile(snippet, "docs/faults.md", "exec"), {})
+
+
+def test_links_lead_somewhere():
+    for link in re.findall(r"\]\(([^)#:]+)\)", TEXT):
+        assert (ROOT / "docs" / link).exists(), link
+
+
+def test_example_of_an_own_fault_runs(capsys):
+    cls = load_class(f"{EXAMPLE}:Runaway")
+    rollouts = sys.modules[cls.__module__].main(count=6)
+    assert len(rollouts) == 6
+    assert {rollout.status for rollout in rollouts} == {"completed"}
+    assert re.match(r"\d of 6 failures touched something", capsys.readouterr().out)
+
+
+def test_own_fault_runs_away_both_ways_and_has_a_json_form():
+    cls = load_class(f"{EXAMPLE}:Runaway")
+    fault = cls(degree="critical", targets=(healthy_run().world.robot.joints[0],))
+    back = dataclasses.replace(fault, backwards=True)
+    assert from_document(to_document(back), {"runaway": cls}) == back
+
+    assert Record(fault).qd[:, 0].max() > 1.0
+    assert Record(back).qd[:, 0].min() < -1.0

@@ -1,0 +1,131 @@
+import mujoco
+import numpy as np
+import pytest
+from motions import ARM, FINGERS, SERVO, arm, world
+
+import graceful_plan as gp
+from failbench import SimSettings, build_world, execute
+from failbench.simulated.world import SENSOR_SIZE
+
+TASKS = [(name, task) for name in gp.scenes() for task in gp.load_scene(name).tasks]
+
+
+@pytest.mark.parametrize(("scene", "task"), TASKS)
+def test_every_bundled_task_can_be_simulated(scene, task):
+    made = world(scene, task)
+    model = made.model
+    source = made.scene.model
+    assert [model.geom(g).name for g in range(model.ngeom)] == [source.geom(g).name for g in range(source.ngeom)]
+    assert {pair[1] for pair in made.pairs} == set(made.scene.entities)
+    assert {pair[0] for pair in made.pairs} == set(made.scene.components) - {"contents"}
+    assert len(made.sensor_adr) == len(made.pairs)
+    assert (np.diff(made.sensor_adr) == SENSOR_SIZE).all()
+    assert not model.body_gravcomp.any()
+    assert (made.robot.grip_open > made.robot.grip_closed).all()
+    for entity, body in made.movable.items():
+        assert body in made.entity_bodies[entity]
+        assert model.jnt_type[model.body_jntadr[body]] == mujoco.mjtJoint.mjJNT_FREE
+
+
+def test_a_contact_sensor_feels_its_pair_and_no_other():
+    made = build_world(arm())
+    data = mujoco.MjData(made.model)
+    vase = made.model.jnt_qposadr[made.model.body_jntadr[made.movable["vase"]]]
+    data.qpos[made.robot.qpos] = 0.0
+    data.qpos[vase : vase + 3] = 0.25, 0.0, 0.41  # its top is 1 cm inside of the link
+    mujoco.mj_forward(made.model, data)
+    (adr,) = made.sensor_adr
+    count, force, place = data.sensordata[adr], data.sensordata[adr + 1 : adr + 4], data.sensordata[adr + 4 : adr + 7]
+    assert made.pairs == (("body", "vase"),)
+    assert count >= 1
+    assert place == pytest.approx([0.25, 0.0, 0.5], abs=0.05)
+    assert force[2] < 0.0  # of the link on the vase
+    data.qpos[vase + 2] = 0.1
+    mujoco.mj_forward(made.model, data)
+    assert data.sensordata[adr] == 0.0
+
+
+def test_bodies_may_be_without_names():
+    parts = '<body pos="0 0 0.05"><geom size="0.01"/></body><body pos="0 0 0.08"><geom size="0.01"/></body></body>'
+    text = ARM.format(fingers=FINGERS, actuators=SERVO).replace('<body name="link">', "<body>")
+    text = text.replace('size="0.02 0.02 0.02"/></body>', f'size="0.02 0.02 0.02"/>{parts}')
+    scene = gp.Scene.from_mjcf(
+        text, robot="base", tool="tool", velocity=[2.0], acceleration=[5.0], entities={"block": "glass"}
+    )
+    assert build_world(scene).pairs == (("body", "block"),) * 3
+
+
+def test_a_joint_without_a_servo_is_refused():
+    with pytest.raises(gp.UnsupportedError, match="'shoulder' has 0 actuators"):
+        build_world(arm(actuators=""))
+    with pytest.raises(gp.UnsupportedError, match="'shoulder' is no position servo; use SimSettings"):
+        build_world(arm(actuators='<motor joint="shoulder"/>'))
+    torque = build_world(arm(actuators='<motor joint="shoulder"/>'), SimSettings(control="torque"))
+    assert torque.robot.kp > 0.0
+
+
+def test_without_fingers_only_a_weld_holds():
+    scene = arm(carried="block")
+    with pytest.raises(gp.UnsupportedError, match="no position servo to hold with; use SimSettings"):
+        build_world(scene)
+    made = build_world(scene, SimSettings(grasp="weld"))
+    assert made.robot.weld == made.hold >= 0
+
+
+@pytest.mark.parametrize("axes", ["0 1 0|0 -1 0", "0 -1 0|0 1 0"])
+def test_the_gripper_opens_the_way_the_fingers_part(axes):
+    first, second = axes.split("|")
+    fingers = FINGERS.replace('axis="0 1 0"', f'axis="{first}"').replace('axis="0 -1 0"', f'axis="{second}"')
+    servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
+    robot = build_world(arm(fingers=fingers, actuators=servos, carried="block")).robot
+    opened, closed = ([0.04, 0.04], [0.0, 0.0]) if first == "0 1 0" else ([0.0, 0.0], [0.04, 0.04])
+    assert robot.grip_open == pytest.approx(opened)
+    assert robot.grip_closed == pytest.approx(closed)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"timestep": 0.1}, "timestep = 0.1"),
+        ({"grasp": "glue"}, "grasp = 'glue', expected one of fingers, weld"),
+        ({"control": "wish"}, "control = 'wish', expected one of servo, torque"),
+    ],
+)
+def test_settings_are_checked(settings, message):
+    with pytest.raises(gp.SettingError, match=message):
+        SimSettings(**settings)
+
+
+@pytest.mark.parametrize(
+    "servo",
+    [
+        '<position joint="shoulder" kp="5" kv="0.5" gear="10" forcerange="-8 8"/>',
+        '<position joint="shoulder" kp="5" kv="0.5" gear="-10" forcerange="-8 8"/>',
+        '<general joint="shoulder" biastype="affine" gainprm="500" biasprm="20 -500 -50" forcerange="-80 80"/>',
+    ],
+)
+@pytest.mark.parametrize("control", ["servo", "torque"])
+def test_gears_and_constant_forces_of_drives_are_made_up_for(servo, control):
+    settings = SimSettings(control=control)
+    plain = '<position joint="shoulder" kp="500" kv="50" forcerange="-80 80"/>'
+    first, second = (execute([[0.0], [0.6]], build_world(arm(actuators=a), settings)) for a in (plain, servo))
+    assert second.tracking_error == pytest.approx(first.tracking_error, rel=1e-6)
+    assert second.world.model.actuator_forcerange[0] == pytest.approx([-80.0, 80.0])
+
+
+def test_a_drive_with_dynamics_of_its_own_is_refused():
+    with pytest.raises(gp.UnsupportedError, match="the actuator of 'shoulder' has dynamics of its own"):
+        build_world(arm(actuators='<position joint="shoulder" kp="500" kv="50" timeconst="0.05"/>'))
+
+
+def test_drives_without_limits_of_their_own_have_those_of_the_scene():
+    servos = SERVO + '<position joint="finger" kp="100" kv="10"/><position joint="thumb" kp="100" kv="10"/>'
+    model = build_world(arm(fingers=FINGERS, actuators=servos, torque=[30.0])).model
+    assert model.actuator_forcelimited.all()
+    # The servos of the fingers ask for 100 N/m over their stroke of 0.04 m at most.
+    assert model.actuator_forcerange == pytest.approx(np.outer([30.0, 4.0, 4.0], [-1.0, 1.0]))
+
+
+def test_nobody_changes_the_robot_of_all_rollouts():
+    with pytest.raises(ValueError, match="read-only"):
+        build_world(arm()).robot.kp[:] = 0.0

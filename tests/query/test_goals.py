@@ -1,0 +1,105 @@
+"""Starts and goals: every form that users may give, clamping, and the reasons when they cannot be used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graceful_plan.exceptions import NonFiniteError, ShapeError, UnknownNameError
+from graceful_plan.judge.exact import state_contacts
+from graceful_plan.query.goals import resolve_goal, resolve_start
+from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("tabletop").tasks["lift_to_goal"].scene
+
+
+@pytest.fixture(scope="module")
+def start(scene: Scene) -> np.ndarray:
+    return scene.tasks["lift_to_goal"].start
+
+
+@pytest.fixture(scope="module")
+def colliding(scene: Scene) -> np.ndarray:
+    anywhere = np.random.default_rng(0).uniform(*scene.limits.position.T, size=(100, 7))
+    return next(q for q in anywhere if state_contacts(q, scene))
+
+
+def test_a_configuration_and_a_keyframe(scene: Scene, start: np.ndarray) -> None:
+    for given, expected in ((start, start), (start.tolist(), start), ("ready", scene.keyframes["ready"])):
+        resolved = resolve_start(given, scene)
+        np.testing.assert_array_equal(resolved.q, [expected])
+        assert resolved.detail == ""
+        np.testing.assert_array_equal(resolve_goal(given, scene, start).q, [expected])
+
+
+def test_several_goals_keep_their_order_and_index(scene: Scene, start: np.ndarray, colliding: np.ndarray) -> None:
+    resolved = resolve_goal([start, colliding, scene.keyframes["ready"]], scene, start)
+    np.testing.assert_array_equal(resolved.q, [start, scene.keyframes["ready"]])
+    assert resolved.index == (0, 2)
+    assert len(resolved.problems) == 1 and resolved.problems[0].startswith("goal 1: ")
+    mixed = resolve_goal(["ready", start], scene, start)
+    np.testing.assert_array_equal(mixed.q, [scene.keyframes["ready"], start])
+
+
+def test_a_collision_names_the_pair_and_its_depth(scene: Scene, colliding: np.ndarray) -> None:
+    resolved = resolve_start(colliding, scene)
+    contact = state_contacts(colliding, scene)[0]
+    assert len(resolved.q) == 0
+    assert f"start: {contact.first} is {1e3 * contact.depth:.3g} mm in {contact.second}" in resolved.detail
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_slightly_outside_is_clamped_and_told(scene: Scene, side: int) -> None:
+    q = np.array(scene.keyframes["ready"])
+    limit = scene.limits.position[2, side]
+    outside = q.copy()
+    outside[2] = limit + (1e-6 if side else -1e-6) * 0.99
+    q[2] = limit
+    resolved = resolve_start(outside, scene)
+    assert "panda/joint3" in resolved.notes[0] and "moved onto it" in resolved.notes[0]
+    assert ["lower", "upper"][side] in resolved.notes[0]
+    if len(resolved.q):  # if that configuration happens to be free
+        np.testing.assert_array_equal(resolved.q, [q])
+    else:
+        assert state_contacts(q, scene)
+
+
+def test_outside_names_joint_value_and_limit(scene: Scene, start: np.ndarray) -> None:
+    q = start.copy()
+    q[0] = 3.0
+    resolved = resolve_start(q, scene)
+    assert len(resolved.q) == 0 and resolved.notes == ()
+    assert resolved.detail == "start: joint 'panda/joint1' is at 3, beyond its upper limit 2.8973"
+
+
+def test_a_pose_gives_free_configurations_near_first(scene: Scene, start: np.ndarray) -> None:
+    resolved = resolve_goal(PoseGoal.at([0.5, 0.1, 0.4], [0.0, 1.0, 0.0, 0.0]), scene, start)
+    assert len(resolved.q) > 1 and set(resolved.index) == {0}
+    assert all(state_contacts(q, scene) == [] for q in resolved.q)
+    assert (np.diff(np.linalg.norm(resolved.q - start, axis=1)) >= 0.0).all()
+
+
+def test_a_pose_in_collision_and_one_out_of_reach(scene: Scene, start: np.ndarray) -> None:
+    blocked = resolve_goal(PoseGoal.at([0.5, 0.1, 0.01], [0.0, 1.0, 0.0, 0.0]), scene, start)
+    assert len(blocked.q) == 0 and "collide" in blocked.detail and " mm in " in blocked.detail
+    far = resolve_goal(PoseGoal.at([2.0, 0.0, 0.5]), scene, start)
+    assert len(far.q) == 0 and "no configuration within the limits reaches the pose" in far.detail
+
+
+def test_misuse_raises(scene: Scene, start: np.ndarray) -> None:
+    with pytest.raises(ShapeError, match="start has shape"):
+        resolve_start(start[:6], scene)
+    with pytest.raises(NonFiniteError, match="start is not finite"):
+        resolve_start(np.full(7, np.nan), scene)
+    with pytest.raises(UnknownNameError, match=r"unknown keyframe 'redy'; valid: .*ready"):
+        resolve_start("redy", scene)
+    with pytest.raises(UnknownNameError, match="unknown keyframe"):
+        resolve_goal(["ready", "nope"], scene, start)
+    for goal in (np.zeros((0, 7)), np.zeros((1, 1, 7)), start[:3]):
+        with pytest.raises(ShapeError, match="goal has shape"):
+            resolve_goal(goal, scene, start)

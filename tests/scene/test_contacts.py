@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import graceful_plan as gp
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.scene import contacts
+from graceful_plan.scene.contacts import allowed_pairs, geoms_named, without
+from graceful_plan.scene.elements import AllowedContact
+
+_MASK = st.sampled_from([0, 1, 2, 3])
+
+
+@st.composite
+def heaps(draw: st.DrawFn) -> mujoco.MjModel:
+    """Draw spheres that all overlap, on a random tree of bodies, with every kind of contact filter."""
+    count = draw(st.integers(2, 9))
+    spec = mujoco.MjSpec()
+    bodies = [spec.worldbody]
+    for i in range(count):
+        parent = bodies[draw(st.integers(0, len(bodies) - 1))]
+        body = parent.add_body(name=f"b{i}")
+        if draw(st.booleans()):
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE)
+        bodies.append(body)
+    for i, body in enumerate(bodies):
+        for k in range(draw(st.integers(1, 2))):
+            size = [0.5, 0.0, 0.0]
+            contype, conaffinity = draw(_MASK), draw(_MASK)
+            name = f"g{i}_{k}"
+            body.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=size, contype=contype, conaffinity=conaffinity
+            )
+    for _ in range(draw(st.integers(0, 2))):
+        first, second = draw(st.integers(0, count - 1)), draw(st.integers(0, count - 1))
+        if first != second:
+            spec.add_exclude(bodyname1=f"b{first}", bodyname2=f"b{second}")
+    if draw(st.booleans()):
+        spec.add_pair(geomname1="g0_0", geomname2=f"g{count}_0")
+    if draw(st.booleans()):
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    return spec.compile()
+
+
+def _contacts(model: mujoco.MjModel) -> set[tuple[int, int]]:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    return {(min(a, b), max(a, b)) for a, b in data.contact.geom.tolist()}
+
+
+@settings(max_examples=300, deadline=None)
+@given(heaps(), st.data())
+def test_pairs_are_those_that_mujoco_tests(model: mujoco.MjModel, data: st.DataObject) -> None:
+    moving = data.draw(st.sets(st.integers(1, model.nbody - 1), min_size=1))
+    pairs = contacts.tested_pairs(model, moving)
+    found = {(min(a, b), max(a, b)) for a, b in pairs.tolist()}
+    assert len(found) == len(pairs)
+    assert found == {
+        (a, b) for a, b in _contacts(model) if model.geom_bodyid[a] in moving or model.geom_bodyid[b] in moving
+    }
+    assert all(int(model.geom_bodyid[first]) in moving for first, _ in pairs.tolist())
+
+
+def test_a_geom_that_moves_comes_first() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="base"><geom size="1"/><body><geom name="rigid" size="1"/>
+        <body><joint/><geom name="link" size="1"/></body></body></body></worldbody></mujoco>"""
+    )
+    link = model.geom("link").id
+    assert contacts.tested_pairs(model, {1, 2, 3}).tolist() == [[link, 0], [link, 1]]
+
+
+_ARM = """<mujoco><worldbody><geom name="ground" type="plane" size="1 1 1"/>
+<body name="hand"><joint/><geom name="palm" size="1"/>
+  <body name="thumb"><geom name="tip" size="1"/><geom name="paint" size="1" contype="0" conaffinity="0"/></body>
+  <body name="finger"><joint/><geom name="finger" size="1"/></body></body>
+<body name="cup"><freejoint/><geom name="cup" size="1"/></body></worldbody></mujoco>"""
+
+
+def _ids(model: mujoco.MjModel, *names: str) -> tuple[int, ...]:
+    return tuple(model.geom(name).id for name in names)
+
+
+def test_a_body_stands_for_what_hangs_rigidly_on_it() -> None:
+    model = mujoco.MjModel.from_xml_string(_ARM)
+    assert geoms_named(model, "hand") == _ids(model, "palm", "tip")
+    assert geoms_named(model, "finger") == _ids(model, "finger")
+    assert geoms_named(model, "tip") == _ids(model, "tip")
+    assert geoms_named(model, "world") == _ids(model, "ground")
+    with pytest.raises(UnknownNameError, match=r"unknown body or geom 'paw'; valid: .*palm"):
+        geoms_named(model, "paw")
+
+
+def test_allowed_pairs_are_taken_out() -> None:
+    model = mujoco.MjModel.from_xml_string(_ARM)
+    declared = [AllowedContact("hand", "cup"), AllowedContact("cup", "world", "ends")]
+    palm, tip, cup, ground, finger = _ids(model, "palm", "tip", "cup", "ground", "finger")
+    assert allowed_pairs(model, declared, "always") == {(palm, cup), (tip, cup)}
+    assert allowed_pairs(model, declared, "ends") == {(ground, cup)}
+    pairs = np.array([[palm, cup], [cup, tip], [cup, ground], [finger, cup]])
+    assert without(pairs, allowed_pairs(model, declared, "always")).tolist() == [[cup, ground], [finger, cup]]
+    assert without(pairs[:0], set()).shape == (0, 2)
+
+
+def test_when_is_one_of_two_words() -> None:
+    with pytest.raises(SettingError, match="when = 'often', expected 'always' or 'ends'"):
+        AllowedContact("hand", "cup", "often")
+
+
+def test_a_gripper_whose_bodies_nobody_named_can_hold():
+    scene = gp.Scene.from_mjcf(
+        """<mujoco><worldbody>
+          <body name="arm"><joint name="j"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+            <site name="tool" pos="0.4 0 0"/>
+            <body pos="0.4 0.03 0"><geom type="box" size="0.02 0.01 0.01"/></body></body>
+          <body name="block" pos="1 0 0"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>
+        </worldbody></mujoco>""",
+        robot="arm",
+        tool="tool",
+        velocity=[1.0],
+        acceleration=[1.0],
+        carried="block",
+    )
+    finger, block = 1, 2
+    assert (finger, block) in scene.allowed_pairs("always")
+    with pytest.raises(UnknownNameError):
+        geoms_named(scene.model, "#99")

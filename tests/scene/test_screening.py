@@ -1,0 +1,287 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from places import LIBRARY
+
+from graceful_plan.exceptions import GracefulPlanError, SceneError
+from graceful_plan.scene.model_parts import check_numbers, check_supported
+from graceful_plan.scene.screening import compile_spec, load_spec
+
+_SCENES = LIBRARY / "scene" / "scenes"
+_BOX = '<geom type="box" size="1 1 1"/>'
+
+
+def _write(folder: Path, name: str, body: str) -> Path:
+    file = folder / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(body)
+    return file
+
+
+def _refusal(file: Path) -> SceneError:
+    with pytest.raises(SceneError) as caught:
+        load_spec(file)
+    return caught.value
+
+
+def test_a_harmless_world_passes_with_its_includes(tmp_path: Path) -> None:
+    _write(tmp_path, "parts/cup.xml", f'<mujocoinclude><body name="cup">{_BOX}</body></mujocoinclude>')
+    world = _write(tmp_path, "world.xml", '<mujoco><worldbody><include file="parts/cup.xml"/></worldbody></mujoco>')
+    model = compile_spec(load_spec(world))
+    assert model.body("cup").id == 1
+
+
+def test_text_and_specs_pass_too() -> None:
+    text = f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>"
+    assert compile_spec(load_spec(text)).nbody == 2
+    spec = mujoco.MjSpec.from_string(text)
+    copy = load_spec(spec)
+    copy.worldbody.add_body(name="plate").add_geom(size=[1, 0, 0])
+    assert compile_spec(copy).nbody == 3
+    assert compile_spec(spec).nbody == 2
+
+
+def test_small_replicas_are_welcome() -> None:
+    text = f"<mujoco><worldbody><replicate count='12' offset='3 0 0'>{_BOX}</replicate></worldbody></mujoco>"
+    assert compile_spec(load_spec(text)).ngeom == 12
+
+
+_HOSTILE = {  # attack: (line, words of the message, content of line 2)
+    "doctype": (2, "document type", '<!DOCTYPE mujoco [<!ENTITY a "aaaa">]>'),
+    "instruction": (2, "processing instructions", "<?php echo 1 ?>"),
+    "billion replicas": (
+        2,
+        "count='1000000000' is more than 4096",
+        f'<replicate count="1000000000">{_BOX}</replicate>',
+    ),
+    "nested replicas": (
+        2,
+        "more than 50000 elements",
+        '<replicate count="4000"><replicate count="4000"><replicate count="4000"/></replicate></replicate>',
+    ),
+    "infinite replicas": (2, "count='inf' is more", '<replicate count="inf"/>'),
+    "no number of replicas": (2, "count='nan' is more", '<replicate count="nan"/>'),
+    "nan position": (2, "pos='0 NaN 0' of <body> is not finite", '<body pos="0 NaN 0"/>'),
+    "infinite size": (2, "size='1 -inf 1' of <geom> is not finite", '<geom type="box" size="1 -inf 1"/>'),
+    "odd nan": (2, r"pos='nan\(7\) 0 0'", '<body pos="nan(7) 0 0"/>'),
+    "absolute include": (2, "include of '/etc/passwd': only files in the folder", '<include file="/etc/passwd"/>'),
+    "include above": (2, r"include of '\.\./x\.xml': only files", '<include file="../x.xml"/>'),
+    "include in and out": (2, "only files", '<include file="a/../../x.xml"/>'),
+    "include with backslashes": (2, "only files", '<include file="..\\x.xml"/>'),
+    "missing include": (2, "there is no such file", '<include file="x.xml"/>'),
+    "empty include": (2, "there is no such file", '<include file=""/>'),
+    "composite": (2, "composite bodies are not supported", '<composite count="9 9 9"/>'),
+    "flex": (2, "flexible bodies", '<flexcomp count="99 99 99"/>'),
+    "plugin": (2, "plugins are not supported", '<plugin plugin="mujoco.elasticity.cable"/>'),
+    "broken": (2, "broken XML: .*token", "<body>< /body>"),
+}
+
+
+@pytest.mark.parametrize("attack", _HOSTILE)
+def test_hostile_worlds_are_refused_with_file_and_line(attack: str, tmp_path: Path) -> None:
+    line, words, content = _HOSTILE[attack]
+    if attack in ("doctype", "instruction"):
+        text = f"<!-- world -->\n{content}\n<mujoco/>"
+    else:
+        text = f"<mujoco><worldbody>\n{content}\n</worldbody></mujoco>"
+    file = _write(tmp_path, "world.xml", text)
+    error = _refusal(file)
+    assert re.search(words, error.message)
+    assert (error.file, error.line) == (str(file), line)
+    assert str(error).startswith(f"{file}:{line}: ")
+
+
+_SECTIONS = {
+    "negative timestep": ("the timestep is -0.002", '<option timestep="-0.002"/>'),
+    "zero timestep": ("the timestep is 0", '<option timestep="0"/>'),
+    "nan timestep": ("the timestep is nan", '<option timestep="nan"/>'),
+    "memory": ("memory size", '<size memory="900G"/>'),
+    "user data": ("nuser_body='1000000000' is more than", '<size nuser_body="1000000000"/>'),
+    "numbers": ("size='1000000000' is more than", '<custom><numeric name="a" size="1000000000"/></custom>'),
+    "nan in numbers": (
+        "data='1 nan' of <numeric> is not finite",
+        '<custom><numeric name="a" data="1 nan"/></custom>',
+    ),
+    "texture": ("width='100000' is more than", '<asset><texture name="a" builtin="flat" width="100000"/></asset>'),
+    "height field": ("nrow='99999' is more than", '<asset><hfield name="a" nrow="99999" ncol="9"/></asset>'),
+    "mesh outside": ("file '../a.stl' of <mesh>: only files", '<asset><mesh file="../a.stl"/></asset>'),
+    "mesh anywhere": ("file '/dev/zero' of <mesh>: only files", '<asset><mesh file="/dev/zero"/></asset>'),
+    "texture anywhere": ("of <texture>: only files", '<asset><texture type="2d" file="/dev/zero"/></asset>'),
+    "cube texture": (
+        "'/dev/zero' of <texture>: only files",
+        '<asset><texture name="a" fileright="/dev/zero"/></asset>',
+    ),
+    "model anywhere": ("of <model>: only files", '<asset><model name="a" file="/etc/passwd"/></asset>'),
+    "mesh folder": ("meshdir='/' is outside", '<compiler meshdir="/"/>'),
+    "asset folder": ("assetdir='..' is outside", '<compiler assetdir=".."/>'),
+    "built-in mesh": ("built-in meshes", '<asset><mesh name="a" builtin="sphere" params="30"/></asset>'),
+}
+
+
+@pytest.mark.parametrize("attack", _SECTIONS)
+def test_hostile_sections_are_refused_with_file_and_line(attack: str, tmp_path: Path) -> None:
+    words, content = _SECTIONS[attack]
+    file = _write(tmp_path, "world.xml", f"<mujoco>\n{content}\n</mujoco>")
+    error = _refusal(file)
+    assert words in error.message
+    assert (error.file, error.line) == (str(file), 2)
+
+
+def test_another_kind_of_xml_is_refused(tmp_path: Path) -> None:
+    error = _refusal(_write(tmp_path, "robot.xml", '<robot name="urdf"/>'))
+    assert "the top element is <robot>, expected <mujoco>" in error.message
+
+
+def test_deep_nesting_is_refused(tmp_path: Path) -> None:
+    deep = "<mujoco><worldbody>" + "<body>" * 5000 + "</body>" * 5000 + "</worldbody></mujoco>"
+    assert "nested deeper than 200" in _refusal(_write(tmp_path, "world.xml", deep)).message
+
+
+def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
+    file = tmp_path / "world.xml"
+    with file.open("wb") as stream:
+        stream.truncate(3_000_000_000)  # sparse: takes no space
+    assert "at most 10000000 are read" in _refusal(file).message
+
+
+def test_a_link_that_leads_outside_is_refused(tmp_path: Path) -> None:
+    _write(tmp_path, "secret.xml", "<mujocoinclude/>")
+    world = _write(tmp_path, "scene/world.xml", '<mujoco><include file="link.xml"/></mujoco>')
+    (tmp_path / "scene" / "link.xml").symlink_to(tmp_path / "secret.xml")
+    assert "only files in the folder" in _refusal(world).message
+
+
+def test_a_circle_of_includes_is_refused(tmp_path: Path) -> None:
+    world = _write(tmp_path, "a.xml", '<mujoco><include file="b.xml"/></mujoco>')
+    _write(tmp_path, "b.xml", '<mujoco><include file="a.xml"/></mujoco>')
+    error = _refusal(world)
+    assert "includes itself" in error.message
+
+
+def test_replicas_multiply_through_includes(tmp_path: Path) -> None:
+    _write(tmp_path, "many.xml", f'<mujocoinclude><replicate count="4000">{_BOX}</replicate></mujocoinclude>')
+    body = '<replicate count="100">\n<include file="many.xml"/></replicate>'
+    world = _write(tmp_path, "world.xml", f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    error = _refusal(world)
+    assert "more than 50000 elements" in error.message
+    assert error.file is not None and error.file.endswith("many.xml")
+
+
+def test_an_included_file_is_screened_under_its_own_name(tmp_path: Path) -> None:
+    _write(tmp_path, "part.xml", '<mujocoinclude>\n\n<body pos="nan 0 0"/></mujocoinclude>')
+    world = _write(tmp_path, "world.xml", '<mujoco><worldbody><include file="part.xml"/></worldbody></mujoco>')
+    error = _refusal(world)
+    assert error.file is not None and error.file.endswith("part.xml")
+    assert error.line == 3
+
+
+def test_text_cannot_include_anything() -> None:
+    with pytest.raises(SceneError, match="only files in the folder of the scene"):
+        load_spec('<mujoco><include file="world.xml"/></mujoco>')
+
+
+def test_text_has_no_files_beside_it() -> None:
+    with pytest.raises(SceneError, match=r"<text>:1: file 'a\.stl' of <mesh>: only files in the folder of the scene"):
+        load_spec('<mujoco><asset><mesh file="a.stl"/></asset></mujoco>')
+
+
+def test_a_linked_asset_in_a_declared_folder_is_refused(tmp_path: Path) -> None:
+    _write(tmp_path, "secret.stl", "solid")
+    world = _write(
+        tmp_path, "scene/world.xml", '<mujoco><asset><mesh file="a.stl"/></asset><compiler meshdir="m"/></mujoco>'
+    )
+    (tmp_path / "scene" / "m").mkdir()
+    (tmp_path / "scene" / "m" / "a.stl").symlink_to(tmp_path / "secret.stl")
+    assert "file 'a.stl' of <mesh>: only files" in _refusal(world).message
+
+
+def test_an_include_beside_the_including_file_is_screened_as_well(tmp_path: Path) -> None:
+    world = _write(tmp_path, "world.xml", '<mujoco><include file="parts/a.xml"/></mujoco>')
+    _write(tmp_path, "parts/a.xml", '<mujocoinclude><include file="b.xml"/></mujocoinclude>')
+    _write(tmp_path, "parts/b.xml", '<mujocoinclude><option timestep="-1"/></mujocoinclude>')
+    _write(tmp_path, "b.xml", "<mujocoinclude/>")
+    assert "the timestep is -1" in _refusal(world).message
+
+
+def test_an_attached_model_is_screened_as_well(tmp_path: Path) -> None:
+    world = _write(tmp_path, "world.xml", '<mujoco><asset><model name="arm" file="arm.xml"/></asset></mujoco>')
+    _write(tmp_path, "arm.xml", '<mujoco><worldbody><body pos="nan 0 0"/></worldbody></mujoco>')
+    assert "pos='nan 0 0' of <body>" in _refusal(world).message
+
+
+@pytest.mark.parametrize("name", ["nan", "inf", "Infinity"])
+def test_words_that_look_like_numbers_may_be_names(name: str) -> None:
+    text = f'<mujoco><worldbody><body name="{name}">{_BOX}</body></worldbody></mujoco>'
+    assert compile_spec(load_spec(text)).body(name).id == 1
+
+
+def test_missing_files_and_folders(tmp_path: Path) -> None:
+    assert "cannot be read: No such file" in _refusal(tmp_path / "none.xml").message
+    assert "cannot be read: Is a directory" in _refusal(tmp_path).message
+    assert "binary models cannot be screened" in _refusal(tmp_path / "model.mjb").message
+
+
+def test_mujocos_own_complaints_keep_their_line(tmp_path: Path) -> None:
+    file = _write(tmp_path, "world.xml", "<mujoco>\n<worldbody>\n<bodi/>\n</worldbody></mujoco>")
+    error = _refusal(file)
+    assert "unrecognized element" in error.message
+    assert (error.file, error.line) == (str(file), 3)
+
+
+def test_what_cannot_be_compiled_is_a_scene_error() -> None:
+    spec = load_spec('<mujoco><worldbody><body><freejoint/><geom size="-1"/></body></worldbody></mujoco>')
+    with pytest.raises(SceneError, match="size"):
+        compile_spec(spec)
+
+
+def test_numbers_that_only_the_compiled_model_shows() -> None:
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>")
+    check_numbers(model)
+    model.body_pos[1, 2] = float("nan")
+    with pytest.raises(SceneError, match="body_pos of 'cup' is not finite"):
+        check_numbers(model)
+    model.body_pos[1, 2] = 0.0
+    model.opt.timestep = -1.0
+    with pytest.raises(SceneError, match=r"the timestep is -1\.0"):
+        check_numbers(model)
+
+
+_FIELD = '<asset><hfield name="hills" nrow="3" ncol="3" size="1 1 1 1"/></asset>'
+_CONTACT_OFF = '<option><flag contact="disable"/></option>'
+
+
+def test_geoms_that_nobody_can_represent_are_named() -> None:
+    hills = '<worldbody><geom name="hills" type="hfield" hfield="hills"/></worldbody>'
+    with pytest.raises(SceneError, match=r"'hills' of type hfield; geoms that collide may be plane, sphere, .*mesh"):
+        check_supported(compile_spec(load_spec(f"<mujoco>{_FIELD}{hills}</mujoco>")))
+    painted = hills.replace("type=", 'contype="0" conaffinity="0" type=')
+    check_supported(compile_spec(load_spec(f"<mujoco>{_FIELD}{painted}</mujoco>")))
+    with pytest.raises(SceneError, match="contacts switched off"):
+        check_supported(compile_spec(load_spec(f"<mujoco>{_CONTACT_OFF}</mujoco>")))
+
+
+_TEXT = (_SCENES / "tabletop.xml").read_text()
+_SNIPPETS = ["nan", "-1", "1e999", "../", "<replicate count='9999999'>", "&", "<", "\x00", '"', "inf", "0", ""]
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.tuples(st.integers(0, len(_TEXT)), st.integers(0, 12), st.sampled_from(_SNIPPETS)), min_size=1, max_size=3
+    )
+)
+def test_damaged_worlds_load_or_are_refused(tmp_path: Path, cuts: list[tuple[int, int, str]]) -> None:
+    text = _TEXT
+    for start, length, snippet in cuts:
+        text = text[:start] + snippet + text[start + length :]
+    try:
+        model = compile_spec(load_spec(_write(tmp_path, "world.xml", text)))
+        check_numbers(model)
+    except GracefulPlanError as error:
+        assert isinstance(error, SceneError)

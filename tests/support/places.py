@@ -1,0 +1,7 @@
+"""Where things are, whatever the depth of the test that asks."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+LIBRARY = ROOT / "src" / "graceful_plan"
+SUPPORT = Path(__file__).parent

@@ -1,0 +1,196 @@
+"""Retiming: closed-form durations, scaling laws, limits at every time, agreement with toppra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+
+from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
+from graceful_plan.path import Path
+from graceful_plan.scene.elements import Limits
+from graceful_plan.timing.blend import rounded, sampled
+from graceful_plan.timing.retiming import retime, slowed
+from graceful_plan.timing.topp import fastest, fastest_with_toppra
+from graceful_plan.timing.trajectory import Trajectory
+
+_TOLERANCE = 1e-6
+"""Relative, what the library promises of limits."""
+
+
+def _limits(velocity: ArrayLike, acceleration: ArrayLike, torque: float = np.inf) -> Limits:
+    velocity, acceleration = np.array(velocity), np.array(acceleration)
+    position = np.stack([np.full(len(velocity), -np.inf), np.full(len(velocity), np.inf)], axis=1)
+    torques = np.full(len(velocity), torque)
+    return Limits(position=position, velocity=velocity, acceleration=acceleration, torque=torques)
+
+
+_PANDA = _limits([2.175] * 4 + [2.61] * 3, [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
+
+
+def _path(q: list[list[float]]) -> Path:
+    return Path(np.array(q))
+
+
+def _zigzag(seed: int, n: int, size: float) -> Path:
+    return Path(np.cumsum(np.random.default_rng(seed).normal(size=(n, 7)) * size, axis=0))
+
+
+def _assert_within_limits(trajectory: Trajectory, limits: Limits) -> None:
+    times = np.linspace(trajectory.t[0], trajectory.t[-1], 5000)
+    for t in (times, trajectory.t, trajectory.t - 1e-9, trajectory.t + 1e-9):
+        state = trajectory.at(t)
+        assert (np.abs(state.qd) / limits.velocity).max() <= 1.0 + _TOLERANCE
+        assert (np.abs(state.qdd) / limits.acceleration).max() <= 1.0 + _TOLERANCE
+    assert (np.abs(trajectory.qdd) / limits.acceleration).max() <= 1.0 + _TOLERANCE
+
+
+@given(st.floats(1e-4, 6.0), st.floats(0.1, 5.0), st.floats(0.1, 20.0))
+@settings(max_examples=50)
+def test_straight_line_takes_the_closed_form_time(length: float, v: float, a: float) -> None:
+    trajectory = retime(_path([[0.0], [length]]), _limits([v], [a]))
+    exact = length / v + v / a if length > v * v / a else 2.0 * np.sqrt(length / a)
+    # Switching happens at grid points, of which there are about a hundred.
+    assert exact * (1 - 1e-7) <= trajectory.duration <= exact * 1.005
+    _assert_within_limits(trajectory, _limits([v], [a]))
+
+
+@given(st.integers(0, 10**6), st.integers(2, 12), st.floats(0.01, 1.0), st.sampled_from([0.0, 0.003, 0.05, 0.3]))
+@settings(max_examples=40, deadline=None)
+def test_zigzags_keep_the_limits_and_start_and_end_at_rest(seed: int, n: int, size: float, deviation: float) -> None:
+    path = _zigzag(seed, n, size)
+    trajectory = retime(path, _PANDA, deviation=deviation)
+    _assert_within_limits(trajectory, _PANDA)
+    np.testing.assert_array_equal(trajectory.q[[0, -1]], path.q[[0, -1]])
+    assert not trajectory.qd[[0, -1]].any()
+    assert (np.diff(trajectory.t) > 0.0).all()
+
+
+@given(st.integers(0, 10**6), st.integers(3, 12), st.sampled_from([0.0, 0.003, 0.05]))
+@settings(max_examples=40, deadline=None)
+def test_the_motion_stays_within_the_deviation(seed: int, n: int, deviation: float) -> None:
+    path = _zigzag(seed, n, 0.3)
+    q = retime(path, _PANDA, deviation=deviation).at(np.linspace(0.0, 30.0, 600)).q
+    a, ab = path.q[:-1], np.diff(path.q, axis=0)
+    along = np.clip(np.einsum("tsj,sj->ts", q[:, None] - a, ab) / (ab**2).sum(1), 0.0, 1.0)
+    distance = np.linalg.norm(q[:, None] - a - along[..., None] * ab, axis=2).min(axis=1)
+    assert distance.max() <= deviation + 1e-5
+
+
+@given(st.integers(0, 10**6), st.integers(2, 10))
+@settings(max_examples=25, deadline=None)
+def test_backwards_takes_as_long(seed: int, n: int) -> None:
+    path = _zigzag(seed, n, 0.4)
+    assert retime(path.reversed(), _PANDA).duration == pytest.approx(retime(path, _PANDA).duration, rel=0.01)
+
+
+@given(st.integers(0, 10**6), st.floats(0.2, 5.0))
+@settings(max_examples=25, deadline=None)
+def test_scaled_limits_scale_time(seed: int, k: float) -> None:
+    path = _zigzag(seed, 5, 0.4)
+    scaled = _limits(k * _PANDA.velocity, k * k * _PANDA.acceleration)
+    assert retime(path, scaled).duration == pytest.approx(retime(path, _PANDA).duration / k, rel=1e-6)
+
+
+def test_speed_scales_time() -> None:
+    path = _zigzag(0, 5, 0.4)
+    full, half = retime(path, _PANDA), retime(path, _PANDA, speed=0.5)
+    assert half.duration == pytest.approx(2.0 * full.duration)
+    _assert_within_limits(half, _limits(0.5 * _PANDA.velocity, 0.25 * _PANDA.acceleration))
+
+
+@given(st.integers(0, 10**6), st.integers(2, 8))
+@settings(max_examples=15, deadline=None)
+def test_more_deviation_is_never_slower_than_stopping(seed: int, n: int) -> None:
+    path = _zigzag(seed, n, 0.4)
+    assert retime(path, _PANDA, deviation=0.05).duration <= 1.02 * retime(path, _PANDA, deviation=0.0).duration
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("deviation", [0.0, 0.05])
+def test_toppra_is_no_faster_and_hardly_slower(seed: int, deviation: float) -> None:
+    path = _zigzag(seed, 6, 0.5)
+    grid = sampled(rounded(path, deviation), path.q[-1], path.length / 400.0, 2)
+
+    def duration(speeds: np.ndarray) -> float:
+        return float((2.0 * np.diff(grid.s) / (speeds[1:] + speeds[:-1])).sum())
+
+    own = duration(fastest(grid, _PANDA.velocity, _PANDA.acceleration))
+    theirs = duration(fastest_with_toppra(grid, _PANDA.velocity, _PANDA.acceleration))
+    # toppra sees one second derivative a grid point, so where it jumps it brakes a little earlier.
+    assert own * 0.999 <= theirs <= own * (1.001 if deviation == 0.0 else 1.15)
+
+
+def test_torque_limits_slow_a_falling_arm_down() -> None:
+    """A pendulum of inertia 1 and gravity torque 4 cos q against a limit of 6 N m."""
+    limits = _limits([10.0], [50.0], 6.0)
+
+    def torque(q, qd, qdd):
+        return qdd + 4.0 * np.cos(q)
+
+    trajectory = retime(_path([[-1.0], [1.0]]), limits, inverse_dynamics=torque)
+    state = trajectory.at(np.linspace(0.0, trajectory.duration, 4000))
+    needed = np.abs(torque(state.q, state.qd, state.qdd))
+    assert needed.max() <= 6.0 * (1.0 + 1e-3)
+    assert needed.max() >= 5.9
+    assert trajectory.duration > 1.5 * retime(_path([[-1.0], [1.0]]), limits).duration
+
+
+def test_a_pose_that_cannot_be_held_has_a_name() -> None:
+    limits = _limits([1.0], [1.0], 3.0)
+    with pytest.raises(RetimingError, match=r"joint 'shoulder' needs 4 N m to hold still"):
+        retime(_path([[-1.0], [1.0]]), limits, ("shoulder",), inverse_dynamics=lambda q, qd, qdd: qdd + 4.0)
+
+
+def test_a_path_without_length_gives_one_sample_at_rest() -> None:
+    for n in (1, 3):
+        trajectory = retime(_path([[0.3, 0.1]] * n), _limits([1.0, 1.0], [1.0, 1.0]))
+        assert len(trajectory) == 1 and trajectory.duration == 0.0 and not trajectory.qd.any()
+
+
+def test_duplicate_vertices_do_not_matter() -> None:
+    path = _zigzag(5, 4, 0.5)
+    doubled = Path(np.repeat(path.q, 3, axis=0))
+    assert retime(doubled, _PANDA).duration == retime(path, _PANDA).duration
+
+
+def test_going_back_the_way_it_came() -> None:
+    path = _path([[0.0, 0.0], [1.0, 0.5], [0.0, 0.0]])
+    limits = _limits([1.0, 1.0], [4.0, 4.0])
+    _assert_within_limits(retime(path, limits), limits)
+    there = retime(Path(path.q[:2]), limits)
+    assert retime(path, limits, deviation=0.0).duration == pytest.approx(2.0 * there.duration, rel=0.01)
+
+
+def test_a_joint_that_never_moves_does_not_limit() -> None:
+    alone = retime(_path([[0.0], [1.0]]), _limits([1.0], [2.0]))
+    beside = retime(_path([[0.0, 3.0], [1.0, 3.0]]), _limits([1.0, 1e-3], [2.0, 1e-3]))
+    assert beside.duration == pytest.approx(alone.duration)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_bad_acceleration_limits_have_a_name(bad: float) -> None:
+    with pytest.raises(RetimingError, match="acceleration limit of joint 'b'"):
+        retime(_path([[0.0, 0.0], [1.0, 1.0]]), _limits([1.0, 1.0], [1.0, bad]), ("a", "b"))
+
+
+def test_misuse_raises() -> None:
+    path, limits = _path([[0.0], [1.0]]), _limits([1.0], [1.0])
+    for speed in (0.0, 1.1, np.nan):
+        with pytest.raises(SettingError, match="speed"):
+            retime(path, limits, speed=speed)
+    with pytest.raises(SettingError, match="deviation"):
+        retime(path, limits, deviation=-0.1)
+    with pytest.raises(ShapeError, match="path has shape"):
+        retime(path, limits, ("a", "b"))
+    with pytest.raises(ShapeError, match=r"limits\.velocity"):
+        retime(path, _limits([1.0, 1.0], [1.0, 1.0]))
+
+
+def test_slowed_keeps_the_geometry() -> None:
+    trajectory = retime(_zigzag(1, 4, 0.4), _PANDA)
+    slower = slowed(trajectory, 2.0)
+    times = np.linspace(0.0, trajectory.duration, 100)
+    np.testing.assert_allclose(slower.at(2.0 * times).q, trajectory.at(times).q, atol=1e-9)

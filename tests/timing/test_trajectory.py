@@ -1,0 +1,166 @@
+"""Trajectory: interpolation laws, sampling, strict reading."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from graceful_plan.exceptions import FormatError, NonFiniteError, SettingError, ShapeError
+from graceful_plan.timing.trajectory import Trajectory
+
+_TOLERANCE = 1e-9
+"""The cubics are evaluated in closed form; only rounding is left."""
+
+
+def _random(seed: int, n: int = 6, nq: int = 2) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.05, 0.5, n))
+    return Trajectory(t, *rng.normal(size=(3, n, nq)), tuple("abcdefg"[:nq]))
+
+
+@given(st.integers(0, 10**6))
+def test_a_cubic_motion_is_reproduced_exactly(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    coefficients = rng.normal(size=(4, 3))
+    motion = [np.polynomial.Polynomial(c) for c in coefficients.T]
+    t = np.cumsum(rng.uniform(0.1, 0.5, 5))
+
+    def of(order: int, times: np.ndarray) -> np.ndarray:
+        return np.stack([p.deriv(order)(times) if order else p(times) for p in motion], axis=-1)
+
+    trajectory = Trajectory(t, of(0, t), of(1, t), of(2, t), ("a", "b", "c"))
+    times = rng.uniform(t[0], t[-1], 50)
+    for order, value in enumerate(trajectory.at(times)):
+        np.testing.assert_allclose(value, of(order, times), atol=1e-8)
+
+
+def test_samples_are_met() -> None:
+    trajectory = _random(0)
+    state = trajectory.at(trajectory.t)
+    np.testing.assert_allclose(state.q, trajectory.q, atol=_TOLERANCE)
+    np.testing.assert_allclose(state.qd, trajectory.qd, atol=_TOLERANCE)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
+def test_at_keeps_the_shape_of_the_times(shape: tuple[int, ...]) -> None:
+    trajectory = _random(1)
+    assert trajectory.at(np.full(shape, trajectory.t[1])).q.shape == (*shape, 2)
+
+
+def test_outside_of_its_time_it_stands_still() -> None:
+    trajectory = _random(2)
+    before, after = trajectory.t[0] - 1.0, trajectory.t[-1] + 1.0
+    state = trajectory.at([before, after])
+    np.testing.assert_allclose(state.q, trajectory.q[[0, -1]], atol=_TOLERANCE)
+    assert not state.qd.any() and not state.qdd.any()
+
+
+@given(st.floats(0.001, 3.0), st.integers(0, 100))
+def test_sampling_keeps_both_ends_and_the_step(dt: float, seed: int) -> None:
+    trajectory = _random(seed)
+    sampled = trajectory.sample(dt)
+    assert sampled.t[0] == trajectory.t[0]
+    assert sampled.t[-1] == pytest.approx(trajectory.t[-1], abs=1e-12)
+    np.testing.assert_array_equal(sampled.q[[0, -1]], np.stack([trajectory.at(trajectory.t[0]).q, trajectory.q[-1]]))
+    steps = np.diff(sampled.t)
+    assert np.allclose(steps[:-1], dt) and steps[-1] <= dt * (1 + 1e-5)
+    np.testing.assert_allclose(sampled.q, trajectory.at(sampled.t).q, atol=_TOLERANCE)
+
+
+def test_a_single_sample_is_a_trajectory() -> None:
+    still = np.zeros((1, 1))
+    trajectory = Trajectory(np.array([2.0]), still + 1.0, still, still, ("a",))
+    assert trajectory.duration == 0.0
+    assert len(trajectory.sample(0.1)) == 1
+    assert trajectory.at([0.0, 2.0, 9.0]).q.tolist() == [[1.0]] * 3
+
+
+def test_arrays_are_read_only_copies() -> None:
+    q = np.zeros((2, 1))
+    trajectory = Trajectory(np.array([0.0, 1.0]), q, q, q, ("a",))
+    q[:] = 7.0
+    assert not trajectory.q.any()
+    with pytest.raises(ValueError, match="read-only"):
+        trajectory.q[0] = 1.0
+
+
+@given(st.integers(0, 1000))
+def test_json_round_trip_is_exact(seed: int) -> None:
+    trajectory = _random(seed)
+    back = Trajectory.from_json(trajectory.to_json())
+    assert back.joints == trajectory.joints
+    for name in ("t", "q", "qd", "qdd"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(trajectory, name))
+
+
+def test_json_and_csv_files(tmp_path) -> None:
+    trajectory = _random(3)
+    text = trajectory.to_json(tmp_path / "a.json")
+    assert (tmp_path / "a.json").read_text() == text
+    assert Trajectory.from_json(tmp_path / "a.json").to_json() == text
+    trajectory.to_csv(tmp_path / "a.csv")
+    header, *rows = csv.reader(io.StringIO((tmp_path / "a.csv").read_text()))
+    assert header[:3] == ["t [s]", "q a [rad or m]", "q b [rad or m]"]
+    np.testing.assert_array_equal(
+        np.array(rows, float), np.column_stack([trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd])
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 2}, "version is 2"),
+        ({"schema": "other"}, "schema is 'other'"),
+        ({"units": {}}, "units is"),
+        ({"extra": 1}, "unknown keys: extra"),
+        ({"qd": None}, "qd must be a list of numbers"),
+        ({"q": [["0", 1.0]]}, "q must be a list of numbers"),
+        ({"t": [True, False]}, "t must be a list of numbers"),
+        ({"joints": "ab"}, "joints must be a list of names"),
+    ],
+)
+def test_from_json_refuses(change: dict[str, object], message: str) -> None:
+    document = json.loads(_random(4).to_json()) | change
+    with pytest.raises(FormatError, match=message):
+        Trajectory.from_json(json.dumps(document))
+
+
+@pytest.mark.parametrize("text", ["{", "{}", '{"schema": "graceful_plan.trajectory"}', "{" + '"a":[' * 100_000])
+def test_from_json_refuses_broken_text(text: str) -> None:
+    with pytest.raises(FormatError):
+        Trajectory.from_json(text)
+
+
+def test_from_json_refuses_numbers_that_are_not() -> None:
+    document = json.loads(_random(4).to_json())
+    document["q"][0][0] = float("nan")
+    with pytest.raises(NonFiniteError, match="q is not finite"):
+        Trajectory.from_json(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("t", "nq", "error", "message"),
+    [
+        ([0.0, 0.0], 1, SettingError, r"t\[1\]"),
+        ([1.0, 0.0], 1, SettingError, "time must increase"),
+        ([], 1, ShapeError, "t has shape"),
+        ([0.0, 1.0], 2, ShapeError, "q has shape"),
+        ([0.0, np.nan], 1, NonFiniteError, "t is not finite"),
+    ],
+)
+def test_construction_refuses(t: list[float], nq: int, error: type[Exception], message: str) -> None:
+    q = np.zeros((len(t), nq))
+    with pytest.raises(error, match=message):
+        Trajectory(np.array(t), q, q, q, ("a",))
+
+
+@pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf])
+def test_sample_refuses_a_bad_step(dt: float) -> None:
+    with pytest.raises(SettingError, match="dt"):
+        _random(0).sample(dt)

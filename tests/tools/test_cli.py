@@ -1,0 +1,245 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan import documents
+from graceful_plan.tools import cli, demo
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command; return exit code, standard output and standard error."""
+
+    def run(*argv: str) -> tuple[int, str, str]:
+        code = cli.main(argv)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def motion(tmp_path_factory):
+    """A verified trajectory in a file."""
+    file = tmp_path_factory.mktemp("motion") / "trajectory.json"
+    task = next(iter(gp.load_scene("tabletop").tasks.values()))
+    gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50).unwrap().to_json(file)
+    return file
+
+
+def test_plan_prints_the_cost_and_writes_the_trajectory(run, tmp_path):
+    code, out, err = run("plan", "--w", "0", "--iterations", "50", "--output", str(tmp_path / "t.json"))
+    assert (code, err) == (cli.DONE, "")
+    assert out.startswith("SOLVED: ")
+    assert "motion + w * impact" in out
+    trajectory = gp.Trajectory.from_json(tmp_path / "t.json")
+    np.testing.assert_allclose(trajectory.q[0], next(iter(gp.load_scene("tabletop").tasks.values())).start, atol=1e-6)
+
+
+def test_plan_json_is_one_document_and_reproducible(run):
+    argv = ("plan", "--json", "--iterations", "50", "--seed", "3")
+    first, second = (run(*argv) for _ in range(2))
+    assert first[0] == cli.DONE
+    a, b = (json.loads(out) for _, out, _ in (first, second))
+    assert a["status"] == "SOLVED"
+    assert a["verdict"]["passed"]
+    assert a["cost"]["total"] == pytest.approx(a["cost"]["motion"] + a["cost"]["impact"])
+    assert a["path"] == b["path"]
+
+
+def test_plan_between_keyframes_and_numbers(run):
+    scene = gp.load_scene("tabletop")
+    name, q = next(iter(scene.keyframes.items()))
+    numbers = [repr(float(x)) for x in q]
+    code, out, _ = run("plan", "--start", name, "--goal", *numbers, "--iterations", "5", "--json")
+    assert (code, json.loads(out)["status"]) == (cli.DONE, "SOLVED")
+
+
+def test_csv_by_its_ending(run, tmp_path):
+    code, _, _ = run("plan", "--w", "0", "--iterations", "50", "--output", str(tmp_path / "t.csv"))
+    assert code == cli.DONE
+    assert (tmp_path / "t.csv").read_text().startswith("t [s],")
+
+
+def test_failure_has_its_own_exit_code(run):
+    scene = gp.load_scene("tabletop")
+    outside = [repr(float(x)) for x in scene.limits.position[:, 1] + 1.0]
+    code, out, _ = run("plan", "--start", "ready", "--goal", *outside)
+    assert code == cli.FAILED
+    assert out.startswith("INVALID_GOAL: ")
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (("plan", "--scene", "atlantis"), "unknown scene 'atlantis'; valid: desk"),
+        (("plan", "--scene", "nowhere.yaml"), "nowhere.yaml"),
+        (("plan", "--task", "juggle"), "unknown task 'juggle'"),
+        (("plan", "--planner", "hope"), "unknown planner 'hope'"),
+        (("plan", "--w", "-1"), "w = -1.0"),
+        (("plan", "--w", "nan"), "w = nan"),
+        (("plan", "--time-limit", "nan"), "time_limit = nan"),
+        (("plan", "--start", "0", "0"), "shape (2,)"),
+        (("plan", "--start", "ready", "now"), "--start = 'ready now'"),
+        (("plan", "--start", "nowhere"), "unknown keyframe 'nowhere'"),
+        (("plan", "--output", "trajectory.txt"), "ends in .json or .csv"),
+        (("plan", "--iterations", "1", "--output", "no/such/folder/t.json"), "No such file or directory"),
+        (("evaluate", "nowhere.json"), "nowhere.json: cannot be read"),
+        (("explain", "nowhere.json"), "nowhere.json: cannot be read"),
+        (("explain", "nowhere.json", "--output", "picture.gif"), "ends in .png, .pdf or .svg"),
+        (("map", "--height", "-1"), "height = -1.0"),
+        (("map", "--height", "0.1", "--model", "crystal_ball"), "unknown interaction model 'crystal_ball'"),
+        (("map", "--height", "0.1", "--at", "nowhere"), "unknown keyframe 'nowhere'"),
+        (("map", "--height", "0.1", "--task", "juggle"), "unknown task 'juggle'"),
+    ],
+)
+def test_misuse_is_one_line_without_a_traceback(run, argv, message):
+    code, out, err = run(*argv)
+    assert (code, out) == (cli.MISUSE, "")
+    assert message in err
+    assert err.startswith(f"graceful-plan {argv[0]}: ")
+    assert "Traceback" not in err
+    assert err.count("\n") == 1
+
+
+def test_unknown_command_is_misuse(run):
+    with pytest.raises(SystemExit) as stop:
+        run("levitate")
+    assert stop.value.code == cli.MISUSE
+
+
+def test_evaluate_judges_a_trajectory(run, motion):
+    code, out, _ = run("evaluate", str(motion))
+    assert code == cli.DONE
+    assert "FAILED" not in out
+    code, out, _ = run("evaluate", str(motion), "--w", "2", "--json")
+    document = json.loads(out)
+    assert document["verdict"]["passed"]
+    assert document["cost"]["total"] == pytest.approx(document["cost"]["motion"] + 2 * document["cost"]["impact"])
+
+
+def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
+    scene = next(iter(gp.load_scene("tabletop").tasks.values())).scene
+    low, high = scene.limits.position.T
+    q = np.random.default_rng(0).uniform(low, high, (200, len(low)))
+    colliding = q[~(gp.clearance(scene, q) > 0.0)]
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps(documents.path_document(gp.Path(colliding[:1]))))
+    code, out, _ = run("evaluate", str(file))
+    assert code == cli.FAILED
+    assert "FAILED" in out
+
+
+def test_explain_says_where_the_impact_comes_from(run, motion, tmp_path):
+    picture = tmp_path / "explanation.png"
+    code, out, _ = run("explain", str(motion), "--model", "footprint", "--exposure", "time", "--output", str(picture))
+    assert code == cli.DONE
+    assert out.startswith("impact ")
+    assert " onto " in out
+    assert f"wrote {picture}" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    document = json.loads(run("explain", str(motion), "--json")[1])
+    evaluated = json.loads(run("evaluate", str(motion), "--json")[1])
+    assert document["cost"]["impact_by_entity"] == evaluated["cost"]["impact_by_entity"]
+    assert sum(row["share"] for row in document["contributions"]) == pytest.approx(1.0)
+
+
+def test_map_says_where_a_drop_is_worst(run, tmp_path):
+    picture = tmp_path / "map.svg"
+    code, out, _ = run("map", "--height", "0.2", "--speed", "0.5", "--resolution", "0.05", "--output", str(picture))
+    assert code == cli.DONE
+    assert "everything" in out
+    assert picture.read_text().startswith("<?xml")
+    argv = ("map", "--height", "0.2", "--at", "ready", "--resolution", "0.05", "--json")
+    document = json.loads(run(*argv)[1])
+    scene = next(iter(gp.load_scene("tabletop").tasks.values())).scene
+    found = gp.impact_map(scene, height=0.2, q=scene.keyframes["ready"], resolution=0.05)
+    np.testing.assert_array_equal(np.array(document["impact"], dtype=float), found.impact)
+
+
+def test_roadmap_writes_a_file_that_can_be_read(run, tmp_path):
+    file = tmp_path / "table.npz"
+    scene = ["--scene", "tabletop_l1", "--task", "green_to_blue"]
+    code, out, _ = run("roadmap", str(file), *scene, "--nodes", "40")
+    assert code == 0 and "40 nodes" in out and str(file) in out
+    assert len(gp.Roadmap.load(file, gp.load_scene("tabletop_l1").tasks["green_to_blue"].scene)) == 40
+    assert run("roadmap", str(tmp_path / "none" / "table.npz"), *scene, "--nodes", "10")[0] == 2
+
+
+def test_scenes_lists_all_with_their_tasks(run):
+    code, out, _ = run("scenes", "--json")
+    document = json.loads(out)
+    assert code == cli.DONE
+    assert tuple(document) == gp.scenes()
+    assert all(scene["tasks"] and scene["entities"] for scene in document.values())
+    text = run("scenes")[1]
+    assert all(name in text for name in gp.scenes())
+
+
+def test_planners_lists_all_with_their_settings(run):
+    code, out, _ = run("planners", "--json")
+    document = json.loads(out)
+    assert code == cli.DONE
+    assert {"anytime", "rrt_connect"} <= set(document)
+    assert all(entry["summary"] for entry in document.values())
+    text = run("planners")[1]
+    assert all(name in text for name in document)
+
+
+def test_doctor_finds_this_machine_healthy(run):
+    code, out, _ = run("doctor", "--json")
+    document = json.loads(out)
+    assert {name: finding for name, finding in document.items() if not finding["ok"]} == {}
+    assert code == cli.DONE
+    assert document["instruction set"]["value"]
+    assert document["mujoco"]["value"].startswith("4.")
+
+
+def test_demo_writes_picture_and_trajectories_and_lowers_the_impact(run, tmp_path):
+    code, out, err = run("demo", "--output", str(tmp_path / "made"), "--iterations", "2000")
+    assert (code, err) == (cli.DONE, "")
+    assert "motion + w * impact" in out
+    made = {file.name for file in (tmp_path / "made").iterdir()}
+    wanted = {"demo.png", "trajectory_w0.csv", "trajectory_w0.json", "trajectory_w1.csv", "trajectory_w1.json"}
+    assert wanted <= made <= wanted | {"view.png"}
+    assert all(name in out for name in made)
+
+
+def test_demo_json_compares_both(run, tmp_path):
+    code, out, _ = run("demo", "--output", str(tmp_path), "--iterations", "2000", "--json")
+    plain, graceful = json.loads(out)["results"].values()
+    assert code == cli.DONE
+    assert graceful["cost"]["impact"] <= 0.5 * plain["cost"]["impact"]
+    assert graceful["cost"]["motion"] >= plain["cost"]["motion"]
+
+
+def test_interrupt_ends_with_130(run, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gp, "plan", interrupted)
+    assert run("plan")[::2] == (cli.INTERRUPTED, "interrupted\n")
+
+
+def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
+    assert run("plan", "--iterations", "50")[2] == ""
+    monkeypatch.setattr(sys.stderr.__class__, "isatty", lambda self: True)
+    code, out, err = run("plan", "--iterations", "50")
+    assert code == cli.DONE
+    assert "\x1b" not in out
+    assert "motion" in err
+    assert err.endswith("\r\x1b[K")
+    assert run("plan", "--iterations", "50", "--json")[2] == ""
+
+
+def test_reader_that_goes_away_is_no_error():
+    command = f"{sys.executable} -m graceful_plan.tools.cli scenes --json | true"
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (cli.DONE, "")
+
+
+def test_demo_labels_say_the_weight():
+    assert {f"w = {w:g}" for w in demo.WEIGHTS.values()} == {label.split(" (")[0] for label in demo.WEIGHTS}

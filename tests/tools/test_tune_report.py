@@ -1,0 +1,178 @@
+"""`graceful-plan tune`: what it prints and writes, and how it asks FailBench."""
+
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.exceptions import SettingError
+from graceful_plan.tools import cli, tune_report
+from graceful_plan.viz.front import draw_front
+from graceful_plan.viz.front_page import write_front_page
+
+QUICK = ("tune", "tabletop_l1", "green_to_blue", "--iterations", "150", "--points", "4", "--speed", "0.5")
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command; return exit code, standard output and standard error."""
+
+    def run(*argv: str) -> tuple[int, str, str]:
+        code = cli.main(argv)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def task():
+    return gp.load_scene("tabletop_l1").tasks["green_to_blue"]
+
+
+@pytest.fixture(scope="module")
+def front(task):
+    return gp.pareto(task.start, task.goal, task.scene, points=4, iterations=150, speed=0.5)
+
+
+def test_tune_prints_the_front_and_writes_what_to_look_at(run, tmp_path):
+    code, out, err = run(*QUICK, "--out", str(tmp_path / "made"))
+    assert (code, err) == (cli.DONE, "")
+    assert out.startswith("SOLVED: ")
+    assert {"motion V", "knee", "w = "} <= set(re.findall(r"motion V|knee|w = ", out))
+    files = {file.name for file in (tmp_path / "made").iterdir()}
+    assert files == {"front.json", "front.png", "front.html", "chosen.json"}
+    assert all(f"wrote {tmp_path / 'made' / name}" in out for name in files)
+    front = gp.ParetoFront.load(tmp_path / "made" / "front.json")
+    chosen = gp.Trajectory.from_json(tmp_path / "made" / "chosen.json")
+    np.testing.assert_array_equal(chosen.q, front.choose().point.trajectory.q)
+    assert (tmp_path / "made" / "front.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_tune_json_is_one_document(run, tmp_path):
+    code, out, _ = run(*QUICK, "--json", "--max-detour", "0.5", "--out", str(tmp_path))
+    document = json.loads(out)
+    assert (code, document["schema"], document["status"]) == (cli.DONE, "graceful_plan.tune", "SOLVED")
+    assert document["choice"]["status"] == "MET"
+    assert document["choice"]["motion"] <= 1.5 * document["points"][0]["motion"]
+    assert document["validation"] is None
+
+
+def test_targets_out_of_reach_fail(run, tmp_path):
+    code, out, _ = run(*QUICK, "--target-impact", "1e-9", "--max-detour", "0.01", "--out", str(tmp_path))
+    assert code == cli.FAILED
+    assert gp.ChoiceStatus.UNREACHABLE.value in out
+    assert not (tmp_path / "chosen.json").exists()
+    assert (tmp_path / "front.html").exists()
+
+
+def test_no_front_fails_with_its_reason(run, tmp_path):
+    code, out, _ = run(*QUICK[:3], "--seconds", "0", "--out", str(tmp_path))
+    assert code == cli.FAILED
+    assert out.startswith("TIMEOUT: ")
+    assert gp.ParetoFront.load(tmp_path / "front.json").status is gp.PlanStatus.TIMEOUT
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (("tune", "atlantis"), "unknown scene 'atlantis'"),
+        (("tune", "tabletop", "juggle"), "unknown task 'juggle'"),
+        (("tune", "--points", "1"), "points = 1"),
+        (("tune", "--seconds", "nan"), "time_limit = nan"),
+        (("tune", "--target-impact", "-1"), "target_impact = -1.0"),
+        (("tune", "--max-detour", "nan"), "max_detour = nan"),
+        (("tune", "--validate", "-3"), "validate = -3"),
+        (("tune", "--planner", "hope"), "unknown planner 'hope'"),
+        (("tune", "--speed", "7"), "speed = 7.0"),
+    ],
+)
+def test_misuse_is_one_line_without_a_traceback(run, argv, message, tmp_path):
+    code, out, err = run(*argv, "--out", str(tmp_path))
+    assert (code, out) == (cli.MISUSE, "")
+    assert message in err
+    assert err.startswith("graceful-plan tune: ")
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir()), "nothing is written before everything is known to make sense"
+
+
+def test_validation_needs_failbench(run, monkeypatch, tmp_path):
+    monkeypatch.setattr(tune_report.importlib.util, "find_spec", lambda name: None)
+    code, _, err = run(*QUICK, "--validate", "5", "--out", str(tmp_path))
+    assert code == cli.MISUSE
+    assert "FailBench is not installed" in err
+
+
+def test_validation_says_what_failbench_says(tmp_path):
+    (tmp_path / "front.json").write_text("{}")
+    with pytest.raises(tune_report.ValidationError, match=r"validate-front: .*front\.json"):
+        tune_report.validated(tmp_path / "front.json", "tabletop_l1", "green_to_blue", 2)
+
+
+def test_validation_puts_observed_beside_predicted(run, tmp_path):
+    code, out, _ = run(*QUICK, "--validate", "4", "--json", "--out", str(tmp_path))
+    validation = json.loads(out)["validation"]
+    assert code == cli.DONE
+    assert validation["schema"] == "failbench.front_validation"
+    assert all(0.0 <= p["observed"]["low"] <= p["observed"]["mean"] for p in validation["points"] if p["observed"])
+    assert '"observed": [{"predicted"' in (tmp_path / "front.html").read_text()
+
+
+# --- figure and page --------------------------------------------------------------------------------------------------
+
+
+def page_data(file) -> dict:
+    found = re.search(r"^const data = (.*);$", file.read_text(), flags=re.MULTILINE)
+    assert found
+    return json.loads(found[1])
+
+
+def test_page_holds_the_front_and_asks_nobody(task, front, tmp_path):
+    file = tmp_path / "front.html"
+    write_front_page(front, task.scene, file, front.choose(), title="</script><b>")
+    text = file.read_text()
+    assert "</script><b>" not in text
+    assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)|@import|<link|src=", text)
+    data = page_data(file)
+    assert data["title"] == "</script><b>"
+    assert [p["motion"] for p in data["points"]] == front.costs[:, 0].tolist()
+    assert front.points[data["knee"]] is front.knee
+    assert {e["name"] for e in data["entities"]} == set(task.scene.entities)
+    tool = np.array(data["points"][0]["tool"])
+    assert tool.shape[1] == 3
+    here = task.scene.data_at(task.start).body(task.scene.carried.body).xpos
+    np.testing.assert_allclose(tool[0], here, atol=1e-3)
+    for view in ("top", "side"):
+        assert all(len(corners) > 2 for corners in data["points"][0]["objects"][view])
+
+
+def test_page_marks_what_could_not_be_executed(task, front, tmp_path):
+    seen = [None, *[{"predicted": 1.0, "observed": 2.0, "low": 1.5, "high": np.inf}] * (len(front) - 1)]
+    write_front_page(front, task.scene, tmp_path / "front.html", observed=seen)
+    assert page_data(tmp_path / "front.html")["observed"][:2] == [None, {**seen[1], "high": None}]
+    with pytest.raises(SettingError, match="observed"):
+        write_front_page(front, task.scene, tmp_path / "front.html", observed=seen[1:])
+
+
+def test_pictures_of_nothing_are_refused(task, tmp_path):
+    empty = gp.ParetoFront(status=gp.PlanStatus.TIMEOUT)
+    with pytest.raises(SettingError, match="TIMEOUT"):
+        draw_front(empty, tmp_path / "front.png")
+    with pytest.raises(SettingError, match="TIMEOUT"):
+        write_front_page(empty, task.scene, tmp_path / "front.html")
+
+
+def test_picture_of_a_single_point_without_impact(task, tmp_path):
+    front = gp.pareto(task.start, task.start, task.scene, iterations=10)
+    draw_front(front, tmp_path / "front.svg", front.choose())
+    assert (tmp_path / "front.svg").read_text().startswith("<?xml")
+    write_front_page(front, task.scene, tmp_path / "front.html")
+
+
+def test_tuning_without_pictures_imports_no_matplotlib():
+    import subprocess
+
+    code = "import sys, graceful_plan.tools.tune_report; assert 'matplotlib' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
