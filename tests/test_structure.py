@@ -57,6 +57,7 @@ HARNESS_FLOORS = (
     {"front_validation"},
     {"sweeps", "calibrations", "pictures"},
     {"failbench"},
+    {"commands"},
     {"testing", "cli"},
 )
 MOST_FILES = 15
