@@ -15,7 +15,7 @@ import numpy as np
 from failbench.calibrations.calibrate import Calibration, Recipe
 from failbench.calibrations.failures import DROP, Failures
 from failbench.calibrations.family_fit import States, fit_family
-from failbench.calibrations.fitting import Constant, Family, Fitted, Prior
+from failbench.calibrations.fitting import Constant, Family, Prior
 from failbench.fault.fault import Fault
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
@@ -85,13 +85,3 @@ def faults_of(scene: Scene) -> Sequence[Fault]:
 
 
 RECIPE = Recipe(faults_of, fit_drop)
-
-
-def settings_of(constants: Mapping[str, Mapping[str, Fitted]]) -> FootprintSettings:
-    """Return fitted constants as the model's settings."""
-    return FootprintSettings(
-        **{
-            shape: FootprintConstants(**{name: x.value for name, x in constants[shape].items()})
-            for shape in SHAPE_CLASSES
-        }
-    )

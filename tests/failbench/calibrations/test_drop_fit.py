@@ -10,7 +10,7 @@ import pytest
 
 import graceful_plan as gp
 from failbench.calibrations import calibrate, drop_fit, failure_jobs, family_fit
-from failbench.calibrations.drop_fit import FootprintFamily, settings_of
+from failbench.calibrations.drop_fit import FootprintFamily
 from failbench.calibrations.failures import Failures
 from failbench.cli import DONE, MISUSE, main
 from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
@@ -53,10 +53,11 @@ def calibrated() -> family_fit.FamilyCalibration:
 
 def test_the_model_reads_what_calibration_writes(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
     calibrate.write(calibrated, tmp_path / "footprint.yaml")
-    read, given = FootprintSettings.load(tmp_path / "footprint.yaml"), settings_of(calibrated.constants)
+    read = FootprintSettings.load(tmp_path / "footprint.yaml")
     for shape in SHAPE_CLASSES:
-        for name, value in dataclasses.asdict(getattr(given, shape)).items():
-            assert getattr(getattr(read, shape), name) == pytest.approx(value, rel=1e-4)
+        assert set(calibrated.constants[shape]) == {field.name for field in dataclasses.fields(FootprintConstants)}
+        for name, fitted in calibrated.constants[shape].items():
+            assert getattr(getattr(read, shape), name) == pytest.approx(fitted.value, rel=1e-4)
 
 
 def test_the_command_keeps_its_drops_and_takes_them_again(
