@@ -29,9 +29,9 @@ if str(ROOT) not in sys.path:
 from benchmarks import machine  # noqa: E402 - after the path to it is known
 from failbench.fault.registry import faults, to_document  # noqa: E402
 from failbench.sweeps.dataset import read_dataset  # noqa: E402
-from failbench.sweeps.journal import Journal  # noqa: E402
+from failbench.sweeps.journal import SweepJournal  # noqa: E402
 from failbench.sweeps.sweep import JOURNAL  # noqa: E402
-from failbench.sweeps.work import Motion, PlanSettings, Sweep  # noqa: E402
+from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion  # noqa: E402
 
 FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")
 """One of each category."""
@@ -60,7 +60,7 @@ class Trial:
         self.folder, self.workers, self.random = folder, workers, random.Random(seed)
         self.kills: Counter[str] = Counter()
         self.sweeps = self.wrong = self.rows = 0
-        motion = Motion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
+        motion = SweepMotion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
         documents = tuple(to_document(faults()[name]()) for name in FAULTS)
         sweep = Sweep(motions=(motion,), faults=documents, rollouts=rollouts, horizon=horizon)
         self.total = rollouts * len(FAULTS)
@@ -134,7 +134,7 @@ class Trial:
 def _begun(journal: Path) -> bool:
     if not journal.exists():
         return False
-    with Journal(journal) as opened:
+    with SweepJournal(journal) as opened:
         return opened.begun
 
 

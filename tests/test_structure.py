@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import pkgutil
 import re
 import subprocess
 import sys
@@ -57,6 +58,7 @@ HARNESS_FLOORS = (
     {"front_validation"},
     {"sweeps", "calibrations", "pictures"},
     {"failbench"},
+    {"commands"},
     {"testing", "cli"},
 )
 MOST_FILES = 15
@@ -294,6 +296,37 @@ def test_guides_run(guide, tmp_path, monkeypatch):
 def test_guides_name_existing_files(guide):
     for link in re.findall(r"\]\(([^)#:]+)\)", (ROOT / "docs" / guide).read_text()):
         assert (ROOT / "docs" / link).exists(), link
+
+
+def dotted_names() -> list[tuple[str, str]]:
+    """List what documents call graceful_plan.x or failbench.x.y, each with its document; names of files are none."""
+    found = set()
+    for file in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        for name in re.findall(r"(?<![\w./-])(?:graceful_plan|failbench)(?:\.[A-Za-z_]\w*)+", file.read_text()):
+            if not name.endswith((".md", ".yaml")):
+                found.add((file.name, name))
+    return sorted(found)
+
+
+def test_documents_have_dotted_names():
+    assert ("faults.md", "failbench.fault.registry") in dotted_names()
+
+
+def test_names_in_documents_can_be_imported():
+    words = {
+        word
+        for file in FILES + HARNESS_FILES
+        for found in re.findall(r'"schema": "(\w+\.\w+)"|_SCHEMA\b.* = "(\w+\.\w+)"', file.read_text())
+        for word in found
+    }
+    unknown = []
+    for document, name in dotted_names():
+        try:
+            pkgutil.resolve_name(name)
+        except (ImportError, AttributeError):
+            if name not in words:
+                unknown.append(f"{document}: {name}")
+    assert unknown == []
 
 
 def test_readme_names_existing_files():

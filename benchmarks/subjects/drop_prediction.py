@@ -12,7 +12,8 @@ import graceful_plan as gp
 from benchmarks import landing, report, suite, variants
 from failbench.calibrations import skill
 from failbench.calibrations.calibrate import scenes_of
-from failbench.calibrations.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
+from failbench.calibrations.failure_jobs import KINDS, FailureJob, do_job, failure_jobs
+from failbench.calibrations.failures import Failures
 from graceful_plan.costs.models.mixture.mixture import Footprint
 
 Array = np.ndarray

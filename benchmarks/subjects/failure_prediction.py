@@ -11,7 +11,8 @@ import graceful_plan as gp
 from benchmarks import report, suite, variants
 from failbench.calibrations import skill
 from failbench.calibrations.calibrate import scenes_of
-from failbench.calibrations.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
+from failbench.calibrations.failure_jobs import KINDS, FailureJob, do_job, failure_jobs
+from failbench.calibrations.failures import Failures
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
 from graceful_plan.costs.models.body.body import BodyModel, mode_names

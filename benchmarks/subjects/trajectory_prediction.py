@@ -14,7 +14,8 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import landing, report, suite, variants
 from failbench.calibrations import skill
-from failbench.calibrations.failures import KINDS, FailureJob, Failures, do_job, failure_jobs
+from failbench.calibrations.failure_jobs import KINDS, FailureJob, do_job, failure_jobs
+from failbench.calibrations.failures import Failures
 
 Array = np.ndarray
 

@@ -83,11 +83,6 @@ class ValidationReport:
     jobs: tuple[Job, ...]
     impacts: Float[Array, " n"]
 
-    @property
-    def predicted_by_entity(self) -> dict[str, float]:
-        """Share of each entity in the predicted impact."""
-        return {name: entity.predicted for name, entity in self.by_entity.items()}
-
     def __str__(self) -> str:
         share = f"{100.0 * self.confidence:g} %"
         head = f"{self.scene}: {self.n} failures, {self.horizon:g} s after each, seed {self.seed}"

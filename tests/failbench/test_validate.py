@@ -47,7 +47,7 @@ def test_shares_add_up() -> None:
     found = report()
     assert (found.n, found.effective_n, found.diverged) == (30, 30.0, 0)
     assert sum(entity.impact.mean for entity in found.by_entity.values()) == pytest.approx(found.observed.mean)
-    assert sum(found.predicted_by_entity.values()) == pytest.approx(found.predicted)
+    assert sum(entity.predicted for entity in found.by_entity.values()) == pytest.approx(found.predicted)
     assert list(found.by_fault) == ["gripper_failure/severe", "weak_grip/severe", "stuck_gripper/severe"]
     assert np.mean([e.mean for e in found.by_fault.values()]) == pytest.approx(found.observed.mean)
     assert {e.n for e in found.by_fault.values()} == {10}
@@ -98,7 +98,7 @@ def test_the_prediction_is_the_planners_own_impact_per_second() -> None:
     found = report()
     assert found.predicted == pytest.approx(per_second, rel=0.01)
     for name, share in cost.impact_by_entity.items():
-        assert found.predicted_by_entity[name] == pytest.approx(share / motion().duration, abs=0.01 * per_second)
+        assert found.by_entity[name].predicted == pytest.approx(share / motion().duration, abs=0.01 * per_second)
 
 
 def test_the_prediction_is_taken_where_failures_begin(simulated: Callable[..., None]) -> None:

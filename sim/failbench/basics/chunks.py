@@ -32,7 +32,7 @@ class Chunk:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class ChunkOutcome:
     """How a chunk ended: with rows, or with an error."""
 
     chunk: Chunk
@@ -44,9 +44,9 @@ Work = Callable[[Chunk], Rows]
 """Does a chunk. It is sent to other processes, so it must be picklable; its rows must depend on the chunk alone."""
 
 
-def attempt(work: Work, chunk: Chunk) -> Outcome:
+def attempt(work: Work, chunk: Chunk) -> ChunkOutcome:
     """Do a chunk and report how it ended; whatever is raised becomes the outcome's error, with the chunk's name."""
     try:
-        return Outcome(chunk=chunk, rows=work(chunk))
+        return ChunkOutcome(chunk=chunk, rows=work(chunk))
     except Exception as error:
-        return Outcome(chunk=chunk, error=f"{chunk.name}: {type(error).__name__}: {error}")
+        return ChunkOutcome(chunk=chunk, error=f"{chunk.name}: {type(error).__name__}: {error}")

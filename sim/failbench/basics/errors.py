@@ -22,7 +22,7 @@ class ExecutionRefused(GracefulPlanError, RuntimeError):
         super().__init__(f"{what} at {time:.3f} s: {problem}")
 
 
-class JournalBusy(GracefulPlanError, RuntimeError):
+class SweepBusy(GracefulPlanError, RuntimeError):
     """A sweep that another process is working on."""
 
     def __init__(self, file: Path) -> None:

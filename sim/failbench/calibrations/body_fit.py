@@ -8,18 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, final
 
-import mujoco
 import numpy as np
-import yaml
 
 import graceful_plan as gp
-from failbench.calibrations.body_margins import REACH, FittedMargin, Touches, fit_touches
-from failbench.calibrations.calibrate import HEAD, VERSION, Progress, fetch, scenes_of
+from failbench.calibrations.body_margins import REACH, FittedMargin, MarginEvents, fit_touches
+from failbench.calibrations.calibrate import VERSION, Calibration, Recipe, rounded, rounded_figures, scenes_of, versions
 from failbench.calibrations.failures import Failures
-from failbench.calibrations.skill import Figures
 from failbench.fault.fault import Fault
 from failbench.fault.registry import PowerLoss, faults
 from graceful_plan import Scene, SettingError, StateBatch
@@ -42,10 +38,10 @@ _DIGITS = 4
 _RESAMPLES = 100
 
 
-def feared(joints: Sequence[str]) -> list[Fault]:
+def faults_of(scene: Scene) -> list[Fault]:
     """Return the faults that the model is fitted to; the gripper is self-locking, so that what is held stays held."""
     known = faults()
-    single = [known[name](degree="severe", targets=(joint,)) for name in SINGLE for joint in joints]
+    single = [known[name](degree="severe", targets=(joint,)) for name in SINGLE for joint in scene.joints]
     whole = [known[name](degree="severe") for name in WHOLE if name != PowerLoss.NAME]
     return [*single, PowerLoss(degree="severe", grip="kept"), *whole]
 
@@ -68,7 +64,7 @@ def fit_distances(
 
 def touches(
     settings: BodySettings, failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene]
-) -> dict[tuple[str, str], Touches]:
+) -> dict[tuple[str, str], MarginEvents]:
     """Put distances beside what happened, by generator and row.
 
     What is dropped in a collapse is left out of "carried": others tell where it falls.
@@ -83,7 +79,7 @@ def touches(
     """
     if not np.isclose(settings.step, AHEAD[0]):
         raise SettingError("step", settings.step, f"{AHEAD[0]:g} s, as the motion to come is known")
-    found: dict[tuple[str, str], list[Touches]] = {}
+    found: dict[tuple[str, str], list[MarginEvents]] = {}
     for motion, whole in enumerate(failures):
         scene = scenes[whole.scene, whole.task]
         modes = mode_names(scene)
@@ -103,9 +99,9 @@ def touches(
                 rows, of = np.flatnonzero(mine & held), part.components.index(component)
                 near, hit = d[rows, mode[rows], row][:, part.counted[of]], part.hit[rows, of][:, part.counted[of]]
                 n = near.size
-                here = Touches(near.ravel(), hit.ravel(), np.full(n, motion), np.full(n, part.scene))
+                here = MarginEvents(near.ravel(), hit.ravel(), np.full(n, motion), np.full(n, part.scene))
                 found.setdefault((name, component), []).append(here)
-    return {key: Touches(*map(np.concatenate, zip(*parts, strict=True))) for key, parts in found.items()}
+    return {key: MarginEvents(*map(np.concatenate, zip(*parts, strict=True))) for key, parts in found.items()}
 
 
 def _mode(label: str) -> str | None:
@@ -119,9 +115,10 @@ def _mode(label: str) -> str | None:
 # --- calibration -----------------------------------------------------------------------------------------------------
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class BodyCalibration:
-    """Margins of the body model, and why they are what they are. Made by `calibrate_body`.
+class BodyCalibration(Calibration):
+    """Margins of the body model, and why they are what they are. Made by `fit_body`.
 
     Args:
         base: Constants of the motion, and of what stops it, which are not fitted.
@@ -145,22 +142,23 @@ class BodyCalibration:
         settings = self.settings()
         named = {f"{generator}.{row}": found for (generator, row), found in self.margins.items()}
         intervals = {
-            name: {of: [_rounded(x.low), _rounded(x.high)] for of, x in (("offset", m.offset), ("spread", m.spread))}
+            name: {
+                of: [rounded(x.low, _DIGITS), rounded(x.high, _DIGITS)]
+                for of, x in (("offset", m.offset), ("spread", m.spread))
+            }
             for name, m in named.items()
         }
         provenance = {
             **self.provenance,
-            "fitted": {name: _figures(m.fitted) for name, m in named.items()},
-            "held_out": {name: _figures(m.held_out) for name, m in named.items() if m.held_out is not None},
+            "fitted": {name: rounded_figures(m.fitted, _DIGITS) for name, m in named.items()},
+            "held_out": {
+                name: rounded_figures(m.held_out, _DIGITS) for name, m in named.items() if m.held_out is not None
+            },
             "intervals": intervals,
         }
-        margins = {name: _rounded_all(asdict(getattr(settings, name))) for name in GENERATORS}
+        margins = {name: _rounded(asdict(getattr(settings, name))) for name in GENERATORS}
         motion = {name: getattr(settings, name) for name in MOTION}
         return {"version": VERSION, "provenance": provenance, "motion": motion, "margins": margins}
-
-    def to_yaml(self) -> str:
-        """Return it as YAML text that `BodySettings.load` reads."""
-        return HEAD + yaml.safe_dump(self.to_document(), sort_keys=False, default_flow_style=None, width=120)
 
     def __str__(self) -> str:
         lines = [f"{'held-out scenes':<18} {'events':>8} {'hits':>6} {'skill':>6} {'AUC':>6} {'ECE':>6} {'ratio':>6}"]
@@ -208,55 +206,13 @@ def fit_body(
             "failures": sum(len(part) for part in failures),
             **(about or {}),
             "seed": seed,
-            "versions": {"graceful_plan": gp.__version__, "mujoco": mujoco.__version__},
+            "versions": versions(),
         },
     )
 
 
-def calibrate_body(
-    scenes: Sequence[str],
-    *,
-    n: int = 30,
-    repeats: int = 2,
-    seed: int = 0,
-    processes: int = 1,
-    drops: str | FilePath | None = None,
-    progress: Progress | None = None,
-) -> BodyCalibration:
-    """Let robots fail in bundled scenes, or take failures from a file, and calibrate with them.
-
-    Args:
-        scenes: Names of bundled scenes.
-        n: Failures along each motion.
-        repeats: Motions of each kind for each task.
-        seed: Of everything random.
-        processes: How many to let fail in; the fit is done in this one.
-        drops: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
-        progress: Called after each motion.
-
-    Raises:
-        UnknownNameError: If there is no such scene.
-        FormatError: If the file is there and holds something else.
-    """
-
-    def struck() -> list[Fault]:
-        return feared(gp.load_scene(scenes[0]).joints)
-
-    failures, without = fetch(
-        scenes, struck, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
-    )
-    about: dict[str, Any] = {"horizon": 1.0}
-    about |= {"failures_from": FilePath(str(drops)).name} if without is None else {"motions_without": without}
-    return fit_body(failures, about=about, seed=seed)
+RECIPE = Recipe(faults_of, fit_body)
 
 
-def _figures(found: Figures) -> dict[str, Any]:
-    return {name: value if isinstance(value, int) else _rounded(value) for name, value in found._asdict().items()}
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
-
-
-def _rounded_all(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: _rounded_all(x) if isinstance(x, dict) else _rounded(x) for name, x in values.items()}
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: _rounded(x) if isinstance(x, dict) else rounded(x, _DIGITS) for name, x in values.items()}

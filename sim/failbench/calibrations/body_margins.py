@@ -29,7 +29,7 @@ _FINEST = 1e-3
 _CONFIDENCE = 0.95
 
 
-class Touches(NamedTuple):
+class MarginEvents(NamedTuple):
     """What one generator and row is fitted to: pairs of a failure and an entity."""
 
     d: Float[Array, " n"]
@@ -115,7 +115,7 @@ class FittedMargin:
         return Margin(offset=self.offset.value, spread=self.spread.value)
 
 
-def fit_touches(events: Touches, *, resamples: int = 100, seed: int = 0) -> FittedMargin:
+def fit_touches(events: MarginEvents, *, resamples: int = 100, seed: int = 0) -> FittedMargin:
     """Fit one margin; intervals draw whole motions with replacement."""
     best = fit_margin(events.d[:, None], events.hit)
     near = events.d < REACH  # what is farther is predicted by no margin
@@ -135,7 +135,7 @@ def fit_touches(events: Touches, *, resamples: int = 100, seed: int = 0) -> Fitt
     )
 
 
-def _held_out(events: Touches) -> Figures | None:
+def _held_out(events: MarginEvents) -> Figures | None:
     names = np.unique(events.scene)
     guessed = np.zeros(len(events.d))
     for name in names:

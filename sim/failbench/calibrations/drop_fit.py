@@ -8,19 +8,21 @@ that may well be; drops decide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from failbench.calibrations.calibrate import Calibration, Progress, calibrate, fetch
-from failbench.calibrations.failures import DROP
-from failbench.calibrations.fitting import Constant, Family, Fitted, Prior
-from graceful_plan import Scene, StateBatch
+from failbench.calibrations.calibrate import Calibration, Recipe
+from failbench.calibrations.failures import DROP, Failures
+from failbench.calibrations.family_fit import States, fit_family
+from failbench.calibrations.fitting import Constant, Family, Prior
+from failbench.fault.fault import Fault
+from graceful_plan import Scene
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.drop.constants import SHARED, FootprintConstants, FootprintSettings
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, footprint_tables
 from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.objective import moving_batch
 
 Array = np.ndarray
 
@@ -50,13 +52,6 @@ _PRIORS: Mapping[str, Prior] = {
 }
 
 
-class _Prepared(NamedTuple):
-    scene: Scene
-    q: Float[Array, "n nq"]
-    direction: Float[Array, "n nq"]
-    speed: Float[Array, " n"]
-
-
 class FootprintFamily(Family):
     """`Footprint`, one set of constants for each of `SHAPE_CLASSES`, some of them shared."""
 
@@ -66,60 +61,27 @@ class FootprintFamily(Family):
         """Return the shape class of the carried object."""
         return SHAPE_CLASSES[footprint_tables(scene).shape_class]
 
-    def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> _Prepared:
-        """Return the states as a batch wants them."""
-        speed = np.linalg.norm(qd, axis=1)
-        return _Prepared(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+    def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> States:
+        """Return the states with their scene."""
+        return States(scene, q, qd)
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
         """Return what `Footprint` predicts for the carried object."""
         constants = FootprintConstants(**values)
         model = Footprint(settings=FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
-        found = model.probability(StateBatch(*prepared))
+        found = model.probability(moving_batch(prepared.scene, prepared.q, prepared.qd))
         return found[:, list(prepared.scene.components).index("carried")]
 
 
-def calibrate_footprint(
-    scenes: Sequence[str],
-    *,
-    n: int = 30,
-    repeats: int = 2,
-    seed: int = 0,
-    processes: int = 1,
-    drops: str | FilePath | None = None,
-    progress: Progress | None = None,
-) -> Calibration:
-    """Drop things in bundled scenes, or take drops from a file, and calibrate the drop model with them.
-
-    Args:
-        scenes: Names of bundled scenes, two at least.
-        n: Drops along each motion.
-        repeats: Motions of each kind for each task.
-        seed: Of everything random.
-        processes: How many to drop in; the fit is done in this one.
-        drops: File that the drops are kept in, or taken from if it is there. Then only those in `scenes` count.
-        progress: Called after each motion.
-
-    Raises:
-        UnknownNameError: If there is no such scene.
-        SettingError: If there is but one scene, or too little to drop.
-        FormatError: If the file is there and holds something else.
-    """
-    dropped, without = fetch(
-        scenes, lambda: DROP, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
-    )
-    about: dict[str, Any] = {"horizon": 1.0, "motions_without": without or []}
-    if without is None:
-        about["drops_from"] = FilePath(str(drops)).name
-    family = FootprintFamily()
-    return calibrate(family, dropped, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
+def fit_drop(failures: Sequence[Failures], *, about: Mapping[str, Any], seed: int = 0) -> Calibration:
+    """Fit all constants to drops."""
+    return fit_family(FootprintFamily(), failures, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
 
 
-def settings_of(constants: Mapping[str, Mapping[str, Fitted]]) -> FootprintSettings:
-    """Return fitted constants as the model's settings."""
-    return FootprintSettings(
-        **{
-            shape: FootprintConstants(**{name: x.value for name, x in constants[shape].items()})
-            for shape in SHAPE_CLASSES
-        }
-    )
+def faults_of(scene: Scene) -> Sequence[Fault]:
+    """Return the fault that the model is fitted to; it is the same for all robots."""
+    del scene
+    return DROP
+
+
+RECIPE = Recipe(faults_of, fit_drop)

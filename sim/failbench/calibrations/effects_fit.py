@@ -11,86 +11,38 @@ intervals come from resamples of whole motions. They cannot see what no motion s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, ClassVar, final
 
-import mujoco
 import numpy as np
-import yaml
 
 import graceful_plan as gp
 from failbench.basics.statistics import check_confidence, cluster_draws
-from failbench.calibrations.calibrate import Progress, fetch, scenes_of
+from failbench.calibrations.calibrate import VERSION, Calibration, Recipe, rounded, rounded_figures, scenes_of, versions
 from failbench.calibrations.failures import Failures
+from failbench.calibrations.fault_events import FaultEvents, fault_events, generator_probabilities
 from failbench.calibrations.fitting import Fitted
 from failbench.calibrations.mixture import likely, log_likelihood, most_likely
 from failbench.calibrations.skill import Figures, figures
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
-from graceful_plan import Scene, SettingError, ShapeError
-from graceful_plan.array_types import Bool, Float
+from graceful_plan import Scene, SettingError
+from graceful_plan.array_types import Float
 from graceful_plan.costs.fault_prior import ARM, GENERATORS
 
 Array = np.ndarray
 
-GeneratorModel = Callable[[Scene, Failures], Mapping[str, Float[Array, "n c e"]]]
-"""P(component hits entity) by generator, for the states in which something failed, if that acts like the generator."""
-
 _GAIN = 1e-3  # of the logarithm of the likelihood, below which turns end [nat]
 _TURNS = 50
 _DIGITS = 4
+_DEGREE = "severe"
 _DEFINED = {
     "gripper_failure": {
         name: Fitted(float(name == "drop"), float(name == "drop"), float(name == "drop")) for name in GENERATORS
     }
 }
 """The drop model is about what this fault does."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FaultEvents:
-    """Events that one fault may have caused.
-
-    | field       | meaning                                                  | shape       |
-    |-------------|----------------------------------------------------------|-------------|
-    | probability | P_g of each of `GENERATORS`                              | n generator |
-    | happened    | whether it did                                           | n           |
-    | body        | whether it is a touch by the body, not by what it carries | n           |
-    | motion      | which motion the robot failed on                         | n           |
-    | scene       | name of the scene                                        | n           |
-    """
-
-    probability: Array
-    happened: Array
-    body: Array
-    motion: Array
-    scene: Array
-
-    def __post_init__(self) -> None:
-        # Not by annotations, so that users are told, too.
-        n = len(self.probability)
-        if self.probability.shape != (n, len(GENERATORS)):
-            raise ShapeError("probability", self.probability.shape, f"(n, {len(GENERATORS)}), a column a generator")
-        for name in ("happened", "body", "motion", "scene"):
-            if getattr(self, name).shape != (n,):
-                raise ShapeError(name, getattr(self, name).shape, f"({n},), as many as probabilities")
-        if n and not (np.nanmin(self.probability) >= 0.0 and np.max(self.probability) <= 1.0):
-            raise SettingError("probability", float(np.max(self.probability)), "numbers in [0, 1]")
-
-    def __len__(self) -> int:
-        return len(self.happened)
-
-    def rows(self, chosen: Bool[Array, " n"]) -> FaultEvents:
-        """Return some of the events."""
-        return FaultEvents(
-            probability=self.probability[chosen],
-            happened=self.happened[chosen],
-            body=self.body[chosen],
-            motion=self.motion[chosen],
-            scene=self.scene[chosen],
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,37 +60,6 @@ class FaultEffect:
     fitted: Figures
     held_out: Figures | None
     motions: int
-
-
-def fault_events(
-    failures: Sequence[Failures], scenes: Mapping[tuple[str, str], Scene], model: GeneratorModel
-) -> dict[str, FaultEvents]:
-    """Put what models of the generators say beside what happened, by fault.
-
-    Args:
-        failures: Of any faults; each entry is one motion.
-        scenes: By name of the scene and the task, with the object attached.
-        model: The models; generators that it leaves out never happen.
-    """
-    found: dict[str, list[FaultEvents]] = {}
-    for motion, part in enumerate(failures):
-        said = model(scenes[part.scene, part.task], part)
-        nothing = np.zeros(part.hit.shape)
-        P = np.stack([said.get(generator, nothing) for generator in GENERATORS], axis=-1)[:, part.counted]
-        hit = part.hit[:, part.counted]
-        body = np.repeat([name == "body" for name in part.components], part.counted.sum(axis=1))
-        for index in np.unique(part.fault):
-            rows = part.fault == index
-            count = hit[rows].size
-            events = FaultEvents(
-                probability=P[rows].reshape(count, len(GENERATORS)),
-                happened=hit[rows].reshape(count),
-                body=np.tile(body, int(rows.sum())),
-                motion=np.full(count, motion),
-                scene=np.full(count, part.scene),
-            )
-            found.setdefault(part.faults[index], []).append(events)
-    return {fault: _joined(parts) for fault, parts in found.items()}
 
 
 def fit_effects(
@@ -181,53 +102,10 @@ def predicted(events: FaultEvents, shares: Float[Array, " generator"]) -> Float[
     return likely(d * events.probability[:, 0] + (1.0 - d) * (events.probability[:, 1:] @ shares[1:]))
 
 
-def to_yaml(effects: Mapping[str, FaultEffect], *, degree: str, seed: int, about: Mapping[str, Any]) -> str:
-    """Return effects as the text of `fault_effects.yaml`.
-
-    Args:
-        effects: Of all faults; those that a reader should know.
-        degree: How bad the faults were.
-        seed: Of the intervals.
-        about: What else to put down: scenes, numbers of failures, how these were made.
-    """
-    provenance = {
-        "method": "fitted",
-        **about,
-        "seed": seed,
-        "versions": {"graceful_plan": gp.__version__, "mujoco": mujoco.__version__},
-        "fitted": {fault: _document(effect.fitted) for fault, effect in effects.items()},
-        "held_out": {fault: _document(x.held_out) for fault, x in effects.items() if x.held_out is not None},
-        "intervals": {
-            degree: {
-                fault: {name: [_rounded(x.low), _rounded(x.high)] for name, x in effect.shares.items() if x.high > 0.0}
-                for fault, effect in effects.items()
-            }
-        },
-    }
-    shares = {
-        fault: {name: _rounded_down(x.value) for name, x in effect.shares.items() if _rounded_down(x.value) > 0.0}
-        for fault, effect in effects.items()
-    }
-    head = (
-        "# What comes of a fault: the probability that it acts like each generator of the interaction models; of spill,"
-        " if nothing is dropped.\n"
-        "# Written by failbench; do not edit. Intervals are 95 %, whole motions drawn with replacement.\n"
-        "# held_out: each scene with effects that were fitted on the others.\n"
-    )
-    about_it = {"version": 1, "provenance": provenance}
-    compact = yaml.safe_dump(about_it, sort_keys=False, default_flow_style=None, width=120)
-    table = yaml.safe_dump({"effects": {degree: shares}}, sort_keys=False, default_flow_style=None, width=120)
-    return head + compact + table
-
-
-def write(file: str | FilePath, effects: Mapping[str, FaultEffect], **given: Any) -> None:
-    """Write effects as YAML, see `to_yaml`."""
-    FilePath(file).write_text(to_yaml(effects, **given), encoding="utf-8")
-
-
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EffectsCalibration:
-    """Effects of faults, and why they are what they are. Made by `calibrate_effects`.
+class EffectsCalibration(Calibration):
+    """Effects of faults, and why they are what they are. Made by `fit_faults`.
 
     Args:
         effects: By fault.
@@ -236,18 +114,41 @@ class EffectsCalibration:
         about: Scenes, numbers of failures.
     """
 
+    ABOUT: ClassVar[str] = (
+        "# What comes of a fault: the probability that it acts like each generator of the interaction models; of spill,"
+        " if nothing is dropped.\n"
+    )
+
     effects: Mapping[str, FaultEffect]
     degree: str
     seed: int
     about: Mapping[str, Any]
 
-    def to_yaml(self) -> str:
-        """Return it as YAML text like `fault_effects.yaml`."""
-        return to_yaml(self.effects, degree=self.degree, seed=self.seed, about=self.about)
-
     def to_document(self) -> dict[str, Any]:
         """Return it as JSON values."""
-        return yaml.safe_load(self.to_yaml())
+        held_out = {fault: x.held_out for fault, x in self.effects.items() if x.held_out is not None}
+        intervals = {
+            fault: {
+                name: [rounded(x.low, _DIGITS), rounded(x.high, _DIGITS)]
+                for name, x in effect.shares.items()
+                if x.high > 0.0
+            }
+            for fault, effect in self.effects.items()
+        }
+        shares = {
+            fault: {name: _rounded_down(x.value) for name, x in effect.shares.items() if _rounded_down(x.value) > 0.0}
+            for fault, effect in self.effects.items()
+        }
+        provenance = {
+            "method": "fitted",
+            **self.about,
+            "seed": self.seed,
+            "versions": versions(),
+            "fitted": {fault: rounded_figures(x.fitted, _DIGITS) for fault, x in self.effects.items()},
+            "held_out": {fault: rounded_figures(x, _DIGITS) for fault, x in held_out.items()},
+            "intervals": {self.degree: intervals},
+        }
+        return {"version": VERSION, "provenance": provenance, "effects": {self.degree: shares}}
 
     def __str__(self) -> str:
         lines = [f"{'fault':<22} " + " ".join(f"{name:>9}" for name in GENERATORS) + "  held-out skill"]
@@ -258,57 +159,27 @@ class EffectsCalibration:
         return "\n".join(lines)
 
 
-def generator_probabilities(scene: Scene, failures: Failures) -> Mapping[str, Float[Array, "n component entity"]]:
-    """Return what `Footprint` says if the failure is like each generator, and nothing else."""
-    batch, found = failures.states(scene), {}
-    for generator in GENERATORS:
-        prior = gp.FaultPrior({"it": 1.0}, {"it": {generator: 1.0}})
-        found[generator] = gp.Footprint(faults=prior).probability(batch)
-    return found
+def faults_of(scene: Scene) -> list[Fault]:
+    """Return all faults, severe; they are the same for all robots."""
+    del scene
+    return [cls(degree=_DEGREE) for cls in faults().values()]
 
 
-def calibrate_effects(
-    scenes: Sequence[str],
-    *,
-    n: int = 30,
-    repeats: int = 2,
-    seed: int = 0,
-    processes: int = 1,
-    drops: str | FilePath | None = None,
-    progress: Progress | None = None,
-) -> EffectsCalibration:
-    """Let every fault happen in bundled scenes, severe, or take failures from a file, and fit what they act like.
-
-    Args:
-        scenes: Names of bundled scenes.
-        n: Failures along each motion.
-        repeats: Motions of each kind for each task.
-        seed: Of everything random.
-        processes: How many to let fail in; the fit is done in this one.
-        drops: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
-        progress: Called after each motion.
-
-    Raises:
-        UnknownNameError: If there is no such scene.
-        FormatError: If the file is there and holds something else.
-    """
-
-    def every() -> list[Fault]:
-        return [cls(degree="severe") for cls in faults().values()]
-
-    failures, _ = fetch(
-        scenes, every, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
-    )
+def fit_faults(failures: Sequence[Failures], *, about: Mapping[str, Any], seed: int = 0) -> EffectsCalibration:
+    """Fit what severe faults act like; failures of other faults are passed over."""
     single = [part for part in (part.only(faults()) for part in failures) if len(part)]
     events = fault_events(single, scenes_of(single, gp.load_scene), generator_probabilities)
-    about = {
+    effects = fit_effects({name: _possible(name, events[name]) for name in faults() if name in events}, seed=seed)
+    effects |= {name: replace(effects[name], shares=shares) for name, shares in _DEFINED.items() if name in effects}
+    numbers = {
         "scenes": sorted({part.scene for part in single}),
         "motions": len(single),
         "failures": sum(len(part) for part in single),
     }
-    effects = fit_effects({name: _possible(name, events[name]) for name in faults() if name in events}, seed=seed)
-    effects |= {name: replace(effects[name], shares=shares) for name, shares in _DEFINED.items() if name in effects}
-    return EffectsCalibration(effects=effects, degree="severe", seed=seed, about=about)
+    return EffectsCalibration(effects=effects, degree=_DEGREE, seed=seed, about={**numbers, **about})
+
+
+RECIPE = Recipe(faults_of, fit_faults)
 
 
 def _possible(fault: str, events: FaultEvents) -> FaultEvents:
@@ -371,23 +242,6 @@ def _held_out(events: FaultEvents) -> Figures | None:
         own = events.scene == name
         guessed[own] = predicted(events.rows(own), likeliest(events.rows(~own)))
     return figures(guessed, events.happened)
-
-
-def _joined(parts: Sequence[FaultEvents]) -> FaultEvents:
-    return FaultEvents(
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("probability", "happened", "body", "motion", "scene")
-        }
-    )
-
-
-def _document(found: Figures) -> dict[str, Any]:
-    return {name: value if isinstance(value, int) else _rounded(value) for name, value in found._asdict().items()}
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
 
 
 def _rounded_down(value: float) -> float:

@@ -8,7 +8,7 @@ touched in the healthy run.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
@@ -16,7 +16,6 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-import graceful_plan as gp
 from failbench.basics.errors import ExecutionRefused
 from failbench.fault.end_effector import GripperFailure
 from failbench.fault.fault import Fault
@@ -25,7 +24,7 @@ from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import make_jobs
 from failbench.simulated.execution import Execution, execute
 from failbench.simulated.world import SimSettings, build_world
-from graceful_plan import GracefulPlanError, Path, Scene, SettingError, StateBatch, Task, Trajectory
+from graceful_plan import Scene, SettingError, StateBatch, Trajectory
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import AHEAD
 from graceful_plan.costs.objective import moving_batch
@@ -36,31 +35,6 @@ Array = np.ndarray
 _SCHEMA, _VERSION = "failbench.failures", 1
 DROP: tuple[Fault, ...] = (GripperFailure(degree="critical"),)
 """The gripper lets go at once."""
-_VIA_SPREAD = 0.35
-"""How far via points are from the straight way [rad], standard deviation of each joint."""
-_VIA_ROOM = 0.01
-"""Least clearance at a via point [m]."""
-_VIA_TRIES = 30
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionKind:
-    """How a motion along which things fail is made.
-
-    Args:
-        way: A planner, or "via": over a random configuration near the straight way.
-        w: Safety weight of the planner; of none for "via".
-        speed: Fraction of the velocity limits.
-        iterations: Of the planner.
-    """
-
-    way: str
-    w: float = 0.0
-    speed: float = 0.5
-    iterations: int = 100
-
-    def __str__(self) -> str:
-        return f"{self.way}, w {self.w:g}, speed {self.speed:g}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,56 +106,6 @@ class Failures:
 def fault_label(fault: Fault) -> str:
     """Return what failures of a fault are called: its name, and what it strikes where that is given."""
     return " ".join((fault.NAME, *fault.targets))
-
-
-def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
-    """Plan a motion for a task; None if none is found.
-
-    Args:
-        task: What to do.
-        kind: How.
-        seed: Of everything random; with iterations instead of time, it decides everything.
-    """
-    if kind.way != "via":
-        result = gp.plan(
-            task.start,
-            task.goal,
-            task.scene,
-            w=kind.w,
-            planner=kind.way,
-            iterations=kind.iterations,
-            seed=seed,
-            speed=kind.speed,
-        )
-        return result.trajectory
-    rng, scene = np.random.default_rng(seed), task.scene
-    for _ in range(_VIA_TRIES):
-        goal = task.goal[rng.integers(len(task.goal))]
-        via = _via(scene, task.start, goal, rng)
-        if via is None:
-            continue
-        try:
-            parts = [_planned(a, b, scene, kind, seed) for a, b in ((task.start, via), (via, goal))]
-            motion = gp.retime(Path(np.vstack(parts)), scene.limits, scene.joints, speed=kind.speed)
-        except GracefulPlanError:
-            continue
-        if gp.verify(motion, scene).passed:
-            return motion
-    return None
-
-
-def _planned(start: Array, goal: Array, scene: Scene, kind: MotionKind, seed: int) -> Float[Array, "point nq"]:
-    result = gp.plan(start, goal, scene, w=0.0, planner="rrt_connect", iterations=kind.iterations, seed=seed)
-    result.unwrap()
-    assert result.path is not None
-    return result.path.q
-
-
-def _via(scene: Scene, start: Array, goal: Array, rng: np.random.Generator) -> Float[Array, " nq"] | None:
-    low, high = scene.limits.position.T
-    near = start + rng.uniform(0.2, 0.8) * (goal - start) + rng.normal(scale=_VIA_SPREAD, size=len(start))
-    via = np.clip(near, low + 0.02, high - 0.02)
-    return via if gp.clearance(scene, via) >= _VIA_ROOM else None
 
 
 def fail_along(
@@ -264,94 +188,6 @@ def _hits(
             if not event.secondary:
                 mine[row[event.striker], column[event.entity]] = True
     return hit
-
-
-# --- many ------------------------------------------------------------------------------------------------------------
-
-KINDS = (
-    MotionKind(way="rrt_connect", speed=0.6),
-    MotionKind(way="anytime", w=0.5, speed=0.4),
-    MotionKind(way="via", speed=0.3),
-    MotionKind(way="via", speed=0.7),
-    MotionKind(way="via", speed=1.0),
-)
-"""Motions along which a model of failures is fitted and judged: planned with regard for failures, without, and not."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FailureJob:
-    """The failures along one motion that is still to be made.
-
-    Args:
-        load: Loads a scene by name; a function of a module, so that other processes find it.
-        scene: Name of the scene.
-        task: Name of the task.
-        kind: How the motion is made.
-        faults: What fails.
-        n: Number of failures.
-        seed: Of everything random.
-        horizon: How long is simulated after each onset [s].
-    """
-
-    load: Callable[[str], Scene]
-    scene: str
-    task: str
-    kind: MotionKind
-    faults: tuple[Fault, ...]
-    n: int
-    seed: int
-    horizon: float = 1.0
-
-
-def failure_jobs(
-    load: Callable[[str], Scene],
-    scenes: Sequence[str],
-    faults: Sequence[Fault] = DROP,
-    *,
-    n: int,
-    seed: int = 0,
-    kinds: Sequence[MotionKind] = KINDS,
-    repeats: int = 1,
-    horizon: float = 1.0,
-) -> list[FailureJob]:
-    """Return jobs for every kind of motion on every task of some scenes that carries something.
-
-    Args:
-        load: Loads a scene by name.
-        scenes: Names of scenes.
-        faults: What fails.
-        n: Failures along each motion.
-        seed: Of everything random; each motion gets its own.
-        kinds: Of motions.
-        repeats: Motions of each kind.
-        horizon: How long is simulated after each onset [s].
-    """
-    tasks = [
-        (scene, name) for scene in scenes for name, task in load(scene).tasks.items() if task.object_name is not None
-    ]
-    todo = [(scene, task, kind) for scene, task in tasks for kind in kinds for _ in range(repeats)]
-    seeds = np.random.default_rng(seed).integers(2**31, size=len(todo))
-    return [
-        FailureJob(
-            load=load, scene=scene, task=task, kind=kind, faults=tuple(faults), n=n, seed=int(s), horizon=horizon
-        )
-        for (scene, task, kind), s in zip(todo, seeds, strict=True)
-    ]
-
-
-def do_job(job: FailureJob) -> Failures | str:
-    """Make the motion and fail along it; where that cannot be done, return why."""
-    task, about = job.load(job.scene).tasks[job.task], f"{job.scene}/{job.task}, {job.kind}"
-    motion = make_motion(task, job.kind, job.seed)
-    if motion is None:
-        return f"{about}: no motion"
-    try:
-        failures = fail_along(
-            motion, task.scene, job.faults, n=job.n, seed=job.seed, task=job.task, horizon=job.horizon
-        )
-    except ExecutionRefused as error:
-        return f"{about}: {error}"
-    return replace(failures, scene=job.scene, motion=str(job.kind))
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

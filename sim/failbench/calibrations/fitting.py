@@ -184,7 +184,7 @@ def predictions(
     return [family.probability(values[sample.shape], sample.prepared) for sample in samples]
 
 
-class Layout(NamedTuple):
+class FitLayout(NamedTuple):
     """Which constants of which shape classes are fitted, in the order of a vector of spreads from their centres."""
 
     family: Family
@@ -238,13 +238,13 @@ def fit(
     check_confidence(confidence)
     if not samples:
         raise SettingError("samples", 0, "at least one")
-    alike = Layout(family, tuple((c, None) for c in family.constants), tuple(c.prior for c in family.constants))
+    alike = FitLayout(family, tuple((c, None) for c in family.constants), tuple(c.prior for c in family.constants))
     z = optimum(alike, samples, trust, iterations)
     centre = {c.name: alike.value(i, float(z[i])) for i, c in enumerate(family.constants)}
     dropped = sorted({sample.shape for sample in samples})
     slots = [(c, None) for c in family.constants if c.shared]
     slots += [(c, shape) for shape in dropped for c in family.constants if not c.shared]
-    apart = Layout(family, tuple(slots), tuple(centre[c.name] for c, _ in slots))
+    apart = FitLayout(family, tuple(slots), tuple(centre[c.name] for c, _ in slots))
     ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
     fitted: list[dict[tuple[str, str | None], Fitted]] = []
     for layout, best in ((alike, z), (apart, optimum(apart, samples, trust, iterations))):
@@ -259,7 +259,7 @@ def fit(
     return {shape: {c.name: of(c, shape) for c in family.constants} for shape in sorted({*shapes, *dropped})}
 
 
-def optimum(layout: Layout, samples: Sequence[Sample], trust: float, iterations: int) -> Float[Array, " slot"]:
+def optimum(layout: FitLayout, samples: Sequence[Sample], trust: float, iterations: int) -> Float[Array, " slot"]:
     """Return where prior and tempered likelihood are greatest.
 
     By Fisher's scoring within bounds: a quasi-Newton method needs several times as many gradients, which are finite
@@ -290,7 +290,7 @@ def _clipped(p: Float[Array, "n entity"]) -> Float[Array, "n entity"]:
     return np.clip(p, SMALLEST, 1.0 - SMALLEST)
 
 
-def loss(layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float) -> float:
+def loss(layout: FitLayout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float) -> float:
     """Return the negative log-likelihood with that of the prior [nat]."""
     found = 0.5 * trust * float(z @ z)
     for sample in samples:
@@ -303,7 +303,7 @@ def _surprise(p: Float[Array, "n entity"], sample: Sample) -> float:
 
 
 def quadratic(
-    layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float
+    layout: FitLayout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float
 ) -> tuple[float, Float[Array, " slot"], Float[Array, "slot slot"], dict[int, Float[Array, " slot"]]]:
     """Return the loss, its gradient, Fisher's information with the prior's, and each motion's share in the gradient."""
     here, fisher = 0.5 * trust * float(z @ z), trust * np.eye(len(z))
@@ -322,7 +322,7 @@ def quadratic(
 
 
 def _slopes(
-    layout: Layout, sample: Sample, z: Float[Array, " slot"], columns: Sequence[int]
+    layout: FitLayout, sample: Sample, z: Float[Array, " slot"], columns: Sequence[int]
 ) -> tuple[Float[Array, "n entity"], Float[Array, "column n entity"]]:
     """Return probabilities and their derivatives with respect to the constants, in spreads."""
 
@@ -334,7 +334,7 @@ def _slopes(
 
 
 def _bootstrap(
-    layout: Layout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float, resamples: int, seed: int
+    layout: FitLayout, samples: Sequence[Sample], z: Float[Array, " slot"], trust: float, resamples: int, seed: int
 ) -> Float[Array, "resample slot"]:
     """Draw whole motions with replacement, and take one Newton step from the optimum to that of each draw."""
     _, _, fisher, shares = quadratic(layout, samples, z, trust)

@@ -1,12 +1,10 @@
 """How good predicted probabilities are, given what happened: scores, calibration, ranking, and their uncertainty.
 
-Per event: Brier score with its decomposition, logarithmic loss, area under the ROC curve, calibration error and
+Per event: Brier score, logarithmic loss, area under the ROC curve, calibration error and
 reliability curve. Per trajectory: rank correlations. Events of one motion are alike, so intervals draw whole motions.
 
 References:
     [Brier1950] Verification of forecasts expressed in terms of probability.
-    [Murphy1973] A new vector partition of the probability score.
-    [Stephenson2008] Two extra components in the Brier score decomposition.
 """
 
 from __future__ import annotations
@@ -27,23 +25,6 @@ Array = np.ndarray
 
 SMALLEST = 1e-4
 """Probabilities nearer to 0 or 1 than this count as this near in the logarithmic loss, which knows no certainty."""
-
-
-class BrierParts(NamedTuple):
-    """The Brier score, taken apart by bins of the prediction.
-
-    score = reliability - resolution + uncertainty + within, exactly.
-    """
-
-    score: float
-    reliability: float
-    """How far the bins' frequencies are from what was predicted; 0 is best."""
-    resolution: float
-    """How far they are from the base rate; the greater the better."""
-    uncertainty: float
-    """Score of the base rate, which always predicts the same."""
-    within: float
-    """What predictions differ, and rightly or wrongly so, within the bins."""
 
 
 class Reliability(NamedTuple):
@@ -108,21 +89,6 @@ def brier_skill(predicted: ArrayLike, happened: ArrayLike) -> float:
     p, y = _events(predicted, happened)
     base = y.mean()
     return float(1.0 - np.mean((p - y) ** 2) / (base * (1.0 - base))) if 0.0 < base < 1.0 else math.nan
-
-
-def brier_parts(predicted: ArrayLike, happened: ArrayLike, bins: int = 10) -> BrierParts:
-    """Take the Brier score apart by bins of equal counts."""
-    p, y = _events(predicted, happened)
-    base, n = y.mean(), len(y)
-    reliability = resolution = within = 0.0
-    for members in _bins(p, bins):
-        mean, rate = p[members].mean(), y[members].mean()
-        reliability += len(members) / n * (mean - rate) ** 2
-        resolution += len(members) / n * (rate - base) ** 2
-        off = p[members] - mean
-        within += float(off @ off - 2.0 * off @ (y[members] - rate)) / n
-    score = float(np.mean((p - y) ** 2))
-    return BrierParts(score, float(reliability), float(resolution), float(base * (1.0 - base)), within)
 
 
 def log_loss(predicted: ArrayLike, happened: ArrayLike) -> float:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, final
 
 import numpy as np
-import yaml
 
-from failbench.calibrations.calibrate import HEAD, VERSION, Calibration, Progress, calibrate, fetch
+from failbench.calibrations.calibrate import VERSION, Calibration, Recipe
 from failbench.calibrations.failures import Failures
+from failbench.calibrations.family_fit import FamilyCalibration, States, fit_family
 from failbench.calibrations.fitting import Constant, Family, Prior
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
@@ -42,8 +41,9 @@ _ALWAYS = {"soft_speed": -10.0, "soft_spread": 0.4}
 _SHAPE = "all"
 
 
-def feared() -> list[Fault]:
-    """Return the faults that the model is fitted to."""
+def faults_of(scene: Scene) -> list[Fault]:
+    """Return the faults that the model is fitted to; they are the same for all robots."""
+    del scene
     return [faults()[name](degree="severe") for use in USES for name in FAULTS[use]]
 
 
@@ -62,12 +62,6 @@ _PRIORS: Mapping[str, Prior] = {
     "soft_spread": Prior(0.3, 0.5, 0.02, 2.0, "m/s"),
 }
 """A square with the area of a disc has 0.89 times its radius; jolts of 0.7 m/s spill."""
-
-
-class _Prepared(NamedTuple):
-    scene: Scene
-    q: Float[Array, "n nq"]
-    qd: Float[Array, "n nq"]
 
 
 class SpillFamily(Family):
@@ -97,9 +91,9 @@ class SpillFamily(Family):
         del scene
         return _SHAPE
 
-    def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> _Prepared:
+    def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> States:
         """Return the states with their scene."""
-        return _Prepared(scene, q, qd)
+        return States(scene, q, qd)
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
         """Return what the spill model predicts for the contents."""
@@ -130,11 +124,14 @@ class SpillFamily(Family):
         return found
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class SpillCalibration:
-    """Constants of the spill model by use, and why they are what they are. Made by `calibrate_spill`."""
+class SpillCalibration(Calibration):
+    """Constants of the spill model by use, and why they are what they are. Made by `fit_spill`."""
 
-    uses: Mapping[str, Calibration]
+    ONE_A_LINE: ClassVar[tuple[str, ...]] = USES
+
+    uses: Mapping[str, FamilyCalibration]
 
     def settings(self) -> SpillSettings:
         """Return the constants as the model's settings."""
@@ -157,60 +154,20 @@ class SpillCalibration:
             constants[use] = {**document["shared"], **fixed}
         return {"version": VERSION, "provenance": provenance, **constants}
 
-    def to_yaml(self) -> str:
-        """Return it as YAML text that `SpillSettings.load` reads."""
-        document = self.to_document()
-        about = {key: document[key] for key in ("version", "provenance")}
-        constants = {use: document[use] for use in self.uses}
-        compact = yaml.safe_dump(about, sort_keys=False, default_flow_style=None, width=120)
-        return HEAD + compact + yaml.safe_dump(constants, sort_keys=False, default_flow_style=False)
-
     def __str__(self) -> str:
         return "\n".join(f"{use}\n{found}" for use, found in self.uses.items())
 
 
 def fit_spill(
-    failures: Sequence[Failures], *, about: Mapping[str, Any] | None = None, **options: Any
+    failures: Sequence[Failures], *, about: Mapping[str, Any] | None = None, seed: int = 0
 ) -> SpillCalibration:
-    """Calibrate both uses with failures in two scenes at least; options as of `calibrate`."""
+    """Fit both uses to failures in two scenes at least."""
     found = {}
     for use in USES:
         family = SpillFamily(use)
-        concerned = family.concerned(failures)
         given = {"faults": list(family.faults), **(about or {})}
-        found[use] = calibrate(family, concerned, model=f"spill, {use}", about=given, **options)
+        found[use] = fit_family(family, family.concerned(failures), model=f"spill, {use}", about=given, seed=seed)
     return SpillCalibration(uses=found)
 
 
-def calibrate_spill(
-    scenes: Sequence[str],
-    *,
-    n: int = 30,
-    repeats: int = 2,
-    seed: int = 0,
-    processes: int = 1,
-    drops: str | FilePath | None = None,
-    progress: Progress | None = None,
-) -> SpillCalibration:
-    """Let robots that carry containers fail in bundled scenes, or take failures from a file, and calibrate with them.
-
-    Args:
-        scenes: Names of bundled scenes, two at least that have tasks with contents.
-        n: Failures along each motion.
-        repeats: Motions of each kind for each task.
-        seed: Of everything random.
-        processes: How many to let fail in; the fit is done in this one.
-        drops: File that the failures are kept in, or taken from if it is there. Then only those in `scenes` count.
-        progress: Called after each motion.
-
-    Raises:
-        UnknownNameError: If there is no such scene.
-        SettingError: If there is but one scene with contents.
-        FormatError: If the file is there and holds something else.
-    """
-    failures, without = fetch(
-        scenes, feared, n=n, repeats=repeats, seed=seed, processes=processes, kept=drops, progress=progress
-    )
-    about: dict[str, Any] = {"horizon": 1.0}
-    about |= {"failures_from": FilePath(str(drops)).name} if without is None else {"motions_without": without}
-    return fit_spill(failures, about=about, seed=seed)
+RECIPE = Recipe(faults_of, fit_spill)

@@ -17,7 +17,7 @@ import numpy as np
 
 import graceful_plan as gp
 from failbench.fault.registry import faults
-from failbench.pictures.drawing import Touches, add_geoms, outlined
+from failbench.pictures.drawing import TouchPaint, add_geoms, outlined
 from failbench.pictures.film import font
 from failbench.pictures.offscreen import Offscreen, close_to
 from failbench.pictures.playback import film, healthy
@@ -157,7 +157,7 @@ def _farthest(execution: Execution, job: Job) -> tuple[float, Worst]:
 
 def picture(execution: Execution, worst: Worst, offscreen: Offscreen) -> UInt8[Array, "height width 3"]:
     """Take the picture of a moment, with the outline of the healthy robot where that makes a difference."""
-    world, touches = execution.world, Touches(execution.world, execution.baseline)
+    world, touches = execution.world, TouchPaint(execution.world, execution.baseline)
     steps = round(worst.time / execution.dt) + 1
     *_, (_, intact) = healthy(execution, execution.checkpoint(worst.job.onset), steps)
     broken = intact

@@ -46,7 +46,7 @@ class _Touch:
         return float(np.linalg.norm(self.force))
 
 
-class Touches:
+class TouchPaint:
     """Remembers what the robot and the object it carries have hit, and draws it.
 
     What touches in the healthy run, and things that lie on one another, are not drawn.

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from failbench.basics.errors import NoPicture
-from failbench.pictures.drawing import Touches
+from failbench.pictures.drawing import TouchPaint
 from failbench.pictures.film import captioned, check_output, write_film
 from failbench.pictures.offscreen import Offscreen, find_camera, has_display
 from failbench.recording.records import Job, Rollout
@@ -98,7 +98,7 @@ def replay(
     _check(execution, horizon, lead, fps, size, slow)
     seen_from = find_camera(execution.world.model, camera)
     if output is None:
-        _play(execution, job, horizon, lead, fps * slow, slow, seen_from)
+        _play(execution, job, seen_from, horizon=horizon, lead=lead, rate=fps * slow, slow=slow)
         return ()
     output = Path(output)
     check_output(output)
@@ -173,7 +173,7 @@ def _check(execution: Execution, horizon: float, lead: float, fps: float, size: 
         raise SettingError("size", size, "width and height between 16 and 8192 pixels")
 
 
-def _sampled(touches: Touches, moments: Iterator[Moment], rate: float) -> Iterator[Moment]:
+def _sampled(touches: TouchPaint, moments: Iterator[Moment], rate: float) -> Iterator[Moment]:
     """Yield `rate` moments per simulated second and the last one of a simulation that blows up; see all touches."""
     shown, start = 0, None
     for moment in moments:
@@ -192,7 +192,7 @@ def _frames(
     offscreen: Offscreen,
     camera: mujoco.MjvCamera,
 ) -> Iterator[Image]:
-    touches = Touches(execution.world, execution.baseline)
+    touches = TouchPaint(execution.world, execution.baseline)
     heading = f"{job.fault.NAME}, {job.fault.degree}: {struck_parts(execution, job)}"
     for moment in _sampled(touches, moments, rate):
         touches.paint(offscreen.model)
@@ -212,7 +212,7 @@ def _listed(names: list[str]) -> str:
 
 
 def _play(
-    execution: Execution, job: Job, horizon: float, lead: float, rate: float, slow: float, camera: mujoco.MjvCamera
+    execution: Execution, job: Job, camera: mujoco.MjvCamera, *, horizon: float, lead: float, rate: float, slow: float
 ) -> None:
     """Open MuJoCo's viewer and play the failure in it until the window is closed."""
     if not has_display():
@@ -225,12 +225,12 @@ def _play(
                 setattr(viewer.cam, name, getattr(camera, name))
             viewer.cam.lookat[:] = camera.lookat
         while viewer.is_running():
-            touches = Touches(execution.world, execution.baseline)
+            touches = TouchPaint(execution.world, execution.baseline)
             moments = film(execution, job, horizon=horizon, lead=lead)
             _play_once(touches, _sampled(touches, moments, rate), shown, slow, viewer)
 
 
-def _play_once(touches: Touches, moments: Iterator[Moment], shown: mujoco.MjData, slow: float, viewer: Any) -> None:
+def _play_once(touches: TouchPaint, moments: Iterator[Moment], shown: mujoco.MjData, slow: float, viewer: Any) -> None:
     began = None
     for moment in moments:
         if not viewer.is_running():

@@ -17,7 +17,7 @@ NOBODY, ROBOT, CARRIED = -1, -2, -3
 """Owners of geoms besides the entities, which are numbered from 0."""
 
 
-class Touch(NamedTuple):
+class FirstTouch(NamedTuple):
     """Two things that touch, seen from the one that strikes."""
 
     position: Float[Array, " xyz"]
@@ -73,7 +73,7 @@ class Closeup:
         contacts = self._between(striker, struck)
         return None if contacts is None else contacts.normal
 
-    def touch(self, striker: int, struck: int) -> Touch | None:
+    def touch(self, striker: int, struck: int) -> FirstTouch | None:
         """Return how one owner strikes another in a state in which they have just met; None if they do not touch."""
         contacts = self._between(striker, struck)
         if contacts is None:
@@ -91,7 +91,7 @@ class Closeup:
         response = np.zeros((1, model.nv))
         mujoco.mj_solveM(model, data, response, along[None])
         inverse_mass = float(along @ response[0])
-        return Touch(contacts.position, speed, 0.5 * speed**2 / inverse_mass if inverse_mass > 0.0 else 0.0)
+        return FirstTouch(contacts.position, speed, 0.5 * speed**2 / inverse_mass if inverse_mass > 0.0 else 0.0)
 
     def _between(self, striker: int, struck: int) -> _Contacts | None:
         """Find the contacts of two owners; of several pairs of bodies, those of the pair that overlaps most."""

@@ -44,7 +44,7 @@ _NOTHING = 0.01
 """Part of the contents of which nobody notices the loss, and which this proxy does not know to any better."""
 
 
-class Motion(NamedTuple):
+class VesselMotion(NamedTuple):
     """Containers' motions in W."""
 
     time: Float[Array, " sample"]
@@ -75,7 +75,7 @@ class Spill:
             self._columns = _columns(world)
             self._samples = [tuple(x[:, None, c] for x, c in zip(onset, self._columns, strict=True))]
             self._puddles = Puddles(world, closeup)
-        self._done: tuple[Motion, Array, Array] | None = None
+        self._done: tuple[VesselMotion, Array, Array] | None = None
 
     def observe(self, qpos: Float[Array, "sim step qpos"], qvel: Float[Array, "sim step qvel"]) -> None:
         """Take in the next steps."""
@@ -99,10 +99,10 @@ class Spill:
         gone = kept[sim] - left[sim]
         if gone[-1] <= _NOTHING * vessel.volume:
             return 0.0, []
-        own = Motion(motion.time, *(x[sim : sim + 1] for x in motion[1:]))
+        own = VesselMotion(motion.time, *(x[sim : sim + 1] for x in motion[1:]))
         return float(gone[-1] / kept[sim]), self._puddles.events(qpos, _parcels(vessel, own, gone))
 
-    def _losses(self, vessel: Vessel) -> tuple[Motion, Float[Array, " sim"], Float[Array, "sim sample"]]:
+    def _losses(self, vessel: Vessel) -> tuple[VesselMotion, Float[Array, " sim"], Float[Array, "sim sample"]]:
         """Return all motions, and the volumes that are in the containers first and at each sample [m^3]."""
         pose, twist = (np.concatenate([sample[i] for sample in self._samples], axis=1) for i in (0, 1))
         motion = _motion(vessel, pose, twist, self._dt, self._gravity)
@@ -136,7 +136,9 @@ def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
     return vessel.volume * float(remaining(vessel, motion, np.array([vessel.volume]), gravity)[0, -1])
 
 
-def remaining(vessel: Vessel, motion: Motion, kept: Float[Array, " sim"], gravity: float) -> Float[Array, "sim sample"]:
+def remaining(
+    vessel: Vessel, motion: VesselMotion, kept: Float[Array, " sim"], gravity: float
+) -> Float[Array, "sim sample"]:
     """Return the part of `kept` [m^3] that is still in the container at each sample."""
     heavy = np.linalg.norm(motion.felt, axis=-1) > _WEIGHTLESS * gravity
     capacity = vessel.capacity(_angle(motion.axis, motion.felt)) / np.maximum(kept, 1e-12)[:, None]
@@ -144,7 +146,7 @@ def remaining(vessel: Vessel, motion: Motion, kept: Float[Array, " sim"], gravit
     return np.minimum.accumulate(part, axis=1)
 
 
-def _after_jolts(motion: Motion, gravity: float) -> Float[Array, "sim sample"]:
+def _after_jolts(motion: VesselMotion, gravity: float) -> Float[Array, "sim sample"]:
     """Return the part that jolts have left in at each sample."""
     v = motion.velocity + np.outer(motion.time, [0.0, 0.0, gravity])  # constant in free fall
     part = np.ones(v.shape[:2])
@@ -163,7 +165,7 @@ def _after_jolts(motion: Motion, gravity: float) -> Float[Array, "sim sample"]:
 
 def _motion(
     vessel: Vessel, pose: Float[Array, "sim sample 7"], twist: Float[Array, "sim sample 6"], dt: float, gravity: float
-) -> Motion:
+) -> VesselMotion:
     R = rotations(pose[..., 3:])
     arm, axis, turn = (np.einsum("...ij,...j->...i", R, x) for x in (vessel.p_BR, vessel.axis, twist[..., 3:]))
     velocity = twist[..., :3] + np.cross(turn, arm)
@@ -174,7 +176,7 @@ def _motion(
     last = np.minimum(first + 2 * slosh, n - 1)
     felt = (velocity[:, last] - velocity[:, first]) / (np.maximum(last - first, 1) * dt)[:, None]
     felt[..., 2] += gravity
-    return Motion(np.arange(n) * dt, axis, pose[..., :3] + arm, velocity, felt)
+    return VesselMotion(np.arange(n) * dt, axis, pose[..., :3] + arm, velocity, felt)
 
 
 def _samples(duration: float, dt: float) -> int:
@@ -186,7 +188,7 @@ def _angle(a: Float[Array, "*batch xyz"], b: Float[Array, "*batch xyz"]) -> Floa
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
 
 
-def _parcels(vessel: Vessel, motion: Motion, gone: Float[Array, " sample"]) -> list[Parcel]:
+def _parcels(vessel: Vessel, motion: VesselMotion, gone: Float[Array, " sample"]) -> list[Parcel]:
     """Divide what is gone from one container, by sample, into equal portions that leave over the rim's lowest point."""
     count = min(_PARCELS, max(1, int(gone[-1] / (_DROP * vessel.volume))))
     parcels = []

@@ -13,7 +13,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Protocol, cast, runtime_checkable
 
-from failbench.basics.chunks import Chunk, Outcome, Work, attempt
+from failbench.basics.chunks import Chunk, ChunkOutcome, Work, attempt
 from failbench.basics.errors import WorkerError
 from graceful_plan import SettingError
 
@@ -27,7 +27,7 @@ _MAX_STILLBORN = 5
 class Executor(Protocol):
     """Does chunks somewhere, in any order."""
 
-    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[Outcome]:
+    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:
         """Do every chunk once and yield how each ended, as they come; closing the iterator stops everything.
 
         An exception in a chunk, and a chunk that keeps killing its worker, are outcomes with an error.
@@ -42,9 +42,9 @@ def checked_workers(workers: int) -> int:
     return workers or len(os.sched_getaffinity(0))
 
 
-def died(chunk: Chunk, kills: int, how: str) -> Outcome:
+def died(chunk: Chunk, kills: int, how: str) -> ChunkOutcome:
     """Return the outcome of a chunk that took too many workers with it."""
-    return Outcome(chunk=chunk, error=f"{chunk.name}: its worker died {kills} times, the last time with {how}")
+    return ChunkOutcome(chunk=chunk, error=f"{chunk.name}: its worker died {kills} times, the last time with {how}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class LocalExecutor:
     def __post_init__(self) -> None:
         checked_workers(self.workers)
 
-    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[Outcome]:
+    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:
         """Do every chunk once and yield how each ended, as they come.
 
         Raises:
@@ -84,7 +84,7 @@ class _Pool:
 
     def __init__(self, work: Work, todo: deque[Chunk]) -> None:
         self.work, self.todo = work, todo
-        self.workers: list[_Worker] = []
+        self.workers: list[_LocalWorker] = []
         self.kills: Counter[int] = Counter()
         self.stillborn = 0
 
@@ -93,19 +93,19 @@ class _Pool:
         return any(worker.chunk is not None for worker in self.workers)
 
     def grow(self, count: int) -> None:
-        self.workers += [_Worker(self.work) for _ in range(count)]
+        self.workers += [_LocalWorker(self.work) for _ in range(count)]
 
     def kill(self) -> None:
         for worker in self.workers:
             worker.kill()
         self.workers.clear()
 
-    def those_with_news(self) -> list[_Worker]:
+    def those_with_news(self) -> list[_LocalWorker]:
         """Wait until workers have something to say, or have died, and return them."""
         loud = wait([worker.connection for worker in self.workers])
         return [worker for worker in self.workers if worker.connection in loud]
 
-    def hear(self, worker: _Worker) -> Outcome | None:
+    def hear(self, worker: _LocalWorker) -> ChunkOutcome | None:
         """Take what a worker has to say and give it the next chunk; or replace it, if it is dead."""
         try:
             outcome = worker.receive()
@@ -116,7 +116,7 @@ class _Pool:
             worker.give(self.todo.popleft())
         return outcome
 
-    def _bury(self, worker: _Worker) -> Outcome | None:
+    def _bury(self, worker: _LocalWorker) -> ChunkOutcome | None:
         """Replace a dead worker; its chunk is done again, unless it is known for that."""
         how = worker.kill()
         self.workers.remove(worker)
@@ -134,7 +134,7 @@ class _Pool:
         return None
 
 
-class _Worker:
+class _LocalWorker:
     """A process that does one chunk after the other, and the driver's end of the line to it."""
 
     def __init__(self, work: Work) -> None:
@@ -153,13 +153,13 @@ class _Worker:
         with contextlib.suppress(OSError):  # dead: what it would have answered with is an end of file
             self.connection.send(chunk)
 
-    def receive(self) -> Outcome | None:
+    def receive(self) -> ChunkOutcome | None:
         """Return its outcome; None is its first word, that it is ready.
 
         Raises:
             EOFError, OSError: If it died, perhaps in the middle of a word.
         """
-        outcome = cast(Outcome | None, self.connection.recv())
+        outcome = cast(ChunkOutcome | None, self.connection.recv())
         self.ready, self.chunk = True, None
         return outcome
 

@@ -17,8 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from failbench.basics.chunks import Chunk, Outcome, Rows
-from failbench.basics.errors import JournalBusy
+from failbench.basics.chunks import Chunk, ChunkOutcome, Rows
+from failbench.basics.errors import SweepBusy
 from graceful_plan.exceptions import FormatError
 
 _SCHEMA = "failbench.journal"
@@ -33,7 +33,7 @@ def _checksum(about: Any) -> str:
     return hashlib.sha256(json.dumps(about).encode()).hexdigest()
 
 
-class Journal:
+class SweepJournal:
     """An open journal, which no other process can open meanwhile. Use it in a `with` statement.
 
     Args:
@@ -41,7 +41,7 @@ class Journal:
 
     Raises:
         FormatError: If the file is something else, of another version, or damaged.
-        JournalBusy: If another process has it open.
+        SweepBusy: If another process has it open.
     """
 
     def __init__(self, file: Path) -> None:
@@ -76,7 +76,7 @@ class Journal:
         if self.begun and self._about("sha256") != _checksum(self._about("about")):
             raise FormatError(str(self.file), "damaged: what the sweep is about does not fit its checksum")
 
-    def __enter__(self) -> Journal:
+    def __enter__(self) -> SweepJournal:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -99,7 +99,7 @@ class Journal:
         with self._errors():
             return self._about("about")
 
-    def record(self, outcome: Outcome) -> None:
+    def record(self, outcome: ChunkOutcome) -> None:
         """Write down how a chunk ended. A chunk that is done cannot be done again; one that failed can.
 
         Raises:
@@ -161,7 +161,7 @@ class Journal:
         except sqlite3.OperationalError as error:
             # What Python itself finds wrong has no code.
             if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-                raise JournalBusy(self.file) from None
+                raise SweepBusy(self.file) from None
             raise FormatError(str(self.file), f"cannot be used: {error}") from None
         except (sqlite3.DatabaseError, zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:
             raise FormatError(str(self.file), f"damaged, or no journal of a sweep: {error}") from None

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from failbench.basics.chunks import Chunk, Outcome, Work, attempt
+from failbench.basics.chunks import Chunk, ChunkOutcome, Work, attempt
 from failbench.basics.errors import MissingExtra
 from failbench.sweeps.executors import MAX_KILLS, checked_workers, died
 
@@ -33,7 +33,7 @@ class RayExecutor:
     def __post_init__(self) -> None:
         checked_workers(self.workers)
 
-    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[Outcome]:
+    def map(self, work: Work, chunks: Iterable[Chunk]) -> Iterator[ChunkOutcome]:
         """Do every chunk once and yield how each ended, as they come.
 
         Raises:

@@ -26,15 +26,15 @@ from failbench.scenario import scenarios, usual_grasp
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.dataset import check_arrow, write_dataset
 from failbench.sweeps.executors import Executor, LocalExecutor
-from failbench.sweeps.journal import Journal
-from failbench.sweeps.work import Motion, PlanSettings, Sweep, execution_of, fault_of, own_file, run_chunk
+from failbench.sweeps.journal import SweepJournal
+from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, execution_of, fault_of, own_file, run_chunk
 from graceful_plan import SettingError
 from graceful_plan.exceptions import FormatError
 
 JOURNAL = "journal.sqlite"
 
 
-class Progress(NamedTuple):
+class SweepProgress(NamedTuple):
     """How far a sweep has come."""
 
     chunks: int
@@ -53,7 +53,7 @@ class Generated:
     manifest: dict[str, Any]
 
 
-Callback = Callable[[Progress], None]
+Callback = Callable[[SweepProgress], None]
 
 
 def generate(
@@ -69,7 +69,7 @@ def generate(
 
     Raises:
         FormatError: If the folder holds another sweep, or a damaged one.
-        JournalBusy: If another process is working on it.
+        SweepBusy: If another process is working on it.
         ExecutionRefused: If the healthy robot cannot carry a motion out.
         SweepFailed: If chunks failed; the others are done, and `resume` tries these again.
         MissingExtra: If pyarrow is not installed.
@@ -79,7 +79,7 @@ def generate(
     folder.mkdir(parents=True, exist_ok=True)
     # Planned before there is a journal, so that one that is there was begun but for a kill within milliseconds.
     about = None if (folder / JOURNAL).exists() else _prepared(sweep)
-    with Journal(folder / JOURNAL) as journal:
+    with SweepJournal(folder / JOURNAL) as journal:
         if not journal.begun:
             journal.begin(about or _prepared(sweep))
         _check_same(journal, sweep)
@@ -98,11 +98,11 @@ def resume(folder: str | Path, *, executor: Executor | None = None, callback: Ca
 
 
 @contextmanager
-def _begun(folder: Path) -> Generator[Journal]:
+def _begun(folder: Path) -> Generator[SweepJournal]:
     """Open the journal of a sweep that was begun."""
     if not (folder / JOURNAL).exists():
         raise FormatError(str(folder), f"no sweep was begun here: there is no {JOURNAL}")
-    with Journal(folder / JOURNAL) as journal:
+    with SweepJournal(folder / JOURNAL) as journal:
         if not journal.begun:
             raise FormatError(str(journal.file), "no sweep was begun in it; `generate` begins one")
         yield journal
@@ -113,7 +113,7 @@ def read_sweep(folder: str | Path) -> Sweep:
 
     Raises:
         FormatError: If none was, or its journal is damaged.
-        JournalBusy: If another process is working on it.
+        SweepBusy: If another process is working on it.
     """
     with _begun(Path(folder)) as journal:
         return Sweep.from_document(journal.about["sweep"], str(journal.file))
@@ -150,7 +150,7 @@ def sweep_of(
     if len(found) != len(tasks) * len(faults):
         raise SettingError("scenarios", " ".join(patterns), "the same faults on every task; do the others separately")
     motions = tuple(
-        Motion(
+        SweepMotion(
             name=f"{scene}/{task}" + f"/{i}" * (len(plans) > 1),
             scene=scene,
             task=task,
@@ -181,7 +181,7 @@ def _prepared(sweep: Sweep) -> dict[str, Any]:
     return {"sweep": planned.to_document(), "versions": versions(), "inputs": _inputs(planned)}
 
 
-def _finish(journal: Journal, folder: Path, executor: Executor | None, callback: Callback | None) -> Generated:
+def _finish(journal: SweepJournal, folder: Path, executor: Executor | None, callback: Callback | None) -> Generated:
     """Do what is left of a sweep that was begun, and write the dataset."""
     about = journal.about
     sweep = Sweep.from_document(about["sweep"], str(journal.file))
@@ -198,7 +198,9 @@ def _finish(journal: Journal, folder: Path, executor: Executor | None, callback:
     return Generated(folder=folder, manifest=manifest)
 
 
-def _do(sweep: Sweep, todo: Sequence[Chunk], journal: Journal, executor: Executor, callback: Callback | None) -> None:
+def _do(
+    sweep: Sweep, todo: Sequence[Chunk], journal: SweepJournal, executor: Executor, callback: Callback | None
+) -> None:
     chunks, failed = len(sweep.chunks) - len(todo), 0
     total = len(sweep.motions) * len(sweep.faults) * sweep.rollouts
     rollouts = total - sum(chunk.last - chunk.first for chunk in todo)
@@ -210,10 +212,10 @@ def _do(sweep: Sweep, todo: Sequence[Chunk], journal: Journal, executor: Executo
             chunks += 1
             rollouts += outcome.chunk.last - outcome.chunk.first
         if callback is not None:
-            callback(Progress(len(sweep.chunks), chunks, total, rollouts, failed))
+            callback(SweepProgress(len(sweep.chunks), chunks, total, rollouts, failed))
 
 
-def _check_same(journal: Journal, sweep: Sweep) -> None:
+def _check_same(journal: SweepJournal, sweep: Sweep) -> None:
     """Raise FormatError if the journal's sweep asks something else."""
     theirs, ours = Sweep.from_document(journal.about["sweep"], str(journal.file)).question, sweep.question
     different = ", ".join(sorted(key for key in ours if ours[key] != theirs[key]))
@@ -221,7 +223,7 @@ def _check_same(journal: Journal, sweep: Sweep) -> None:
         raise FormatError(str(journal.file), f"it is of another sweep, with other {different}; use another folder")
 
 
-def _check_circumstances(journal: Journal, sweep: Sweep) -> None:
+def _check_circumstances(journal: SweepJournal, sweep: Sweep) -> None:
     """Raise FormatError if chunks that are still to be done would be done differently from those that are."""
     about = journal.about
     for key, found in (("versions", versions()), ("inputs", _inputs(sweep))):

@@ -48,7 +48,7 @@ class PlanSettings:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class SweepMotion:
     """A motion on which faults strike: a trajectory, or how to plan one.
 
     Args:
@@ -75,7 +75,7 @@ class Motion:
         if self.plan is not None and self.task is None:
             raise SettingError(f"task of motion {self.name!r}", None, "a task, whose start and goal are planned for")
 
-    def planned(self) -> Motion:
+    def planned(self) -> SweepMotion:
         """Return the motion with its trajectory, planned if need be.
 
         Raises:
@@ -101,7 +101,7 @@ class Sweep:
         settings: How the scene is simulated.
     """
 
-    motions: tuple[Motion, ...]
+    motions: tuple[SweepMotion, ...]
     faults: tuple[Mapping[str, Any], ...]
     rollouts: int
     horizon: float = 1.0
@@ -312,8 +312,8 @@ def _task(scene: str, task: str) -> gp.Task:
     return tasks[task]
 
 
-def _motion(document: Any, source: str) -> Motion:
-    _check_keys(source, document, {field.name for field in fields(Motion)})
+def _motion(document: Any, source: str) -> SweepMotion:
+    _check_keys(source, document, {field.name for field in fields(SweepMotion)})
     plan, trajectory = document["plan"], document["trajectory"]
     for key in ("name", "scene", "task", "grasp"):
         if not isinstance(document[key], str) and not (key in ("task", "grasp") and document[key] is None):
@@ -322,7 +322,7 @@ def _motion(document: Any, source: str) -> Motion:
         _check_keys(f"{source}: plan", plan, {field.name for field in fields(PlanSettings)})
     if trajectory is not None and not isinstance(trajectory, dict):  # as text it would be the name of a file
         raise FormatError(source, f"trajectory has to be an object, not {trajectory!r}")
-    return Motion(
+    return SweepMotion(
         name=document["name"],
         scene=document["scene"],
         task=document["task"],

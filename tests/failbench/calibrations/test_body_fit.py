@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench.calibrations import body_fit, failures
-from failbench.calibrations.body_fit import SINGLE, WHOLE, feared, touches, wide
+from failbench.calibrations import body_fit, failure_jobs, failures
+from failbench.calibrations.body_fit import SINGLE, WHOLE, faults_of, touches, wide
 from failbench.calibrations.body_margins import fit_margin, predicted
 from failbench.calibrations.calibrate import scenes_of
 from failbench.calibrations.failures import fault_label
@@ -54,17 +54,18 @@ def test_a_weight_counts_as_copies():
 
 @pytest.fixture(scope="module")
 def parts():
-    faults = feared(gp.load_scene("tabletop_l1").joints)
-    jobs = failures.failure_jobs(gp.load_scene, ["tabletop_l1"], faults, n=2 * len(faults), kinds=failures.KINDS[:1])
-    return [failures.do_job(job) for job in jobs[:2]]
+    faults, kinds = faults_of(gp.load_scene("tabletop_l1")), failure_jobs.KINDS[:1]
+    jobs = failure_jobs.failure_jobs(gp.load_scene, ["tabletop_l1"], faults, n=2 * len(faults), kinds=kinds)
+    return [failure_jobs.do_job(job) for job in jobs[:2]]
 
 
 def test_labels_tell_what_was_struck(parts):
     labels = parts[0].faults
-    joints = gp.load_scene("tabletop_l1").joints
+    scene = gp.load_scene("tabletop_l1")
+    joints = scene.joints
     assert set(labels) == {f"{name} {joint}" for name in SINGLE for joint in joints} | set(WHOLE)
     assert len(parts[0].only(["stuck_position " + joints[3]])) == 2
-    assert labels == tuple(map(fault_label, feared(joints)))
+    assert labels == tuple(map(fault_label, faults_of(scene)))
 
 
 def test_touches_are_those_of_the_joint_that_failed(parts):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,8 @@ import pytest
 from gaussian_family import GaussianFamily
 
 import graceful_plan as gp
-from failbench.calibrations import calibrate, failures
-from failbench.calibrations.failures import Failures
+from failbench.calibrations import calibrate, failure_jobs, family_fit
+from failbench.calibrations.failures import DROP, Failures
 from graceful_plan.yaml_file import read_yaml
 
 SCENES = ("tabletop", "tabletop_l1")
@@ -16,24 +17,24 @@ SCENES = ("tabletop", "tabletop_l1")
 
 @pytest.fixture(scope="module")
 def dropped() -> list[Failures]:
-    kinds = failures.KINDS[:1]
-    jobs = [job for name in SCENES for job in failures.failure_jobs(gp.load_scene, [name], n=30, kinds=kinds)[:2]]
-    found = [failures.do_job(job) for job in jobs]
+    kinds = failure_jobs.KINDS[:1]
+    jobs = [job for name in SCENES for job in failure_jobs.failure_jobs(gp.load_scene, [name], n=30, kinds=kinds)[:2]]
+    found = [failure_jobs.do_job(job) for job in jobs]
     return [part for part in found if isinstance(part, Failures)]
 
 
 @pytest.fixture(scope="module")
-def calibrated(dropped: list[Failures]) -> calibrate.Calibration:
-    return calibrate.calibrate(GaussianFamily(), dropped, model="gaussian", shapes=("ball",), about={"horizon": 1.0})
+def calibrated(dropped: list[Failures]) -> family_fit.FamilyCalibration:
+    return family_fit.fit_family(GaussianFamily(), dropped, model="gaussian", shapes=("ball",), about={"horizon": 1.0})
 
 
-def test_fitting_helps(dropped: list[Failures], calibrated: calibrate.Calibration) -> None:
+def test_fitting_helps(dropped: list[Failures], calibrated: family_fit.FamilyCalibration) -> None:
     assert len(dropped) == 4
     assert calibrated.fitted.brier_skill > 0.0
-    samples = calibrate.samples_of(GaussianFamily(), dropped, calibrate.scenes_of(dropped, gp.load_scene))
+    samples = family_fit.samples_of(GaussianFamily(), dropped, calibrate.scenes_of(dropped, gp.load_scene))
     priors = {c.name: c.prior for c in GaussianFamily.constants}
-    before = calibrate.figures(
-        *calibrate.events([GaussianFamily().probability(priors, s.prepared) for s in samples], samples)
+    before = family_fit.figures(
+        *family_fit.events([GaussianFamily().probability(priors, s.prepared) for s in samples], samples)
     )
     assert calibrated.fitted.log_loss < before.log_loss
     assert set(calibrated.held_out) == {*SCENES, "all"}
@@ -44,7 +45,7 @@ def test_fitting_helps(dropped: list[Failures], calibrated: calibrate.Calibratio
     assert calibrated.held_out["all"].events == sum(parts) == calibrated.fitted.events
 
 
-def test_the_document_says_where_it_comes_from(calibrated: calibrate.Calibration, tmp_path: Path) -> None:
+def test_the_document_says_where_it_comes_from(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
     calibrate.write(calibrated, tmp_path / "constants.yaml")
     root = read_yaml(tmp_path / "constants.yaml")
     about = root["provenance"]
@@ -66,18 +67,18 @@ def test_the_document_says_where_it_comes_from(calibrated: calibrate.Calibration
 
 def test_one_scene_is_not_enough(dropped: list[Failures]) -> None:
     with pytest.raises(gp.SettingError, match="at least two"):
-        calibrate.calibrate(GaussianFamily(), dropped[:2], model="gaussian")
+        family_fit.fit_family(GaussianFamily(), dropped[:2], model="gaussian")
 
 
 def test_drops_do_not_depend_on_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[int, int]] = []
-    kinds = failures.KINDS[:1]
-    monkeypatch.setattr(failures, "KINDS", kinds)
+    all_jobs, kinds = failure_jobs.failure_jobs, failure_jobs.KINDS[:1]
     monkeypatch.setattr(
-        calibrate, "failure_jobs", lambda *a, **k: failures.failure_jobs(*a, **{**k, "repeats": 1}, kinds=kinds)[:2]
+        failure_jobs, "failure_jobs", lambda *a, **k: all_jobs(*a, **{**k, "repeats": 1}, kinds=kinds)[:2]
     )
-    first, refused = calibrate.generate(["tabletop_l1"], n=4, progress=lambda *x: told.append(x))
-    second, _ = calibrate.generate(["tabletop_l1"], n=4, processes=2)
+    amount = failure_jobs.FailureSettings(n=4)
+    first, refused = failure_jobs.generate(["tabletop_l1"], DROP, amount, progress=lambda *x: told.append(x))
+    second, _ = failure_jobs.generate(["tabletop_l1"], DROP, dataclasses.replace(amount, processes=2))
     assert not refused
     assert told == [(1, 2), (2, 2)]
     for a, b in zip(first, second, strict=True):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench.calibrations import calibrate, failures
-from failbench.calibrations import drop_fit as footprint_fit
-from failbench.calibrations.drop_fit import FootprintFamily, settings_of
+from failbench.calibrations import calibrate, drop_fit, failure_jobs, family_fit
+from failbench.calibrations.drop_fit import FootprintFamily
 from failbench.calibrations.failures import Failures
 from failbench.cli import DONE, MISUSE, main
 from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
@@ -45,37 +44,35 @@ def test_it_predicts_what_the_model_does() -> None:
 
 
 @pytest.fixture(scope="module")
-def calibrated() -> calibrate.Calibration:
-    jobs = [
-        failures.failure_jobs(gp.load_scene, [name], n=20, kinds=failures.KINDS[:1])[0] for name in ("tabletop", "desk")
-    ]
-    parts = [part for part in map(failures.do_job, jobs) if isinstance(part, Failures)]
-    return calibrate.calibrate(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
+def calibrated() -> family_fit.FamilyCalibration:
+    kinds = failure_jobs.KINDS[:1]
+    jobs = [failure_jobs.failure_jobs(gp.load_scene, [x], n=20, kinds=kinds)[0] for x in ("tabletop", "desk")]
+    parts = [part for part in map(failure_jobs.do_job, jobs) if isinstance(part, Failures)]
+    return family_fit.fit_family(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
 
 
-def test_the_model_reads_what_calibration_writes(calibrated: calibrate.Calibration, tmp_path: Path) -> None:
+def test_the_model_reads_what_calibration_writes(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
     calibrate.write(calibrated, tmp_path / "footprint.yaml")
-    read, given = FootprintSettings.load(tmp_path / "footprint.yaml"), settings_of(calibrated.constants)
+    read = FootprintSettings.load(tmp_path / "footprint.yaml")
     for shape in SHAPE_CLASSES:
-        for name, value in dataclasses.asdict(getattr(given, shape)).items():
-            assert getattr(getattr(read, shape), name) == pytest.approx(value, rel=1e-4)
+        assert set(calibrated.constants[shape]) == {field.name for field in dataclasses.fields(FootprintConstants)}
+        for name, fitted in calibrated.constants[shape].items():
+            assert getattr(getattr(read, shape), name) == pytest.approx(fitted.value, rel=1e-4)
 
 
 def test_the_command_keeps_its_drops_and_takes_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        calibrate,
-        "failure_jobs",
-        lambda *a, **k: failures.failure_jobs(*a, **{**k, "repeats": 1}, kinds=failures.KINDS[:1])[::4],
-    )
-    monkeypatch.setattr(footprint_fit, "calibrate", partial(calibrate.calibrate, iterations=1, trusts=(25.0,)))
+    all_jobs, kinds = failure_jobs.failure_jobs, failure_jobs.KINDS[:1]
+    few = lambda *a, **k: all_jobs(*a, **{**k, "repeats": 1}, kinds=kinds)[::4]  # noqa: E731
+    monkeypatch.setattr(failure_jobs, "failure_jobs", few)
+    monkeypatch.setattr(drop_fit, "fit_family", partial(family_fit.fit_family, iterations=1, trusts=(25.0,)))
     kept, first, second = (tmp_path / name for name in ("drops.npz", "first.yaml", "second.yaml"))
     options = ["--scenes", "tabletop", "tabletop_l1", "-n", "6", "--drops", str(kept), "--workers", "1"]
     assert main(["calibrate", str(first), *options]) == DONE
     assert "tabletop_l1" in capsys.readouterr().out
     assert main(["calibrate", str(second), *options, "--json"]) == DONE
-    assert json.loads(capsys.readouterr().out)["provenance"]["drops_from"] == "drops.npz"
+    assert json.loads(capsys.readouterr().out)["provenance"]["failures_from"] == "drops.npz"
     assert FootprintSettings.load(first) == FootprintSettings.load(second)
 
 
@@ -86,7 +83,7 @@ def test_the_command_keeps_its_drops_and_takes_them_again(
 def test_misuse_is_told(
     options: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibrate, "generate", lambda *_, **__: ([], []))
+    monkeypatch.setattr(failure_jobs, "generate", lambda *_, **__: ([], []))
     assert main(["calibrate", str(tmp_path / "out.yaml"), *options]) == MISUSE
     assert text in capsys.readouterr().err
     assert not (tmp_path / "out.yaml").exists()

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
-from failbench.calibrations.effects_fit import FaultEvents, fault_events, fit_effects, likeliest, predicted, write
-from failbench.calibrations.failures import Failures, MotionKind, fail_along, make_motion, write_failures
+from failbench.calibrations.calibrate import write
+from failbench.calibrations.effects_fit import EffectsCalibration, fit_effects, likeliest, predicted
+from failbench.calibrations.failure_jobs import MotionKind, make_motion
+from failbench.calibrations.failures import Failures, fail_along, write_failures
+from failbench.calibrations.fault_events import FaultEvents, fault_events
 from failbench.calibrations.mixture import log_likelihood
 from failbench.cli import DONE, main
 from failbench.fault.registry import DEGREES, faults
@@ -106,7 +109,8 @@ def test_one_scene_cannot_be_held_out():
 def test_what_is_written_is_read(tmp_path, monkeypatch):
     effects = fit_effects({"noise": draw(TRUE, n=2000), "dropout": draw((0.0,) * 6, n=2000)}, resamples=5)
     file = tmp_path / "fault_effects.yaml"
-    write(file, effects, degree="moderate", seed=0, about={"scenes": ["desk"], "failures": 12})
+    about = {"scenes": ["desk"], "failures": 12}
+    write(EffectsCalibration(effects=effects, degree="moderate", seed=0, about=about), file)
     table = yaml.safe_dump({"effects": yaml.safe_load(file.read_text())["effects"]})
     (tmp_path / "faults.yaml").write_text("version: 1\npresets: {mine: {noise: 1, dropout: 1}}\n" + table)
     prior = FaultPrior.load(tmp_path / "faults.yaml", degree="moderate")

@@ -8,7 +8,8 @@ import pytest
 
 import graceful_plan as gp
 from failbench.calibrations import failures
-from failbench.calibrations.failures import Failures, MotionKind
+from failbench.calibrations.failure_jobs import MotionKind, make_motion
+from failbench.calibrations.failures import Failures
 from failbench.fault.registry import GripperFailure, PowerLoss
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import make_jobs
@@ -25,7 +26,7 @@ def task() -> gp.Task:
 
 @pytest.fixture(scope="module")
 def motion(task: gp.Task) -> gp.Trajectory:
-    made = failures.make_motion(task, MotionKind(way="rrt_connect", speed=0.6), 1)
+    made = make_motion(task, MotionKind(way="rrt_connect", speed=0.6), 1)
     assert made is not None
     return made
 
@@ -88,33 +89,6 @@ def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
         failures.read_failures(tmp_path / "other.npz")
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_via_points_make_free_motions_that_repeat(task: gp.Task, seed: int) -> None:
-    kind = MotionKind(way="via", speed=0.8)
-    made, again = (failures.make_motion(task, kind, seed) for _ in range(2))
-    assert made is not None and again is not None
-    assert np.array_equal(made.q, again.q)
-    assert gp.verify(made, task.scene).passed
-    assert np.array_equal(made.q[0], task.start)
-    straight = np.linalg.norm(task.goal[0] - task.start)
-    assert made.path.length > 1.01 * straight
-
-
-def test_a_job_for_every_kind_of_motion_and_every_task_with_an_object() -> None:
-    jobs = failures.failure_jobs(gp.load_scene, [SCENE], n=2, seed=5, kinds=failures.KINDS[:2])
-    assert len(jobs) == 2 * len(gp.load_scene(SCENE).tasks)
-    assert len({job.seed for job in jobs}) == len(jobs)
-    made = failures.do_job(jobs[0])
-    assert isinstance(made, Failures)
-    assert (made.scene, made.task, made.motion, len(made)) == (SCENE, jobs[0].task, str(jobs[0].kind), 2)
-
-
 def test_without_an_object_nothing_is_dropped(motion: gp.Trajectory) -> None:
     with pytest.raises(gp.SettingError, match="object in the gripper"):
         failures.fail_along(motion, gp.load_scene(SCENE), n=1)
-
-
-def test_jobs_that_cannot_be_done_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    (job, *_) = failures.failure_jobs(gp.load_scene, [SCENE], n=2, kinds=[MotionKind(way="via", iterations=1)])
-    monkeypatch.setattr(failures, "make_motion", lambda *_: None)
-    assert failures.do_job(job) == f"{SCENE}/{job.task}, via, w 0, speed 0.5: no motion"

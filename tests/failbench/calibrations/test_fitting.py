@@ -92,7 +92,7 @@ def test_shared_constants_are_the_same_for_all_shapes() -> None:
 def test_the_optimum_is_that_of_another_optimiser() -> None:
     samples = _made_up(TRUTH, 400, 8)
     family = GaussianFamily()
-    layout = fitting.Layout(
+    layout = fitting.FitLayout(
         family, tuple((c, None) for c in family.constants), tuple(c.prior for c in family.constants)
     )
     found = fitting.optimum(layout, samples, 5.0, 30)
@@ -107,7 +107,7 @@ def test_gradient_is_that_of_the_loss() -> None:
     samples = _made_up(TRUTH, 100, 9) + _made_up(TRUTH, 100, 10, shape="round")
     family = GaussianFamily()
     slots = ((family.constants[0], None), *((c, shape) for shape in ("box", "round") for c in family.constants[1:]))
-    layout = fitting.Layout(family, slots, tuple(c.prior for c, _ in slots))
+    layout = fitting.FitLayout(family, slots, tuple(c.prior for c, _ in slots))
     z = np.array([0.3, -0.2, 0.1, 0.4, -0.3])
     loss, gradient, fisher, shares = fitting.quadratic(layout, samples, z, 2.0)
     assert loss == pytest.approx(fitting.loss(layout, samples, z, 2.0))

@@ -32,15 +32,6 @@ def _sample(n: int = 20_000, seed: int = 0) -> tuple[Array, Array]:
     return p, rng.random(n) < p
 
 
-@given(events(), st.integers(1, 10))
-def test_parts_of_the_brier_score_add_up(data: tuple[Array, Array], bins: int) -> None:
-    p, y = data
-    parts = skill.brier_parts(p, y, bins)
-    whole = parts.reliability - parts.resolution + parts.uncertainty + parts.within
-    assert parts.score == pytest.approx(skill.brier(p, y), abs=_EXACT)
-    assert whole == pytest.approx(parts.score, abs=_EXACT)
-
-
 @settings(deadline=None)  # the first call imports SciPy
 @given(events())
 def test_auc_is_the_share_of_pairs_in_the_right_order(data: tuple[Array, Array]) -> None:

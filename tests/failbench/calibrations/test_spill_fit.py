@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench.calibrations import calibrate, failures, spill_fit
+from failbench.calibrations import failure_jobs, failures, family_fit, spill_fit
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.spill_fit import FAULTS, SPILT, SpillFamily
 from failbench.cli import DONE, main
@@ -74,16 +74,16 @@ def test_each_use_has_failures_of_its_own(parts: list[Failures]) -> None:
 def parts() -> list[Failures]:
     jobs = []
     for name in ("desk", "kitchen_counter"):
-        faults = spill_fit.feared()
-        jobs += failures.failure_jobs(gp.load_scene, [name], faults, n=4 * len(faults), kinds=failures.KINDS[:1])[:1]
-    return [part for part in map(failures.do_job, jobs) if isinstance(part, Failures)]
+        faults, kinds = spill_fit.faults_of(gp.load_scene(name)), failure_jobs.KINDS[:1]
+        jobs += failure_jobs.failure_jobs(gp.load_scene, [name], faults, n=4 * len(faults), kinds=kinds)[:1]
+    return [part for part in map(failure_jobs.do_job, jobs) if isinstance(part, Failures)]
 
 
 def test_the_command_writes_what_the_model_reads(
     parts: list[Failures], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quick = partial(calibrate.calibrate, iterations=1, trusts=(25.0,))
-    monkeypatch.setattr(spill_fit, "calibrate", quick)
+    quick = partial(family_fit.fit_family, iterations=1, trusts=(25.0,))
+    monkeypatch.setattr(spill_fit, "fit_family", quick)
     kept, written = tmp_path / "failures.npz", tmp_path / "spill.yaml"
     failures.write_failures(kept, parts)
     options = ["--model", "spill", "--scenes", "desk", "kitchen_counter", "--drops", str(kept)]

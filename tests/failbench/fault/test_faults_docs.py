@@ -5,12 +5,15 @@ import re
 import sys
 
 import pytest
+import yaml
 from breaking import Record, healthy_run
-from places import ROOT
+from places import LIBRARY, ROOT
 
 from failbench.fault.registry import DEGREES, faults, from_document, load_class, to_document
+from graceful_plan.costs.fault_prior import shipped_effects
 
 TEXT = (ROOT / "docs" / "faults.md").read_text()
+PRIOR = (ROOT / "docs" / "faults-prior.md").read_text()
 EXAMPLE = ROOT / "examples" / "custom_fault.py"
 
 
@@ -55,6 +58,30 @@ def test_ramps_and_durations_are_those_of_the_classes():
 def test_snippet_runs():
     (snippet,) = re.findall(r"^```python\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
     exec(compile(snippet, "docs/faults.md", "exec"), {})
+
+
+def held_out():
+    """Figures of each fault in scenes that its effects were not fitted on."""
+    document = yaml.safe_load((LIBRARY / "costs" / "fault_effects.yaml").read_text())
+    return document["provenance"]["held_out"]
+
+
+def test_the_table_of_skill_is_that_of_the_calibration():
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in PRIOR.splitlines() if line[:1] == "|"]
+    table = [tuple(row) for row in cells if len(row) == 5 and row[0] in faults()]
+    expected = sorted(held_out().items(), key=lambda item: -item[1]["brier_skill"])
+    assert set(held_out()) == set(faults())
+    assert table == [
+        (name, f"{x['happened']} of {x['events']}", *(f"{x[key]:.2f}" for key in ("brier_skill", "auc", "ratio")))
+        for name, x in expected
+    ]
+
+
+def test_what_is_said_of_the_faults_that_are_predicted_well():
+    well = {name for name, x in held_out().items() if x["brier_skill"] >= 0.3}
+    assert f"Only {len(well)} of {len(faults())} faults are predicted with a skill of 0.30 or more" in PRIOR
+    shares = shipped_effects()
+    assert all(shares[name]["drop"] > 0.5 for name in well)  # "those with which the object is lost"
 
 
 def test_links_lead_somewhere():

@@ -20,7 +20,7 @@ import graceful_plan as gp
 from failbench import Fault, Job, SimSettings, build_world, faults, run
 from failbench.basics.errors import NoPicture
 from failbench.pictures import contact_sheet, film, offscreen
-from failbench.pictures.drawing import Touches, outlined
+from failbench.pictures.drawing import TouchPaint, outlined
 from failbench.pictures.playback import film as moments_of
 from failbench.pictures.playback import replay
 from failbench.simulated.execution import STATE
@@ -186,7 +186,7 @@ def test_the_film_is_the_rollout(done):
 @pytest.mark.parametrize("onset", [0.2, 0.5])
 def test_what_is_marked_as_hit_is_what_the_recorder_has(done, fault, onset):
     job = Job(fault=fault, onset=onset, seed=0)
-    touches = Touches(done.world, done.baseline)
+    touches = TouchPaint(done.world, done.baseline)
     for moment in moments_of(done, job, horizon=0.5, lead=0.1):
         touches.observe(moment.model, moment.data, moment.time)
     [rollout] = run(done, [job], horizon=0.5)
@@ -195,7 +195,7 @@ def test_what_is_marked_as_hit_is_what_the_recorder_has(done, fault, onset):
 
 
 def test_nothing_is_marked_where_nothing_fails(done):
-    touches = Touches(done.world, done.baseline)
+    touches = TouchPaint(done.world, done.baseline)
     for moment in moments_of(done, replace(LATE, fault=Nothing()), horizon=0.3, lead=0.4):
         touches.observe(moment.model, moment.data, moment.time)
     view = mujoco.MjvScene(done.world.model, maxgeom=100)
@@ -205,7 +205,7 @@ def test_nothing_is_marked_where_nothing_fails(done):
 
 def test_arrows_of_an_object_at_rest_carry_its_weight():
     done = execution(settings=SimSettings(grasp="weld", sleep=False))
-    touches = Touches(done.world, done.baseline)
+    touches = TouchPaint(done.world, done.baseline)
     for moment in moments_of(done, Job(fault=Drop(), onset=0.4, seed=0), horizon=1.5, lead=0.0):
         touches.observe(moment.model, moment.data, moment.time)
     view = mujoco.MjvScene(done.world.model, maxgeom=100)
@@ -220,7 +220,7 @@ def test_arrows_of_an_object_at_rest_carry_its_weight():
 
 
 def test_marks_beyond_the_room_for_them_are_left_out(done):
-    touches = Touches(done.world, done.baseline)
+    touches = TouchPaint(done.world, done.baseline)
     for moment in moments_of(done, Job(fault=Weaken(degree="critical"), onset=0.4, seed=0), horizon=0.4, lead=0.0):
         touches.observe(moment.model, moment.data, moment.time)
     view = mujoco.MjvScene(done.world.model, maxgeom=2)
@@ -229,7 +229,7 @@ def test_marks_beyond_the_room_for_them_are_left_out(done):
 
 
 def test_only_what_was_hit_is_painted_and_no_furniture(done):
-    touches = Touches(done.world, done.baseline)
+    touches = TouchPaint(done.world, done.baseline)
     model = build_world(done.world.scene).model
     touches.struck |= {"red1", "table"}
     touches.paint(model)

@@ -13,7 +13,7 @@ from failbench import Job, run
 from failbench.recording.closeup import Closeup
 from failbench.recording.puddle import DEPTH, Parcel, Puddles
 from failbench.recording.recorder import Recorder
-from failbench.recording.spill import Motion, kept_volume, remaining
+from failbench.recording.spill import VesselMotion, kept_volume, remaining
 from failbench.recording.vessel import REPOSE, Vessel, find_vessel
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan import Dry, Liquid, Scene
@@ -113,12 +113,14 @@ def test_the_container_is_found(world: World) -> None:
 # --- losses -----------------------------------------------------------------------------------------------------------
 
 
-def _motion(axis: np.ndarray, velocity: np.ndarray, felt: np.ndarray, dt: float = 0.01) -> Motion:
+def _motion(axis: np.ndarray, velocity: np.ndarray, felt: np.ndarray, dt: float = 0.01) -> VesselMotion:
     n = len(velocity)
-    return Motion(np.arange(n) * dt, np.broadcast_to(axis, (1, n, 3)), np.zeros((1, n, 3)), velocity[None], felt[None])
+    return VesselMotion(
+        np.arange(n) * dt, np.broadcast_to(axis, (1, n, 3)), np.zeros((1, n, 3)), velocity[None], felt[None]
+    )
 
 
-def _left(vessel: Vessel, motion: Motion, kept: float) -> np.ndarray:
+def _left(vessel: Vessel, motion: VesselMotion, kept: float) -> np.ndarray:
     return remaining(vessel, motion, np.array([kept]), _G)[0]
 
 

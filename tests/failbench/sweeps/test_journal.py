@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failbench.basics.chunks import Outcome
-from failbench.basics.errors import JournalBusy
-from failbench.sweeps.journal import Journal
+from failbench.basics.chunks import ChunkOutcome
+from failbench.basics.errors import SweepBusy
+from failbench.sweeps.journal import SweepJournal
 from graceful_plan.exceptions import FormatError
 
 ABOUT = {"sweep": {"scene": "tabletop"}, "versions": {"mujoco": "4.0.0"}}
@@ -24,22 +24,22 @@ def file(tmp_path):
 
 @pytest.fixture
 def begun(file):
-    with Journal(file) as journal:
+    with SweepJournal(file) as journal:
         journal.begin(ABOUT)
     return file
 
 
 def done(index):
-    return Outcome(chunk=CHUNKS[index], rows=fake_work.rows(CHUNKS[index]))
+    return ChunkOutcome(chunk=CHUNKS[index], rows=fake_work.rows(CHUNKS[index]))
 
 
 def test_what_is_recorded_is_there_after_reopening(file):
-    with Journal(file) as journal:
+    with SweepJournal(file) as journal:
         assert not journal.begun
         journal.begin(ABOUT)
         journal.record(done(2))
-        journal.record(Outcome(chunk=CHUNKS[1], error="it broke"))
-    with Journal(file) as journal:
+        journal.record(ChunkOutcome(chunk=CHUNKS[1], error="it broke"))
+    with SweepJournal(file) as journal:
         assert journal.begun
         assert journal.about == ABOUT
         assert journal.done() == {2}
@@ -56,63 +56,63 @@ json_values = st.recursive(
 
 @given(st.lists(st.dictionaries(st.text("abc"), json_values, max_size=3), max_size=3))
 def test_rows_come_back_exactly(tmp_path_factory, rows):
-    with Journal(tmp_path_factory.mktemp("journal") / "j") as journal:
+    with SweepJournal(tmp_path_factory.mktemp("journal") / "j") as journal:
         journal.begin({})
-        journal.record(Outcome(chunk=CHUNKS[0], rows={"rollouts": rows}))
+        journal.record(ChunkOutcome(chunk=CHUNKS[0], rows={"rollouts": rows}))
         assert journal.rows(CHUNKS[0]) == {"rollouts": rows}
 
 
 def test_a_chunk_is_done_once_but_a_failed_one_can_be_done_again(begun):
-    with Journal(begun) as journal:
-        journal.record(Outcome(chunk=CHUNKS[0], error="first"))
-        journal.record(Outcome(chunk=CHUNKS[0], error="second"))
+    with SweepJournal(begun) as journal:
+        journal.record(ChunkOutcome(chunk=CHUNKS[0], error="first"))
+        journal.record(ChunkOutcome(chunk=CHUNKS[0], error="second"))
         assert journal.errors() == {0: "second"}
         journal.record(done(0))
         assert (journal.errors(), journal.done()) == ({}, {0})
-        for again in (done(0), Outcome(chunk=CHUNKS[0], error="late")):
+        for again in (done(0), ChunkOutcome(chunk=CHUNKS[0], error="late")):
             with pytest.raises(ValueError, match=r"motion / fault 0 / 0-2 is done already"):
                 journal.record(again)
         assert journal.rows(CHUNKS[0]) == fake_work.rows(CHUNKS[0])
 
 
 def test_rows_that_are_not_there(begun):
-    with Journal(begun) as journal:
-        journal.record(Outcome(chunk=CHUNKS[1], error="it broke"))
+    with SweepJournal(begun) as journal:
+        journal.record(ChunkOutcome(chunk=CHUNKS[1], error="it broke"))
         for chunk in CHUNKS[:2]:
             with pytest.raises(KeyError, match=chunk.name):
                 journal.rows(chunk)
 
 
 def test_nan_is_refused_and_leaves_no_trace(begun):
-    with Journal(begun) as journal:
+    with SweepJournal(begun) as journal:
         with pytest.raises(ValueError, match="JSON compliant"):
-            journal.record(Outcome(chunk=CHUNKS[0], rows={"rollouts": [{"impact": float("nan")}]}))
+            journal.record(ChunkOutcome(chunk=CHUNKS[0], rows={"rollouts": [{"impact": float("nan")}]}))
         assert journal.done() == set()
 
 
 def test_only_one_process_at_a_time(begun):
-    code = f"from pathlib import Path; from failbench.sweeps.journal import Journal; Journal(Path({str(begun)!r}))"
-    with Journal(begun):
+    code = f"from pathlib import Path; from failbench.sweeps import journal; journal.SweepJournal(Path({str(begun)!r}))"
+    with SweepJournal(begun):
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-        assert "JournalBusy" in done.stderr
+        assert "SweepBusy" in done.stderr
         assert "another process is working on this sweep" in done.stderr
-        with pytest.raises(JournalBusy, match=r"journal\.sqlite"):
-            Journal(begun)
+        with pytest.raises(SweepBusy, match=r"journal\.sqlite"):
+            SweepJournal(begun)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_other_files_are_refused(file, tmp_path):
     file.write_bytes(b"PAR1" * 1000)
     with pytest.raises(FormatError, match=r"journal\.sqlite: damaged, or no journal"):
-        Journal(file)
+        SweepJournal(file)
     other = tmp_path / "other.sqlite"
     with sqlite3.connect(other) as database:
         database.execute("CREATE TABLE recipes (name TEXT)")
     database.close()
     with pytest.raises(FormatError, match=r"other\.sqlite: a database, but no journal"):
-        Journal(other)
+        SweepJournal(other)
     with pytest.raises(FormatError, match=r"cannot be used"):
-        Journal(tmp_path)
+        SweepJournal(tmp_path)
 
 
 def test_another_version_is_refused(begun):
@@ -120,22 +120,22 @@ def test_another_version_is_refused(begun):
         database.execute("UPDATE about SET value = '2' WHERE key = 'version'")
     database.close()
     with pytest.raises(FormatError, match=r"failbench\.journal version 2; this version reads .* version 1"):
-        Journal(begun)
+        SweepJournal(begun)
 
 
 @pytest.mark.parametrize("keep", [0.2, 0.6])
 def test_a_truncated_file_is_refused(begun, keep):
-    with Journal(begun) as journal:
+    with SweepJournal(begun) as journal:
         for index in range(4):
             journal.record(done(index))
     whole = begun.read_bytes()
     begun.write_bytes(whole[: int(keep * len(whole))])
     with pytest.raises(FormatError, match=r"journal\.sqlite: "):
-        Journal(begun)
+        SweepJournal(begun)
 
 
 def test_flipped_bits_in_rows_are_noticed(begun):
-    with Journal(begun) as journal:
+    with SweepJournal(begun) as journal:
         journal.record(done(0))
     with sqlite3.connect(begun) as database:
         ((stored,),) = database.execute("SELECT rows FROM chunks").fetchall()
@@ -146,7 +146,7 @@ def test_flipped_bits_in_rows_are_noticed(begun):
         flipped = bytearray(stored)
         flipped[place] ^= 0x10
         begun.write_bytes(whole.replace(stored, bytes(flipped)))
-        with Journal(begun) as journal:
+        with SweepJournal(begun) as journal:
             try:
                 rows = journal.rows(CHUNKS[0])
             except FormatError as error:
@@ -157,7 +157,7 @@ def test_flipped_bits_in_rows_are_noticed(begun):
 
 
 def test_flipped_bits_anywhere_are_noticed_or_do_not_matter(begun):
-    with Journal(begun) as journal:
+    with SweepJournal(begun) as journal:
         for index in range(4):
             journal.record(done(index))
     whole = begun.read_bytes()
@@ -167,7 +167,7 @@ def test_flipped_bits_anywhere_are_noticed_or_do_not_matter(begun):
         flipped[place] ^= 0x81 if place % 2 else 0x01  # text that is no UTF-8 any more, and text that is
         begun.write_bytes(flipped)
         try:
-            with Journal(begun) as journal:
+            with SweepJournal(begun) as journal:
                 assert journal.about == ABOUT
                 for index in journal.done():
                     assert journal.rows(CHUNKS[index]) == fake_work.rows(CHUNKS[index])
@@ -182,10 +182,10 @@ import os, signal
 from pathlib import Path
 from failbench import journal
 journal.json.dumps = lambda value: os.kill(os.getpid(), signal.SIGKILL)  # the tables are there, nothing is in them
-with journal.Journal(Path({str(file)!r})) as opened:
+with journal.SweepJournal(Path({str(file)!r})) as opened:
     opened.begin({{}})
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
-    with Journal(file) as journal:
+    with SweepJournal(file) as journal:
         assert not journal.begun
         journal.begin(ABOUT)

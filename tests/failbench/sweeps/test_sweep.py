@@ -10,14 +10,14 @@ from benchmarks.kill_sweep import Trial
 from places import SUPPORT
 
 from failbench.basics.chunks import attempt
-from failbench.basics.errors import ExecutionRefused, JournalBusy, SweepFailed
+from failbench.basics.errors import ExecutionRefused, SweepBusy, SweepFailed
 from failbench.fault.registry import faults, to_document
 from failbench.sweeps import sweep as sweeping
 from failbench.sweeps.dataset import MANIFEST, read_dataset
 from failbench.sweeps.executors import LocalExecutor
-from failbench.sweeps.journal import Journal
+from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.sweep import JOURNAL, generate, read_sweep, resume, sweep_of, versions
-from failbench.sweeps.work import Motion, PlanSettings, Sweep
+from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from graceful_plan import SettingError, UnknownNameError
 from graceful_plan.exceptions import FormatError
 
@@ -41,7 +41,7 @@ class InProcess:
 
 @pytest.fixture(scope="module")
 def sweep():
-    motion = Motion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
+    motion = SweepMotion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
     return Sweep(motions=(motion,), faults=(DROP, LOOSE, NOISE), rollouts=40, horizon=0.04)
 
 
@@ -153,16 +153,16 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
     for call in (resume, read_sweep):
         with pytest.raises(FormatError, match="no sweep was begun here"):
             call(tmp_path)
-    with Journal(tmp_path / JOURNAL):
+    with SweepJournal(tmp_path / JOURNAL):
         pass
     with pytest.raises(FormatError, match=r"journal\.sqlite: no sweep was begun in it"):
         resume(tmp_path)
-    with Journal(tmp_path / JOURNAL), pytest.raises(JournalBusy):
+    with SweepJournal(tmp_path / JOURNAL), pytest.raises(SweepBusy):
         resume(tmp_path)
 
 
 def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, reference, tmp_path):
-    with Journal(tmp_path / JOURNAL):
+    with SweepJournal(tmp_path / JOURNAL):
         pass
     generate(sweep, tmp_path, executor=InProcess())
     assert files(tmp_path) == reference
@@ -174,7 +174,7 @@ def test_misuse_is_found_before_anything_is_begun(sweep, tmp_path):
         generate(elbow, tmp_path, executor=InProcess())
     planned = sweep.planned().motions[0].trajectory
     hasty = dataclasses.replace(planned, t=planned.t / 20.0, qd=20.0 * planned.qd, qdd=400.0 * planned.qdd)
-    motion = Motion(name="rush", scene="tabletop", task="lift_to_goal", trajectory=hasty)
+    motion = SweepMotion(name="rush", scene="tabletop", task="lift_to_goal", trajectory=hasty)
     with pytest.raises(ExecutionRefused, match="rush: "):
         generate(dataclasses.replace(sweep, motions=(motion,)), tmp_path, executor=InProcess())
     assert list(tmp_path.iterdir()) == []

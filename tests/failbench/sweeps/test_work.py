@@ -15,12 +15,12 @@ from failbench.rollouts.rollout import run
 from failbench.simulated.world import SimSettings
 from failbench.sweeps import summary, work
 from failbench.sweeps.rows import contact_rows, rollout_row
-from failbench.sweeps.work import CHUNK, Motion, PlanSettings, Sweep, execution_of, fault_of, jobs_of, run_chunk
+from failbench.sweeps.work import CHUNK, PlanSettings, Sweep, SweepMotion, execution_of, fault_of, jobs_of, run_chunk
 from graceful_plan import SettingError, UnknownNameError
 from graceful_plan.exceptions import FormatError
 
 DROP, LOOSE = (to_document(faults()[name]()) for name in ("gripper_failure", "loose_joint"))
-PLANNED = Motion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
+PLANNED = SweepMotion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
 
 OWN_FAULT = """
 from dataclasses import dataclass
@@ -158,9 +158,9 @@ def test_senseless_sweeps_are_refused(change, message):
 
 def test_motion_needs_a_trajectory_or_a_way_to_plan_one():
     with pytest.raises(SettingError, match="trajectory of motion 'a'"):
-        Motion(name="a", scene="tabletop")
+        SweepMotion(name="a", scene="tabletop")
     with pytest.raises(SettingError, match="task of motion 'a'"):
-        Motion(name="a", scene="tabletop", plan=PlanSettings())
+        SweepMotion(name="a", scene="tabletop", plan=PlanSettings())
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""The commands of `failbench`, by what they are about."""

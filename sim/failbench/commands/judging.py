@@ -1,0 +1,83 @@
+"""Commands that compare what failures hit with what was predicted: for a motion, and for a front of motions."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path as FilePath
+from typing import Any
+
+import graceful_plan as gp
+from failbench.commands.options import add_command, add_motion, motion_of
+from failbench.commands.output import Answer, Bar
+from failbench.front_validation import validate_front
+from failbench.scenario import usual_grasp
+from failbench.simulated.world import SimSettings
+from failbench.sweeps.work import scene_of
+from failbench.validation import validate
+
+
+def add(commands: Any) -> None:
+    """Add them to the command line."""
+    judge = add_command(
+        commands, "validate", _validate, "compare what failures of a motion hit with what was predicted"
+    )
+    judge.add_argument(
+        "patterns",
+        nargs="*",
+        default=["drop/*/severe"],
+        help="of scenarios, whose faults count (default drop/*/severe)",
+    )
+    judge.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    judge.add_argument("--task", help="task of the scene (default: its first)")
+    judge.add_argument("-n", type=int, default=400, help="number of failures (default 400)")
+    judge.add_argument("--importance", action="store_true", help="fail more often where harm is predicted")
+    add_motion(judge)
+
+    front = add_command(
+        commands, "validate-front", _validate_front, "compare the motions of a Pareto front in that way"
+    )
+    front.add_argument("front", type=FilePath, help="file of `graceful-plan tune` or of ParetoFront.save")
+    front.add_argument("patterns", nargs="*", default=["drop/*/severe"], help="of scenarios (default drop/*/severe)")
+    front.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    front.add_argument("--task", help="task of the scene (default: its first)")
+    front.add_argument("-n", type=int, default=200, help="number of failures along each motion (default 200)")
+    front.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    front.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
+    front.add_argument("--grasp", choices=("fingers", "weld"), help="what holds the object")
+
+
+def _validate(args: argparse.Namespace) -> Answer:
+    tasks = gp.load_scene(args.scene).tasks
+    motion = motion_of(args, args.scene, args.task or next(iter(tasks), None))
+    trajectory = motion.planned().trajectory
+    assert trajectory is not None
+    with Bar(args) as bar:
+        report = validate(
+            trajectory,
+            scene_of(motion.scene, motion.task),
+            args.patterns,
+            n=args.n,
+            horizon=args.horizon,
+            seed=args.seed,
+            importance=args.importance,
+            settings=SimSettings(control=args.control, grasp=motion.grasp or "fingers"),
+            progress=bar.show,
+        )
+    return Answer(report.to_document(), str(report))
+
+
+def _validate_front(args: argparse.Namespace) -> Answer:
+    task = args.task or next(iter(gp.load_scene(args.scene).tasks), None)
+    grasp = args.grasp or usual_grasp(args.scene, task)
+    with Bar(args, "motions") as bar:
+        found = validate_front(
+            args.front,
+            scene_of(args.scene, task),
+            args.patterns,
+            n=args.n,
+            horizon=args.horizon,
+            seed=args.seed,
+            settings=SimSettings(grasp=grasp),
+            progress=bar.show,
+        )
+    return Answer(found.to_document(), str(found))

@@ -1,0 +1,89 @@
+"""Commands that do sweeps: begin one, go on with one."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path as FilePath
+from typing import Any
+
+from failbench.commands.options import add_command, add_motion, motion_of, plan_settings, sim_settings
+from failbench.commands.output import Answer, Bar
+from failbench.sweeps.executors import Executor, LocalExecutor
+from failbench.sweeps.sweep import Generated, generate, resume, sweep_of
+from failbench.sweeps.work import Sweep
+from graceful_plan import SettingError
+
+
+def add(commands: Any) -> None:
+    """Add them to the command line."""
+    make = add_command(commands, "generate", _generate, "do a sweep over scenarios and write its dataset")
+    make.add_argument("folder", type=FilePath, help="where journal and dataset go")
+    make.add_argument("patterns", nargs="*", help="of scenarios, such as 'drop/*'; every fault on every task")
+    make.add_argument("--sweep", type=FilePath, metavar="FILE", help="sweep as JSON, instead of patterns and options")
+    make.add_argument("--dry-run", action="store_true", help="print the sweep as JSON and do nothing")
+    make.add_argument("-n", type=int, default=32, help="rollouts of each fault on each task (default 32)")
+    add_motion(make)
+    _add_executor(make)
+
+    again = add_command(
+        commands, "resume", _resume, "go on with a sweep that was killed, interrupted or failed in part"
+    )
+    again.add_argument("folder", type=FilePath, help="where it was begun")
+    _add_executor(again)
+
+
+def _add_executor(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--workers", type=int, default=0, help="processes (default: one for each core)")
+    parser.add_argument("--executor", choices=("local", "ray"), default="local", help="who does it (default local)")
+
+
+def _generate(args: argparse.Namespace) -> Answer:
+    sweep = _sweep(args)
+    if args.dry_run:
+        return Answer(sweep.to_document())
+    with Bar(args) as bar:
+        made = generate(sweep, args.folder, executor=_executor(args), callback=bar.sweep)
+    return _made(made)
+
+
+def _resume(args: argparse.Namespace) -> Answer:
+    with Bar(args) as bar:
+        made = resume(args.folder, executor=_executor(args), callback=bar.sweep)
+    return _made(made)
+
+
+def _made(made: Generated) -> Answer:
+    rows = made.manifest["rows"]
+    document = {"folder": str(made.folder), "rows": rows, "content": made.manifest["content"]}
+    return Answer(document, f"{rows['rollouts']} rollouts with {rows['contacts']} contacts in {made.folder}")
+
+
+def _sweep(args: argparse.Namespace) -> Sweep:
+    if (args.sweep is None) != bool(args.patterns):
+        raise SettingError("patterns", " ".join(args.patterns), "patterns of scenarios, or --sweep FILE, and not both")
+    if args.sweep is not None:
+        return Sweep.from_json(args.sweep)
+    sweep = sweep_of(
+        args.patterns,
+        args.n,
+        plans=(plan_settings(args),),
+        horizon=args.horizon,
+        seed=args.seed,
+        settings=sim_settings(args),
+        grasp=args.grasp,
+    )
+    if args.trajectory is None:
+        return sweep
+    motion, *others = sweep.motions
+    if others:
+        raise SettingError("--trajectory", str(args.trajectory), f"patterns of one task, not {1 + len(others)}")
+    return dataclasses.replace(sweep, motions=(motion_of(args, motion.scene, motion.task),))
+
+
+def _executor(args: argparse.Namespace) -> Executor:
+    if args.executor == "local":
+        return LocalExecutor(workers=args.workers)
+    from failbench.sweeps.ray_executor import RayExecutor
+
+    return RayExecutor(workers=args.workers)
