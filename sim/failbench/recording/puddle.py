@@ -145,7 +145,9 @@ class Puddles:
     def _ray(self, origin: Float[Array, " xyz"], direction: Float[Array, " xyz"]) -> tuple[float, int]:
         """Return how many times `direction` it is from the origin to the first geom that can get wet, and that geom."""
         model, data = self._closeup.model, self._closeup.data
-        distance = mujoco.mj_ray(model, data, origin, direction, self._groups, 1, -1, self._hit)
+        distance = mujoco.mj_ray(
+            model, data, origin, direction, geomgroup=self._groups, flg_static=True, bodyexclude=-1, geomid=self._hit
+        )
         return float(distance), int(self._hit[0, 0])
 
     def _radius(self, volume: float) -> float:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path as FilePath
 from typing import Any
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.tools.console import DONE, FAILED, add_command, show
+from graceful_plan.tools.console import DONE, FAILED, RunCounter, add_command, complain, show
 
 
 def add_to(commands: Any) -> None:
@@ -62,7 +61,7 @@ def _compared(args: argparse.Namespace) -> Any:
 
     suite = bench.load_suite(args.suite)
     known = None if args.known is None else bench.read_known(args.known, suite.w if args.w is None else args.w)
-    counter = _Counter()
+    counter = RunCounter()
     try:
         return bench.compare(
             suite,
@@ -82,7 +81,7 @@ def _compared(args: argparse.Namespace) -> Any:
             # The journal knows better than the counter, which may not have heard of the last run.
             kept = bench.load_comparison(args.out)
             words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.out}; the same command goes on"
-            print(words, file=sys.stderr)
+            complain(words)
         raise
 
 
@@ -91,24 +90,3 @@ def _seeds(text: str) -> int | list[int]:
         return [int(word) for word in text.split(",") if word] if "," in text else int(text)
     except ValueError:
         raise SettingError("--seeds", text, "a number of seeds, or seeds with commas between them") from None
-
-
-class _Counter:
-    """Shows how many runs are done: on one line at a terminal, else ten times in all."""
-
-    def __init__(self) -> None:
-        self.total = 0
-
-    def show(self, done: int, total: int, run: Any) -> None:
-        """Show it."""
-        self.total = total
-        text = f"{done}/{total} runs" + (f": {run.problem}, {run.planner}, {run.status}" if run else "")
-        if sys.stderr.isatty():
-            print(f"\r\x1b[K{text}", end="\n" if done == total else "", file=sys.stderr, flush=True)
-        elif run is None or done == total or done % max(1, total // 10) == 0:
-            print(text, file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        """Leave the line."""
-        if sys.stderr.isatty():
-            print(file=sys.stderr)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import graceful_plan as gp
 from graceful_plan.exceptions import GracefulPlanError
 from graceful_plan.tools import bench_command, impact_commands, listing_commands, motion_commands
-from graceful_plan.tools.console import DONE, FAILED, INTERRUPTED, MISUSE
+from graceful_plan.tools.console import DONE, FAILED, INTERRUPTED, MISUSE, complain
 
 __all__ = ["DONE", "FAILED", "INTERRUPTED", "MISUSE", "main"]
 
@@ -24,17 +24,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return args.run(args)
     except GracefulPlanError as error:
-        print(f"graceful-plan {args.command}: {error}", file=sys.stderr)
+        complain(f"graceful-plan {args.command}: {error}")
         return MISUSE
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             # The reader went away, as `head` does; a second complaint at shutdown is kept from it.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return DONE
-        print(f"graceful-plan {args.command}: {error}", file=sys.stderr)
+        complain(f"graceful-plan {args.command}: {error}")
         return MISUSE
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        complain("interrupted")
         return INTERRUPTED
 
 

@@ -126,6 +126,11 @@ def show(args: argparse.Namespace, document: Any, text: str) -> None:
     print(documents.to_json(document) if args.json else text)
 
 
+def complain(text: str) -> None:
+    """Print a line that is no part of what was asked for."""
+    print(text, file=sys.stderr)
+
+
 class ProgressLine:
     """Shows the best cost so far while planning, if somebody sits at a terminal."""
 
@@ -147,3 +152,24 @@ class ProgressLine:
         else:
             text += f"{point.stage}, {point.candidates} candidates"
         print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+
+class RunCounter:
+    """Shows how many runs are done: on one line at a terminal, else ten times in all."""
+
+    def __init__(self) -> None:
+        self.total = 0
+
+    def show(self, done: int, total: int, run: Any) -> None:
+        """Show it."""
+        self.total = total
+        text = f"{done}/{total} runs" + (f": {run.problem}, {run.planner}, {run.status}" if run else "")
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{text}", end="\n" if done == total else "", file=sys.stderr, flush=True)
+        elif run is None or done == total or done % max(1, total // 10) == 0:
+            print(text, file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leave the line."""
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
