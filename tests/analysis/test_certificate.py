@@ -95,25 +95,6 @@ def test_results_are_certified_as_they_are_executed(tabletop: Scene, w: float):
     assert found.gap == (pytest.approx(solved.cost.motion / straight - 1.0) if w == 0.0 else None)
 
 
-@dataclass(frozen=True)
-class Trapped(Cost):
-    """Is not a number in a place so small that only dense samples meet it."""
-
-    place: float
-
-    def state(self, batch: StateBatch) -> Array:
-        return np.where(np.abs(batch.q[:, 0] - self.place) < 0.003, np.nan, 0.0)
-
-
-def test_a_cost_that_is_not_finite_between_samples_is_a_status(tabletop: Scene):
-    start, goal = tabletop.keyframes["right"], tabletop.keyframes["near"]
-    seen = set()
-    for share in np.linspace(0.3, 0.7, 12):
-        place = float(start[0] + share * (goal[0] - start[0]))
-        seen.add(plan(start, goal, tabletop, objective=Objective(w=0.0, impact=Trapped(place)), iterations=50).status)
-    assert seen <= {PlanStatus.NONFINITE, PlanStatus.SOLVED} and PlanStatus.NONFINITE in seen
-
-
 def test_results_without_a_trajectory_are_refused(tabletop: Scene):
     refused = plan("right", np.full(len(tabletop.joints), 50.0), tabletop)
     assert refused.status is PlanStatus.INVALID_GOAL

@@ -290,6 +290,8 @@ def test_a_wall_with_a_way_around_and_a_vase_beside_it():
         (lambda r, t: r.query(t.start, t.goal, severity={"child": -1.0}), SettingError),
         (lambda r, t: r.query(t.start, t.goal, gp.load_scene("desk")), SettingError),
         (lambda r, t: r.query(t.start, t.goal, t.world), SettingError),
+        (lambda r, t: r.query(t.start, t.goal, gp.load_scene("tabletop_l1").tasks[t.name].scene), SettingError),
+        (lambda r, t: r.query(t.start, t.goal, t.scene.add_box("crate", [0.05] * 3, [0.6, 0.6, 0.05])), SettingError),
         (lambda r, t: r.front(t.start, t.goal, epsilon=-1.0), SettingError),
         (lambda r, t: r.front(t.start, t.goal, max_points=0), SettingError),
         (lambda r, t: gp.Roadmap.build(t.scene, nodes=0), SettingError),

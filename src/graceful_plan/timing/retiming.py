@@ -22,7 +22,7 @@ Array = np.ndarray
 
 _ROUNDING = 1e-9
 """Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
-_ACCEPTED_SLOWDOWN = 1.02
+ACCEPTED_SLOWDOWN = 1.02
 """The grid is refined while checking against the limits would slow the motion down by more than this."""
 
 
@@ -107,7 +107,7 @@ def _refined(pieces: tuple[Piece, ...], end: Float[Array, " nq"], robot: _Robot)
     for density in (1, 2, 4):
         trajectory = _timed(pieces, end, robot, density)
         factor = slowdown(trajectory, robot.limits, robot.inverse_dynamics)
-        if factor <= _ACCEPTED_SLOWDOWN:
+        if factor <= ACCEPTED_SLOWDOWN:
             break
     return slowed(trajectory, factor * (1.0 + _ROUNDING))
 
