@@ -41,7 +41,6 @@ SUBJECTS = (
     "trajectory_prediction",
     "prevention",
     "damage_energy",
-    "failure_aware_timing",
     "transcription",
     "moving_entities",
     "tuning",

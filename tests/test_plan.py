@@ -1,6 +1,7 @@
 """plan() from outside: statuses, contracts, unhappy paths."""
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -267,11 +268,33 @@ def test_misuse_names_the_culprit(task):
         gp.plan("liftt", goal, scene)
     with pytest.raises(UnknownNameError, match=r"unknown planner 'rrtx'; valid: .*rrt_connect"):
         gp.plan(q, goal, scene, planner="rrtx")
-    for name, value in (("time_limit", -1.0), ("speed", 0.0), ("speed", 1.5), ("iterations", -1)):
+    speeds = [("speed", value) for value in (0.0, 1.5, np.nan, "fast")]
+    for name, value in (("time_limit", -1.0), *speeds, ("iterations", -1)):
         with pytest.raises(SettingError, match=name):
             gp.plan(q, goal, scene, **{name: value})
     with pytest.raises(SettingError, match="w = "):
         gp.plan(q, goal, scene, -1.0)
+
+
+@dataclass(frozen=True)
+class Trapped(gp.Cost):
+    """Is not a number in a place so small that only dense samples meet it."""
+
+    place: float
+
+    def state(self, batch: gp.StateBatch) -> np.ndarray:
+        return np.where(np.abs(batch.q[:, 0] - self.place) < 0.003, np.nan, 0.0)
+
+
+def test_a_cost_that_is_not_finite_somewhere_is_a_status(task):
+    scene = task.scene
+    start, goal = scene.keyframes["right"], scene.keyframes["near"]
+    seen = set()
+    for share in np.linspace(0.3, 0.7, 12):
+        place = float(start[0] + share * (goal[0] - start[0]))
+        objective = gp.Objective(w=0.0, impact=Trapped(place))
+        seen.add(gp.plan(start, goal, scene, objective=objective, iterations=50).status)
+    assert seen <= {gp.PlanStatus.NONFINITE, gp.PlanStatus.SOLVED} and gp.PlanStatus.NONFINITE in seen
 
 
 def test_without_an_object_there_is_no_impact():

@@ -37,7 +37,7 @@ LONG_EVERY = 4
 MEASURED = f"""\
 "Search" is RRT-Connect alone, from the call of `solve` to its first collision-free path with 2 mm of clearance, scene
 compiled. "Verified" is a whole call of `plan` that ends with the first path: goals checked by exact geometry, search,
-timing by TOPP-RA, exact verification of the timed motion, certificate. "Length" is joint-space length of the `anytime`
+timing by TOPP-RA, exact verification of the timed motion. "Length" is joint-space length of the `anytime`
 planner's path at w = 0 so long after its start. "Ratio" is that length divided by the one of a run of {LONG:g} s on the
 same problem and seed, for one problem in {LONG_EVERY}: it depends less on machine and problems than the length does.
 

@@ -58,7 +58,7 @@ from graceful_plan.result import (
     TracePoint,
     Verdict,
 )
-from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap, RoadmapPlanner, StaleRoadmapError
+from graceful_plan.roadmap import FrontPath, QueryResult, QueryStatus, Roadmap
 from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Limits, Liquid
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.harm.severity import SeverityTable
@@ -136,7 +136,6 @@ __all__ = [
     "Risk",
     "RiskMeasure",
     "Roadmap",
-    "RoadmapPlanner",
     "RobotArrays",
     "RobotDynamics",
     "Scene",
@@ -145,7 +144,6 @@ __all__ = [
     "SeveritySensitivity",
     "SeverityTable",
     "ShapeError",
-    "StaleRoadmapError",
     "StateBatch",
     "Task",
     "TracePoint",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -60,7 +59,6 @@ def result_document(result: PlanResult) -> dict[str, Any]:
         "goal_index": result.goal_index,
         "cost": None if result.path is None else cost_document(result.cost),
         "verdict": verdict_document(result.verdict),
-        "certificate": None if result.certificate is None else dataclasses.asdict(result.certificate),
         "trace": [
             {"time": point.time, "total": point.total, "motion": point.motion, "impact": point.impact}
             for point in result.trace

@@ -8,18 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from graceful_plan.analysis.certificate import certificate_of
 from graceful_plan.analysis.risk_measures import RiskMeasure
-from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
-from graceful_plan.costs.objective import Objective, SceneObjective
+from graceful_plan.costs.objective import Objective
 from graceful_plan.path import Path
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.arguments import (
-    FAILURE_AWARE,
     checked_cancelled,
     checked_objective,
     checked_planner,
@@ -30,10 +27,11 @@ from graceful_plan.query.arguments import (
     checked_wait,
 )
 from graceful_plan.query.departure import RESERVE, search_among_moving
-from graceful_plan.query.ends import Ends, ways_out
+from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Finished, finish
-from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.query.prefer import Preference
+from graceful_plan.query.request import Request
 from graceful_plan.query.search import Callback, Search, search
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -45,8 +43,6 @@ _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
 _RESERVE = 0.1
 """Seconds kept for timing and verification, at most a quarter of the time limit: they take 0.03 to 0.08."""
-_AWARE_RESERVE = 0.15
-"""Seconds kept besides for failure-aware timing."""
 _TIMING_RESERVE = RESERVE + 0.2
 """Seconds kept besides to time candidates and to evaluate the chosen one if something moves."""
 
@@ -62,7 +58,7 @@ def plan(
     time_limit: float | None = None,
     iterations: int | None = None,
     seed: int = 0,
-    speed: float | str = 1.0,
+    speed: float = 1.0,
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
     callback: Callback | None = None,
@@ -80,8 +76,7 @@ def plan(
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
         iterations: Planner iterations; with these alone, the result depends on the seed only.
         seed: Of all random numbers.
-        speed: In (0, 1]: fraction of the velocity limits to use; or "failure_aware": as fast as the limits allow, but
-            slower where that lowers the integral of 1 + w times impact over time (see `retime`).
+        speed: In (0, 1]: fraction of the velocity limits to use.
         risk: What of the distribution of impact counts: "expectation", "cvar" (the mean of the worst tenth; another
             share with a `RiskMeasure`) or "worst". Searching is by expectation in any case, since only that adds up
             along a path; of the paths found the best by the measure is taken and refined by it (see `prefer`).
@@ -98,64 +93,33 @@ def plan(
         GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
     """
     started = time.perf_counter()
-    solver, rng = checked_planner(planner), checked_seed(seed)
-    wait = checked_wait(max_wait, scene)
-    limit, measure = checked_time_limit(time_limit, iterations), checked_risk(risk)
-    stop = checked_cancelled(cancelled)
-    bound = checked_objective(objective, w, checked_speed(speed)).bind(scene)
-    preference = None if measure.kind == "expectation" else Preference(measure, bound)
-    resolved_start = resolve_start(start, scene)
-    if not len(resolved_start.q):
-        return PlanResult(status=PlanStatus.INVALID_START, detail=resolved_start.detail)
-    resolved_goal = resolve_goal(goal, scene, resolved_start.q[0], seed=seed, cancelled=stop)
-    if stop():
-        return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
-    if not len(resolved_goal.q):
-        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=resolved_goal.detail)
-    ends = ways_out(resolved_start.q[0], resolved_goal.q, compile_scene(scene), scene, rng, stop)
+    share, measure = checked_speed(speed), checked_risk(risk)
+    bound = checked_objective(objective, w, share).bind(scene)  # compiles the scene
+    request = Request(
+        planner=checked_planner(planner),
+        objective=bound,
+        preference=None if measure.kind == "expectation" else Preference(measure, bound),
+        pose=goal if isinstance(goal, PoseGoal) else None,
+        speed=share,
+        max_wait=checked_wait(max_wait, scene),
+        callback=callback,
+    )
+    rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
+    ends = find_ends(start, goal, scene, rng, seed=seed, cancelled=stop)
     if isinstance(ends, PlanResult):
         return ends
+    reserve = _RESERVE + (_TIMING_RESERVE if scene.moving else 0.0)
+    budget = Budget(limit - min(reserve, limit / 4.0), iterations, stop, started)
     try:
-        result = _search_and_finish(
-            ends,
-            solver,
-            bound,
-            Budget(limit, iterations, stop, started),
-            rng,
-            callback,
-            goal,
-            speed,
-            preference,
-            wait,
-        )
-        found = time.perf_counter()
-        certificate = certificate_of(result, bound, goal if isinstance(goal, PoseGoal) else resolved_goal.q)
+        result = _search_and_finish(request, ends, budget, rng)
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
-    notes = [*resolved_start.notes, *resolved_goal.notes, *([result.detail] if result.detail else [])]
-    index = None if result.goal_index is None else resolved_goal.index[result.goal_index]
-    ended = time.perf_counter()
-    stats = {**result.stats, "certificate_time": ended - found, "total_time": ended - started}
-    return replace(result, certificate=certificate, detail="; ".join(notes), goal_index=index, stats=stats)
+    detail = "; ".join([*ends.notes, *([result.detail] if result.detail else [])])
+    return replace(result, detail=detail, stats={**result.stats, "total_time": time.perf_counter() - started})
 
 
-def _search_and_finish(
-    ends: Ends,
-    planner: Planner,
-    objective: SceneObjective,
-    budget: Budget,
-    rng: np.random.Generator,
-    callback: Callback | None,
-    goal: Goal,
-    speed: float | str,
-    preference: Preference | None,
-    max_wait: float,
-) -> PlanResult:
+def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.random.Generator) -> PlanResult:
     """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
-    moving = objective.scene.moving
-    reserve = _RESERVE + (_AWARE_RESERVE if speed == FAILURE_AWARE else 0.0) + (_TIMING_RESERVE if moving else 0.0)
-    budget.time_limit -= min(reserve, budget.time_limit / 4.0)
-    pose = goal if isinstance(goal, PoseGoal) else None
     found, refused = Search(), None
     stats: dict[str, float] = {}
     for margin, check_step in _CAUTION:
@@ -166,22 +130,26 @@ def _search_and_finish(
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
-        if preference is None and moving:
-            found = search_among_moving(planner, problem, ends, objective, budget, rng, callback, speed, max_wait)
-        elif preference is None:
-            found = search(planner, problem, objective, budget, rng, callback)
-        else:
-            found = preference.search(planner, problem, budget, rng, callback)
+        found = _searched(request, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         for path in reversed(found.paths):
             whole, index = ends.joined(path)
-            done = finish(whole, objective.scene, objective, pose, speed, ends.in_the_clear(index), max_wait)
+            done = finish(whole, request, ends.in_the_clear(index))
             if done.verdict.passed:
                 return _solved(whole, done, found, ends.goal_index[index], stats)
             refused = refused or done
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
     return _failed(found, refused, budget, stats)
+
+
+def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
+    """Search by J; by a measure of risk or at the times of what moves where these decide."""
+    if request.preference is not None:
+        return request.preference.search(request.planner, problem, budget, rng, request.callback)
+    if request.objective.scene.moving:
+        return search_among_moving(request, problem, ends, budget, rng)
+    return search(request.planner, problem, request.objective, budget, rng, request.callback)
 
 
 def _solved(path: Path, done: Finished, found: Search, index: int, stats: dict[str, float]) -> PlanResult:

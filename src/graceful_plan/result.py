@@ -17,9 +17,6 @@ class PlanStatus(Enum):
     """How planning ended; the value says what to do about it."""
 
     SOLVED = "A verified trajectory was found."
-    APPROXIMATE = (
-        "A verified trajectory ends near the goal, not within its tolerance; raise the time limit or the tolerance."
-    )
     INVALID_START = "The start is in collision or outside of the limits; move the robot or fix the scene."
     INVALID_GOAL = "No goal is reachable, free and inside the limits; choose another goal or a looser tolerance."
     TIMEOUT = "The budget ended before a verified trajectory was found; raise the time limit or the iterations."
@@ -93,14 +90,12 @@ class Certificate:
     |----------------|------------------------------------------------------------------------|--------------|
     | clearance      | nothing comes closer anywhere, between samples included; proven        | m            |
     | uncertified    | stretches that could not be shown to be free: from and to              | s; path: rad |
-    | exposure_bound | S is at most that, if measured slopes of the impact hold; not proven   | that of S    |
-    | lower_bound    | no path has a lower J; None if no bound is known; proven               | that of J    |
-    | gap            | J may be lowered by at most this: J / lower_bound - 1; None likewise   |              |
+    | lower_bound    | no path to a goal is shorter; None if motion is not charged by length  | rad          |
+    | gap            | for w = 0: the path may be shortened by at most this, V / bound - 1    |              |
     """
 
     clearance: float = -np.inf
     uncertified: tuple[tuple[float, float], ...] = ()
-    exposure_bound: float = np.inf
     lower_bound: float | None = None
     gap: float | None = None
 
@@ -124,8 +119,6 @@ class PlanResult:
     trajectory: Trajectory | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
     verdict: Verdict = field(default_factory=Verdict)
-    certificate: Certificate | None = None
-    """What can be promised of a solved problem's trajectory."""
     trace: tuple[TracePoint, ...] = ()
     detail: str = ""
     """What the status means here: the pair in contact and its depth, the joint at its limit..."""

@@ -48,10 +48,9 @@ class After:
 def _check(result: gp.PlanResult, task: gp.Task, goal: Any) -> None:
     if result.status is gp.PlanStatus.SOLVED:
         assert gp.verify(result.unwrap(), task.scene, start=task.start, goal=goal).passed
-        assert result.certificate is not None
     else:
         assert result.status is gp.PlanStatus.CANCELLED
-        assert result.trajectory is None and result.certificate is None
+        assert result.trajectory is None
 
 
 @pytest.mark.parametrize("planner", ["anytime", "rrt_connect", "prm_star"])
@@ -82,7 +81,7 @@ def test_cancelled_at_random_moments(task: gp.Task, pose: PoseGoal):
     assert gp.PlanStatus.SOLVED in statuses
 
 
-@pytest.mark.parametrize("settings", [{"risk": "cvar"}, {"speed": "failure_aware"}, {"w": 0.0}])
+@pytest.mark.parametrize("settings", [{"risk": "cvar"}, {"w": 0.0}])
 def test_every_stage_listens(task: gp.Task, settings: dict):
     goal = task.goal[0]
     for moment in (0.0, 0.01, 0.05):

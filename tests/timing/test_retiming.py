@@ -12,7 +12,7 @@ from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import rounded, sampled
-from graceful_plan.timing.retiming import retime, slowed
+from graceful_plan.timing.retiming import ACCEPTED_SLOWDOWN, retime, slowed
 from graceful_plan.timing.topp import fastest, fastest_with_toppra
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -83,7 +83,9 @@ def test_the_motion_stays_within_the_deviation(seed: int, n: int, deviation: flo
 @settings(max_examples=25, deadline=None)
 def test_backwards_takes_as_long(seed: int, n: int) -> None:
     path = _zigzag(seed, n, 0.4)
-    assert retime(path.reversed(), _PANDA).duration == pytest.approx(retime(path, _PANDA).duration, rel=0.01)
+    # Grids differ by direction, and are refined until no more than this is left to slow down.
+    tolerance = ACCEPTED_SLOWDOWN - 1.0
+    assert retime(path.reversed(), _PANDA).duration == pytest.approx(retime(path, _PANDA).duration, rel=tolerance)
 
 
 @given(st.integers(0, 10**6), st.floats(0.2, 5.0))

@@ -160,15 +160,6 @@ def test_map_says_where_a_drop_is_worst(run, tmp_path):
     np.testing.assert_array_equal(np.array(document["impact"], dtype=float), found.impact)
 
 
-def test_roadmap_writes_a_file_that_can_be_read(run, tmp_path):
-    file = tmp_path / "table.npz"
-    scene = ["--scene", "tabletop_l1", "--task", "green_to_blue"]
-    code, out, _ = run("roadmap", str(file), *scene, "--nodes", "40")
-    assert code == 0 and "40 nodes" in out and str(file) in out
-    assert len(gp.Roadmap.load(file, gp.load_scene("tabletop_l1").tasks["green_to_blue"].scene)) == 40
-    assert run("roadmap", str(tmp_path / "none" / "table.npz"), *scene, "--nodes", "10")[0] == 2
-
-
 def test_scenes_lists_all_with_their_tasks(run):
     code, out, _ = run("scenes", "--json")
     document = json.loads(out)
@@ -201,6 +192,7 @@ def test_doctor_finds_this_machine_healthy(run):
 def test_demo_writes_picture_and_trajectories_and_lowers_the_impact(run, tmp_path):
     code, out, err = run("demo", "--output", str(tmp_path / "made"), "--iterations", "2000")
     assert (code, err) == (cli.DONE, "")
+    assert "Beside the shortest motion" in out
     assert "motion + w * impact" in out
     made = {file.name for file in (tmp_path / "made").iterdir()}
     wanted = {"demo.png", "trajectory_w0.csv", "trajectory_w0.json", "trajectory_w1.csv", "trajectory_w1.json"}
@@ -239,6 +231,23 @@ def test_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -m graceful_plan.tools.cli scenes --json | true"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (cli.DONE, "")
+
+
+def test_demo_says_what_the_graceful_motion_costs_and_buys():
+    """All figures of the sentence are those of the results, whichever way they changed."""
+
+    def result(motion, impact, seconds, w):
+        trajectory = gp.Trajectory(np.array([0.0, seconds]), *np.zeros((3, 2, 1)), ("joint",))
+        cost = gp.CostBreakdown(motion=motion, impact=impact, w=w)
+        return gp.PlanResult(status=gp.PlanStatus.SOLVED, trajectory=trajectory, cost=cost)
+
+    found = demo.DemoResults(results={"a": result(2.0, 8.0, 1.5, 0.0), "b": result(3.66, 0.4, 4.0, 1.0)}, files=())
+    assert found.comparison() == (
+        "Beside the shortest motion, the one planned with w = 1 has 83 % more joint motion (3.66 rad for 2 rad)"
+        " and 95 % less impact (0.4 for 8); it takes 4 s for 1.5 s."
+    )
+    other = demo.DemoResults(results={"a": result(2.0, 0.0, 1.5, 0.0), "b": result(1.0, 0.4, 4.0, 1.0)}, files=())
+    assert "50 % less joint motion (1 rad for 2 rad) and another impact (0.4 for 0)" in other.comparison()
 
 
 def test_demo_labels_say_the_weight():

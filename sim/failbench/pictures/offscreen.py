@@ -121,7 +121,7 @@ class Offscreen:
         marks: Sequence[Mark] = (),
     ) -> UInt8[Array, "height width 3"]:
         option, perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
-        mujoco.mjv_updateScene(self.model, data, option, perturb, cam=camera, catmask=categories, scn=view)
+        mujoco.mjv_updateScene(m=self.model, d=data, opt=option, pert=perturb, cam=camera, catmask=categories, scn=view)
         for mark in marks:
             mark(view)
         self._gl.make_current()

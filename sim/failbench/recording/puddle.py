@@ -146,7 +146,7 @@ class Puddles:
         """Return how many times `direction` it is from the origin to the first geom that can get wet, and that geom."""
         model, data = self._closeup.model, self._closeup.data
         distance = mujoco.mj_ray(
-            model, data, origin, direction, geomgroup=self._groups, flg_static=1, bodyexclude=-1, geomid=self._hit
+            model, data, origin, direction, geomgroup=self._groups, flg_static=True, bodyexclude=-1, geomid=self._hit
         )
         return float(distance), int(self._hit[0, 0])
 

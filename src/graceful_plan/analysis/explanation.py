@@ -227,7 +227,7 @@ def _contributions(
     parts = {name: np.tensordot(along.weight, P, axes=1) * severity for name, P in sources.items()}
     total = math.fsum(float(part.sum()) for part in parts.values())
     rows = [
-        _contribution(scene, along, name, (int(c), int(e)), sources[name][:, c, e], float(severity[c, e]), total)
+        _contribution(along, name, (int(c), int(e)), sources[name][:, c, e], float(severity[c, e]), total)
         for name, part in parts.items()
         for c, e in np.argwhere(part > 0.0)
     ]
@@ -236,7 +236,6 @@ def _contributions(
 
 
 def _contribution(
-    scene: Scene,
     along: _Along,
     source: str,
     index: tuple[int, int],
@@ -244,6 +243,7 @@ def _contribution(
     severity: float,
     total: float,
 ) -> Contribution:
+    scene = along.batch.scene
     component, entity = tuple(scene.components)[index[0]], scene.hazards[index[1]]
     mass = along.weight * probability * severity
     first, last = shortest_stretch(along.place, mass, STRETCH)

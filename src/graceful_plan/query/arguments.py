@@ -14,8 +14,6 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
 from graceful_plan.scene.scene import Scene
 
-FAILURE_AWARE = "failure_aware"
-"""The speed that is slower where that makes failures less harmful."""
 DEFAULT_TIME_LIMIT = 1.0
 """Seconds that a call may take when neither a time limit nor a number of iterations is given."""
 
@@ -34,13 +32,9 @@ def checked_planner(planner: object) -> Planner:
 
 
 def checked_speed(speed: object) -> float:
-    """Return the share of the velocity limits to use: all of it where `failure_aware` timing decides."""
-    if isinstance(speed, str):
-        if speed != FAILURE_AWARE:
-            raise UnknownNameError("speed", speed, (FAILURE_AWARE, "a fraction in (0, 1]"))
-        return 1.0
+    """Return the share of the velocity limits to use."""
     if not (_is_real(speed) and 0.0 < speed <= 1.0):  # type: ignore[operator]
-        raise SettingError("speed", speed, f"a fraction in (0, 1], or {FAILURE_AWARE!r}")
+        raise SettingError("speed", speed, "a fraction in (0, 1]")
     return float(speed)  # type: ignore[arg-type]
 
 

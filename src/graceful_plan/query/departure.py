@@ -19,13 +19,13 @@ from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.planner import Budget, Planner
+from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import Shortcut
-from graceful_plan.query.arguments import checked_speed
 from graceful_plan.query.ends import Ends
-from graceful_plan.query.search import ALL, Callback, Search, is_solution, search
+from graceful_plan.query.request import Request
+from graceful_plan.query.search import ALL, Search, is_solution, search
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
@@ -84,20 +84,13 @@ def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: floa
 
 
 def search_among_moving(
-    planner: Planner,
-    problem: SceneProblem,
-    ends: Ends,
-    objective: SceneObjective,
-    budget: Budget,
-    rng: np.random.Generator,
-    callback: Callback | None = None,
-    speed: float | str = 1.0,
-    max_wait: float = 0.0,
+    request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator
 ) -> Search:
     """Search as if nobody moved, improve what was found by J among those who move, and order by J at its times.
 
     The trace and what the callback is told are of the search as if nobody moved. The best path is at the end.
     """
+    planner, objective, callback = request.planner, request.objective, request.callback
     still = SceneObjective(objective.objective, objective.scene.without_moving())
     limit, iterations = budget.time_limit, budget.iterations
     budget.time_limit = budget.elapsed + _STILL * budget.remaining_seconds
@@ -109,7 +102,7 @@ def search_among_moving(
     if paths and objective.w > 0.0 and not found.stopped:
         better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)
         paths += [path for path in better if is_solution(path, problem)]
-    choice = _Choice(ends, objective, checked_speed(speed), max_wait)
+    choice = _Choice(ends, objective, request.speed, request.max_wait)
     deadline = -np.inf if budget.cancelled() else budget.started + budget.time_limit + RESERVE
     found.paths = choice.ordered(paths, len(found.paths) - 1, deadline)
     return found

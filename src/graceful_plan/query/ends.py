@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.core.compile import CompiledScene
+from graceful_plan.core.compile import CompiledScene, compile_scene
 from graceful_plan.path import Path
 from graceful_plan.query.escape import way_out
+from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
 from graceful_plan.result import PlanResult, PlanStatus
 from graceful_plan.scene.scene import Scene
 
@@ -30,6 +31,8 @@ class Ends:
     """From where the planner may end to the real goals."""
     goal_index: tuple[int, ...]
     """Which of the given goals each arrival leads to."""
+    notes: tuple[str, ...] = ()
+    """What was adjusted to make them usable."""
 
     @property
     def clearance(self) -> float:
@@ -47,6 +50,43 @@ class Ends:
     def in_the_clear(self, index: int) -> bool:
         """Whether a whole path is free by the fast checker's account: there are no ways out in it."""
         return len(self.departure) == 1 and len(self.arrivals[index]) == 1
+
+
+def find_ends(
+    start: Configuration,
+    goal: Goal,
+    scene: Scene,
+    rng: np.random.Generator,
+    *,
+    seed: int = 0,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> Ends | PlanResult:
+    """Turn start and goal as users give them into both ends of a plan, or a result that says why there are none.
+
+    Args:
+        start: Configuration or keyframe.
+        goal: Configuration, keyframe, several of them, or a pose.
+        scene: Where.
+        rng: For ways out of tight places.
+        seed: Of the random numbers of inverse kinematics.
+        cancelled: Ends it early.
+
+    Raises:
+        GracefulPlanError: For misuse: wrong shapes, NaN, names that do not exist.
+    """
+    starts = resolve_start(start, scene)
+    if not len(starts.q):
+        return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
+    goals = resolve_goal(goal, scene, starts.q[0], seed=seed, cancelled=cancelled)
+    if cancelled():
+        return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
+    if not len(goals.q):
+        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)
+    ends = ways_out(starts.q[0], goals.q, compile_scene(scene), scene, rng, cancelled)
+    if isinstance(ends, PlanResult):
+        return ends
+    index = tuple(goals.index[k] for k in ends.goal_index)
+    return replace(ends, goal_index=index, notes=(*starts.notes, *goals.notes))
 
 
 def ways_out(

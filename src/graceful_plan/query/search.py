@@ -45,6 +45,7 @@ def search(
     budget: Budget,
     rng: np.random.Generator,
     callback: Callback | None = None,
+    *,
     kept: int = KEPT,
 ) -> Search:
     """Let the planner work until the budget ends, it stops, or the callback says so; keep the last improvements."""

@@ -11,9 +11,8 @@ from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.planners.roadmaps.growth import Ground
-from graceful_plan.query.ends import Ends, ways_out
-from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
-from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.query.ends import Ends, find_ends
+from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.roadmap.answers import QueryResult, QueryStatus
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.scene.scene import Scene
@@ -60,30 +59,22 @@ def usable_pairs(motions: Iterable[Motion], scene: Scene, rng: np.random.Generat
     pairs: list[Array] = []
     for start, goal in motions:
         ends = find_ends(start, goal, scene, rng)
-        if not isinstance(ends, QueryResult):
-            pairs += [np.stack([ends[0].departure.q[-1], arrival.q[0]]) for arrival in ends[0].arrivals]
+        if isinstance(ends, Ends):
+            pairs += [np.stack([ends.departure.q[-1], arrival.q[0]]) for arrival in ends.arrivals]
     found = np.array(pairs).reshape(-1, 2, len(scene.joints))
     usable = compile_scene(scene).kernels.free(found, MARGIN).all(axis=1) & np.any(found[:, 0] != found[:, 1], axis=1)
     return rng.permutation(found[usable])[:_MOST_PAIRS]
 
 
-def find_ends(
+def usable_ends(
     start: Configuration, goal: Goal, scene: Scene, rng: np.random.Generator, seed: int = 0
-) -> tuple[Ends, tuple[int, ...]] | QueryResult:
-    """Return both ends of a motion and which goal each arrival leads to, or an answer that says why there are none.
+) -> Ends | QueryResult:
+    """Return both ends of a motion, or an answer that says why there are none.
 
     Raises:
         GracefulPlanError: For misuse, as `plan`.
     """
-    starts = resolve_start(start, scene)
-    if not len(starts.q):
-        return QueryResult(status=QueryStatus.INVALID_START, detail=starts.detail)
-    goals = resolve_goal(goal, scene, starts.q[0], seed=seed)
-    if not len(goals.q):
-        return QueryResult(status=QueryStatus.INVALID_GOAL, detail=goals.detail)
-    ends = ways_out(starts.q[0], goals.q, compile_scene(scene), scene, rng)
-    if isinstance(ends, PlanResult):
-        invalid_start = ends.status is PlanStatus.INVALID_START
-        status = QueryStatus.INVALID_START if invalid_start else QueryStatus.INVALID_GOAL
-        return QueryResult(status=status, detail=ends.detail)
-    return ends, tuple(goals.index[k] for k in ends.goal_index)
+    ends = find_ends(start, goal, scene, rng, seed=seed)
+    if isinstance(ends, Ends):
+        return ends
+    return QueryResult(status=QueryStatus[ends.status.name], detail=ends.detail)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from pathlib import Path as FilePath
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,7 @@ from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
 from graceful_plan.roadmap.connect import Joined, join
 from graceful_plan.roadmap.exposure import Exposure
-from graceful_plan.roadmap.file import StaleRoadmapError, read, write
-from graceful_plan.roadmap.fingerprint import MOVING, differences, fingerprint, same_but_for_severity, scene_fingerprint
-from graceful_plan.roadmap.ground import Motion, declared_motions, find_ends, ground_of, usable_pairs
+from graceful_plan.roadmap.ground import Motion, declared_motions, ground_of, usable_ends, usable_pairs
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.scene import Scene
 
@@ -38,7 +36,7 @@ _KEPT = 8
 
 
 class Roadmap:
-    """Nodes and edges that are free, with cached costs. Made by `build` or `load`.
+    """Nodes and edges that are free, with cached costs. Made by `build`.
 
     Args:
         scene: The scene, with what is carried attached.
@@ -95,29 +93,6 @@ class Roadmap:
         growth.grow(nodes)
         return cls(scene, chosen, growth.q, growth.edges)
 
-    def save(self, file: str | FilePath) -> None:
-        """Write it to a file, whole or not at all.
-
-        Raises:
-            SettingError: If a cost of one's own is not made of numbers, words and arrays, so that nobody could tell
-                whether it is the same when the file is read.
-            OSError: If the file cannot be written.
-        """
-        write(file, self.q, self.edges, len(self.exposure.columns), fingerprint(self.scene, self.objective))
-
-    @classmethod
-    def load(cls, file: str | FilePath, scene: Scene, *, objective: Objective | None = None) -> Roadmap:
-        """Read a roadmap that was built in this scene and for this objective; severities and weight may differ.
-
-        Raises:
-            StaleRoadmapError: If it was built in another scene or for another objective; says what differs.
-            FormatError: If the file is damaged or is none.
-            OSError: If it cannot be read at all.
-        """
-        chosen = checked_objective(objective, None, 1.0)
-        q, edges = read(file, fingerprint(scene, chosen), len(Exposure(chosen, scene).columns), len(scene.joints))
-        return cls(scene, chosen, q, edges)
-
     def query(
         self,
         start: Configuration,
@@ -133,29 +108,29 @@ class Roadmap:
         Args:
             start: Configuration [rad or m], or the name of a keyframe.
             goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
-            scene: Where severities are from. It may differ from the roadmap's in nothing else, except that entities
-                that move in the one may be missing in the other.
+            scene: Where severities are from: the roadmap's scene, or what `Scene.with_severity` or
+                `Scene.without_moving` makes of it.
             w: Safety weight; the objective's by default.
             severity: Other severities, as for `Scene.with_severity`.
             seed: Of the random numbers of inverse kinematics.
 
         Raises:
-            StaleRoadmapError: If the scene is another one.
-            GracefulPlanError: For misuse: wrong shapes, NaN, unknown names, settings outside of their range.
+            GracefulPlanError: For misuse: another scene, wrong shapes, NaN, unknown names, settings outside of their
+                range.
         """
         weight = checked_objective(self.objective, w, 1.0).w
         severities = self.severity(scene, severity)
-        ends = find_ends(start, goal, self.scene, np.random.default_rng(0), seed)
+        ends = usable_ends(start, goal, self.scene, np.random.default_rng(0), seed)
         if isinstance(ends, QueryResult):
             return ends
-        joined = self.joined(ends[0])
+        joined = self.joined(ends)
         motion, impact = joined.costs(self.impact(severities), severities)
         steps, _ = joined.graph.cheapest(motion + weight * impact, joined.start, joined.goals)
         if len(steps) == 0:
             return QueryResult(status=QueryStatus.NOT_CONNECTED)
         path = joined.path(steps)
         cost = self.exposure.breakdown(self.exposure.finely().price(path.q[:-1], path.q[1:]), severities, weight)
-        index = ends[1][int(np.flatnonzero(joined.goals == joined.graph.head[steps[-1]])[0])]
+        index = ends.goal_index[int(np.flatnonzero(joined.goals == joined.graph.head[steps[-1]])[0])]
         return QueryResult(status=QueryStatus.FOUND, path=path, cost=cost, goal_index=index)
 
     def front(
@@ -193,10 +168,10 @@ class Roadmap:
         if max_points is not None:
             count("max_points", max_points)
         severities = self.severity(None, severity)
-        ends = find_ends(start, goal, self.scene, np.random.default_rng(0), seed)
+        ends = usable_ends(start, goal, self.scene, np.random.default_rng(0), seed)
         if isinstance(ends, QueryResult):
             return []
-        joined = self.joined(ends[0])
+        joined = self.joined(ends)
         cost = joined.costs(self.impact(severities), severities)
         found = joined.graph.front(np.stack(cost, axis=1), joined.start, joined.goals, epsilon)
         if not found.edges:
@@ -235,27 +210,23 @@ class Roadmap:
             severity: Replacements, as for `Scene.with_severity`.
 
         Raises:
-            StaleRoadmapError: If the scene is not that of the roadmap but for severities.
-            SettingError: If there are replacements although the impact is not one of severities.
+            SettingError: If the scene is another one, or if there are replacements although the impact is not one of
+                severities.
         """
         if severity is not None and not self.exposure.by_hazard:
             raise SettingError("severity", severity, "None: the impact of this roadmap is not one of severities")
         chosen = self.scene if scene is None else scene
-        if chosen is not self.scene:
-            self.check(chosen)
+        if not (chosen is self.scene or _same_but_for_severity(self.scene, chosen)):
+            raise SettingError("scene", chosen.name, "the roadmap's own, or that with other severities")
         return self.exposure.severity(chosen if severity is None else chosen.with_severity(severity))
 
-    def check(self, scene: Scene) -> None:
-        """Refuse scenes that differ from the roadmap's in more than severities, or in that nobody moves in them.
 
-        Raises:
-            StaleRoadmapError: With what differs.
-        """
-        if same_but_for_severity(self.scene, scene):
-            return
-        parts = differences(scene_fingerprint(self.scene), scene_fingerprint(scene))
-        if parts and not (parts == [MOVING] and not scene.moving):
-            raise StaleRoadmapError("the roadmap", parts)
+def _same_but_for_severity(own: Scene, other: Scene) -> bool:
+    """Tell whether one scene comes of the other by new severities, and perhaps without what moves in it."""
+    skipped = {"severity", "overrides"} if other.moving else {"severity", "overrides", "moving"}
+    names = (field.name for field in fields(own.notes) if field.name not in skipped)
+    pairs = ((getattr(own.notes, name), getattr(other.notes, name)) for name in names)
+    return own.model is other.model and all(a is b or a == b for a, b in pairs)
 
 
 def _keep(kept: OrderedDict[Any, Any], key: object, value: object) -> None:

@@ -1,13 +1,12 @@
 """Timing: from a path to the fastest trajectory that keeps the limits of velocity, acceleration and torque.
 
-Corners of the path are rounded first (`blend`), then the curve is timed (`topp`), if asked slowed down where speed does
-harm (`failure_aware`), then the result is checked again and, where sampling let it exceed a limit by a little, slowed
-down evenly until it does not.
+Corners of the path are rounded first (`blend`), then the curve is timed (`topp`), then the result is checked again and,
+where sampling let it exceed a limit by a little, slowed down evenly until it does not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import CurveGrid, Piece, rounded, sampled
-from graceful_plan.timing.failure_aware import ImpactOfStates, graded, timed_cost
 from graceful_plan.timing.topp import InverseDynamics, fastest, fastest_with_toppra
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -24,9 +22,7 @@ Array = np.ndarray
 
 _ROUNDING = 1e-9
 """Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
-_Regrade = Callable[[CurveGrid, Array, Array], Array]
-"""Other path speeds, of grid, fastest path speeds and acceleration limits."""
-_ACCEPTED_SLOWDOWN = 1.02
+ACCEPTED_SLOWDOWN = 1.02
 """The grid is refined while checking against the limits would slow the motion down by more than this."""
 
 
@@ -38,10 +34,8 @@ def retime(
     deviation: float = 0.05,
     speed: float = 1.0,
     inverse_dynamics: InverseDynamics | None = None,
-    impact: ImpactOfStates | None = None,
-    w: float = 1.0,
 ) -> Trajectory:
-    """Time a path as fast as the limits allow, from rest to rest; or, given an impact, so that failing does less harm.
+    """Time a path as fast as the limits allow, from rest to rest.
 
     Args:
         path: Polyline in configuration space; start and end are kept exactly.
@@ -51,13 +45,10 @@ def retime(
             exactly and stops at every corner.
         speed: In (0, 1]: velocities are scaled by it, accelerations by its square.
         inverse_dynamics: Joint torques of (q, qd, qdd), to keep torque limits too.
-        impact: Impact of a failure at states (q, qd) [n, nq], such as `Objective().bind(scene).states`. With it, the
-            trajectory is slower where that lowers F = integral of 1 + w I(q, qd) over time [s]; see `failure_aware`.
-        w: Safety weight in F: a second under an impact of 1 / w costs as much as two under none.
 
     Returns:
         A trajectory that keeps the limits at every time, not only at its samples. A path without length gives a single
-        sample. With an impact: the fastest one if that has the lower F.
+        sample.
 
     Raises:
         RetimingError: If the limits cannot be kept.
@@ -72,23 +63,12 @@ def retime(
         raise SettingError("speed", speed, "0 < speed <= 1")
     if not (np.isfinite(deviation) and deviation >= 0.0):
         raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
-    if not (np.isfinite(w) and w >= 0.0):
-        raise SettingError("w", w, "a finite number, at least 0")
     pieces = rounded(path, deviation)
     if not pieces:
         still = np.zeros((1, nq))
         return Trajectory(np.zeros(1), path.q[:1], still, still, joints)
     _check_limits(limits, joints)
-    plain = slowed(_refined(pieces, path.q[-1], limits, joints, inverse_dynamics), 1.0 / speed)
-    if impact is None or w == 0.0:
-        return plain
-
-    def regrade(grid: CurveGrid, fastest: Array, acceleration: Array) -> Array:
-        # On the clock of full speed, to which all trajectories of this curve are timed before they are slowed.
-        return graded(grid, fastest, acceleration, lambda q, qd: impact(q, speed * qd), w)
-
-    aware = slowed(_refined(pieces, path.q[-1], limits, joints, inverse_dynamics, regrade), 1.0 / speed)
-    return min(plain, aware, key=lambda trajectory: timed_cost(trajectory, impact, w))
+    return slowed(_refined(pieces, path.q[-1], _Robot(limits, joints, inverse_dynamics)), 1.0 / speed)
 
 
 def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
@@ -112,43 +92,37 @@ def _check_limits(limits: Limits, joints: tuple[str, ...]) -> None:
             raise RetimingError(f"the {name} limit of joint {joints[bad[0]]!r} is {value[bad[0]]}, it must be > 0")
 
 
-def _refined(
-    pieces: tuple[Piece, ...],
-    end: Float[Array, " nq"],
-    limits: Limits,
-    joints: tuple[str, ...],
-    inverse_dynamics: InverseDynamics | None,
-    regrade: _Regrade | None = None,
-) -> Trajectory:
+@dataclass(frozen=True, eq=False)
+class _Robot:
+    """What a robot can do, as far as timing asks."""
+
+    limits: Limits
+    joints: tuple[str, ...]
+    inverse_dynamics: InverseDynamics | None
+    """Torque limits are kept only with these."""
+
+
+def _refined(pieces: tuple[Piece, ...], end: Float[Array, " nq"], robot: _Robot) -> Trajectory:
     """Time a curve on finer and finer grids until it hardly exceeds a limit between their points."""
     for density in (1, 2, 4):
-        trajectory = _timed(pieces, end, limits, joints, density, inverse_dynamics, regrade)
-        factor = slowdown(trajectory, limits, inverse_dynamics)
-        if factor <= _ACCEPTED_SLOWDOWN:
+        trajectory = _timed(pieces, end, robot, density)
+        factor = slowdown(trajectory, robot.limits, robot.inverse_dynamics)
+        if factor <= ACCEPTED_SLOWDOWN:
             break
     return slowed(trajectory, factor * (1.0 + _ROUNDING))
 
 
-def _timed(
-    pieces: tuple[Piece, ...],
-    end: Float[Array, " nq"],
-    limits: Limits,
-    joints: tuple[str, ...],
-    density: int,
-    inverse_dynamics: InverseDynamics | None,
-    regrade: _Regrade | None,
-) -> Trajectory:
+def _timed(pieces: tuple[Piece, ...], end: Float[Array, " nq"], robot: _Robot, density: int) -> Trajectory:
     length = sum(piece.length for piece in pieces)
     grid = sampled(pieces, end, length / (100.0 * density), density)
+    limits, torques = robot.limits, robot.inverse_dynamics
     velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
-    if inverse_dynamics is None:
+    if torques is None:
         speeds = fastest(grid, velocity, acceleration)
     else:
-        _check_holdable(grid, np.asarray(limits.torque, float), joints, inverse_dynamics)
-        speeds = fastest_with_toppra(grid, velocity, acceleration, np.asarray(limits.torque, float), inverse_dynamics)
-    if regrade is not None:
-        speeds = regrade(grid, speeds, acceleration)
-    return _trajectory(grid, speeds, joints)
+        _check_holdable(grid, np.asarray(limits.torque, float), robot.joints, torques)
+        speeds = fastest_with_toppra(grid, velocity, acceleration, np.asarray(limits.torque, float), torques)
+    return _trajectory(grid, speeds, robot.joints)
 
 
 def _trajectory(grid: CurveGrid, speeds: Float[Array, " point"], joints: tuple[str, ...]) -> Trajectory:

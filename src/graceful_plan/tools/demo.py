@@ -16,14 +16,37 @@ SPEED = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class DemoResults:
     """What was planned, by label, and the files that were written."""
 
     results: Mapping[str, gp.PlanResult]
     files: tuple[Path, ...]
 
+    @property
+    def solved(self) -> bool:
+        """Whether there are two motions to compare."""
+        return all(result.status is gp.PlanStatus.SOLVED for result in self.results.values())
 
-def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None, **budget: Any) -> Outcome:
+    def comparison(self) -> str:
+        """Say what the second motion costs and what it buys, in the figures measured in this run."""
+        shortest, graceful = (result.cost for result in self.results.values())
+        before, after = (result.unwrap().duration for result in self.results.values())
+        return (
+            f"Beside the shortest motion, the one planned with w = {graceful.w:g} has"
+            f" {_change(shortest.motion, graceful.motion, 'joint motion', ' rad')} and"
+            f" {_change(shortest.impact, graceful.impact, 'impact')}; it takes {after:.3g} s for {before:.3g} s."
+        )
+
+
+def _change(before: float, after: float, what: str, unit: str = "") -> str:
+    """Put a change in words: 83 % more joint motion (7.7 rad for 4.2 rad)."""
+    figures = f"({after:.3g}{unit} for {before:.3g}{unit})"
+    if not before > 0.0:
+        return f"another {what} {figures}"
+    return f"{100.0 * abs(after / before - 1.0):.0f} % {'more' if after > before else 'less'} {what} {figures}"
+
+
+def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None, **budget: Any) -> DemoResults:
     """Plan the first task of `tabletop` with w = 0 and w = 1; write trajectories and pictures into `output`.
 
     Args:
@@ -52,4 +75,4 @@ def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None
         figures.compare_paths(task.scene, paths, files[-1], speed=SPEED)
         if render.render_paths(task.scene, paths, output / "view.png"):
             files.append(output / "view.png")
-    return Outcome(results=results, files=tuple(files))
+    return DemoResults(results=results, files=tuple(files))

@@ -22,7 +22,7 @@ class ValidationError(GracefulPlanError, RuntimeError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class TuneReport:
     """What was found, and the files that were written.
 
     Args:
@@ -115,7 +115,7 @@ def run(
     failures: int = 0,
     callback: Callable[[Progress], bool | None] | None = None,
     **settings: Any,
-) -> Outcome:
+) -> TuneReport:
     """Find the front of a task, choose from it, and write front.json, front.png, front.html and chosen.json.
 
     Args:
@@ -142,7 +142,7 @@ def run(
     files = [output / "front.json"]
     front.save(files[0])
     if not len(front):
-        return Outcome(front=front, choice=choice, files=tuple(files))
+        return TuneReport(front=front, choice=choice, files=tuple(files))
     from graceful_plan.viz.front import draw_front
     from graceful_plan.viz.front_page import write_front_page
 
@@ -155,7 +155,7 @@ def run(
     observed = () if validation is None else validation["points"]
     title = f"{front.scene}, {task.name}"
     write_front_page(front, task.scene, files[-1], choice, [_seen(entry) for entry in observed], title)
-    return Outcome(front=front, choice=choice, validation=validation, files=tuple(files))
+    return TuneReport(front=front, choice=choice, validation=validation, files=tuple(files))
 
 
 def validated(front: Path, scene: str, task: str, failures: int) -> Mapping[str, Any]:

@@ -33,6 +33,7 @@ from graceful_plan.query.arguments import (
 from graceful_plan.query.ends import Ends, ways_out
 from graceful_plan.query.finish import finish
 from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.query.request import Request
 from graceful_plan.result import PlanStatus
 from graceful_plan.roadmap import Roadmap
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -83,7 +84,7 @@ def pareto(
     time_limit: float | None = None,
     iterations: int | None = None,
     seed: int = 0,
-    speed: float | str = 1.0,
+    speed: float = 1.0,
     callback: Callable[[Progress], bool | None] | None = None,
 ) -> ParetoFront:
     """Find the front of motion against impact, to choose a safety weight by what it costs and what it buys.
@@ -144,7 +145,7 @@ class _Tuner:
         planner: Planner,
         points: int,
         goal: Goal,
-        speed: float | str,
+        speed: float,
         budget: Budget,
     ) -> None:
         self.ends, self.objective, self.scene, self.planner = ends, objective, scene, planner
@@ -260,7 +261,8 @@ class _Tuner:
     def _point(self, candidate: Candidate, objective: SceneObjective) -> ParetoPoint | None:
         """Time, judge and charge a candidate; None if the judge refuses it."""
         whole, index = self.ends.joined(Path(candidate.q))
-        done = finish(whole, self.scene, objective, self.pose, self.speed, self.ends.in_the_clear(index))
+        request = Request(planner=self.planner, objective=objective, pose=self.pose, speed=self.speed)
+        done = finish(whole, request, self.ends.in_the_clear(index))
         if done.trajectory is None or not done.verdict.passed:
             return None
         return ParetoPoint(

@@ -66,7 +66,13 @@ def _pixels(
     camera.distance, camera.azimuth, camera.elevation = _DISTANCE, _AZIMUTH, _ELEVATION
     view = mujoco.MjvScene(model, maxgeom=10_000)
     mujoco.mjv_updateScene(
-        model, data, mujoco.MjvOption(), mujoco.MjvPerturb(), camera, int(mujoco.mjtCatBit.mjCAT_ALL), view
+        m=model,
+        d=data,
+        opt=mujoco.MjvOption(),
+        pert=mujoco.MjvPerturb(),
+        cam=camera,
+        catmask=int(mujoco.mjtCatBit.mjCAT_ALL),
+        scn=view,
     )
     for position, colour in zip(positions, PATH_COLOURS, strict=False):
         _add_tube(view, position, colour)

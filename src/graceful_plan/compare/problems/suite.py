@@ -38,6 +38,7 @@ from graceful_plan.yaml_file import Block, read_yaml
 VERSION = 1
 _FOLDER = Path(__file__).parent / "suites"
 _ALL = "*"
+_KEYS = ("version", "description", "seconds", "w", "seeds", "problems", "best_known")
 
 End = str | tuple[float, ...]
 """A keyframe or joint values."""
@@ -143,7 +144,7 @@ def _is_suite(file: Path) -> bool:
 
 def _read_suite(file: Path) -> Suite:
     top = read_yaml(file)
-    top.only("version", "description", "seconds", "w", "seeds", "problems", "best_known")
+    top.only(*_KEYS)
     if top["version"].number() != VERSION:
         raise top["version"].error(f"version {top['version'].value} of a suite; this version reads {VERSION}")
     given: dict[str, Any] = {}

@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from graceful_plan.analysis.certificate import certify
 from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems
 from graceful_plan.compare.problems.problem_files import ProblemFile, load_problems
 from graceful_plan.compare.problems.suite import ProblemNote
@@ -170,7 +171,7 @@ def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
         length=result.path.length,
         clearance=clearance,
         self_clearance=own,
-        certified=math.nan if result.certificate is None else result.certificate.clearance,
+        certified=certify(result, problem.scene).clearance,
         trace=trace,
         path=tuple(map(tuple, result.path.q.tolist())),
     )

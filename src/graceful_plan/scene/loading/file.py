@@ -68,6 +68,13 @@ from graceful_plan.yaml_file import Block, read_yaml
 
 T = TypeVar("T")
 
+_KEYS = (
+    "version", "name", "description", "world", "robot", "tool", "fingers", "entities", "severity", "objects", "moving",
+    "keyframes", "tasks", "allowed_contacts",
+)  # fmt: skip
+_ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque")
+_MOVING_KEYS = ("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
+
 
 def read_scene(file: Path) -> Scene:
     """Load a scene file.
@@ -77,8 +84,7 @@ def read_scene(file: Path) -> Scene:
         UnsupportedError: If the model has features that cannot be represented.
     """
     root = read_yaml(file)
-    root.only("version", "name", "description", "world", "robot", "tool", "fingers", "entities", "severity", "objects",
-              "moving", "keyframes", "tasks", "allowed_contacts")  # fmt: skip
+    root.only(*_KEYS)
     if root["version"].number() != 1:
         raise root["version"].error("only version 1 of scene files is known")
     notes = _notes(root, file)
@@ -122,7 +128,7 @@ class _Lines:
 def _notes(root: Block, file: Path) -> Notes:
     lines = _Lines({key: block.line for key, block in root.items()})
     robot = root["robot"]
-    robot.only("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque")
+    robot.only(*_ROBOT_KEYS)
     prefix = _prefix(robot)
     name, description, tool, allowed = (root.get(key) for key in ("name", "description", "tool", "allowed_contacts"))
     body_class = robot.get("body_class")
@@ -200,7 +206,7 @@ def _entity(_name: str, block: Block) -> EntityNote:
 
 
 def _moving(name: str, block: Block) -> MovingEntity:
-    block.only("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
+    block.only(*_MOVING_KEYS)
     yaw, spread, growth, severity = (block.get(key) for key in ("yaw", "spread", "growth", "severity"))
     return MovingEntity(
         name,

@@ -1,0 +1,35 @@
+"""What was asked of `plan`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.planners import Planner
+from graceful_plan.query.prefer import Preference
+from graceful_plan.query.search import Callback
+from graceful_plan.scene.pose_goal import PoseGoal
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Request:
+    """What was asked for, all of it checked.
+
+    | field      | meaning                                                               | unit |
+    |------------|-----------------------------------------------------------------------|------|
+    | planner    | what searches                                                         |      |
+    | objective  | what to minimise, in which scene                                      |      |
+    | preference | what decides between paths instead, if the mean impact does not       |      |
+    | pose       | the pose to be reached, if that is the goal                           |      |
+    | speed      | fraction of the velocity limits to use                                |      |
+    | max_wait   | longest wait at the start, if something moves                         | s    |
+    | callback   | told of every improvement                                             |      |
+    """
+
+    planner: Planner
+    objective: SceneObjective
+    preference: Preference | None = None
+    pose: PoseGoal | None = None
+    speed: float = 1.0
+    max_wait: float = 0.0
+    callback: Callback | None = None

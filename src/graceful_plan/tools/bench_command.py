@@ -1,0 +1,92 @@
+"""The command that compares planners: bench."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path as FilePath
+from typing import Any
+
+from graceful_plan.exceptions import SettingError
+from graceful_plan.tools.console import DONE, FAILED, RunCounter, add_command, complain, show
+
+
+def add_to(commands: Any) -> None:
+    """Add these commands to those of the parser."""
+    bench = add_command(commands, "bench", _bench, "compare planners on a suite of problems, at equal time")
+    bench.add_argument("--suite", default="quick", help="bundled suite, suite file, problem file or folder of those")
+    bench.add_argument(
+        "--planners", nargs="+", metavar="P", help="name, or name:setting=value,...; the first is the reference"
+    )
+    bench.add_argument(
+        "--planner-file",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="Python file that defines planners of your own; IT IS RUN, so name only files that you trust",
+    )
+    bench.add_argument("--seeds", metavar="N|S,S", help="number of seeds, or seeds with commas (default: the suite's)")
+    bench.add_argument("--seconds", type=float, metavar="S", help="time limit of every call (default: the suite's)")
+    bench.add_argument("--w", type=float, help="safety weight (default: the suite's)")
+    bench.add_argument(
+        "--out",
+        type=FilePath,
+        default=FilePath("graceful_plan_bench"),
+        help="folder; a comparison that was interrupted there goes on (default graceful_plan_bench)",
+    )
+    bench.add_argument("--processes", type=int, default=1, help="runs at a time (default 1)")
+    bench.add_argument("--known", type=FilePath, metavar="FILE", help="best_known.yaml of another comparison")
+    bench.add_argument("--export", default="", metavar="csv,parquet,arena", help="tables, and OMPL's Planner Arena")
+    bench.add_argument("--report-only", action="store_true", help="run nothing; report what --out holds")
+
+
+def _bench(args: argparse.Namespace) -> int:
+    from graceful_plan import compare as bench
+
+    exports = [name for name in args.export.split(",") if name]
+    bench.check_exports(exports)
+    if args.report_only:
+        comparison = bench.load_comparison(args.out)
+        known = {} if args.known is None else bench.read_known(args.known, comparison.w)
+        summary = bench.summarise(bench.load_comparison(args.out, known))
+    else:
+        summary = bench.summarise(_compared(args))
+    files = bench.write(summary, args.out, exports)
+    text = [bench.text(summary), "", *(f"wrote {file}" for file in files)]
+    show(args, summary.to_document() | {"files": [str(file) for file in files]}, "\n".join(text))
+    return DONE if any(planner.solved for planner in summary.planners) else FAILED
+
+
+def _compared(args: argparse.Namespace) -> Any:
+    from graceful_plan import compare as bench
+
+    suite = bench.load_suite(args.suite)
+    known = None if args.known is None else bench.read_known(args.known, suite.w if args.w is None else args.w)
+    counter = RunCounter()
+    try:
+        return bench.compare(
+            suite,
+            planners=args.planners,
+            planner_files=args.planner_file,
+            seeds=None if args.seeds is None else _seeds(args.seeds),
+            seconds=args.seconds,
+            w=args.w,
+            out=args.out,
+            processes=args.processes,
+            known=known,
+            progress=counter.show,
+        )
+    except KeyboardInterrupt:
+        counter.end()
+        if counter.total:
+            # The journal knows better than the counter, which may not have heard of the last run.
+            kept = bench.load_comparison(args.out)
+            words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.out}; the same command goes on"
+            complain(words)
+        raise
+
+
+def _seeds(text: str) -> int | list[int]:
+    try:
+        return [int(word) for word in text.split(",") if word] if "," in text else int(text)
+    except ValueError:
+        raise SettingError("--seeds", text, "a number of seeds, or seeds with commas between them") from None
