@@ -53,6 +53,8 @@ SUBJECTS = (
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
+TAKEN_OUT = "taken_out"
+"""Section written by hand: what was measured, did not help and is gone."""
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
 
@@ -71,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         print(f"\n{body}", flush=True)
         if args.write:
-            report.write_section(RESULTS, name, body, SUBJECTS)
+            report.write_section(RESULTS, name, body, (*SUBJECTS, TAKEN_OUT))
     return failed
 
 

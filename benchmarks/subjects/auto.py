@@ -145,7 +145,7 @@ def _part_table(records: list[Run], best: dict[str, float]) -> str:
         mine = [r for r in records if r.planner == part.label]
         gaps = _gaps(mine, best)
         at = [
-            report.percent(float(np.median([gap(float(r.totals_at(seconds)), best[r.problem]) for r in mine])))
+            report.percent(float(np.median([gap(r.total_at(seconds), best[r.problem]) for r in mine])))
             for seconds in (0.1, 0.3)
         ]
         rows.append(

@@ -96,7 +96,7 @@ def references(
 
 
 def _median_gap(records: list[Run], best: dict[str, float], seconds: float) -> float:
-    return float(np.median([gap(float(r.totals_at(seconds)), best[r.problem]) for r in records])) if records else np.nan
+    return float(np.median([gap(r.total_at(seconds), best[r.problem]) for r in records])) if records else np.nan
 
 
 def _targets(own: list[Run], best: dict[str, float]) -> Iterator[report.Target]:
@@ -188,7 +188,7 @@ def _details(records: list[Run], best: dict[str, float], limit: float) -> dict[s
             "seconds": _finite(r.seconds),
             "total": _finite(r.total),
             "first": _finite(r.first),
-            "total_at": {f"{seconds:g}": _finite(float(r.totals_at(seconds))) for seconds in CHECKPOINTS},
+            "total_at": {f"{seconds:g}": _finite(r.total_at(seconds)) for seconds in CHECKPOINTS},
         }
         for r in sorted(records, key=lambda r: (r.problem, r.planner, r.seed))
     ]
