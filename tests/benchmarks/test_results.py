@@ -14,15 +14,12 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks import run as runner
 
-SECTIONS = dict(
-    re.findall(r"<!-- begin (\w+) -->\n(.*?)\n<!-- end \1 -->", runner.RESULTS.read_text(), flags=re.DOTALL)
-)
+SECTION = re.compile(r"<!-- begin (\w+) -->\n(.*?)\n<!-- end \1 -->\n", flags=re.DOTALL)
+SECTIONS = dict(SECTION.findall(runner.RESULTS.read_text()))
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 MENTION = re.compile(r"RESULTS\.md")
 LINK = re.compile(r"\[[^\]]*\]\([^)\s]*RESULTS\.md(?:#([\w-]+))?\)")
-MADE = re.compile(
-    r"\d{4}-\d\d-\d\d, `python benchmarks/(run|kill_sweep)\.py[^`]*`, .*\bload average\b.*; kernels: .*; "
-)
+MADE = re.compile(r"\d{4}-\d\d-\d\d, `python benchmarks/\w+\.py[^`]*`, .*\bload average\b.*; Linux.*; ")
 """Date, command and machine."""
 
 
