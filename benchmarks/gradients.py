@@ -27,7 +27,7 @@ CLEAR = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class SlopeCheck:
     """How well a gradient agrees."""
 
     term: str
@@ -40,7 +40,7 @@ class Finding:
     """Points left out because the slopes ahead and behind differ."""
 
 
-def examine(task: str, n: int, seed: int = 0) -> list[Finding]:
+def examine(task: str, n: int, seed: int = 0) -> list[SlopeCheck]:
     """Compare every term of one task, at random points near its start and goals and anywhere."""
     instance = suite.task(task)
     rng = np.random.default_rng(seed)
@@ -53,7 +53,7 @@ def examine(task: str, n: int, seed: int = 0) -> list[Finding]:
     return [*_of_edges(objective, q, task, rng), *_of_clearance(instance.scene, _spread(q, rng, lower, upper), task)]
 
 
-def analytic(n: int, seed: int = 0) -> Iterator[Finding]:
+def analytic(n: int, seed: int = 0) -> Iterator[SlopeCheck]:
     """Compare the derivatives of the problems with known optima, where they have any."""
     rng = np.random.default_rng(seed)
     for name, instance in analytic_problems().items():
@@ -67,7 +67,7 @@ def _spread(q: Array, rng: np.random.Generator, lower: Array, upper: Array) -> A
     return np.concatenate([q, rng.uniform(lower, upper, (10 * len(q), len(lower)))])
 
 
-def _of_edges(objective: object, q0: Array, where: str, rng: np.random.Generator) -> Iterator[Finding]:
+def _of_edges(objective: object, q0: Array, where: str, rng: np.random.Generator) -> Iterator[SlopeCheck]:
     q1 = q0 + EDGE * rng.normal(size=q0.shape)
     found = objective.edge_gradients(q0, q1) if isinstance(objective, DifferentiableObjective) else None
     if found is None or not isinstance(objective, DifferentiableObjective):
@@ -82,7 +82,7 @@ def _of_edges(objective: object, q0: Array, where: str, rng: np.random.Generator
     yield compared("edges, V + w S", where, total, np.concatenate([q0, q1], axis=1), gradient)
 
 
-def _of_clearance(scene: gp.Scene, q: Array, where: str) -> Iterator[Finding]:
+def _of_clearance(scene: gp.Scene, q: Array, where: str) -> Iterator[SlopeCheck]:
     kernels = compile_scene(scene).kernels
     twin = ClearanceTwin(kernels.robot, kernels.world)
     clearance, gradient = kernels.clearance_gradient(q)
@@ -104,14 +104,14 @@ def _of_clearance(scene: gp.Scene, q: Array, where: str) -> Iterator[Finding]:
             yield compared(term, where, distance, q[rows], gradient[rows])
 
 
-def compared(term: str, where: str, f: Callable[[Array], Array], x: Array, gradient: Array) -> Finding:
+def compared(term: str, where: str, f: Callable[[Array], Array], x: Array, gradient: Array) -> SlopeCheck:
     """Compare a gradient with differences of f, which takes points [m n, nx] whose rows repeat those of x in order."""
     size = np.maximum(np.linalg.norm(gradient, axis=1), 1e-3 * np.linalg.norm(gradient, axis=1).max() + 1e-12)
     error = np.min([np.linalg.norm(gradient - _central(f, x, h), axis=1) for h in STEPS], axis=0) / size
     kink = np.linalg.norm(_central(f, x, STEPS[-1], one_sided=True), axis=1) > KINK * size
     smooth = ~kink
     worst = float(error[smooth].max()) if smooth.any() else np.inf
-    return Finding(term=term, where=where, count=int(smooth.sum()), worst=worst, kinks=int(kink.sum()))
+    return SlopeCheck(term=term, where=where, count=int(smooth.sum()), worst=worst, kinks=int(kink.sum()))
 
 
 def _central(f: Callable[[Array], Array], x: Array, h: float, *, one_sided: bool = False) -> Array:

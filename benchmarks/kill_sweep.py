@@ -26,12 +26,12 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from benchmarks import machine  # noqa: E402 - after the path to it is known
 from failbench.fault.registry import faults, to_document  # noqa: E402
 from failbench.sweeps.dataset import read_dataset  # noqa: E402
 from failbench.sweeps.journal import SweepJournal  # noqa: E402
 from failbench.sweeps.sweep import JOURNAL  # noqa: E402
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion  # noqa: E402
+from graceful_plan.compare.runs import machine  # noqa: E402
 
 FAULTS = ("gripper_failure", "loose_joint", "noise", "power_loss")
 """One of each category."""
@@ -45,7 +45,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rollouts", type=int, default=96, help="of each of four faults")
     args = parser.parse_args()
-    print(machine.describe())
+    print(machine.described())
     with tempfile.TemporaryDirectory() as folder:
         trial = Trial(Path(folder), rollouts=args.rollouts, workers=args.workers, seed=args.seed)
         trial.run(args.kills)

@@ -43,7 +43,7 @@ _HAND = 0.1034
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reach:
+class Grip:
     """A place to reach for: the tool's position, and directions that it may come from, all in the furniture's frame."""
 
     position: tuple[float, float, float]
@@ -59,7 +59,7 @@ class Furniture:
 
     shapes: tuple[tuple[str, str, tuple[float, ...], tuple[float, float, float]], ...]
     """Name, kind, size as in `Obstacle`, position."""
-    reaches: tuple[Reach, ...]
+    reaches: tuple[Grip, ...]
     place: tuple[float, float, float]
     """Where the furniture's origin is while it is not turned or shifted [m]."""
     turn: float
@@ -89,7 +89,7 @@ def _shelf(rng: np.random.Generator, boards: int, gap: float, width: float, divi
             y = column * width * (0.25 if dividers else 0.3) + rng.uniform(-0.05, 0.05)
             x = rng.uniform(0.06, 0.2)
             shapes.append(_can(f"can{k}{column:+d}", x, y, k * gap + BOARD))
-            reaches.append(Reach(position=(x - 0.02, y, k * gap + BOARD + 0.09), approach=(1.0, 0.0, 0.0)))
+            reaches.append(Grip(position=(x - 0.02, y, k * gap + BOARD + 0.09), approach=(1.0, 0.0, 0.0)))
     return Furniture(shapes=tuple(shapes), reaches=tuple(reaches), place=(0.42, 0.0, 0.0), turn=1.0)
 
 
@@ -127,8 +127,8 @@ def _open_box(
         walls.append(("lid", "box", (half, half, BOARD), (0.06, 0.0, height)))
     x, y = rng.uniform(-0.08, 0.08, size=2)
     walls.append(_can("can", x, y, BOARD))
-    from_above = Reach(position=(x, y, 0.18), approach=(0.0, 0.0, -1.0), tilt=0.2)
-    from_front = Reach(position=(x - 0.02, y, BOARD + 0.1), approach=(1.0, 0.0, -0.4), tilt=0.3)
+    from_above = Grip(position=(x, y, 0.18), approach=(0.0, 0.0, -1.0), tilt=0.2)
+    from_front = Grip(position=(x - 0.02, y, BOARD + 0.1), approach=(1.0, 0.0, -0.4), tilt=0.3)
     return Furniture(
         shapes=tuple(walls),
         reaches=(from_front,) if lid else (from_above,),
@@ -171,7 +171,7 @@ def table_pick(rng: np.random.Generator) -> Furniture:
         else:
             shapes.append((f"box{k}", "box", (0.05, 0.05, 0.12), (x, y, height + BOARD + 0.121)))
         if k < 2:
-            reaches.append(Reach(position=(x, y, height + BOARD + 0.13), approach=(0.0, 0.0, -1.0), tilt=0.15))
+            reaches.append(Grip(position=(x, y, height + BOARD + 0.13), approach=(0.0, 0.0, -1.0), tilt=0.15))
     return Furniture(
         shapes=tuple(shapes), reaches=tuple(reaches), place=(0.55, 0.0, 0.0), turn=1.0, shift=(0.05, 0.1, 0.1)
     )
@@ -184,7 +184,7 @@ def table_under_pick(rng: np.random.Generator) -> Furniture:
     x, y = rng.uniform(-0.15, 0.0), rng.uniform(-0.2, 0.2)
     shapes += [_can("can", x, y, 0.02), ("floor", "box", (0.4, 0.6, BOARD), (0.0, 0.0, 0.0))]
     shapes += [(f"obstacle{k}", "box", (0.04, 0.04, 0.1), (0.1, s * 0.33, 0.121)) for k, s in enumerate((-1, 1))]
-    reach = Reach(position=(x - 0.02, y, 0.14), approach=(1.0, 0.0, -0.5), tilt=0.3)
+    reach = Grip(position=(x - 0.02, y, 0.14), approach=(1.0, 0.0, -0.5), tilt=0.3)
     return Furniture(shapes=tuple(shapes), reaches=(reach,), place=(0.65, 0.0, -0.05), turn=1.0)
 
 
@@ -246,7 +246,7 @@ def _obstacle(
     return Obstacle(name=name, kind=kind, size=size, X_WO=X_WF @ X_FO)
 
 
-def _reached(problem: ProblemFile, X_WF: Array, reaches: tuple[Reach, ...], rng: np.random.Generator) -> Array | None:
+def _reached(problem: ProblemFile, X_WF: Array, reaches: tuple[Grip, ...], rng: np.random.Generator) -> Array | None:
     """Find a free configuration that reaches for something, from anywhere in joint space."""
     lower, upper = problem.scene.limits.position.T
     for _ in range(4):
@@ -268,7 +268,7 @@ def _reached(problem: ProblemFile, X_WF: Array, reaches: tuple[Reach, ...], rng:
     return None
 
 
-def _tool_pose(reach: Reach, rng: np.random.Generator) -> Array:
+def _tool_pose(reach: Grip, rng: np.random.Generator) -> Array:
     """Draw a pose of the tool at a place: its z axis near the approach, its closing axis level or turned over."""
     z = np.array(reach.approach) / np.linalg.norm(reach.approach)
     z = z + np.tan(reach.tilt) * rng.uniform(-1.0, 1.0, size=3)

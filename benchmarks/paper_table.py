@@ -24,13 +24,14 @@ if str(ROOT) not in sys.path:
 
 import failbench  # noqa: E402 - after the path to it is known
 import graceful_plan as gp  # noqa: E402
-from benchmarks import machine, report  # noqa: E402
+from benchmarks import report  # noqa: E402
 from benchmarks.paper_cost import as_coded  # noqa: E402
 from failbench.basics.statistics import Estimate, estimate_difference, estimate_mean  # noqa: E402
 from failbench.fault.registry import GripperFailure  # noqa: E402
 from failbench.recording.score import observed_impact  # noqa: E402
 from failbench.rollouts.sampling import draw  # noqa: E402
 from failbench.validation import predicted_impact  # noqa: E402
+from graceful_plan.compare.runs import machine  # noqa: E402
 
 Array = np.ndarray
 
@@ -334,10 +335,10 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     rows = measure(args.drops, seed=args.seed, speed=args.speed, threads=args.threads)
     if args.json:
-        document = {"machine": machine.describe(), "seed": args.seed, "speed": args.speed}
+        document = {"machine": machine.described(), "seed": args.seed, "speed": args.speed}
         print(json.dumps(document | {"trajectories": to_document(rows)}, indent=1, allow_nan=False))
     else:
-        print(f"{machine.describe()}\n\n{markdown(rows)}", end="")
+        print(f"{machine.described()}\n\n{markdown(rows)}", end="")
     return 0
 
 

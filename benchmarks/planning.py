@@ -1,113 +1,43 @@
-"""One call of `plan` on a task, as a record that can cross processes."""
+"""Runs of `plan` on the tasks of bundled scenes, as `graceful_plan.compare` makes and records them."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
-import numpy as np
-
-import graceful_plan as gp
-from benchmarks.suite import task
-from graceful_plan.compare.problems.analytic import disc
-from graceful_plan.planners.planner import Budget
+from benchmarks import suite
+from graceful_plan.compare import BestPaths, Run
+from graceful_plan.compare.problems.suite import ProblemNote
+from graceful_plan.compare.runs import workers
+from graceful_plan.compare.runs.planner_notes import PlannerNote
+from graceful_plan.compare.runs.runner import PlannerJob, warm_up
 
 W = 1.0
 """Safety weight of every benchmark that does not say otherwise."""
+BEST = BestPaths(Path(__file__).parent / "best_known", W)
+"""The best path known of every task."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """What to plan."""
-
-    task: str
-    planner: str | gp.Planner = "auto"
-    seed: int = 0
-    w: float = W
-    time_limit: float = 1.0
+def job(
+    task: str, planner: str | PlannerNote = "auto", *, seed: int = 0, w: float = W, seconds: float = 1.0
+) -> PlannerJob:
+    """Return the run of a planner on a task, "scene/task"; jerk and clearance are not measured."""
+    note = PlannerNote(label=planner, name=planner) if isinstance(planner, str) else planner
+    return PlannerJob(problem=problem(task), planner=note, seed=seed, seconds=seconds, w=w, measured=False)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Record:
-    """What came of it. The totals of the trace include the ways out of tight starts and goals."""
-
-    job: Job
-    status: str
-    detail: str = ""
-    seconds: float = np.inf
-    """Of the whole call."""
-    total: float = np.inf
-    path: np.ndarray | None = None
-    trace: tuple[tuple[float, float], ...] = ()
-    """Seconds since the call and total cost, at each improvement."""
-
-    @property
-    def solved(self) -> bool:
-        """Whether a verified trajectory was returned."""
-        return self.status == "SOLVED"
-
-    @property
-    def first(self) -> float:
-        """When the first path was there [s]; infinite if the call was not solved."""
-        return self.trace[0][0] if self.solved and self.trace else np.inf
-
-    def total_at(self, seconds: float) -> float:
-        """Total cost of the best path so far; infinite if there was none or the call was not solved in the end."""
-        reached = [total for at, total in self.trace if at <= seconds]
-        return min(reached, default=np.inf) if self.solved else np.inf
+def problem(task: str) -> ProblemNote:
+    """Return where a task comes from."""
+    scene, name = task.split("/")
+    return ProblemNote(name=task, kind="task", source=scene, item=name)
 
 
-def run(job: Job) -> Record:
-    """Plan, in a scene that is loaded and compiled; whatever is raised is an outcome."""
-    try:
-        return _run(job)
-    except Exception as error:
-        return Record(job=job, status="RAISED", detail=f"{type(error).__name__}: {error}")
+def runs(jobs: Sequence[PlannerJob], processes: int, label: str) -> Iterator[Run]:
+    """Do runs and yield them as they come; with one process, in this very one."""
+    return suite.told(workers.done(jobs, processes if processes > 1 else 0), len(jobs), label)
 
 
-@cache
-def warm_task(name: str) -> None:
-    """Load and compile what a task needs, once per process, so that it is in no figure."""
-    instance = task(name)
-    gp.plan(instance.start, instance.goal, instance.scene, w=0.0, time_limit=2.0, callback=lambda point: True)
-
-
-@cache
-def warm_planner(name: str) -> None:
-    """Let a planner import what it needs, once per process."""
-    trivial = disc()
-    budget = Budget(2.0, iterations=200)
-    for _ in gp.PLANNERS[name]().solve(trivial.problem, trivial.objective, budget, np.random.default_rng(0)):
-        pass
-
-
-def _run(job: Job) -> Record:
-    instance = task(job.task)
-    warm_task(job.task)
-    if isinstance(job.planner, str):
-        warm_planner(job.planner)
-    started = time.perf_counter()
-    result = gp.plan(
-        instance.start,
-        instance.goal,
-        instance.scene,
-        w=job.w,
-        planner=job.planner,
-        time_limit=job.time_limit,
-        seed=job.seed,
-    )
-    seconds = time.perf_counter() - started
-    if result.path is None:
-        return Record(job=job, status=result.status.name, detail=result.detail, seconds=seconds)
-    # The search knows nothing of the ways out of tight places at both ends; what they cost is the same all along.
-    ends = result.cost.total - result.trace[-1].total if result.trace else 0.0
-    return Record(
-        job=job,
-        status=result.status.name,
-        detail=result.detail,
-        seconds=seconds,
-        total=result.cost.total,
-        path=np.array(result.path.q),
-        trace=tuple((point.time, point.total + ends) for point in result.trace),
-    )
+def warm(planner: str, task: str | None = None) -> None:
+    """Let a planner import and compile what it needs, once per process: on a task, or on a problem in the plane."""
+    disc = ProblemNote(name="analytic/disc", kind="analytic", item="disc")
+    warm_up(disc if task is None else problem(task), PlannerNote(label=planner, name=planner))

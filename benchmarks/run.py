@@ -18,7 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from benchmarks import machine, report, suite  # noqa: E402 - after the path to them is known
+from benchmarks import report, suite  # noqa: E402 - after the path to them is known
+from graceful_plan.compare.runs import machine  # noqa: E402
 
 SUBJECTS = (
     "kernels",
@@ -51,6 +52,8 @@ SUBJECTS = (
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
+TAKEN_OUT = "taken_out"
+"""Section written by hand: what was measured, did not help and is gone."""
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
 
@@ -58,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run subjects and return how many of them raised."""
     args = _parser().parse_args(arguments)
     options = suite.Options(quick=args.quick, processes=args.processes, seconds=args.seconds)
-    print(machine.describe())
+    print(machine.described())
     failed = 0
     for name in args.subjects or [name for name in SUBJECTS if name not in ON_REQUEST]:
         try:
@@ -69,20 +72,20 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         print(f"\n{body}", flush=True)
         if args.write:
-            report.write_section(RESULTS, name, body, SUBJECTS)
+            report.write_section(RESULTS, name, body, (*SUBJECTS, TAKEN_OUT))
     return failed
 
 
 def section(name: str, options: suite.Options, arguments: list[str] | None) -> str:
     """Run one subject and format its section."""
     subject = importlib.import_module(f"benchmarks.subjects.{name}")
-    load, started = machine.load(), time.perf_counter()
+    load, started = os.getloadavg()[0], time.perf_counter()
     body = subject.run(options)
     seconds = time.perf_counter() - started
     command = " ".join(["python benchmarks/run.py", *(sys.argv[1:] if arguments is None else arguments)])
     made = f"{datetime.now(UTC):%Y-%m-%d}, `{command}`, {seconds:.0f} s, load average {load:.1f} before it began."
     quick = "\n\n**Quick run: sizes too small for its figures to mean much.**" if options.quick else ""
-    return f"## {subject.TITLE}\n\n{made} {machine.describe()}.{quick}\n\n{body}"
+    return f"## {subject.TITLE}\n\n{made} {machine.described()}.{quick}\n\n{body}"
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,8 +1,7 @@
-"""What the benchmarks run on: every task of every bundled scene, and helpers to run jobs in processes."""
+"""What the benchmarks run on: every task of every bundled scene, and jobs in processes."""
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -11,9 +10,11 @@ from functools import cache
 from typing import TypeVar
 
 import graceful_plan as gp
+from graceful_plan.compare.runs import workers
 
-Job = TypeVar("Job")
-Result = TypeVar("Result")
+J = TypeVar("J")
+R = TypeVar("R")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +27,10 @@ class Options:
     """Processes for planning jobs; never more than there are cores, or times mean nothing."""
     seconds: float | None = None
     """Time limit of a run [s], where the subject lets it be chosen."""
+
+    def pick(self, full: T, *, quick: T) -> T:
+        """Return sizes for a full or for a quick run."""
+        return quick if self.quick else full
 
 
 @cache
@@ -46,22 +51,16 @@ def task_names(options: Options | None = None) -> list[str]:
     return [task for tasks in per_scene for task in (tasks[:1] if options and options.quick else tasks)]
 
 
-def spread(run: Callable[[Job], Result], jobs: Sequence[Job], processes: int, label: str) -> Iterator[Result]:
-    """Run jobs in processes of their own and yield results as they come; progress goes to standard error."""
-    started = time.perf_counter()
-    if processes <= 1:
-        results: Iterator[Result] = map(run, jobs)
-        yield from _told(results, len(jobs), label, started)
-        return
-    # Spawned, not forked: libraries below have threads.
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        yield from _told(pool.imap_unordered(run, jobs), len(jobs), label, started)
+def spread(do: Callable[[J], R], jobs: Sequence[J], processes: int, label: str) -> Iterator[R]:
+    """Do jobs in processes of their own, with one in this very one, and yield results as they come."""
+    return told(workers.spread(workers.Work(do=do), jobs, processes if processes > 1 else 0), len(jobs), label)
 
 
-def _told(results: Iterator[Result], count: int, label: str, started: float) -> Iterator[Result]:
-    terminal = sys.stderr.isatty()
+def told(results: Iterator[R], count: int, label: str) -> Iterator[R]:
+    """Yield results and tell on standard error how many there are."""
+    started, terminal = time.perf_counter(), sys.stderr.isatty()
     for done, result in enumerate(results, 1):
         if terminal or done == count or done % max(1, count // 10) == 0:
-            told = f"{label}: {done}/{count}, {time.perf_counter() - started:.0f} s"
-            print(told, end="\r" if terminal and done < count else "\n", file=sys.stderr, flush=True)
+            words = f"{label}: {done}/{count}, {time.perf_counter() - started:.0f} s"
+            print(words, end="\r" if terminal and done < count else "\n", file=sys.stderr, flush=True)
         yield result

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import graceful_plan as gp
-from benchmarks import known, planning, report, suite
-from benchmarks.known import BestKnown, Run
-from benchmarks.planning import Job, Record
+from benchmarks import planning, report, suite
+from graceful_plan.compare import BestPath
+from graceful_plan.compare.runs.best_paths import Attempt
+from graceful_plan.compare.runs.runner import PlannerJob
 
 TITLE = "Best known: the least total cost of every task"
 LONG = 60.0
@@ -27,20 +28,24 @@ it is read. Runs of the planner table that are better replace it too, which is w
 def run(options: suite.Options) -> str:
     """Do what has not been done yet and report what is known."""
     tasks = suite.task_names(options)
-    best = {name: known.renewed(name, suite.task(name)) for name in tasks}
-    done: dict[str, list[Run]] = {name: list(entry.runs) if entry else [] for name, entry in best.items()}
-    jobs = [job for job in _schedule(tasks, options) if not _was_done(job, done[job.task])]
-    for record in suite.spread(planning.run, jobs, options.processes, "best known"):
-        name = record.job.task
-        done[name].append(_noted(record))
-        best[name] = _improved(record, best[name], done[name], keep=not options.quick)
+    best = {name: planning.BEST.renewed(name, suite.task(name)) for name in tasks}
+    done: dict[str, list[Attempt]] = {name: list(entry.runs) if entry else [] for name, entry in best.items()}
+    jobs = {job.key: job for job in _schedule(tasks, options) if not _was_done(job, done[job.problem.name])}
+    for run in planning.runs([*jobs.values()], options.processes, "best known"):
+        name, seconds = run.problem, jobs[run.key].seconds
+        total = run.total if run.solved else None
+        done[name].append(Attempt(planner=run.planner, seed=run.seed, seconds=seconds, total=total))
+        better = planning.BEST.offer(suite.task(name), best[name], run, seconds)
+        best[name] = None if better is None else replace(better, runs=tuple(done[name]))
+        if better is not None and not options.quick:
+            planning.BEST.write(replace(better, runs=tuple(done[name])))
     return f"{MEASURED}\n{report.table(HEADER, [_row(name, best[name], done[name]) for name in tasks])}"
 
 
 HEADER = ("task", "J", "motion", "impact", "found by", "runs", "runs without a path", "second best planner")
 
 
-def _schedule(tasks: list[str], options: suite.Options) -> list[Job]:
+def _schedule(tasks: list[str], options: suite.Options) -> list[PlannerJob]:
     """All runs, the most promising first, so that an interrupted search has something for every task."""
     long = options.seconds or (0.5 if options.quick else LONG)
     short = options.seconds or (0.5 if options.quick else SHORT)
@@ -48,36 +53,16 @@ def _schedule(tasks: list[str], options: suite.Options) -> list[Job]:
     seeds = (("auto", seed, short) for seed in range(1, SEEDS))
     plans = [("auto", 0, long), *seeds, *((planner, 0, short) for planner in others)]
     return [
-        Job(task=task, planner=planner, seed=seed, time_limit=seconds)
-        for planner, seed, seconds in plans
-        for task in tasks
+        planning.job(task, planner, seed=seed, seconds=seconds) for planner, seed, seconds in plans for task in tasks
     ]
 
 
-def _was_done(job: Job, runs: list[Run]) -> bool:
-    return any(run.planner == job.planner and run.seed == job.seed and run.seconds >= job.time_limit for run in runs)
+def _was_done(job: PlannerJob, runs: list[Attempt]) -> bool:
+    label, seed = job.planner.label, job.seed
+    return any(run.planner == label and run.seed == seed and run.seconds >= job.seconds for run in runs)
 
 
-def _noted(record: Record) -> Run:
-    job = record.job
-    total = record.total if record.solved else None
-    return Run(planner=job.planner, seed=job.seed, seconds=job.time_limit, total=total)
-
-
-def _improved(record: Record, best: BestKnown | None, runs: list[Run], *, keep: bool) -> BestKnown | None:
-    """Take the better one, note the run, and write the file if it is to be kept."""
-    job = record.job
-    if record.solved and record.path is not None:
-        task = suite.task(job.task)
-        best = known.offer(job.task, task, best, record.path, job.planner, job.seed, job.time_limit)
-    if best is not None:
-        best = replace(best, runs=tuple(runs))
-        if keep:
-            known.write(best)
-    return best
-
-
-def _row(name: str, best: BestKnown | None, runs: list[Run]) -> list[str]:
+def _row(name: str, best: BestPath | None, runs: list[Attempt]) -> list[str]:
     failed = sum(run.total is None for run in runs)
     if best is None:
         return [name, "none", "", "", "", str(len(runs)), str(failed), ""]

@@ -40,7 +40,7 @@ RATIO = (0.7, 1.4)
 
 
 @dataclass(kw_only=True)
-class Touches:
+class TouchEnergies:
     """What happened along one motion."""
 
     scene: str
@@ -74,11 +74,11 @@ def run(options: suite.Options) -> str:
     )
 
 
-def measure(job: tuple[str, int, int]) -> Touches:
+def measure(job: tuple[str, int, int]) -> TouchEnergies:
     """Let things fail along one motion."""
     name, drops, failures = job
     task = suite.task(name)
-    touches = Touches(scene=name.split("/")[0])
+    touches = TouchEnergies(scene=name.split("/")[0])
     if task.scene.carried is None:
         return touches
     motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=60, speed=0.5)
@@ -106,7 +106,7 @@ def measure(job: tuple[str, int, int]) -> Touches:
 
 
 def _add_carried(
-    touches: Touches, scene: gp.Scene, execution: failbench.Execution, rollouts: Sequence[failbench.Rollout]
+    touches: TouchEnergies, scene: gp.Scene, execution: failbench.Execution, rollouts: Sequence[failbench.Rollout]
 ) -> None:
     table, names = gp.FragilityTable.shipped(), list(scene.entities)
     state = execution.trajectory.at(execution.trajectory.t[0] + np.array([rollout.onset for rollout in rollouts]))
@@ -121,7 +121,7 @@ def _add_carried(
         touches.observed.append(fragility.probability(event.energy))
 
 
-def _add_body(touches: Touches, scene: gp.Scene, rollouts: Sequence[failbench.Rollout]) -> None:
+def _add_body(touches: TouchEnergies, scene: gp.Scene, rollouts: Sequence[failbench.Rollout]) -> None:
     table = gp.FragilityTable.shipped()
     for _, event in _events(rollouts, scene, "body"):
         fragility = table.of(scene.entities[event.entity].category)
@@ -157,11 +157,11 @@ _HEADER = (
 _BODY = ("scene", "touches by the body", "median [J]", "deviation of ln", "damage predicted", "damage observed")
 
 
-def _all(parts: Sequence[Touches], name: str) -> list[float]:
+def _all(parts: Sequence[TouchEnergies], name: str) -> list[float]:
     return [value for part in parts for value in getattr(part, name)]
 
 
-def _loss(parts: Sequence[Touches]) -> float:
+def _loss(parts: Sequence[TouchEnergies]) -> float:
     """Mean of -ln of the share; where more was observed than arrived, the share counts as 1."""
     arrived, energy = (np.array(_all(parts, name)) for name in ("arrived", "energy"))
     known = arrived > 0.0
@@ -169,7 +169,7 @@ def _loss(parts: Sequence[Touches]) -> float:
     return float(np.mean(-np.log(np.minimum(share, 1.0)))) if known.any() else np.nan
 
 
-def _mean(parts: Sequence[Touches], name: str) -> float:
+def _mean(parts: Sequence[TouchEnergies], name: str) -> float:
     values = _all(parts, name)
     return float(np.mean(values)) if values else np.nan
 
@@ -182,7 +182,7 @@ def _spread(energy: Sequence[float]) -> tuple[float, float]:
     return float(np.exp(middle)), float(0.5 * (high - low))
 
 
-def _targets(parts: Sequence[Touches]) -> Iterator[report.Target]:
+def _targets(parts: Sequence[TouchEnergies]) -> Iterator[report.Target]:
     for what, predicted, observed in (
         ("carried", "predicted", "observed"),
         ("body", "body_predicted", "body_observed"),
@@ -209,13 +209,13 @@ def _targets(parts: Sequence[Touches]) -> Iterator[report.Target]:
         )
 
 
-def _scenes(parts: Sequence[Touches]) -> Iterator[tuple[str, list[Touches]]]:
+def _scenes(parts: Sequence[TouchEnergies]) -> Iterator[tuple[str, list[TouchEnergies]]]:
     for scene in dict.fromkeys(part.scene for part in parts):
         yield scene, [part for part in parts if part.scene == scene]
     yield "all", list(parts)
 
 
-def _rows(parts: Sequence[Touches]) -> Iterator[Sequence[object]]:
+def _rows(parts: Sequence[TouchEnergies]) -> Iterator[Sequence[object]]:
     for scene, mine in _scenes(parts):
         impacts = np.array([part.impact for part in mine])
         yield (
@@ -229,7 +229,7 @@ def _rows(parts: Sequence[Touches]) -> Iterator[Sequence[object]]:
         )
 
 
-def _body(parts: Sequence[Touches]) -> Iterator[Sequence[object]]:
+def _body(parts: Sequence[TouchEnergies]) -> Iterator[Sequence[object]]:
     for scene, mine in _scenes(parts):
         energy = _all(mine, "body_energy")
         yield (

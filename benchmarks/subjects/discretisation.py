@@ -9,6 +9,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
+from graceful_plan.compare.runs.runner import PlannerJob
+from graceful_plan.compare.runs.runner import run as run_planner
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.impact import ImpactCost
@@ -26,7 +28,7 @@ segment is longer than 0.01 rad, which changes nothing about the geometry.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class StepChanges:
     """What came of one task; changes are relative to J, infinite if there was no path."""
 
     task: str
@@ -41,7 +43,7 @@ class Finding:
 def run(options: suite.Options) -> str:
     """Plan every task and integrate its cost again and again."""
     names = suite.task_names(options)
-    jobs = [planning.Job(task=name, time_limit=0.3 if options.quick else 1.0) for name in names]
+    jobs = [planning.job(name, seconds=0.3 if options.quick else 1.0) for name in names]
     order = {name: i for i, name in enumerate(names)}
     findings = list(suite.spread(examine, jobs, options.processes, "discretisation"))
     findings.sort(key=lambda finding: order[finding.task])
@@ -50,17 +52,17 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{report.targets(_targets(findings))}\n{report.table(header, rows)}"
 
 
-def examine(job: planning.Job) -> Finding:
+def examine(job: PlannerJob) -> StepChanges:
     """Plan one task and compare the sums."""
-    record = planning.run(job)
-    if not record.solved or record.path is None:
-        return Finding(task=job.task, status=record.status)
-    scene = suite.task(job.task).scene
-    q = record.path
+    found = run_planner(job)
+    if not found.solved:
+        return StepChanges(task=found.problem, status=found.status)
+    scene = suite.task(found.problem).scene
+    q = np.array(found.path)
     total = _total(scene, q, COST_STEP)
-    return Finding(
-        task=job.task,
-        status=record.status,
+    return StepChanges(
+        task=found.problem,
+        status=found.status,
         total=total,
         halved=_change(_total(scene, q, COST_STEP / 2.0), total),
         error=_change(_total(scene, q, FINEST), total),
@@ -80,7 +82,7 @@ def _change(value: float, reference: float) -> float:
     return abs(value - reference) / reference if reference else abs(value)
 
 
-def _row(finding: Finding) -> list[str]:
+def _row(finding: StepChanges) -> list[str]:
     changes = (finding.halved, finding.error, finding.codes, finding.resampled)
     return [
         finding.task,
@@ -90,7 +92,7 @@ def _row(finding: Finding) -> list[str]:
     ]
 
 
-def _targets(findings: list[Finding]) -> Iterator[report.Target]:
+def _targets(findings: list[StepChanges]) -> Iterator[report.Target]:
     worst = max(findings, key=lambda f: f.halved)
     missing = sum(not np.isfinite(f.halved) for f in findings)
     judged = [f for f in findings if np.isfinite(f.halved)]

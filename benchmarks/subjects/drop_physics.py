@@ -39,6 +39,8 @@ thick as the sphere (7 cm) rolls; the lever arm of its rolling resistance over i
 FLIGHT_WITHIN = 0.005
 """Mean distance from ballistics [m]."""
 GRAVITY = materials.GRAVITY
+DROPS = 1000
+"""Of each grasp; as many more as fall less than 1 cm."""
 _LEAST_FALL = 0.01
 _SUNK = 0.002
 """Things are placed without touching; this far below [m], they touch what they stand on."""
@@ -48,20 +50,6 @@ _STOPPED = 0.05
 _PUSHED = ("standing, goes", "left", "coefficient", "lying, goes", "left", "coefficient")
 
 Array = np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    drops: int
-    """Of each grasp; as many more as fall less than 1 cm."""
-    tasks: int | None
-    scenes: int | None
-
-
-FULL = Sizes(drops=1000, tasks=None, scenes=None)
-QUICK = Sizes(drops=12, tasks=2, scenes=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +78,7 @@ class Push(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Landing:
+class ObjectMotion:
     """What one object does on its support."""
 
     scene: str
@@ -106,9 +94,9 @@ class Landing:
 
 def run(options: suite.Options) -> str:
     """Drop everything."""
-    sizes = QUICK if options.quick else FULL
-    found = {grasp: _flights(grasp, sizes, options) for grasp in ("weld", "fingers")}
-    names = list(gp.scenes())[: sizes.scenes]
+    scenes = options.pick(None, quick=1)
+    found = {grasp: _flights(grasp, options) for grasp in ("weld", "fingers")}
+    names = list(gp.scenes())[:scenes]
     landings = [landing for part in suite.spread(land, names, options.processes, "objects") for landing in part]
     flown = report.table(("grasp", "drops", "mean error", "90 %", "worst", "mean after the last touch"), _rows(found))
     header = ("object", "mass", "rebound", "e", *_PUSHED, "rolling")
@@ -117,14 +105,15 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{report.targets(_targets(found['weld']))}\n{flown}\n{table}\n{made}"
 
 
-def _flights(grasp: str, sizes: Sizes, options: suite.Options) -> tuple[list[Flight], int]:
+def _flights(grasp: str, options: suite.Options) -> tuple[list[Flight], int]:
     """Return the drops with one grasp, and how many tasks its healthy robot could not do."""
-    tasks = suite.task_names()[: sizes.tasks]
-    each = -(-2 * sizes.drops // len(tasks))  # about half of them fall less than 1 cm, or not at all
+    drops, most = options.pick((DROPS, None), quick=(12, 2))
+    tasks = suite.task_names()[:most]
+    each = -(-2 * drops // len(tasks))  # about half of them fall less than 1 cm, or not at all
     jobs = [(task, grasp, each) for task in tasks]
     parts = list(suite.spread(fly, jobs, options.processes, f"flight, {grasp}"))
     flights = [flight for part in parts if part is not None for flight in part]
-    chosen = np.random.default_rng(0).permutation(len(flights))[: sizes.drops]
+    chosen = np.random.default_rng(0).permutation(len(flights))[:drops]
     return [flights[i] for i in chosen], sum(part is None for part in parts)
 
 
@@ -204,7 +193,7 @@ def _off(start: tuple[Array, Array], place: Array) -> float:
     return float(np.hypot(x + u * time - place[0], y + v * time - place[1]))
 
 
-def land(name: str) -> list[Landing]:
+def land(name: str) -> list[ObjectMotion]:
     """Drop and push every kind of object of a scene."""
     scene = suite.scene(name)
     world = failbench.build_world(scene)
@@ -221,7 +210,7 @@ def _kind(model: mujoco.MjModel, body: int) -> tuple:
     return tuple(getattr(model, f"geom_{name}")[geoms].tobytes() for name in names) + (float(model.body_mass[body]),)
 
 
-def _land(scene: str, world: failbench.World, entities: list[str]) -> Landing:
+def _land(scene: str, world: failbench.World, entities: list[str]) -> ObjectMotion:
     body = world.movable[entities[0]]
     model = alone(world, body)
     upright = world.scene.home_qpos[world.model.jnt_qposadr[world.model.body_jntadr[body]] + 3 :][:4]
@@ -229,7 +218,7 @@ def _land(scene: str, world: failbench.World, entities: list[str]) -> Landing:
     mujoco.mju_mulQuat(lying, np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]), upright)  # a quarter turn about x
     fallen = _path(model, upright, lift=_HEIGHT)[:, 2]
     lowest = int(np.argmin(fallen[: len(fallen) // 4]))  # half a second; it falls for a quarter
-    return Landing(
+    return ObjectMotion(
         scene=scene,
         name=entities[0],
         alike=len(entities),
@@ -321,7 +310,7 @@ def _rows(found: dict[str, tuple[list[Flight], int]]) -> Iterator[tuple[object, 
         )
 
 
-def _row(found: Landing) -> tuple[object, ...]:
+def _row(found: ObjectMotion) -> tuple[object, ...]:
     more = f" and {found.alike - 1} alike" if found.alike > 1 else ""
     cells: list[object] = [
         f"{found.scene}/{found.name}{more}",
@@ -341,8 +330,8 @@ def _targets(found: tuple[list[Flight], int]) -> list[report.Target]:
     return [
         report.Target(
             what=f"mean distance from ballistics at first contact, {len(flights)} clean drops",
-            wanted=f"< {1e3 * FLIGHT_WITHIN:g} mm, {FULL.drops} drops",
+            wanted=f"< {1e3 * FLIGHT_WITHIN:g} mm, {DROPS} drops",
             measured=f"{1e3 * mean:.2f} mm",
-            met=mean < FLIGHT_WITHIN and len(flights) >= FULL.drops,
+            met=mean < FLIGHT_WITHIN and len(flights) >= DROPS,
         )
     ]

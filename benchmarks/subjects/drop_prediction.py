@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 import graceful_plan as gp
+from benchmarks import events as failures
 from benchmarks import landing, report, suite, variants
+from benchmarks.events import BINS, FIGURES, Events
 from failbench.calibrations import skill
 from failbench.calibrations.calibrate import scenes_of
-from failbench.calibrations.failure_jobs import KINDS, FailureJob, do_job, failure_jobs
+from failbench.calibrations.failure_jobs import KINDS, FailureJob, failure_jobs
 from failbench.calibrations.failures import Failures
 from graceful_plan.costs.models.mixture.mixture import Footprint
 
@@ -34,7 +35,6 @@ LEAST = {"brier_skill": 0.65, "auc": 0.96}
 MOST_ECE = 0.02
 RATIO = (0.9, 1.1)
 DROPS, SCENES = 1000, 6
-BINS = 20
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "reliability.png"
 
 MODELS: Mapping[str, Callable[[gp.Scene, Array, Array], Array]] = {
@@ -51,44 +51,13 @@ SEVERITIES = (
 """Classes of events by the severity of the object's touching the entity."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    drops: int
-    """In each scene, at least."""
-    scenes: int | None
-    kinds: int | None
-    resamples: int
-
-
-FULL = Sizes(drops=DROPS, scenes=None, kinds=None, resamples=1000)
-QUICK = Sizes(drops=24, scenes=2, kinds=1, resamples=20)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Events:
-    """Events, one a row."""
-
-    scene: Array
-    motion: Array
-    severity: Array
-    happened: Array
-    predicted: Mapping[str, Array]
-
-    def only(self, chosen: Array) -> Events:
-        """Return some of them."""
-        rest = {name: getattr(self, name)[chosen] for name in ("scene", "motion", "severity", "happened")}
-        return Events(**rest, predicted={name: p[chosen] for name, p in self.predicted.items()})
-
-
 def run(options: suite.Options) -> str:
     """Drop, predict and compare."""
-    sizes = QUICK if options.quick else FULL
-    drops, refused = drop_all(sizes, options)
+    resamples = options.pick(1000, quick=20)
+    drops, refused = drop_all(options)
     events = events_of(drops)
     if not options.quick:
-        draw(events, PICTURE, sizes.resamples)
+        draw(events, PICTURE, resamples)
     dropped = {name: sum(len(x) for x in drops if x.scene == name) for name in dict.fromkeys(x.scene for x in drops)}
     grasps = ", ".join(
         f"{sum(len(x) for x in drops if x.grasp == grasp)} from {grasp}" for grasp in ("fingers", "weld")
@@ -99,33 +68,26 @@ def run(options: suite.Options) -> str:
         f"{sum(dropped.values())} drops ({grasps}; {lost} diverged) along {len(drops)} motions:"
         f" {len(events.happened)} events.\n",
         *(f"No drops: {reason}.\n" for reason in refused),
-        report.targets(_targets(events, dropped, sizes)),
+        report.targets(_targets(events, dropped, resamples)),
         report.table(_HEADER, _rows(events, dropped)),
         "By severity of the touch, all scenes:\n",
         report.table(_HEADER, _severity_rows(events)),
         "![](../docs/images/reliability.png)\n\nReliability of `footprint`, bins of equally many predicted hits:\n",
-        report.table(("predicted", "observed", "95 %", "events"), _curve_rows(events, sizes.resamples)),
+        report.table(("predicted", "observed", "95 %", "events"), _curve_rows(events, resamples)),
     ]
     return "\n".join(parts)
 
 
-def drop_all(sizes: Sizes, options: suite.Options) -> tuple[list[Failures], list[str]]:
+def drop_all(options: suite.Options) -> tuple[list[Failures], list[str]]:
     """Drop things in all variants; return the drops in the order of their jobs, and why some motions have none."""
-    names = list(variants.VARIANTS)[: sizes.scenes]
-    jobs: list[tuple[int, FailureJob]] = []
-    for k, name in enumerate(names):
-        kinds = KINDS[: sizes.kinds]
+    least, scenes = options.pick((DROPS, len(variants.VARIANTS)), quick=(24, 2))
+    jobs: list[FailureJob] = []
+    for k, name in enumerate(list(variants.VARIANTS)[:scenes]):
+        kinds = options.pick(KINDS, quick=KINDS[:1])
         motions = len(variants.load(name).tasks) * len(kinds)
-        n = -(-sizes.drops // motions) + (0 if options.quick else 2)  # some diverge, now and then
-        found = failure_jobs(variants.load, [name], n=n, seed=SEED + k, kinds=kinds)
-        jobs += list(enumerate(found, start=len(jobs)))
-    outcomes = dict(suite.spread(_numbered, jobs, options.processes, "motions"))
-    ordered = [outcomes[i] for i in range(len(jobs))]
-    return [x for x in ordered if isinstance(x, Failures)], [x for x in ordered if isinstance(x, str)]
-
-
-def _numbered(job: tuple[int, FailureJob]) -> tuple[int, Failures | str]:
-    return job[0], do_job(job[1])
+        n = -(-least // motions) + (0 if options.quick else 2)  # some diverge, now and then
+        jobs += failure_jobs(variants.load, [name], n=n, seed=SEED + k, kinds=kinds)
+    return failures.fail(jobs, options)
 
 
 def events_of(drops: Sequence[Failures], models: Mapping[str, Callable[..., Array]] = MODELS) -> Events:
@@ -154,14 +116,14 @@ def _carried(scene: gp.Scene, probability: Array) -> Array:
 
 # --- tables ----------------------------------------------------------------------------------------------------------
 
-_HEADER = ("", "model", "drops", "events", "hits", "skill", "AUC", "ECE", "ratio", "log loss")
+_HEADER = ("", "model", "drops", *FIGURES)
 
 
-def _targets(events: Events, dropped: Mapping[str, int], sizes: Sizes) -> list[report.Target]:
+def _targets(events: Events, dropped: Mapping[str, int], resamples: int) -> list[report.Target]:
     p, y, motion = events.predicted["footprint"], events.happened, events.motion
 
     def estimate(statistic: Callable[[Array, Array], float]) -> skill.Estimate:
-        return skill.bootstrap(statistic, p, y, motion, resamples=min(200, sizes.resamples))
+        return skill.bootstrap(statistic, p, y, motion, resamples=min(200, resamples))
 
     enough = len(dropped) >= SCENES and min(dropped.values()) >= DROPS
     least = min(dropped.values())
@@ -187,7 +149,7 @@ def _rows(events: Events, dropped: Mapping[str, int]) -> list[Sequence[object]]:
     for name in [*dropped, ""]:
         chosen = events.only(events.scene == name) if name else events
         drops = dropped[name] if name else sum(dropped.values())
-        rows += [_row(name or "all", model, drops, chosen) for model in events.predicted]
+        rows += [(name or "all", model, drops, *chosen.figures(model)) for model in events.predicted]
     return rows
 
 
@@ -196,14 +158,8 @@ def _severity_rows(events: Events) -> list[Sequence[object]]:
     for label, low, high in SEVERITIES:
         chosen = events.only((events.severity > low) & (events.severity <= high))
         if len(chosen.happened) >= BINS:
-            rows += [_row(label, model, "", chosen) for model in events.predicted]
+            rows += [(label, model, "", *chosen.figures(model)) for model in events.predicted]
     return rows
-
-
-def _row(label: str, model: str, drops: object, events: Events) -> Sequence[object]:
-    found = skill.figures(np.clip(events.predicted[model], 0.0, 1.0), events.happened, min(BINS, len(events.happened)))
-    numbers = (found.brier_skill, found.auc, found.calibration_error, found.ratio, found.log_loss)
-    return (label, model, drops, found.events, found.happened, *(f"{x:.3f}" for x in numbers))
 
 
 def _curve_rows(events: Events, resamples: int) -> list[Sequence[object]]:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import failbench
-from benchmarks import machine, report, suite
+from benchmarks import report, suite
 from benchmarks.subjects.failbench_speed import prepared
 from failbench.fault.registry import DEGREES, faults
 from failbench.rollouts.sampling import make_jobs
+from graceful_plan.compare.runs.machine import resident_megabytes
 
 TITLE = "FailBench: ten thousand rollouts"
 MEASURED = """\
@@ -28,19 +29,9 @@ GROWTH_BELOW = 20.0
 """[MB]"""
 _CALL = 152
 """Rollouts in a call: two of every fault at every degree."""
+ROLLOUTS = 10_000
 _WARM_UP = 4
 """Calls before memory is looked at."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    rollouts: int
-
-
-FULL = Sizes(rollouts=10_000)
-QUICK = Sizes(rollouts=_CALL)
 
 
 @dataclass(kw_only=True)
@@ -77,16 +68,16 @@ def finite(rollout: failbench.Rollout) -> bool:
 
 def run(options: suite.Options) -> str:
     """Do all rollouts and judge them."""
-    sizes = QUICK if options.quick else FULL
+    rollouts = options.pick(ROLLOUTS, quick=_CALL)
     execution = prepared()
     kinds = [fault(degree=degree) for fault in faults().values() for degree in DEGREES]
     census, memory, started = Census(), [], time.perf_counter()
-    while census.asked < sizes.rollouts:
-        count = min(_CALL, -(-(sizes.rollouts - census.asked) // len(kinds)) * len(kinds))
+    while census.asked < rollouts:
+        count = min(_CALL, -(-(rollouts - census.asked) // len(kinds)) * len(kinds))
         jobs = make_jobs(kinds, execution.duration, n=count, seed=len(memory))
         census.add(len(jobs), failbench.run(execution, jobs, threads=2))
         gc.collect()
-        memory.append(machine.resident_megabytes())
+        memory.append(resident_megabytes())
     seconds = time.perf_counter() - started
     told = f"{census.returned} rollouts with {census.events} contact events in {seconds:.0f} s."
     return f"{MEASURED}\n{told}\n\n{report.targets(_targets(census, memory))}"
@@ -95,9 +86,9 @@ def run(options: suite.Options) -> str:
 def _targets(census: Census, memory: Sequence[float]) -> Iterator[report.Target]:
     yield report.Target(
         what="rollouts returned of those asked for",
-        wanted=f"all, >= {FULL.rollouts}",
+        wanted=f"all, >= {ROLLOUTS}",
         measured=f"{census.returned} of {census.asked}",
-        met=census.returned == census.asked >= FULL.rollouts,
+        met=census.returned == census.asked >= ROLLOUTS,
     )
     warm = min(_WARM_UP, len(memory)) - 1
     growth, most = memory[-1] - memory[warm], max(memory[warm:]) - memory[warm]

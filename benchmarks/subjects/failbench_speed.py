@@ -35,21 +35,6 @@ HORIZON = 1.0
 Array = np.ndarray
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    drops: int
-    mixed: int
-    loop: int
-    """Rollouts of the plain loop; a multiple of 19 has all faults."""
-    rounds: int
-
-
-FULL = Sizes(drops=256, mixed=190, loop=38, rounds=5)
-QUICK = Sizes(drops=32, mixed=19, loop=19, rounds=1)
-
-
 @dataclasses.dataclass(kw_only=True)
 class Timing:
     """The fastest round of one kind of work."""
@@ -66,23 +51,24 @@ class Timing:
 
 def run(options: suite.Options) -> str:
     """Measure everything."""
-    sizes = QUICK if options.quick else FULL
+    # A plain loop of a multiple of 19 rollouts has all faults.
+    n_drops, n_mixed, loop, rounds = options.pick((256, 190, 38, 5), quick=(32, 19, 19, 1))
     execution = prepared()
-    drops = make_jobs([GripperFailure()], execution.duration, n=sizes.drops)
-    mixed = make_jobs([fault() for fault in faults().values()], execution.duration, n=sizes.mixed)
-    looped = mixed[: sizes.loop]
+    drops = make_jobs([GripperFailure()], execution.duration, n=n_drops)
+    mixed = make_jobs([fault() for fault in faults().values()], execution.duration, n=n_mixed)
+    looped = mixed[:loop]
     still = dataclasses.replace(execution, world=_without_sleep(execution.world))
     work: dict[str, tuple[int, Callable[[], object]]] = {
         "drops": (len(drops), lambda: failbench.run(execution, drops, horizon=HORIZON)),
         "drops, 2 threads": (len(drops), lambda: failbench.run(execution, drops, horizon=HORIZON, threads=2)),
         "mixed": (len(mixed), lambda: failbench.run(execution, mixed, horizon=HORIZON)),
         "mixed, 2 threads": (len(mixed), lambda: failbench.run(execution, mixed, horizon=HORIZON, threads=2)),
-        "plain loop, drops": (sizes.loop, lambda: _loop(execution, drops[: sizes.loop])),
-        "plain loop, mixed": (sizes.loop, lambda: _loop(execution, looped)),
-        "from the start, drops": (sizes.loop, lambda: _loop(still, drops[: sizes.loop], anew=True)),
+        "plain loop, drops": (loop, lambda: _loop(execution, drops[:loop])),
+        "plain loop, mixed": (loop, lambda: _loop(execution, looped)),
+        "from the start, drops": (loop, lambda: _loop(still, drops[:loop], anew=True)),
     }
     timings = {name: Timing() for name in work}
-    for _ in range(sizes.rounds):
+    for _ in range(rounds):
         for name, (count, do) in work.items():
             _time(timings[name], count, do)
     lines = list(_targets(timings, _differing(execution, looped), len(looped)))

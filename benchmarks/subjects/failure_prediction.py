@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 import graceful_plan as gp
+from benchmarks import events as failing
 from benchmarks import report, suite, variants
+from benchmarks.events import FIGURES, Events
 from failbench.calibrations import skill
 from failbench.calibrations.calibrate import scenes_of
-from failbench.calibrations.failure_jobs import KINDS, FailureJob, do_job, failure_jobs
+from failbench.calibrations.failure_jobs import KINDS, FailureJob, failure_jobs
 from failbench.calibrations.failures import Failures
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
@@ -33,7 +35,6 @@ events; "ratio": predicted hits over observed ones; intervals are 95 %, whole mo
 SEED = 3111
 LEAST_SKILL = 0.4
 RATIO = (0.7, 1.4)
-BINS = 20
 OURS, PUBLISHED = "footprint", "Algorithm 1"
 
 
@@ -66,67 +67,31 @@ EVENTS: Mapping[str, Kind] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    each: int
-    """Failures of each fault along each motion."""
-    repeats: int
-    """Motions of each kind of each task."""
-    scenes: int | None
-    kinds: int | None
-    resamples: int
-
-
-FULL = Sizes(each=3, repeats=1, scenes=None, kinds=None, resamples=1000)
-QUICK = Sizes(each=1, repeats=1, scenes=2, kinds=1, resamples=20)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Events:
-    """Events of one kind, one a row."""
-
-    scene: Array
-    motion: Array
-    happened: Array
-    predicted: Mapping[str, Array]
-
-
 def run(options: suite.Options) -> str:
     """Fail, predict and compare."""
-    sizes = QUICK if options.quick else FULL
-    failures, refused = fail_all(sizes, options)
+    failures, refused = fail_all(options)
     events = {name: events_of(failures, kind) for name, kind in EVENTS.items()}
+    rows = [(name, model, *x.figures(model)) for name, x in events.items() for model in x.predicted]
     return "\n".join(
         [
             MEASURED,
             f"{sum(len(x) for x in failures)} failures along {len(failures)} motions.\n",
             *(f"Not in: {reason}.\n" for reason in refused),
-            report.targets(_targets(events, sizes)),
-            report.table(_HEADER, [_row(name, model, x) for name, x in events.items() for model in x.predicted]),
+            report.targets(_targets(events, options.pick(1000, quick=20))),
+            report.table(_HEADER, rows),
         ]
     )
 
 
-def fail_all(sizes: Sizes, options: suite.Options) -> tuple[list[Failures], list[str]]:
+def fail_all(options: suite.Options) -> tuple[list[Failures], list[str]]:
     """Fail in all variants; return the failures in the order of their jobs, and why some motions have none."""
-    jobs: list[tuple[int, FailureJob]] = []
-    for k, name in enumerate(list(variants.VARIANTS)[: sizes.scenes]):
+    each, scenes = options.pick((3, len(variants.VARIANTS)), quick=(1, 2))
+    jobs: list[FailureJob] = []
+    for k, name in enumerate(list(variants.VARIANTS)[:scenes]):
         feared = feared_in(variants.load(name))
-        found = failure_jobs(
-            variants.load,
-            [name],
-            feared,
-            n=sizes.each * len(feared),
-            seed=SEED + k,
-            kinds=KINDS[: sizes.kinds],
-            repeats=sizes.repeats,
-        )
-        jobs += list(enumerate(found, start=len(jobs)))
-    outcomes = dict(suite.spread(_numbered, jobs, options.processes, "motions"))
-    ordered = [outcomes[i] for i in range(len(jobs))]
-    return [x for x in ordered if isinstance(x, Failures)], [x for x in ordered if isinstance(x, str)]
+        kinds = options.pick(KINDS, quick=KINDS[:1])
+        jobs += failure_jobs(variants.load, [name], feared, n=each * len(feared), seed=SEED + k, kinds=kinds)
+    return failing.fail(jobs, options)
 
 
 def feared_in(scene: gp.Scene) -> list[Fault]:
@@ -137,10 +102,6 @@ def feared_in(scene: gp.Scene) -> list[Fault]:
             for targets in [(joint,) for joint in scene.joints] if kind.single else [()]:
                 every[faults()[name](degree="severe", targets=targets)] = None
     return list(every)
-
-
-def _numbered(job: tuple[int, FailureJob]) -> tuple[int, Failures | str]:
-    return job[0], do_job(job[1])
 
 
 def events_of(failures: Sequence[Failures], kind: Kind) -> Events:
@@ -196,10 +157,10 @@ def _published(scene: gp.Scene, part: Failures) -> Array:
 
 # --- tables ----------------------------------------------------------------------------------------------------------
 
-_HEADER = ("events", "model", "events", "hits", "skill", "AUC", "ECE", "ratio", "log loss")
+_HEADER = ("events", "model", *FIGURES)
 
 
-def _targets(events: Mapping[str, Events], sizes: Sizes) -> list[report.Target]:
+def _targets(events: Mapping[str, Events], resamples: int) -> list[report.Target]:
     rows = []
     for name, x in events.items():
         if not EVENTS[name].judged:
@@ -208,7 +169,7 @@ def _targets(events: Mapping[str, Events], sizes: Sizes) -> list[report.Target]:
         def estimate(statistic: Callable[[Array, Array], float], x: Events = x) -> skill.Estimate | None:
             if not x.happened.any():
                 return None
-            return skill.bootstrap(statistic, x.predicted[OURS], x.happened, x.motion, resamples=sizes.resamples)
+            return skill.bootstrap(statistic, x.predicted[OURS], x.happened, x.motion, resamples=resamples)
 
         won, ratio = estimate(skill.brier_skill), estimate(skill.predicted_ratio)
         other = skill.brier_skill(x.predicted[PUBLISHED], x.happened) if x.happened.any() else np.nan
@@ -227,11 +188,3 @@ def _targets(events: Mapping[str, Events], sizes: Sizes) -> list[report.Target]:
             ),
         ]
     return rows
-
-
-def _row(name: str, model: str, events: Events) -> Sequence[object]:
-    if not events.happened.any():
-        return (name, model, len(events.happened), 0, *(["-"] * 5))
-    found = skill.figures(events.predicted[model], events.happened, min(BINS, len(events.happened)))
-    numbers = (found.brier_skill, found.auc, found.calibration_error, found.ratio, found.log_loss)
-    return (name, model, found.events, found.happened, *(f"{x:.3f}" for x in numbers))

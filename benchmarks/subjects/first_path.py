@@ -10,6 +10,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
+from graceful_plan.compare import Run
+from graceful_plan.compare.runs.runner import run as run_planner
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -28,14 +30,14 @@ verification. "Straight" says whether the straight line is free, so that there i
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class FirstPaths:
     """What came of one task."""
 
     task: str
     straight: bool
     search: dict[str, list[float]]
     """Seconds of every seed, by planner; infinite if no path was found."""
-    calls: list[planning.Record]
+    calls: list[Run]
 
 
 def run(options: suite.Options) -> str:
@@ -51,7 +53,7 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{seeds} seeds; medians.\n\n{report.targets(_targets(findings))}\n{report.table(header, rows)}"
 
 
-def examine(job: tuple[str, int]) -> Finding:
+def examine(job: tuple[str, int]) -> FirstPaths:
     """Measure one task."""
     name, seeds = job
     problem = problem_of(suite.task(name))
@@ -62,10 +64,8 @@ def examine(job: tuple[str, int]) -> Finding:
         search = {planner: _search(planner, problem, instance.scene, seeds) for planner in PLANNERS}
         starts = np.broadcast_to(problem.start, problem.goals.shape)
         straight = bool(problem.edges_free(starts, problem.goals).any())
-    jobs = [
-        planning.Job(task=name, planner="rrt_connect", seed=seed, w=0.0, time_limit=TIME_LIMIT) for seed in range(seeds)
-    ]
-    return Finding(task=name, straight=straight, search=search, calls=[planning.run(job) for job in jobs])
+    jobs = [planning.job(name, "rrt_connect", seed=seed, w=0.0, seconds=TIME_LIMIT) for seed in range(seeds)]
+    return FirstPaths(task=name, straight=straight, search=search, calls=[run_planner(job) for job in jobs])
 
 
 def problem_of(task: gp.Task, margin: float = 0.0) -> SceneProblem | None:
@@ -90,7 +90,7 @@ def _search(planner: str, problem: SceneProblem, scene: gp.Scene, seeds: int) ->
     return seconds[1:]
 
 
-def _row(finding: Finding) -> list[str]:
+def _row(finding: FirstPaths) -> list[str]:
     medians = [f"{1e3 * float(np.median(finding.search[planner])):.2f}" for planner in PLANNERS]
     slowest = f"{1e3 * max(max(times) for times in finding.search.values()):.1f}"
     solved = sum(record.solved for record in finding.calls)
@@ -100,7 +100,7 @@ def _row(finding: Finding) -> list[str]:
     return [finding.task, "yes" if finding.straight else "no", *medians, slowest, told, calls]
 
 
-def _targets(findings: list[Finding]) -> Iterator[report.Target]:
+def _targets(findings: list[FirstPaths]) -> Iterator[report.Target]:
     records = [record for finding in findings for record in finding.calls]
     solved = sum(record.solved for record in records)
     yield report.Target(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -40,21 +39,8 @@ no placing. Best of several repetitions; millions of configurations per second.
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much to measure."""
-
-    uniform: int
-    edges: int
-    heavy: int
-    """Configurations of the slower kernels."""
-    mujoco: int
-    repetitions: int
-
-
-FULL = Sizes(uniform=200_000, edges=10_000, heavy=50_000, mujoco=20_000, repetitions=7)
-QUICK = Sizes(uniform=20_000, edges=1000, heavy=5000, mujoco=1000, repetitions=2)
-
+Work = dict[str, tuple[int, Callable[[], object]]]
+"""By name, a number of configurations and what goes through them."""
 WANTED = {
     "free edges": 6.0,
     "uniform": 3.0,
@@ -68,20 +54,25 @@ WANTED = {
 
 def run(options: suite.Options) -> str:
     """Measure every kernel with every instruction set, then MuJoCo."""
-    sizes = QUICK if options.quick else FULL
+    uniform, count, repetitions = options.pick((200_000, 10_000, 7), quick=(20_000, 1000, 2))
+    # Kernels that are slower, and MuJoCo, get some of the configurations only.
+    heavy, few = options.pick((50_000, 20_000), quick=(5000, 1000))
     rng = np.random.default_rng(0)
     boxes = compile_scene(boxes_scene(np.random.default_rng(0)))
     tabletop = _carrying(suite.scene("tabletop"))
     lower, upper = boxes.robot.lower, boxes.robot.upper
-    q = rng.uniform(lower, upper, (sizes.uniform, len(lower)))
-    edges = free_edges(boxes.kernels, q, sizes.edges, rng)
+    q = rng.uniform(lower, upper, (uniform, len(lower)))
+    edges = free_edges(boxes.kernels, q, count, rng)
     rates = {
-        isa: _rates(Kernels(boxes.robot, boxes.world, boxes.hazards, isa=isa), q, edges, sizes)
-        | _impact_rates(tabletop, isa, q, edges, sizes)
-        | _drop_rates(tabletop, isa, q, edges, sizes)
+        isa: _measured(
+            _work(Kernels(boxes.robot, boxes.world, boxes.hazards, isa=isa), q, q[:heavy], edges)
+            | _impact_work(tabletop, isa, q[:heavy], edges)
+            | _drop_work(tabletop, isa, q[:heavy], edges),
+            repetitions,
+        )
         for isa in instruction_sets()
     }
-    rates["MuJoCo"] = _mujoco_rates(q, edges, sizes)
+    rates["MuJoCo"] = _mujoco_rates(q[:few], edges, repetitions)
     return f"{MEASURED}\n{_facts(boxes, q)}\n\n{_targets(rates)}\n{_table(rates)}"
 
 
@@ -147,16 +138,20 @@ def _best_seconds(work: Callable[[], object], repetitions: int) -> float:
     return best
 
 
-def _rates(kernels: Kernels, q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
-    heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
-    work: dict[str, tuple[int, Callable[[], object]]] = {
+def _measured(work: Work, repetitions: int) -> dict[str, float]:
+    """Millions of configurations a second."""
+    return {name: n / _best_seconds(task, repetitions) / 1e6 for name, (n, task) in work.items()}
+
+
+def _work(kernels: Kernels, q: Array, heavy: Array, edges: tuple[Array, Array]) -> Work:
+    length = np.linalg.norm(edges[1] - edges[0], axis=1)
+    return {
         "free edges": (configurations_checked(length, kernels.core.lanes), lambda: kernels.edges_free(*edges)),
         "uniform": (len(q), lambda: kernels.free(q)),
         "clearance": (len(heavy), lambda: kernels.clearance(heavy)),
         "clearance and gradient": (len(heavy), lambda: kernels.clearance_gradient(heavy)),
         "forward kinematics": (len(heavy), lambda: kernels.link_poses(heavy)),
     }
-    return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
 
 
 def _kernels(scene: Scene, isa: str) -> Kernels:
@@ -164,35 +159,33 @@ def _kernels(scene: Scene, isa: str) -> Kernels:
     return Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
 
 
-def _impact_rates(scene: Scene, isa: str, q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
+def _impact_work(scene: Scene, isa: str, heavy: Array, edges: tuple[Array, Array]) -> Work:
     kernels, severity = _kernels(scene, isa), ImpactCost().severity(scene)
-    heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
+    length = np.linalg.norm(edges[1] - edges[0], axis=1)
     samples = int(np.ceil(length / COST_STEP).sum()) + len(length)
-    work: dict[str, tuple[int, Callable[[], object]]] = {
+    return {
         "impact": (len(heavy), lambda: kernels.impact(heavy, severity)),
         "interaction": (len(heavy), lambda: kernels.interaction(heavy)),
         "edge costs": (samples, lambda: kernels.edge_costs(*edges, severity)),
     }
-    return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
 
 
-def _drop_rates(scene: Scene, isa: str, q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
+def _drop_work(scene: Scene, isa: str, heavy: Array, edges: tuple[Array, Array]) -> Work:
     tables, limit = footprint_tables(scene), scene.limits.velocity
     constants = FootprintSettings.shipped().of(tables.shape_class)
     drop = FootprintKernel(tables, constants, _kernels(scene, isa), limit, len(scene.entities))
-    heavy, length = q[: sizes.heavy], np.linalg.norm(edges[1] - edges[0], axis=1)
+    length = np.linalg.norm(edges[1] - edges[0], axis=1)
     rates = limit * np.random.default_rng(2).uniform(-1.0, 1.0, heavy.shape)
     charged = drop.with_severity(np.ones((len(ROWS), len(scene.entities))))
     samples = int(np.ceil(length / COST_STEP).sum()) + len(length)
-    work: dict[str, tuple[int, Callable[[], object]]] = {
+    return {
         "drop model": (len(heavy), lambda: drop.probability(heavy, rates)),
         "drop model, pairs": (len(heavy) * len(scene.entities), lambda: drop.probability(heavy, rates)),
         "drop model, edge costs": (samples, lambda: charged.edges(*edges)),
     }
-    return {name: n / _best_seconds(task, sizes.repetitions) / 1e6 for name, (n, task) in work.items()}
 
 
-def _mujoco_rates(q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[str, float]:
+def _mujoco_rates(q: Array, edges: tuple[Array, Array], repetitions: int) -> dict[str, float]:
     scene = boxes_scene(np.random.default_rng(0), fixed_cargo=True)
     model, data, adr = scene.model, scene.data_at(q[0]), scene.qpos_adr
     share = np.random.default_rng(1).uniform(size=(len(edges[0]), 1))
@@ -205,8 +198,8 @@ def _mujoco_rates(q: Array, edges: tuple[Array, Array], sizes: Sizes) -> dict[st
             mujoco.mj_collision(model, data)
 
     rates = {}
-    for name, configurations in (("free edges", along[: sizes.mujoco]), ("uniform", q[: sizes.mujoco])):
-        seconds = _best_seconds(lambda c=configurations: check(c), max(2, sizes.repetitions // 2))
+    for name, configurations in (("free edges", along[: len(q)]), ("uniform", q)):
+        seconds = _best_seconds(lambda c=configurations: check(c), max(2, repetitions // 2))
         rates[name] = len(configurations) / seconds / 1e6
     return rates
 

@@ -52,7 +52,7 @@ missing, as it is among theirs.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class ProblemFigures:
     """What came of one problem."""
 
     name: str
@@ -109,7 +109,7 @@ def _without_scene(problem: gp.ProblemFile) -> gp.ProblemFile:
     return gp.ProblemFile(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
 
 
-def examine(job: tuple[gp.ProblemFile, int, bool]) -> Finding:
+def examine(job: tuple[gp.ProblemFile, int, bool]) -> ProblemFigures:
     """Measure one problem."""
     problem, seeds, long = job
     asked = _asked(problem)
@@ -126,7 +126,7 @@ def examine(job: tuple[gp.ProblemFile, int, bool]) -> Finding:
     result = gp.plan(
         problem.start, problem.goal, problem.scene, w=0.0, time_limit=TIME_LIMIT, callback=lambda point: True
     )
-    return Finding(
+    return ProblemFigures(
         name=problem.name,
         group=problem.group,
         search=search,
@@ -173,7 +173,7 @@ def _lengths(problem: SceneProblem, objective: SceneObjective, seconds: float) -
     return [trace[0][1] if trace else np.inf, *at_marks, trace[-1][1] if trace else np.inf]
 
 
-def _row(group: str, findings: list[Finding]) -> list[str]:
+def _row(group: str, findings: list[ProblemFigures]) -> list[str]:
     times = 1e3 * np.array([seconds for finding in findings for seconds in finding.search])
     lengths = np.median([finding.lengths for finding in findings], axis=0)
     ratios = [finding.ratios[1:] for finding in findings if finding.ratios is not None]
@@ -191,7 +191,7 @@ def _row(group: str, findings: list[Finding]) -> list[str]:
     ]
 
 
-def _targets(findings: list[Finding], own: bool) -> Iterator[report.Target]:
+def _targets(findings: list[ProblemFigures], own: bool) -> Iterator[report.Target]:
     solved = sum(finding.status == "SOLVED" for finding in findings)
     yield report.Target(
         what="problems that plan(w=0) solves",

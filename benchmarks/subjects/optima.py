@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,57 +25,34 @@ held to the target.
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How many runs, and how long [s]."""
-
-    seeds: int
-    seconds: float
-
-
-FULL = Sizes(seeds=2, seconds=4.0)
-QUICK = Sizes(seeds=1, seconds=0.3)
 HIGH_DIMENSION = {"disc, 7-D": disc, "two_media, 7-D": two_media}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """One planner on one problem."""
-
-    problem: str
-    planner: str
-    seed: int
-    seconds: float
 
 
 def run(options: suite.Options) -> str:
     """Run every planner on every problem."""
-    sizes = QUICK if options.quick else FULL
-    seconds = options.seconds or sizes.seconds
+    seeds, seconds = options.pick((2, 4.0), quick=(1, 0.3))
+    seconds = options.seconds or seconds
     names = [*analytic_problems(), *HIGH_DIMENSION]
-    jobs = [
-        Job(problem=name, planner=planner, seed=seed, seconds=seconds)
-        for name in names
-        for planner in gp.PLANNERS
-        for seed in range(sizes.seeds)
-    ]
+    jobs = [(planner, name, seed, seconds) for name in names for planner in gp.PLANNERS for seed in range(seeds)]
     worst: dict[tuple[str, str], float] = {}
-    for job, ratio in suite.spread(solve, jobs, options.processes, "optima"):
-        key = (job.planner, job.problem)
+    for planner, name, ratio in suite.spread(solve, jobs, options.processes, "optima"):
+        key = (planner, name)
         worst[key] = max(ratio, worst.get(key, 0.0))
     rows = [(planner, *(_ratio(worst[planner, name]) for name in names)) for planner in gp.PLANNERS]
-    budget = f"{seconds:g} s a run or until a planner ends by itself, {sizes.seeds} seeds."
+    budget = f"{seconds:g} s a run or until a planner ends by itself, {seeds} seeds."
     return f"{MEASURED}\n{budget}\n\n{report.targets(_targets(worst))}\n{report.table(('planner', *names), rows)}"
 
 
-def solve(job: Job) -> tuple[Job, float]:
-    """Return J / J* of the last path that a planner yields; infinite if there is none."""
-    planning.warm_planner(job.planner)
-    instance = _instance(job.problem)
-    budget, rng = Budget(job.seconds), np.random.default_rng(job.seed)
-    paths = [None, *gp.PLANNERS[job.planner]().solve(instance.problem, instance.objective, budget, rng)]
+def solve(job: tuple[str, str, int, float]) -> tuple[str, str, float]:
+    """Return J / J* of the last path that a planner yields on a problem; infinite if there is none."""
+    planner, problem, seed, seconds = job
+    planning.warm(planner)
+    instance = _instance(problem)
+    budget, rng = Budget(seconds), np.random.default_rng(seed)
+    paths = [None, *gp.PLANNERS[planner]().solve(instance.problem, instance.objective, budget, rng)]
     exact = replace(instance.objective, step=instance.objective.step / FINER)
-    return job, (path_total(exact, paths[-1]) if paths[-1] is not None else np.inf) / instance.optimum
+    total = path_total(exact, paths[-1]) if paths[-1] is not None else np.inf
+    return planner, problem, total / instance.optimum
 
 
 def _instance(name: str) -> AnalyticProblem:

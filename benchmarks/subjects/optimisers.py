@@ -59,30 +59,6 @@ is relative to the norm of the gradient. "Kinks" were left out: the slopes ahead
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    seeds: int
-    analytic_seconds: float
-    path_seconds: float
-    seconds: float
-    gradient_points: int
-
-
-FULL = Sizes(seeds=3, analytic_seconds=2.0, path_seconds=5.0, seconds=1.0, gradient_points=100)
-QUICK = Sizes(seeds=1, analytic_seconds=0.5, path_seconds=0.5, seconds=0.2, gradient_points=20)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """One task."""
-
-    task: str
-    sizes: Sizes
-    seed: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
 class Improvement:
     """What an optimiser made of a path."""
 
@@ -94,7 +70,7 @@ class Improvement:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class Improvements:
     """What came of one task."""
 
     task: str
@@ -109,26 +85,27 @@ def optimisers() -> dict[str, type[Planner]]:
 
 def run(options: suite.Options) -> str:
     """Answer the three questions."""
-    sizes = QUICK if options.quick else FULL
-    sizes = replace(sizes, seconds=options.seconds or sizes.seconds)
-    ratios = {name: _ratios(name, sizes) for name in optimisers()}
+    seeds, points = options.pick((3, 100), quick=(1, 20))
+    analytic_seconds, path_seconds, seconds = options.pick((2.0, 5.0, 1.0), quick=(0.5, 0.5, 0.2))
+    seconds = options.seconds or seconds
+    ratios = {name: _ratios(name, seeds, analytic_seconds) for name in optimisers()}
     tasks = suite.task_names(options)
-    jobs = [Job(task=task, sizes=sizes, seed=seed) for task in tasks for seed in range(sizes.seeds)]
+    jobs = [(task, seed, path_seconds, seconds) for task in tasks for seed in range(seeds)]
     findings = list(suite.spread(examine, jobs, options.processes, "optimisers"))
     findings.sort(key=lambda finding: tasks.index(finding.task))
-    slopes = [*gradients.analytic(sizes.gradient_points)]
+    slopes = [*gradients.analytic(points)]
     for name in {task.split("/")[0]: task for task in reversed(tasks)}.values():
-        slopes += gradients.examine(name, sizes.gradient_points)
+        slopes += gradients.examine(name, points)
     header = ("optimiser", *analytic_problems())
     return "\n".join(
         [
             MEASURED,
             report.targets([*_targets(ratios, findings), *_gradient_targets(slopes)]),
-            f"### J / J* after {sizes.analytic_seconds:g} s, the worst of {sizes.seeds} seeds\n",
+            f"### J / J* after {analytic_seconds:g} s, the worst of {seeds} seeds\n",
             report.table(
                 header, [(name, *(_number(values[p]) for p in header[1:])) for name, values in ratios.items()]
             ),
-            f"### After {sizes.seconds:g} s from the same path, {sizes.seeds} seeds of RRT-Connect\n",
+            f"### After {seconds:g} s from the same path, {seeds} seeds of RRT-Connect\n",
             _summary(findings),
             "### J, relative to that of the path it began with, median\n",
             _by_task(findings, tasks),
@@ -138,12 +115,12 @@ def run(options: suite.Options) -> str:
     )
 
 
-def _ratios(name: str, sizes: Sizes) -> dict[str, float]:
+def _ratios(name: str, seeds: int, seconds: float) -> dict[str, float]:
     """Worst J / J* of an optimiser on each problem; infinite if it finds nothing better than where it begins."""
     worst = dict.fromkeys(analytic_problems(), 0.0)
     for problem, instance in analytic_problems().items():
-        for seed in range(sizes.seeds):
-            begin, budget = gp.Path(BEGIN[problem]), Budget(sizes.analytic_seconds)
+        for seed in range(seeds):
+            begin, budget = gp.Path(BEGIN[problem]), Budget(seconds)
             found = [*_improve(name)(begin, instance.problem, instance.objective, budget, np.random.default_rng(seed))]
             exact = replace(instance.objective, step=instance.objective.step / FINER)
             total = path_total(exact, found[-1]) if found else np.inf
@@ -165,31 +142,39 @@ def _more_shortcuts(
     yield from Shortcut(patience=1_000_000).improve(path, Questions(problem, objective, budget), budget, rng)
 
 
-def examine(job: Job) -> Finding:
-    """Give every optimiser the same path of one task and the same time."""
-    task = suite.task(job.task)
-    planning.warm_task(job.task)
+def examine(job: tuple[str, int, float, float]) -> Improvements:
+    """Give every optimiser the same path of one task and the same time.
+
+    Args:
+        job: Task, seed, seconds for the path to begin with, seconds of every optimiser.
+    """
+    name, seed, path_seconds, seconds = job
+    task = suite.task(name)
+    planning.warm("auto", name)
     problem = problem_of(task, MARGIN)
     objective = gp.Objective(w=planning.W).bind(task.scene)
     if problem is None:
-        return Finding(task=job.task)
-    rng = np.random.default_rng(job.seed)
-    paths = list(gp.RRTConnect().solve(problem, objective, Budget(job.sizes.path_seconds), rng))
+        return Improvements(task=name)
+    rng = np.random.default_rng(seed)
+    paths = list(gp.RRTConnect().solve(problem, objective, Budget(path_seconds), rng))
     path = next((path for path in reversed(paths) if is_solution(path, problem)), None)
     if path is None:
-        return Finding(task=job.task)
+        return Improvements(task=name)
     improved = {}
-    for name in (*optimisers(), MORE_SHORTCUTS):
-        if name in optimisers():
-            planning.warm_planner(name)
-        improved[name] = _improved(name, path, problem, objective, job)
-    return Finding(task=job.task, before=path_total(objective, path), improved=improved)
+    for optimiser in (*optimisers(), MORE_SHORTCUTS):
+        if optimiser in optimisers():
+            planning.warm(optimiser)
+        work = _improve(optimiser)(path, problem, objective, budget := Budget(seconds), np.random.default_rng(seed))
+        improved[optimiser] = _best_of(work, path, problem, objective, budget)
+    return Improvements(task=name, before=path_total(objective, path), improved=improved)
 
 
-def _improved(name: str, path: gp.Path, problem: SceneProblem, objective: SceneObjective, job: Job) -> Improvement:
+def _best_of(
+    work: Iterator[gp.Path], path: gp.Path, problem: SceneProblem, objective: SceneObjective, budget: Budget
+) -> Improvement:
+    """Let an optimiser work until its budget is spent, and return what was the best of it."""
     best, refused = path_total(objective, path), 0
-    budget = Budget(job.sizes.seconds)
-    for found in _improve(name)(path, problem, objective, budget, np.random.default_rng(job.seed)):
+    for found in work:
         total = path_total(objective, found)
         if is_solution(found, problem) and total < best:
             best = total
@@ -198,16 +183,16 @@ def _improved(name: str, path: gp.Path, problem: SceneProblem, objective: SceneO
     return Improvement(total=best, seconds=budget.elapsed, iterations=budget.spent, refused=refused)
 
 
-def _gains(findings: list[Finding], name: str) -> Array:
+def _gains(findings: list[Improvements], name: str) -> Array:
     """J after over J before; 1 where nothing better was found."""
     return np.array([f.improved[name].total / f.before if name in f.improved else 1.0 for f in findings])
 
 
-def _lowered(findings: list[Finding], name: str) -> Array:
+def _lowered(findings: list[Improvements], name: str) -> Array:
     return _gains(findings, name) < 1.0
 
 
-def _targets(ratios: dict[str, dict[str, float]], findings: list[Finding]) -> Iterator[report.Target]:
+def _targets(ratios: dict[str, dict[str, float]], findings: list[Improvements]) -> Iterator[report.Target]:
     for name, values in ratios.items():
         within, problem = WITHIN.get(name, WITHIN_ELSE), max(SMOOTH, key=lambda problem: values[problem])
         yield report.Target(
@@ -226,7 +211,7 @@ def _targets(ratios: dict[str, dict[str, float]], findings: list[Finding]) -> It
         )
 
 
-def _gradient_targets(slopes: list[gradients.Finding]) -> Iterator[report.Target]:
+def _gradient_targets(slopes: list[gradients.SlopeCheck]) -> Iterator[report.Target]:
     for term in dict.fromkeys(finding.term for finding in slopes):
         worst = max((f for f in slopes if f.term == term), key=lambda f: f.worst)
         yield report.Target(
@@ -237,7 +222,7 @@ def _gradient_targets(slopes: list[gradients.Finding]) -> Iterator[report.Target
         )
 
 
-def _summary(findings: list[Finding]) -> str:
+def _summary(findings: list[Improvements]) -> str:
     rows = []
     for name in (*optimisers(), MORE_SHORTCUTS):
         gains = _gains(findings, name)
@@ -253,7 +238,7 @@ def _summary(findings: list[Finding]) -> str:
     return report.table(header, rows)
 
 
-def _by_task(findings: list[Finding], tasks: list[str]) -> str:
+def _by_task(findings: list[Improvements], tasks: list[str]) -> str:
     names = (*optimisers(), MORE_SHORTCUTS)
     rows = []
     for task in tasks:
@@ -263,7 +248,7 @@ def _by_task(findings: list[Finding], tasks: list[str]) -> str:
     return report.table(("task", "J before", *names), rows)
 
 
-def _gradient_table(slopes: list[gradients.Finding]) -> str:
+def _gradient_table(slopes: list[gradients.SlopeCheck]) -> str:
     rows = [(f.term, f.where, f.count, f"{f.worst:.1e}", f.kinks) for f in slopes]
     return report.table(("term", "where", "points", "largest error", "kinks"), rows)
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 import graceful_plan as gp
-from benchmarks import known, planning, report, suite
-from benchmarks.planning import Job, Record
+from benchmarks import planning, report, suite
+from graceful_plan.compare import Run
+from graceful_plan.compare.reports.summary import gap
+from graceful_plan.compare.runs.best_paths import StaleBestPath
 
 TITLE = "Planners: plan(w=1) on every task"
 DETAILS = Path(__file__).parents[1] / "planners.json"
@@ -28,45 +29,33 @@ verification within the second.
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How many runs, and how long [s]."""
-
-    seeds: int
-    time_limit: float
-    default_seeds: int
-
-
-FULL = Sizes(seeds=1, time_limit=5.0, default_seeds=10)
-QUICK = Sizes(seeds=1, time_limit=1.0, default_seeds=2)
-
-
 def run(options: suite.Options) -> str:
     """Run all planners, then the default by itself; better paths than known are kept if this is no quick run."""
-    sizes = QUICK if options.quick else FULL
-    limit = options.seconds or sizes.time_limit
+    seeds = 1
+    limit, default_seeds = options.pick((5.0, 10), quick=(1.0, 2))
+    limit = options.seconds or limit
     tasks = suite.task_names(options)
     jobs = [
-        Job(task=task, planner=planner, seed=seed, time_limit=limit)
-        for seed in range(sizes.seeds)
+        planning.job(task, planner, seed=seed, seconds=limit)
+        for seed in range(seeds)
         for task in tasks
         for planner in gp.PLANNERS
     ]
-    default = [Job(task=task, seed=seed, time_limit=1.0) for seed in range(sizes.default_seeds) for task in tasks]
+    default = [planning.job(task, seed=seed) for seed in range(default_seeds) for task in tasks]
     # The default's second is its own: no other process beside it.
-    own = list(suite.spread(planning.run, default, 1, "default planner"))
-    table = list(suite.spread(planning.run, jobs, options.processes, "planners"))
-    best, doubts = references([*own, *table], tasks, keep=not options.quick)
+    own = list(planning.runs(default, 1, "default planner"))
+    table = list(planning.runs(jobs, options.processes, "planners"))
+    best, doubts = references([(1.0, own), (limit, table)], tasks, keep=not options.quick)
     if not options.quick:
-        DETAILS.write_text(json.dumps(_details(table, best), indent=1) + "\n")
+        DETAILS.write_text(json.dumps(_details(table, best, limit), indent=1) + "\n")
     at = tuple(seconds for seconds in CHECKPOINTS if seconds <= limit)
     parts = [
         MEASURED.format(at=", ".join(f"{seconds:g}" for seconds in at), limit=limit),
         "".join(f"- {doubt}\n" for doubt in doubts),
         report.targets(_targets(own, best)),
-        f"### The default, time_limit=1.0, {sizes.default_seeds} seeds\n",
+        f"### The default, time_limit=1.0, {default_seeds} seeds\n",
         _default_table(own, best),
-        f"### All planners over all tasks, {sizes.seeds} seeds, {limit:g} s, {options.processes} at a time\n",
+        f"### All planners over all tasks, {seeds} seeds, {limit:g} s, {options.processes} at a time\n",
         _planner_table(table, best, at),
     ]
     for seconds in at:
@@ -75,11 +64,13 @@ def run(options: suite.Options) -> str:
     return "\n".join(parts)
 
 
-def references(records: list[Record], tasks: list[str], *, keep: bool) -> tuple[dict[str, float], list[str]]:
+def references(
+    found: Iterable[tuple[float, Sequence[Run]]], tasks: list[str], *, keep: bool
+) -> tuple[dict[str, float], list[str]]:
     """Return the least total known of each task, and what is wrong with the files.
 
     Args:
-        records: Runs that may have found something better.
+        found: Runs that may have found something better, with their time limit [s].
         tasks: Names of tasks.
         keep: Whether to store what is better.
     """
@@ -88,35 +79,27 @@ def references(records: list[Record], tasks: list[str], *, keep: bool) -> tuple[
         task = suite.task(name)
         stored = None
         try:
-            stored = known.load(name, task)
+            stored = planning.BEST.load(name, task)
             missing += [name] if stored is None else []
-        except known.StaleBestKnownError as error:
+        except StaleBestPath as error:
             doubts.append(f"Refused: {error}")
-        found = min((r for r in records if r.job.task == name and r.solved), key=lambda r: r.total, default=None)
-        if found is not None and found.path is not None:
-            job = found.job
-            better = known.offer(name, task, stored, found.path, job.planner, job.seed, job.time_limit)
-            if keep and better is not None and better is not stored:
-                known.write(better)
-            stored = better
+        mine = [(run, seconds) for seconds, runs in found for run in runs if run.problem == name and run.solved]
+        least = min(mine, key=lambda one: one[0].total, default=None)
+        better = stored if least is None else planning.BEST.offer(task, stored, *least)
+        if keep and better is not None and better is not stored:
+            planning.BEST.write(better)
+        stored = better
         best[name] = np.inf if stored is None else stored.total
     if missing:
         doubts.append(f"No best known before this run, so that its own best counts: {', '.join(missing)}")
     return best, doubts
 
 
-def gap(total: float, best: float) -> float:
-    """How much a total lies above the best known, relative to it; infinite if either is."""
-    if not (np.isfinite(total) and np.isfinite(best)):
-        return np.inf
-    return total / best - 1.0 if best else total
+def _median_gap(records: list[Run], best: dict[str, float], seconds: float) -> float:
+    return float(np.median([gap(r.total_at(seconds), best[r.problem]) for r in records])) if records else np.nan
 
 
-def _median_gap(records: list[Record], best: dict[str, float], seconds: float) -> float:
-    return float(np.median([gap(r.total_at(seconds), best[r.job.task]) for r in records])) if records else np.nan
-
-
-def _targets(own: list[Record], best: dict[str, float]) -> Iterator[report.Target]:
+def _targets(own: list[Run], best: dict[str, float]) -> Iterator[report.Target]:
     medians = {task: _median_of(_of(own, task), best) for task in best}
     good = [task for task, value in medians.items() if value <= GAP_AT_MOST]
     worst = max(medians, key=lambda task: medians[task])
@@ -128,15 +111,15 @@ def _targets(own: list[Record], best: dict[str, float]) -> Iterator[report.Targe
     )
 
 
-def _median_of(records: list[Record], best: dict[str, float]) -> float:
-    return float(np.median([gap(r.total, best[r.job.task]) if r.solved else np.inf for r in records]))
+def _median_of(records: list[Run], best: dict[str, float]) -> float:
+    return float(np.median([gap(r.total, best[r.problem]) if r.solved else np.inf for r in records]))
 
 
-def _of(records: list[Record], task: str | None = None, planner: str | None = None) -> list[Record]:
-    return [r for r in records if task in (None, r.job.task) and planner in (None, r.job.planner)]
+def _of(records: list[Run], task: str | None = None, planner: str | None = None) -> list[Run]:
+    return [r for r in records if task in (None, r.problem) and planner in (None, r.planner)]
 
 
-def _default_table(own: list[Record], best: dict[str, float]) -> str:
+def _default_table(own: list[Run], best: dict[str, float]) -> str:
     rows = []
     for task in best:
         records = _of(own, task)
@@ -152,7 +135,7 @@ def _default_table(own: list[Record], best: dict[str, float]) -> str:
     return report.table(header, rows)
 
 
-def _planner_table(records: list[Record], best: dict[str, float], at: tuple[float, ...]) -> str:
+def _planner_table(records: list[Run], best: dict[str, float], at: tuple[float, ...]) -> str:
     rows = []
     for planner in gp.PLANNERS:
         mine = _of(records, planner=planner)
@@ -161,7 +144,7 @@ def _planner_table(records: list[Record], best: dict[str, float], at: tuple[floa
     return report.table(("planner", "solved", "first [ms]", *(f"gap at {seconds:g} s" for seconds in at)), rows)
 
 
-def _task_table(records: list[Record], best: dict[str, float], seconds: float) -> str:
+def _task_table(records: list[Run], best: dict[str, float], seconds: float) -> str:
     rows = (
         (task, *(report.percent(_median_gap(_of(records, task, planner), best, seconds)) for planner in gp.PLANNERS))
         for task in best
@@ -169,7 +152,7 @@ def _task_table(records: list[Record], best: dict[str, float], seconds: float) -
     return report.table(("task", *gp.PLANNERS), rows)
 
 
-def _first_table(records: list[Record], tasks: list[str]) -> str:
+def _first_table(records: list[Run], tasks: list[str]) -> str:
     rows = []
     for task in tasks:
         cells = []
@@ -180,26 +163,26 @@ def _first_table(records: list[Record], tasks: list[str]) -> str:
     return report.table(("task", *gp.PLANNERS), rows)
 
 
-def _first(records: list[Record]) -> str:
+def _first(records: list[Run]) -> str:
     """Median time to the first path [ms]."""
     return report.quantity(1e3 * float(np.median([r.first for r in records])))
 
 
-def _solved(records: list[Record]) -> str:
+def _solved(records: list[Run]) -> str:
     """Count what was solved and name what else happened."""
     others = [r.status for r in records if not r.solved]
     named = ", ".join(f"{others.count(status)} {status}" for status in sorted(set(others)))
     return f"{len(records) - len(others)}/{len(records)}" + (f" ({named})" if named else "")
 
 
-def _details(records: list[Record], best: dict[str, float]) -> dict[str, object]:
+def _details(records: list[Run], best: dict[str, float], limit: float) -> dict[str, object]:
     """Everything about every run but its path, for those who want other statistics."""
     runs = [
         {
-            "task": r.job.task,
-            "planner": r.job.planner,
-            "seed": r.job.seed,
-            "time_limit": r.job.time_limit,
+            "task": r.problem,
+            "planner": r.planner,
+            "seed": r.seed,
+            "time_limit": limit,
             "status": r.status,
             "detail": r.detail,
             "seconds": _finite(r.seconds),
@@ -207,7 +190,7 @@ def _details(records: list[Record], best: dict[str, float]) -> dict[str, object]
             "first": _finite(r.first),
             "total_at": {f"{seconds:g}": _finite(r.total_at(seconds)) for seconds in CHECKPOINTS},
         }
-        for r in sorted(records, key=lambda r: (r.job.task, r.job.planner, r.job.seed))
+        for r in sorted(records, key=lambda r: (r.problem, r.planner, r.seed))
     ]
     known_totals = {task: _finite(total) for task, total in best.items()}
     return {"schema": 1, "w": planning.W, "best_known": known_totals, "runs": runs}

@@ -14,6 +14,7 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
+from benchmarks.store import read_lines
 from failbench.basics.errors import ExecutionRefused
 from failbench.calibrations.failures import DROP
 from failbench.fault.fault import Fault
@@ -51,24 +52,7 @@ PLANNED: Mapping[str, gp.Objective] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    drops: int
-    mixed: int
-    weights: tuple[float, ...]
-    per_weight: int
-    """Drops along each motion of the sweep over w."""
-    per_scene: int | None
-    """Tasks."""
-
-
-FULL = Sizes(drops=DROPS, mixed=MIXED, weights=WEIGHTS, per_weight=100, per_scene=None)
-QUICK = Sizes(drops=16, mixed=19, weights=(1.0,), per_weight=8, per_scene=1)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
+class MotionHarm:
     """What failures do along one motion."""
 
     motion: float
@@ -83,26 +67,26 @@ class Outcome:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Done:
+class TaskHarm:
     """A task that is done."""
 
     task: str
     refused: str
     """Why there is nothing, if so."""
-    planned: Mapping[str, Outcome]
-    over_w: Mapping[str, Outcome]
+    planned: Mapping[str, MotionHarm]
+    over_w: Mapping[str, MotionHarm]
     """By weight, for the default model."""
 
 
 def run(options: suite.Options) -> str:
     """Do what is left to do, and report on all that is done."""
-    sizes = QUICK if options.quick else FULL
-    tasks = [f"{name}/{task}" for name in gp.scenes() for task in list(suite.scene(name).tasks)[: sizes.per_scene]]
+    drops, mixed = options.pick((DROPS, MIXED), quick=(16, 19))
+    tasks = suite.task_names(options)
     with tempfile.TemporaryDirectory() as scratch:  # a quick run has nothing to keep
-        file = (Path(scratch) if options.quick else STORE) / f"tasks.{SEED}.{sizes.drops}.{sizes.mixed}.jsonl"
+        file = (Path(scratch) if options.quick else STORE) / f"tasks.{SEED}.{drops}.{mixed}.jsonl"
         have = {done.task for done in read(file)}
         file.parent.mkdir(exist_ok=True)
-        todo = [(task, sizes) for task in tasks if task not in have]
+        todo = [(task, options.quick) for task in tasks if task not in have]
         until = math.inf if options.seconds is None else time.monotonic() + options.seconds
         with file.open("a", encoding="utf-8") as out:
             for done in suite.spread(_do, todo, options.processes, "prevention"):
@@ -118,9 +102,9 @@ def run(options: suite.Options) -> str:
     return "\n".join(
         [
             MEASURED,
-            f"{len(kept)} of {len(tasks)} tasks; {sizes.drops} drops, {sizes.mixed} mixed failures or more a motion.\n",
+            f"{len(kept)} of {len(tasks)} tasks; {drops} drops, {mixed} mixed failures or more a motion.\n",
             *(f"Not in: {line}\n" for line in refused),
-            report.targets(_targets(kept, len(tasks), sizes)),
+            report.targets(_targets(kept, len(tasks), drops, mixed)),
             report.table(_SUMMARY_HEADER, _summary(kept)),
             report.table(_HEADER, (_row(done) for done in kept)),
             report.table(_WEIGHT_HEADER, _over_w(kept)),
@@ -129,37 +113,37 @@ def run(options: suite.Options) -> str:
     )
 
 
-def read(file: Path) -> Iterator[Done]:
-    """Yield what is done; a last line that was cut off does not count."""
-    lines = file.read_text(encoding="utf-8").splitlines(keepends=True) if file.exists() else []
-    for line in lines:
-        if line.endswith("\n"):
-            x = json.loads(line)
-            groups = {key: {name: Outcome(**y) for name, y in x[key].items()} for key in ("planned", "over_w")}
-            yield Done(task=x["task"], refused=x["refused"], **groups)
+def read(file: Path) -> Iterator[TaskHarm]:
+    """Yield what is done."""
+    for x in read_lines(file):
+        groups = {key: {name: MotionHarm(**y) for name, y in x[key].items()} for key in ("planned", "over_w")}
+        yield TaskHarm(task=x["task"], refused=x["refused"], **groups)
 
 
-def _do(job: tuple[str, Sizes]) -> Done:
-    name, sizes = job
+def _do(job: tuple[str, bool]) -> TaskHarm:
+    name, quick = job
     why = ""
     for grasp in dict.fromkeys((usual_grasp(*name.split("/")), "weld")):
         try:
-            return _done(name, sizes, SimSettings(grasp=grasp))
+            return _done(name, quick, SimSettings(grasp=grasp))
         except (ExecutionRefused, gp.PlanningFailed) as error:
             why = str(error)
-    return Done(task=name, refused=why, planned={}, over_w={})
+    return TaskHarm(task=name, refused=why, planned={}, over_w={})
 
 
-def _done(name: str, sizes: Sizes, settings: SimSettings) -> Done:
-    planned: dict[str, Outcome] = {}
-    over_w: dict[str, Outcome] = {}
+def _done(name: str, quick: bool, settings: SimSettings) -> TaskHarm:
+    options = suite.Options(quick=quick)
+    drops, mixed = options.pick((DROPS, MIXED), quick=(16, 19))
+    weights, per_weight = options.pick((WEIGHTS, 100), quick=((1.0,), 8))
+    planned: dict[str, MotionHarm] = {}
+    over_w: dict[str, MotionHarm] = {}
     reference: dict[str, ValidationReport] = {}
     for label, objective in PLANNED.items():
-        planned[label] = _outcome(name, objective, {"drops": sizes.drops, "mixed": sizes.mixed}, settings, reference)
-    for w in sizes.weights:
+        planned[label] = _outcome(name, objective, {"drops": drops, "mixed": mixed}, settings, reference)
+    for w in weights:
         own = planned[OURS] if w == PLANNED[OURS].w else None
-        over_w[f"{w:g}"] = own or _outcome(name, gp.Objective(w=w), {"drops": sizes.per_weight}, settings, None)
-    return Done(task=name, refused="", planned=planned, over_w=over_w)
+        over_w[f"{w:g}"] = own or _outcome(name, gp.Objective(w=w), {"drops": per_weight}, settings, None)
+    return TaskHarm(task=name, refused="", planned=planned, over_w=over_w)
 
 
 def _outcome(
@@ -168,7 +152,7 @@ def _outcome(
     counts: Mapping[str, int],
     settings: SimSettings,
     reference: dict[str, ValidationReport] | None,
-) -> Outcome:
+) -> MotionHarm:
     """Plan and fail; the first motion is what `reference` comes to hold, and later ones are compared with."""
     task = suite.task(name)
     result = gp.plan(
@@ -187,7 +171,7 @@ def _outcome(
             rises[kind] = (rise.mean, rise.low, rise.high)
     elif reference is not None:
         reference.update(found)
-    return Outcome(
+    return MotionHarm(
         motion=result.cost.motion,
         predicted=next(iter(found.values())).predicted if found else math.nan,
         drops=found["drops"].observed.mean if "drops" in found else None,
@@ -238,31 +222,31 @@ def reduction(before: float, after: float) -> float:
     return before / after
 
 
-def _reductions(done: Sequence[Done], label: str, kind: str) -> list[float]:
+def _reductions(done: Sequence[TaskHarm], label: str, kind: str) -> list[float]:
     pairs = [(getattr(x.planned[NONE], kind), getattr(x.planned[label], kind)) for x in done]
     return [reduction(before, after) for before, after in pairs if before is not None]
 
 
-def _motions(done: Sequence[Done], label: str) -> list[float]:
+def _motions(done: Sequence[TaskHarm], label: str) -> list[float]:
     return [x.planned[label].motion / x.planned[NONE].motion - 1.0 for x in done]
 
 
-def _rising(done: Sequence[Done], label: str) -> list[str]:
+def _rising(done: Sequence[TaskHarm], label: str) -> list[str]:
     return [f"{x.task} ({kind})" for x in done for kind, (_, low, _) in x.planned[label].rises.items() if low > 0.0]
 
 
-def _total(done: Sequence[Done], label: str, kind: str) -> float:
+def _total(done: Sequence[TaskHarm], label: str, kind: str) -> float:
     return math.fsum(getattr(x.planned[label], kind) or 0.0 for x in done)
 
 
-def _targets(done: Sequence[Done], tasks: int, sizes: Sizes) -> list[report.Target]:
+def _targets(done: Sequence[TaskHarm], tasks: int, drops: int, mixed: int) -> list[report.Target]:
     if not done:
         return []
     reductions = {kind: float(np.median(_reductions(done, OURS, kind))) for kind in ("drops", "mixed")}
     motion = float(np.median(_motions(done, OURS)))
     rising = _rising(done, OURS)
     totals = {label: _total(done, label, "drops") + _total(done, label, "mixed") for label in PLANNED}
-    enough = len(done) == tasks and sizes.drops >= DROPS and sizes.mixed >= MIXED
+    enough = len(done) == tasks and drops >= DROPS and mixed >= MIXED
     return [
         *(
             report.Target(
@@ -294,13 +278,13 @@ def _targets(done: Sequence[Done], tasks: int, sizes: Sizes) -> list[report.Targ
         report.Target(
             what="tasks x drops x mixed failures",
             wanted=f"{tasks} x {DROPS} x {MIXED}",
-            measured=f"{len(done)} x {sizes.drops} x {sizes.mixed}",
+            measured=f"{len(done)} x {drops} x {mixed}",
             met=enough,
         ),
     ]
 
 
-def _summary(done: Sequence[Done]) -> Iterator[Sequence[object]]:
+def _summary(done: Sequence[TaskHarm]) -> Iterator[Sequence[object]]:
     for label in PLANNED:
         if not done:
             return
@@ -313,7 +297,7 @@ def _summary(done: Sequence[Done]) -> Iterator[Sequence[object]]:
         )
 
 
-def _row(done: Done) -> Sequence[object]:
+def _row(done: TaskHarm) -> Sequence[object]:
     base = done.planned[NONE]
 
     def cell(label: str, kind: str) -> str:
@@ -333,7 +317,7 @@ def _row(done: Done) -> Sequence[object]:
     )
 
 
-def _over_w(done: Sequence[Done]) -> Iterator[Sequence[object]]:
+def _over_w(done: Sequence[TaskHarm]) -> Iterator[Sequence[object]]:
     carried = [x for x in done if x.planned[NONE].drops is not None]
     for w in carried[0].over_w if carried else ():
         motions = [x.over_w[w].motion / x.planned[NONE].motion - 1.0 for x in carried]
@@ -350,7 +334,7 @@ def _times(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "all of it"
 
 
-def draw(done: Sequence[Done], file: Path) -> None:
+def draw(done: Sequence[TaskHarm], file: Path) -> None:
     """Draw observed impact against path length over w, a panel for each scene, a line for each task."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 import graceful_plan as gp
-from benchmarks import known, report, suite
+from benchmarks import planning, report, suite
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.roadmap.exposure import EXPOSURE_STEP, Exposure
@@ -33,7 +33,7 @@ beside the enumeration of all their paths.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class RoadmapFigures:
     """What came of one task."""
 
     task: str
@@ -69,7 +69,7 @@ def run(options: suite.Options) -> str:
     return "\n".join(parts)
 
 
-def examine(job: tuple[str, int, float]) -> Finding:
+def examine(job: tuple[str, int, float]) -> RoadmapFigures:
     """Measure one task."""
     name, repetitions, seconds = job
     task = suite.task(name)
@@ -83,7 +83,7 @@ def examine(job: tuple[str, int, float]) -> Finding:
     roadmap.query(task.start, task.goal)
     front_seconds, points = _timed(lambda _: roadmap.front(task.start, task.goal), 3)
     exact_seconds, exact_points = _timed(lambda _: roadmap.front(task.start, task.goal, epsilon=0.0), 3)
-    return Finding(
+    return RoadmapFigures(
         task=name,
         build=wall,
         processor=processor,
@@ -156,11 +156,11 @@ def _planned(task: gp.Task, seconds: float) -> float:
 
 
 def _gap(name: str, total: float) -> float:
-    best = known.load(name, suite.task(name))
+    best = planning.BEST.load(name, suite.task(name))
     return np.nan if best is None else total / best.total - 1.0
 
 
-def _row(f: Finding) -> tuple[str, ...]:
+def _row(f: RoadmapFigures) -> tuple[str, ...]:
     times = [report.quantity(1e3 * s, digits=2) for s in (f.weight, f.severity, f.ends, f.front, f.exact_front)]
     gaps = [report.percent(gap, 0) for gap in (f.error, f.gap, f.default)]
     build = report.quantity(f.build, digits=2), report.quantity(f.processor, digits=2), str(f.edges)
@@ -168,7 +168,7 @@ def _row(f: Finding) -> tuple[str, ...]:
     return f.task, *build, *times[:3], *fronts, *gaps
 
 
-def _targets(findings: list[Finding], equal: int, graphs: int) -> list[report.Target]:
+def _targets(findings: list[RoadmapFigures], equal: int, graphs: int) -> list[report.Target]:
     limits = (("build", BUILD_WITHIN), ("weight", QUERY_WITHIN), ("front", FRONT_WITHIN))
     words = {"build": "slowest build", "weight": "slowest median query for a new w", "front": "slowest front, 1 %"}
     found = []
@@ -183,6 +183,6 @@ def _targets(findings: list[Finding], equal: int, graphs: int) -> list[report.Ta
     return [*found, report.Target(what="fronts equal to all paths", wanted="all", measured=exact, met=equal == graphs)]
 
 
-def _gaps(findings: list[Finding]) -> str:
+def _gaps(findings: list[RoadmapFigures]) -> str:
     medians = [report.percent(float(np.nanmedian([getattr(f, k) for f in findings])), 0) for k in ("gap", "default")]
     return "Median gap: {} of the roadmap's paths, {} of the default planner's.\n".format(*medians)

@@ -7,7 +7,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +41,7 @@ print(time.perf_counter() - started if result.status is gp.PlanStatus.SOLVED els
 _GROWTH = """
 import gc, sys
 import graceful_plan as gp
-from benchmarks.machine import resident_megabytes
+from graceful_plan.compare.runs.machine import resident_megabytes
 tasks = list(gp.load_scene("tabletop").tasks.values())
 def plan(seed):
     task = tasks[seed % len(tasks)]
@@ -56,40 +55,29 @@ print(resident_megabytes() - before)
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How often."""
-
-    processes: int
-    plans: int
-    build: bool
-
-
-FULL = Sizes(processes=9, plans=1000, build=True)
-QUICK = Sizes(processes=2, plans=20, build=False)
 FIRST_PLANS = (("tabletop/lift_to_goal", "rrt_connect"), ("tabletop/lift_to_goal", "anytime"))
 
 
 def run(options: suite.Options) -> str:
     """Measure everything, each in new processes."""
-    sizes = QUICK if options.quick else FULL
-    lines = list(_targets(sizes))
-    return f"{MEASURED}\n{sizes.processes} processes for each of the first rows; medians.\n\n{report.targets(lines)}"
+    processes, plans = options.pick((9, 1000), quick=(2, 20))
+    lines = list(_targets(processes, plans, build=not options.quick))
+    return f"{MEASURED}\n{processes} processes for each of the first rows; medians.\n\n{report.targets(lines)}"
 
 
-def _targets(sizes: Sizes) -> Iterator[report.Target]:
-    yield _within("import", IMPORT_WITHIN, [_number(_IMPORT) for _ in range(sizes.processes + 1)])
+def _targets(processes: int, plans: int, *, build: bool) -> Iterator[report.Target]:
+    yield _within("import", IMPORT_WITHIN, [_number(_IMPORT) for _ in range(processes + 1)])
     for task, planner in FIRST_PLANS:
-        seconds = [_number(_FIRST_PLAN, task, planner) for _ in range(sizes.processes + 1)]
+        seconds = [_number(_FIRST_PLAN, task, planner) for _ in range(processes + 1)]
         yield _within(f"first plan, {task}, {planner}", FIRST_PLAN_WITHIN, seconds)
-    growth = _number(_GROWTH, str(sizes.plans))
+    growth = _number(_GROWTH, str(plans))
     yield report.Target(
-        what=f"memory growth over {sizes.plans} plans",
+        what=f"memory growth over {plans} plans",
         wanted=f"< {GROWTH_BELOW:g} MB",
         measured=f"{growth:.1f} MB",
         met=growth < GROWTH_BELOW,
     )
-    if sizes.build:
+    if build:
         seconds = _build_seconds()
         yield report.Target(
             what="build from source",

@@ -13,6 +13,7 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import landing, report, suite, variants
+from benchmarks.store import read_lines
 from failbench.calibrations import skill
 from failbench.calibrations.failure_jobs import KINDS, FailureJob, do_job, failure_jobs
 from failbench.calibrations.failures import Failures
@@ -37,24 +38,7 @@ MOTIONS, SCENES, DROPS = 200, 6, 400
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How much."""
-
-    motions: int
-    """In each scene, at least."""
-    drops: int
-    """Along each motion."""
-    scenes: int | None
-    resamples: int
-
-
-# The wanted MOTIONS and DROPS take about an hour and a half on two cores that do nothing else.
-FULL = Sizes(motions=60, drops=100, scenes=None, resamples=1000)
-QUICK = Sizes(motions=6, drops=8, scenes=1, resamples=50)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Done:
+class JudgedMotion:
     """A motion that is done."""
 
     number: int
@@ -72,34 +56,39 @@ class Done:
 
 def run(options: suite.Options) -> str:
     """Do what is left to do, at most for `options.seconds`, and report on all that is done."""
-    sizes = QUICK if options.quick else FULL
-    names = list(variants.VARIANTS)[: sizes.scenes]
+    # The wanted MOTIONS and DROPS take about an hour and a half on two cores that do nothing else.
+    motions, drops = options.pick((60, 100), quick=(6, 8))
+    resamples, scenes = options.pick((1000, len(variants.VARIANTS)), quick=(50, 1))
+    names = list(variants.VARIANTS)[:scenes]
     with tempfile.TemporaryDirectory() as scratch:  # a quick run has nothing to keep
-        files = {name: (Path(scratch) if options.quick else STORE) / _file_name(name, sizes) for name in names}
+        files = {
+            name: (Path(scratch) if options.quick else STORE) / f"{name}.{SEED}.{motions}x{drops}.jsonl"
+            for name in names
+        }
         # Each scene gets its share of the time that is left.
         until = None if options.seconds is None else time.monotonic() + options.seconds
         for i, (name, file) in enumerate(files.items()):
             left = np.inf if until is None else (until - time.monotonic()) / (len(files) - i)
-            go_on(file, jobs_of(name, sizes), options, time.monotonic() + left)
+            go_on(file, jobs_of(name, motions, drops), options, time.monotonic() + left)
         done = {name: list(read(file)) for name, file in files.items()}
     counted = {name: found for name, found in done.items() if len(found) >= 3}
-    drops = sum(x.drops for found in counted.values() for x in found)
+    dropped = sum(x.drops for found in counted.values() for x in found)
     return "\n".join(
         [
             MEASURED,
-            f"{sum(len(found) for found in counted.values())} motions, {drops} drops.\n",
-            report.targets(_targets(counted, len(names), sizes)),
-            report.table(_HEADER, _rows(counted, sizes)),
+            f"{sum(len(found) for found in counted.values())} motions, {dropped} drops.\n",
+            report.targets(_targets(counted, len(names))),
+            report.table(_HEADER, _rows(counted, resamples)),
         ]
     )
 
 
-def jobs_of(name: str, sizes: Sizes) -> list[FailureJob]:
-    """Return the jobs of a scene, kinds and tasks in turn."""
+def jobs_of(name: str, motions: int, drops: int) -> list[FailureJob]:
+    """Return the jobs of a scene, at least so many motions, kinds and tasks in turn."""
     tasks = len(variants.load(name).tasks)
-    repeats = -(-sizes.motions // (tasks * len(KINDS)))
+    repeats = -(-motions // (tasks * len(KINDS)))
     number = list(variants.VARIANTS).index(name)
-    return failure_jobs(variants.load, [name], n=sizes.drops, seed=SEED + number, repeats=repeats)
+    return failure_jobs(variants.load, [name], n=drops, seed=SEED + number, repeats=repeats)
 
 
 def go_on(file: Path, jobs: Sequence[FailureJob], options: suite.Options, until: float) -> None:
@@ -122,24 +111,17 @@ def go_on(file: Path, jobs: Sequence[FailureJob], options: suite.Options, until:
                     out.flush()
 
 
-def _line(done: Done) -> str:
+def _line(done: JudgedMotion) -> str:
     return json.dumps(vars(done), allow_nan=False) + "\n"
 
 
-def _file_name(name: str, sizes: Sizes) -> str:
-    return f"{name}.{SEED}.{sizes.motions}x{sizes.drops}.jsonl"
+def read(file: Path) -> Iterator[JudgedMotion]:
+    """Yield what is done."""
+    for document in read_lines(file):
+        yield JudgedMotion(**(document | {"halves": tuple(document["halves"])}))
 
 
-def read(file: Path) -> Iterator[Done]:
-    """Yield what is done; a last line that was cut off does not count."""
-    lines = file.read_text(encoding="utf-8").splitlines(keepends=True) if file.exists() else []
-    for line in lines:
-        if line.endswith("\n"):
-            document = json.loads(line)
-            yield Done(**(document | {"halves": tuple(document["halves"])}))
-
-
-def _do(job: tuple[int, FailureJob]) -> Done | None:
+def _do(job: tuple[int, FailureJob]) -> JudgedMotion | None:
     number, what = job
     drops = do_job(what)
     if isinstance(drops, str):
@@ -147,7 +129,7 @@ def _do(job: tuple[int, FailureJob]) -> Done | None:
     scene = what.load(what.scene).tasks[what.task].scene
     severity = gp.ImpactCost().severity(scene) * drops.counted
     impact = (drops.hit * severity).max(axis=1).sum(axis=1)
-    return Done(
+    return JudgedMotion(
         number=number,
         label=f"{what.task}, {what.kind}",
         drops=len(drops),
@@ -192,7 +174,7 @@ MODELS: Mapping[str, Callable[[gp.Scene, Failures], Array]] = {
 _HEADER = ("scene", "model", "motions", "Spearman", "95 %", "Kendall", "Pearson", "slope", "95 %", "ratio", "halves")
 
 
-def _targets(done: Mapping[str, Sequence[Done]], scenes: int, sizes: Sizes) -> list[report.Target]:
+def _targets(done: Mapping[str, Sequence[JudgedMotion]], scenes: int) -> list[report.Target]:
     ranks = {name: skill.spearman(*_pairs(found, "footprint")) for name, found in done.items()}
     slopes = {name: skill.slope(*_pairs(found, "footprint")) for name, found in done.items()}
     least = min((len(found) for found in done.values()), default=0)
@@ -221,18 +203,18 @@ def _targets(done: Mapping[str, Sequence[Done]], scenes: int, sizes: Sizes) -> l
     ]
 
 
-def _rows(done: Mapping[str, Sequence[Done]], sizes: Sizes) -> Iterator[Sequence[object]]:
+def _rows(done: Mapping[str, Sequence[JudgedMotion]], resamples: int) -> Iterator[Sequence[object]]:
     for name, found in done.items():
         halves = skill.spearman(*np.array([x.halves for x in found]).T)
         for model in MODELS:
-            yield _row(name, model, found, 2.0 * halves / (1.0 + halves), sizes)
+            yield _row(name, model, found, 2.0 * halves / (1.0 + halves), resamples)
 
 
-def _row(name: str, model: str, found: Sequence[Done], halves: float, sizes: Sizes) -> Sequence[object]:
+def _row(name: str, model: str, found: Sequence[JudgedMotion], halves: float, resamples: int) -> Sequence[object]:
     p, y = _pairs(found, model)
 
     def interval(statistic: Callable[[Array, Array], float]) -> str:
-        x = skill.bootstrap(statistic, p, y, resamples=sizes.resamples)
+        x = skill.bootstrap(statistic, p, y, resamples=resamples)
         return f"{x.low:.2f} to {x.high:.2f}"
 
     return (
@@ -250,5 +232,5 @@ def _row(name: str, model: str, found: Sequence[Done], halves: float, sizes: Siz
     )
 
 
-def _pairs(found: Sequence[Done], model: str) -> tuple[Array, Array]:
+def _pairs(found: Sequence[JudgedMotion], model: str) -> tuple[Array, Array]:
     return np.array([x.predicted[model] for x in found]), np.array([x.observed for x in found])

@@ -38,21 +38,7 @@ how many points have the least V + w S of their front for some w.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
-    """How many tasks and seeds, and how long [s]."""
-
-    tasks: int
-    seeds: int
-    seconds: float
-    weights: int
-
-
-FULL = Sizes(tasks=4, seeds=3, seconds=SECONDS_BELOW, weights=WEIGHTS)
-QUICK = Sizes(tasks=1, seeds=1, seconds=2.0, weights=5)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Front:
+class MeasuredFront:
     """Motion and impact of verified motions, and how long they took."""
 
     costs: Array
@@ -62,56 +48,56 @@ class Front:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class TaskFronts:
     """What came of one task."""
 
     task: str
-    tuned: tuple[Front, ...]
-    swept: Front
+    tuned: tuple[MeasuredFront, ...]
+    swept: MeasuredFront
 
     @property
     def reference(self) -> Array:
         """The reference of all hypervolumes of the task."""
         return 1.1 * np.concatenate([self.swept.costs, *(front.costs for front in self.tuned)]).max(axis=0)
 
-    def hypervolume(self, front: Front) -> float:
+    def hypervolume(self, front: MeasuredFront) -> float:
         """Share of the rectangle between zero and the reference that is worse than the front."""
         return dominated_area(front.costs, self.reference) / float(np.prod(self.reference))
 
 
 def run(options: suite.Options) -> str:
     """Find fronts and sweep; write a picture if this is no quick run."""
-    sizes = QUICK if options.quick else FULL
-    names = [name for name in suite.task_names() if name.startswith(f"{SCENE}/")][: sizes.tasks]
+    tasks, seeds, seconds, weights = options.pick((4, 3, SECONDS_BELOW, WEIGHTS), quick=(1, 1, 2.0, 5))
+    names = [name for name in suite.task_names() if name.startswith(f"{SCENE}/")][:tasks]
     # One at a time: both are measured by what they find in a given time.
-    findings = list(suite.spread(lambda name: examine(name, sizes), names, 1, "tuning"))
+    findings = list(suite.spread(lambda name: examine(name, seeds, seconds, weights), names, 1, "tuning"))
     if not options.quick:
         draw(findings, PICTURE)
     header = ("task", "front of", "seconds", "points", "by a weight", "hypervolume", "of the sweep's", "epsilon")
     rows = [row for finding in findings for row in _rows(finding)]
-    told = MEASURED.format(weights=sizes.weights, times=TIMES)
+    told = MEASURED.format(weights=weights, times=TIMES)
     picture = "" if options.quick else f"\n![Fronts and sweeps](../docs/images/{PICTURE.name})\n"
     return f"{told}\n{report.targets(_targets(findings))}\n{report.table(header, rows)}{picture}"
 
 
-def examine(name: str, sizes: Sizes) -> Finding:
+def examine(name: str, seeds: int, seconds: float, weights: int) -> TaskFronts:
     """Find the front of a task with several seeds, and sweep."""
-    planning.warm_task(name)
-    tuned = tuple(tune(name, seed, sizes.seconds) for seed in range(sizes.seeds))
-    return Finding(task=name, tuned=tuned, swept=sweep(name, sizes.weights, TIMES * sizes.seconds))
+    planning.warm("auto", name)
+    tuned = tuple(tune(name, seed, seconds) for seed in range(seeds))
+    return TaskFronts(task=name, tuned=tuned, swept=sweep(name, weights, TIMES * seconds))
 
 
-def tune(name: str, seed: int, seconds: float) -> Front:
+def tune(name: str, seed: int, seconds: float) -> MeasuredFront:
     """Call `gp.pareto`."""
     task = suite.task(name)
     started = time.perf_counter()
     front = gp.pareto(task.start, task.goal, task.scene, time_limit=seconds, seed=seed)
     seconds = time.perf_counter() - started
     by_weight = sum(point.weights is not None for point in front.points)
-    return Front(costs=front.costs, seconds=seconds, by_weight=by_weight, status=front.status.name)
+    return MeasuredFront(costs=front.costs, seconds=seconds, by_weight=by_weight, status=front.status.name)
 
 
-def sweep(name: str, count: int, seconds: float) -> Front:
+def sweep(name: str, count: int, seconds: float) -> MeasuredFront:
     """Call `gp.plan` at one weight after the other; keep what no other is better than."""
     task = suite.task(name)
     started = time.perf_counter()
@@ -122,12 +108,14 @@ def sweep(name: str, count: int, seconds: float) -> Front:
 
     shortest = cost(0.0)
     if shortest is None:
-        return Front(costs=np.zeros((0, 2)), seconds=time.perf_counter() - started, status="NOT SOLVED")
+        return MeasuredFront(costs=np.zeros((0, 2)), seconds=time.perf_counter() - started, status="NOT SOLVED")
     weights = sweep_weights(np.array([shortest.motion, shortest.impact]), count - 1)
     found = [shortest, *(cost(w) for w in weights.tolist())]
     costs = np.array([(c.motion, c.impact) for c in found if c is not None])
     costs = costs[non_dominated(costs)]
-    return Front(costs=costs[np.argsort(costs[:, 0])], seconds=time.perf_counter() - started, by_weight=len(costs))
+    return MeasuredFront(
+        costs=costs[np.argsort(costs[:, 0])], seconds=time.perf_counter() - started, by_weight=len(costs)
+    )
 
 
 def epsilon(front: Array, other: Array) -> float:
@@ -138,7 +126,7 @@ def epsilon(front: Array, other: Array) -> float:
     return float(ratio.max(axis=2).min(axis=0).max())
 
 
-def _rows(finding: Finding) -> Iterator[tuple[object, ...]]:
+def _rows(finding: TaskFronts) -> Iterator[tuple[object, ...]]:
     base = finding.hypervolume(finding.swept)
     for label, front, other in [
         *((f"`pareto`, seed {seed}", front, finding.swept) for seed, front in enumerate(finding.tuned)),
@@ -157,7 +145,7 @@ def _rows(finding: Finding) -> Iterator[tuple[object, ...]]:
         )
 
 
-def _targets(findings: Sequence[Finding]) -> Iterator[report.Target]:
+def _targets(findings: Sequence[TaskFronts]) -> Iterator[report.Target]:
     every = [front for finding in findings for front in finding.tuned]
     slowest, fewest = max(front.seconds for front in every), min(len(front.costs) for front in every)
     yield report.Target(
@@ -181,7 +169,7 @@ def _targets(findings: Sequence[Finding]) -> Iterator[report.Target]:
     )
 
 
-def draw(findings: Sequence[Finding], file: Path) -> None:
+def draw(findings: Sequence[TaskFronts], file: Path) -> None:
     """Draw the fronts beside the sweeps."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

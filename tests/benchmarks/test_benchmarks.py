@@ -10,34 +10,35 @@ import pytest
 from places import ROOT
 
 import graceful_plan as gp
+from graceful_plan.compare import BestPaths, Run
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CHECK_STEP
 
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.clearance_twin import ClearanceTwin
-from benchmarks.subjects import best_known, kernels, optimisers, planners
+from benchmarks.subjects import auto, best_known, kernels, optimisers, planners
 
-from benchmarks import gradients, known, planning, report, suite
+from benchmarks import gradients, planning, report, suite
 from benchmarks import run as runner
 
 TASK = "tabletop_l1/green_to_blue"
-FILES = sorted(known.FOLDER.glob("*.json"))
+FILES = sorted(planning.BEST.folder.glob("*.json"))
 
 
 @pytest.fixture(scope="module")
-def record() -> planning.Record:
-    return planning.run(planning.Job(task=TASK, planner="rrt_connect", time_limit=5.0))
+def record() -> Run:
+    (found,) = planning.runs([planning.job(TASK, "rrt_connect", seconds=5.0)], 1, "test")
+    assert found.solved, found
+    return found
 
 
 @pytest.fixture
-def stored(record, tmp_path, monkeypatch) -> known.BestKnown:
-    monkeypatch.setattr(known, "FOLDER", tmp_path / "best_known")
-    assert record.path is not None, record
-    found = known.offer(TASK, suite.task(TASK), None, record.path, "rrt_connect", 0, 5.0)
-    assert found is not None
-    run = known.Run(planner="rrt_connect", seed=0, seconds=5.0, total=found.total)
-    return dataclasses.replace(found, runs=(run, dataclasses.replace(run, seed=1, total=None)))
+def folder(tmp_path, monkeypatch) -> BestPaths:
+    """Keep best paths elsewhere."""
+    paths = BestPaths(tmp_path / "best_known")
+    monkeypatch.setattr(planning, "BEST", paths)
+    return paths
 
 
 @pytest.mark.parametrize("name", runner.SUBJECTS)
@@ -47,153 +48,69 @@ def test_every_subject_has_a_title_and_runs(name):
     assert subject.MEASURED.strip()
 
 
-def test_results_have_sections_of_known_subjects():
-    if not runner.RESULTS.exists():
-        pytest.skip("no results yet")
-    begins = [line for line in runner.RESULTS.read_text().splitlines() if line.startswith("<!-- begin")]
-    assert {line.split()[2] for line in begins} <= set(runner.SUBJECTS)
-
-
 # --- best known paths -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_best_known_paths_solve_their_tasks_at_the_cost_they_claim(file):
-    name = known.read(file).task
-    assert known.file_of(name) == file
-    found = known.load(name, suite.task(name))
-    assert found is not None and found.total == pytest.approx(found.motion + known.W * found.impact)
+    name = planning.BEST.read(file).task
+    assert planning.BEST.file_of(name) == file
+    found = planning.BEST.load(name, suite.task(name))
+    assert found is not None and found.total == pytest.approx(found.motion + planning.W * found.impact)
     assert all(run.total is None or run.total >= found.total * (1.0 - 1e-6) for run in found.runs)
 
 
-def test_a_stored_path_comes_back(stored):
-    known.write(stored)
-    assert known.load(TASK, suite.task(TASK)) == stored
-    assert known.renewed(TASK, suite.task(TASK)) == stored
-    assert [file.name for file in known.FOLDER.iterdir()] == ["tabletop_l1.green_to_blue.json"]
-
-
-def test_a_task_without_a_file_has_no_best_known(stored):
-    assert known.load(TASK, suite.task(TASK)) is None
-    assert known.renewed(TASK, suite.task(TASK)) is None
-
-
-def test_a_total_that_does_not_match_its_path_is_refused_and_renewed(stored):
-    known.write(dataclasses.replace(stored, total=0.9 * stored.total))
-    with pytest.raises(known.StaleBestKnownError, match="stored total"):
-        known.load(TASK, suite.task(TASK))
-    renewed = known.renewed(TASK, suite.task(TASK))
-    assert renewed is not None and renewed.total == pytest.approx(stored.total)
-    assert renewed.runs == ()
-
-
-def test_a_path_of_another_task_is_refused(stored):
-    known.write(stored)
-    other = suite.task("tabletop_l1/far_to_near")
-    with pytest.raises(known.StaleBestKnownError, match="does not begin at the start"):
-        known.load(TASK, other)
-    assert known.renewed(TASK, other) is None
-
-
-def test_a_colliding_path_is_refused(stored):
-    inside = suite.task(TASK).start.copy()
-    inside[1:4] = [1.5, 0.0, -0.5]  # arm stretched out into the table
-    known.write(dataclasses.replace(stored, path=(stored.path[0], tuple(inside), stored.path[-1])))
-    with pytest.raises(known.StaleBestKnownError, match="collision"):
-        known.load(TASK, suite.task(TASK))
-    assert known.renewed(TASK, suite.task(TASK)) is None
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "{",
-        "{}",
-        '{"schema": 2, "w": 1.0}',
-        '{"schema": 1, "w": 0.5}',
-        '{"schema": 1, "w": 1.0, "runs": [], "path": [], "x": 1}',
-    ],
-)
-def test_files_of_another_format_are_refused(stored, text):
-    file = known.file_of(TASK)
-    file.parent.mkdir()
-    file.write_text(text)
-    with pytest.raises(known.StaleBestKnownError, match=file.name):
-        known.load(TASK, suite.task(TASK))
-    assert known.renewed(TASK, suite.task(TASK)) is None
-
-
-def test_only_a_better_path_replaces_the_best_known(stored):
-    task = suite.task(TASK)
-    q = np.array(stored.path)
-    detour = np.concatenate([q[:1], q[:2], q])  # to the second vertex, back and again
-    assert known.offer(TASK, task, stored, detour, "prm", 0, 1.0) is stored
-    assert known.offer(TASK, task, stored, q, "prm", 0, 1.0) is stored
-    worse = dataclasses.replace(stored, total=stored.total + 1.0)
-    better = known.offer(TASK, task, worse, q, "prm", 7, 1.0)
-    assert better is not None and (better.total, better.planner, better.seed) == (stored.total, "prm", 7)
-    assert better.runs == stored.runs
-
-
-def test_a_path_that_is_no_solution_is_not_taken(stored):
-    assert known.offer(TASK, suite.task(TASK), None, np.array(stored.path)[:-1], "prm", 0, 1.0) is None
-
-
-def test_runs_that_were_done_are_not_repeated(stored, monkeypatch):
+def test_runs_that_were_done_are_not_repeated(folder, monkeypatch):
     monkeypatch.setattr(suite, "task_names", lambda options: [TASK])
     monkeypatch.setattr(gp, "PLANNERS", {name: gp.PLANNERS[name] for name in ("auto", "rrt_connect")})
     options = suite.Options(seconds=0.5)
     body = best_known.run(options)
-    first = known.load(TASK, suite.task(TASK))
+    first = folder.load(TASK, suite.task(TASK))
     assert first is not None and f"{first.total:.5g}" in body
     wanted = [("rrt_connect", 0), *(("auto", seed) for seed in range(best_known.SEEDS))]
     assert sorted((run.planner, run.seed) for run in first.runs) == sorted(wanted)
-    monkeypatch.setattr(planning, "run", lambda job: pytest.fail(f"{job} again"))
+    monkeypatch.setattr(planning, "runs", lambda jobs, *rest: pytest.fail(f"{jobs} again") if jobs else [])
     assert best_known.run(options) == body
-    assert known.load(TASK, suite.task(TASK)) == first
+    assert folder.load(TASK, suite.task(TASK)) == first
 
 
-def test_the_reference_of_gaps_is_the_best_of_file_and_run(stored, record):
+def test_the_reference_of_gaps_is_the_best_of_file_and_run(folder, record):
+    stored = folder.offer(suite.task(TASK), None, record, 5.0)
+    assert stored is not None
     total = stored.total
-    known.write(stored)
+    folder.write(stored)
     best, doubts = planners.references([], [TASK], keep=True)
     assert (best, doubts) == ({TASK: total}, [])
-    known.write(dataclasses.replace(stored, total=2.0 * total))
-    best, doubts = planners.references([record], [TASK], keep=False)
+    folder.write(dataclasses.replace(stored, total=2.0 * total))
+    best, doubts = planners.references([(5.0, [record])], [TASK], keep=False)
     assert best == {TASK: total} and "stored total" in doubts[0]
-    known.file_of(TASK).unlink()
-    best, doubts = planners.references([record], [TASK], keep=True)
+    folder.file_of(TASK).unlink()
+    best, doubts = planners.references([(5.0, [record])], [TASK], keep=True)
     assert best == {TASK: total} and TASK in doubts[0]
-    assert known.load(TASK, suite.task(TASK)) is not None
+    kept = folder.load(TASK, suite.task(TASK))
+    assert kept is not None and (kept.planner, kept.seed, kept.seconds) == ("rrt_connect", 0, 5.0)
 
 
 # --- records and statistics ------------------------------------------------------------------------------------------
 
 
-def test_records_say_when_which_cost_was_reached(record):
-    assert record.solved and record.first == record.trace[0][0] < record.seconds
+def test_runs_say_when_which_cost_was_reached(record):
+    assert record.solved and record.first == record.trace[0].time < record.seconds
     assert record.total_at(record.seconds) == pytest.approx(record.total)
     assert record.total_at(0.0) == np.inf
-    assert record.total == pytest.approx(known.cost_of(record.path, suite.task(TASK)).total)
+    assert record.total == pytest.approx(planning.BEST.cost_of(np.array(record.path), suite.task(TASK)).total)
 
 
 def test_what_a_call_raises_is_a_record():
-    record = planning.run(planning.Job(task=TASK, planner="no_such_planner"))
+    (record,) = planning.runs([planning.job(TASK, "no_such_planner")], 1, "test")
     assert (record.status, record.solved, record.first) == ("RAISED", False, np.inf)
     assert "no_such_planner" in record.detail
 
 
-def test_an_unsolved_run_reaches_no_cost():
-    record = planning.Record(job=planning.Job(task=TASK), status="TIMEOUT", trace=((0.1, 3.0),))
-    assert record.total_at(1.0) == np.inf == record.first
-
-
-@pytest.mark.parametrize(
-    ("total", "best", "gap"),
-    [(1.1, 1.0, 0.1), (1.0, 1.0, 0.0), (np.inf, 1.0, np.inf), (1.0, np.inf, np.inf), (0.0, 0.0, 0.0)],
-)
-def test_gap(total, best, gap):
-    assert planners.gap(total, best) == pytest.approx(gap)
+def test_parts_of_the_default_planner_are_what_they_are_called():
+    parts = {part.label: part.make() for part in auto.PARTS}
+    assert parts["everything"] == gp.Auto() and parts["one search"] == gp.Auto(workers=1)
+    assert parts["without roadmaps"] == gp.Auto(search=gp.Anytime(scouts=False))
 
 
 def test_free_edges_are_free_and_of_one_length():
@@ -248,8 +165,8 @@ def test_quantities(value, text):
 
 
 def test_details_are_strict_json(record):
-    failed = planning.Record(job=planning.Job(task=TASK), status="TIMEOUT")
-    text = json.dumps(planners._details([record, failed], {TASK: np.inf}), allow_nan=False)
+    failed = dataclasses.replace(record, planner="prm", status="TIMEOUT", total=np.inf)
+    text = json.dumps(planners._details([record, failed], {TASK: np.inf}, 1.0), allow_nan=False)
     assert json.loads(text)["runs"][0]["total"] is None
 
 
@@ -288,8 +205,7 @@ def test_wrong_gradients_are_found():
 
 
 def test_optimisers_start_from_the_same_path_and_only_solutions_count():
-    sizes = dataclasses.replace(optimisers.QUICK, seconds=0.3)
-    finding = optimisers.examine(optimisers.Job(task=TASK, sizes=sizes))
+    finding = optimisers.examine((TASK, 0, 0.5, 0.3))
     assert set(finding.improved) == {*optimisers.optimisers(), optimisers.MORE_SHORTCUTS}
     assert "stomp" in finding.improved and np.isfinite(finding.before)
     for improvement in finding.improved.values():

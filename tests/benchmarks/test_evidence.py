@@ -1,14 +1,16 @@
 """The benchmarks of FailBench: that what they measure is what they say."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
-from benchmarks.subjects import drop_physics, failbench_soak, failbench_speed
+from benchmarks.subjects import drop_physics, failbench_soak, failbench_speed, transcription
 from motions import Drop, Shake, execution
 
 import failbench
+import graceful_plan as gp
 from benchmarks import suite
 from failbench import ContactEvent, Job, Rollout, SimSettings
 
@@ -130,3 +132,64 @@ def test_growth_of_memory_is_judged_by_its_peak():
     memory = [50.0, 90.0, 100.0, 100.0, 130.0, 101.0]
     (target,) = (t for t in failbench_soak._targets(failbench_soak.Census(), memory) if "memory" in t.what)
     assert target.met is False
+
+
+# --- harm of an executed motion ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lifted():
+    task = suite.task("tabletop/lift_to_goal")
+    return task, gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50).unwrap()
+
+
+def test_what_a_motion_costs_is_its_duration_and_the_impact_over_it(lifted):
+    _, motion = lifted
+    assert transcription.timed_cost(motion, lambda q, qd: np.zeros(len(q))) == pytest.approx(motion.duration)
+    assert transcription.timed_cost(motion, lambda q, qd: np.full(len(q), 2.0)) == pytest.approx(3.0 * motion.duration)
+    # The rate of the first joint adds up to how far it goes.
+    went = float(np.abs(np.diff(motion.at(np.linspace(motion.t[0], motion.t[-1], 4000)).q[:, 0])).sum())
+    total = transcription.timed_cost(motion, lambda q, qd: np.abs(qd[:, 0]))
+    assert total - motion.duration == pytest.approx(went, rel=1e-3)
+
+
+def test_both_motions_are_played_at_the_pace_that_both_allow(lifted, monkeypatch):
+    task, motion = lifted
+    played = []
+
+    def validate(played_motion, scene, fault, *, n, threads):
+        played.append(played_motion.duration / motion.duration)
+        if len(played) == 2:  # the second motion, at full speed
+            raise failbench.ExecutionRefused("the object 'red'", 0.5, "slips")
+        return SimpleNamespace(observed=SimpleNamespace(mean=float(len(played))))
+
+    monkeypatch.setattr(failbench, "validate", validate)
+    found = transcription.observed(task, motion, motion, 10)
+    assert played == pytest.approx([1.0, 1.0, 1.0 / 0.7, 1.0 / 0.7])
+    assert (found.refused, found.speed, found.impact) == ("", 0.7, (3.0, 4.0))
+    assert found.harm == pytest.approx((3.0 * motion.duration / 0.7, 4.0 * motion.duration / 0.7))
+
+
+def test_motions_that_cannot_be_observed_are_told(lifted, monkeypatch):
+    task, motion = lifted
+
+    def validate(*args, **kwargs):
+        raise failbench.ExecutionRefused("joint 'panda/joint1'", 0.5, "does not follow")
+
+    monkeypatch.setattr(failbench, "validate", validate)
+    slow = transcription.observed(task, motion, motion, 10)
+    assert slow.refused == "joint 'panda/joint1' at 0.5"
+    cases = [
+        transcription.Transcribed(task="a", observed=slow),
+        transcription.Transcribed(task="b", observed=transcription.observed(task, motion, None, 10)),
+        transcription.Transcribed(
+            task="c", observed=transcription.ObservedHarm(speed=1.0, impact=(2.0, 1.0), duration=(1.0, 1.5))
+        ),
+    ]
+    target = transcription._harm_target(cases)
+    assert target.met
+    assert target.measured == (
+        "2.00 to 1.50 s, median ratio 0.750, 1 of 3 tasks; "
+        "refused: a: joint 'panda/joint1' at 0.5, b: no motion of least F"
+    )
+    assert transcription._harm_target(cases[:2]).met is None

@@ -113,13 +113,13 @@ def test_it_is_algorithm_1_where_the_object_comes_down() -> None:
 
 
 def test_motions_that_are_done_are_not_done_again(tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs = trajectory_prediction.jobs_of("tabletop_l1_scattered", trajectory_prediction.QUICK)[:3]
+    jobs = trajectory_prediction.jobs_of("tabletop_l1_scattered", 6, 8)[:3]
     file, options = tmp_path / "store" / "done.jsonl", suite.Options()
     asked: list[int] = []
 
-    def fake(job: tuple[int, object]) -> trajectory_prediction.Done:
+    def fake(job: tuple[int, object]) -> trajectory_prediction.JudgedMotion:
         asked.append(job[0])
-        return trajectory_prediction.Done(
+        return trajectory_prediction.JudgedMotion(
             number=job[0], label="", drops=4, observed=1.0, error=0.1, halves=(1.0, 1.0), predicted={"footprint": 0.5}
         )
 

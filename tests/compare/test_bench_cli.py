@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-from bench_cases import planner_file, suite_file
+from bench_cases import own_planner, suite_file
 
 import graceful_plan as gp
 from graceful_plan import compare as bench
@@ -80,19 +80,29 @@ def test_what_another_comparison_knew(run, tmp_path):
     assert "known.yaml is for that weight" in err
 
 
-def test_a_planner_of_ones_own(run, tmp_path):
-    file = planner_file(tmp_path)
-    code, out, _ = run("--planners", "rrt_connect", "--planner-file", str(file), "--seeds", "1")
+def test_a_planner_of_ones_own(run, here):
+    own = own_planner(here)
+    code, out, _ = run("--planners", "rrt_connect", "--planner", f"{own}:pieces=2", "--seeds", "1")
     assert code == cli.DONE
-    assert re.search(r"^straight +2/2", out, flags=re.MULTILINE)
+    assert re.search(r"^rrt_connect +2/2 .*reference", out, flags=re.MULTILINE)
+    assert re.search(r"^straight:Straight:pieces=2 +2/2", out, flags=re.MULTILINE)
 
 
-def test_nothing_solved_has_its_own_exit_code(run, tmp_path):
-    broken = planner_file(tmp_path, "raise ValueError('oops')", "broken")
-    code, out, _ = run("--planner-file", str(broken), "--planners", "broken", "--seeds", "1")
+def test_without_a_list_one_s_own_is_compared_with_all_others(here, monkeypatch):
+    asked = {}
+    monkeypatch.setattr(bench, "compare", lambda suite, **given: asked.update(given))
+    monkeypatch.setattr(bench, "summarise", lambda comparison: pytest.fail("far enough"))
+    with pytest.raises(pytest.fail.Exception, match="far enough"):
+        cli.main(["bench", "--planner", own_planner(here)])
+    assert asked["planners"] == [*gp.PLANNERS, "straight:Straight"]
+
+
+def test_nothing_solved_has_its_own_exit_code(run, here):
+    broken = own_planner(here, "raise ValueError('oops')", "broken")
+    code, out, _ = run("--planners", broken, "--seeds", "1")
     assert code == cli.FAILED
     assert "0/2" in out
-    assert "ValueError: oops" in (tmp_path / "out" / "report.html").read_text()
+    assert "ValueError: oops" in (here / "out" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -105,7 +115,7 @@ def test_nothing_solved_has_its_own_exit_code(run, tmp_path):
         (("--seeds", "0"), "seeds = 0"),
         (("--seconds", "-1"), "seconds = -1.0"),
         (("--export", "excel"), "unknown export 'excel'; valid: arena, csv, parquet"),
-        (("--planner-file", "nowhere.py"), "there is no such file"),
+        (("--planner", "nowhere:Mine"), "there is no module 'nowhere'"),
         (("--known", "nowhere.yaml"), "cannot be read"),
         (("--report-only",), "cannot be read: No such file"),
     ],

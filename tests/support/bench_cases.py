@@ -46,11 +46,13 @@ class Straight(Planner):
 '''
 
 
-def planner_file(folder: Path, act: str = "pass", name: str = "straight") -> Path:
-    """Write a file with a planner that does something before it goes straight."""
-    file = folder / f"{name}.py"
-    file.write_text(PLANNER_FILE.replace("ACT", act).replace('"straight"', f'"{name}"'))
-    return file
+def own_planner(folder: Path, act: str = "pass", name: str = "straight") -> str:
+    """Write a module with a planner that does something before it goes straight; return what it is asked for by.
+
+    The folder has to be the current directory, or on the path of modules.
+    """
+    (folder / f"{name}.py").write_text(PLANNER_FILE.replace("ACT", act).replace('"straight"', f'"{name}"'))
+    return f"{name}:Straight"
 
 
 def suite_file(folder: Path, problems: str = "free_space, uniform_density") -> Path:

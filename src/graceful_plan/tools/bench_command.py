@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path as FilePath
 from typing import Any
 
+import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
 from graceful_plan.tools.console import DONE, FAILED, RunCounter, add_command, complain, show
 
@@ -18,11 +19,12 @@ def add_to(commands: Any) -> None:
         "--planners", nargs="+", metavar="P", help="name, or name:setting=value,...; the first is the reference"
     )
     bench.add_argument(
-        "--planner-file",
+        "--planner",
         action="append",
         default=[],
-        metavar="FILE",
-        help="Python file that defines planners of your own; IT IS RUN, so name only files that you trust",
+        metavar="MODULE:CLASS",
+        help="planner of your own, by the class's name, as package.module:Class or package.module:Class:setting=value; "
+        "repeat for more. Its module is imported, also from the current directory",
     )
     bench.add_argument("--seeds", metavar="N|S,S", help="number of seeds, or seeds with commas (default: the suite's)")
     bench.add_argument("--seconds", type=float, metavar="S", help="time limit of every call (default: the suite's)")
@@ -34,7 +36,12 @@ def add_to(commands: Any) -> None:
         help="folder; a comparison that was interrupted there goes on (default graceful_plan_bench)",
     )
     bench.add_argument("--processes", type=int, default=1, help="runs at a time (default 1)")
-    bench.add_argument("--known", type=FilePath, metavar="FILE", help="best_known.yaml of another comparison")
+    bench.add_argument(
+        "--known",
+        type=FilePath,
+        metavar="FILE",
+        help="best_known.yaml of another comparison, or a folder of best paths",
+    )
     bench.add_argument("--export", default="", metavar="csv,parquet,arena", help="tables, and OMPL's Planner Arena")
     bench.add_argument("--report-only", action="store_true", help="run nothing; report what --out holds")
 
@@ -61,12 +68,12 @@ def _compared(args: argparse.Namespace) -> Any:
 
     suite = bench.load_suite(args.suite)
     known = None if args.known is None else bench.read_known(args.known, suite.w if args.w is None else args.w)
+    named = [*(gp.PLANNERS if args.planner and args.planners is None else args.planners or ()), *args.planner]
     counter = RunCounter()
     try:
         return bench.compare(
             suite,
-            planners=args.planners,
-            planner_files=args.planner_file,
+            planners=named or None,
             seeds=None if args.seeds is None else _seeds(args.seeds),
             seconds=args.seconds,
             w=args.w,

@@ -6,10 +6,10 @@ import sys
 import time
 
 import pytest
-from bench_cases import MACHINE, planner_file, rich, solved, suite_file
+from bench_cases import MACHINE, own_planner, rich, solved, suite_file
 
 from graceful_plan import compare as bench
-from graceful_plan.compare.runs.journal import NAME, Journal, JournalBusy, OtherSettings, differences, read
+from graceful_plan.compare.runs.journal import NAME, OtherSettings, RunJournal, RunJournalBusy, differences, read
 from graceful_plan.compare.runs.records import Run
 from graceful_plan.exceptions import FormatError
 
@@ -17,7 +17,7 @@ SETTINGS = {"seconds": 0.5, "seeds": [0, 1], "planners": [{"label": "a", "settin
 
 
 def opened(folder, settings=SETTINGS):
-    return Journal(folder, settings, MACHINE)
+    return RunJournal(folder, settings, MACHINE)
 
 
 @pytest.mark.parametrize("run", rich().runs[:6], ids=lambda run: f"{run.planner} {run.status}")
@@ -100,7 +100,7 @@ def test_differences_name_what_is_missing():
 
 
 def test_two_processes_do_not_share_a_journal(tmp_path):
-    with opened(tmp_path), pytest.raises(JournalBusy, match="in use by another process"):
+    with opened(tmp_path), pytest.raises(RunJournalBusy, match="in use by another process"):
         opened(tmp_path)
 
 
@@ -116,17 +116,13 @@ def test_only_missing_runs_are_repeated(tmp_path):
     assert (out / NAME).read_bytes().splitlines(keepends=True)[:3] == lines[:3]
 
 
-def test_a_changed_planner_file_is_another_comparison(tmp_path):
-    suite, file = suite_file(tmp_path), planner_file(tmp_path)
-
-    def compare():
-        bench.planner_file.of_file.cache_clear()
-        return bench.compare(suite, planners=["straight"], planner_files=[file], out=tmp_path / "out", processes=0)
-
-    compare()
+def test_a_changed_planner_is_another_comparison(here):
+    suite, word = suite_file(here), own_planner(here)
+    bench.compare(suite, planners=[word], out=here / "out", processes=0)
+    file = here / "straight.py"
     file.write_text(file.read_text() + "\n# better\n")
     with pytest.raises(OtherSettings, match=r"planners\[0\].digest was"):
-        compare()
+        bench.compare(suite, planners=[word], out=here / "out", processes=0)
 
 
 def test_a_folder_without_a_journal_has_no_report(tmp_path):
@@ -136,12 +132,12 @@ def test_a_folder_without_a_journal_has_no_report(tmp_path):
 
 def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path):
     out = tmp_path / "out"
-    slow = planner_file(tmp_path, act="import time; time.sleep(0.1)")
+    slow = own_planner(tmp_path, act="import time; time.sleep(0.1)")
     command = [sys.executable, "-m", "graceful_plan.tools.cli", "bench", "--suite", str(suite_file(tmp_path)), "--json"]
-    command += ["--planners", "straight", "--planner-file", str(slow), "--seeds", "12", "--out", str(out)]
+    command += ["--planners", slow, "--seeds", "12", "--out", str(out)]
 
     def stopped(stop, lines):
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
         deadline = time.monotonic() + 300.0
         while not (out / NAME).exists() or (out / NAME).read_bytes().count(b"\n") < lines:
             assert time.monotonic() < deadline and process.poll() is None
@@ -157,7 +153,7 @@ def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path)
     assert code == 130
     assert f"{len(interrupted.runs)} of 24 runs are kept in {out}; the same command goes on" in told
     assert "Traceback" not in told
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     after = bench.load_comparison(out)
     assert json.loads(done.stdout)["runs"] == len(after.runs) == after.expected == 24

@@ -1,14 +1,17 @@
+import dataclasses
 import math
+import os
 import signal
+import time
 
 import numpy as np
 import pytest
-from bench_cases import planner_file, suite_file
+from bench_cases import own_planner, suite_file
 
 import graceful_plan as gp
 from graceful_plan import PlanResult, PlanStatus
 from graceful_plan import compare as bench
-from graceful_plan.compare.runs import workers
+from graceful_plan.compare.runs import runner, workers
 from graceful_plan.compare.runs.comparison import settle
 from graceful_plan.compare.runs.measures import FARTHEST, JERK_STEP, exact_clearance, jerk
 from graceful_plan.compare.runs.runner import aligned_trace, run
@@ -122,13 +125,13 @@ def test_totals_over_time():
 # --- runs ------------------------------------------------------------------------------------------------------------
 
 
-def jobs(tmp_path, *files, suite="free_space", planners=(), **kwargs):
+def jobs(tmp_path, *planners, suite="free_space", **kwargs):
     source = suite if suite in bench.suites() else suite_file(tmp_path, suite)
-    return settle(source, planners=planners, planner_files=files, seeds=1, **kwargs).jobs
+    return settle(source, planners=planners, seeds=1, **kwargs).jobs
 
 
 def test_a_task_is_planned_and_measured(tmp_path):
-    job = jobs(tmp_path, suite="tabletop", planners=["rrt_connect"], seconds=1.0)[0]
+    job = jobs(tmp_path, "rrt_connect", suite="tabletop", seconds=1.0)[0]
     found = run(job)
     assert found.status == "SOLVED"
     task = gp.load_scene("tabletop").tasks[job.problem.item]
@@ -143,77 +146,116 @@ def test_a_task_is_planned_and_measured(tmp_path):
     assert found.duration > 0.0 and found.iterations > 0
 
 
-def test_the_straight_line_is_optimal_where_nothing_is_in_the_way(tmp_path):
-    found = [run(job) for job in jobs(tmp_path, planner_file(tmp_path), suite="free_space, disc")]
+def test_the_straight_line_is_optimal_where_nothing_is_in_the_way(here):
+    found = [run(job) for job in jobs(here, own_planner(here), suite="free_space, disc")]
     assert [x.status for x in found] == ["SOLVED", "INFEASIBLE"]
     assert found[0].total == pytest.approx(1.5 * math.sqrt(2.0))
     assert math.isnan(found[0].clearance) and math.isnan(found[0].jerk_peak)
 
 
-def test_paths_that_lead_nowhere_do_not_count(tmp_path):
+def test_paths_that_lead_nowhere_do_not_count(here):
     act = "yield Path(np.array([problem.start, problem.start])); return"
-    (found,) = [run(job) for job in jobs(tmp_path, planner_file(tmp_path, act, "liar"))]
+    (found,) = [run(job) for job in jobs(here, own_planner(here, act, "liar"))]
     assert (found.status, found.detail, found.total, found.path) == ("INFEASIBLE", "", math.inf, ())
 
 
-def test_exceptions_are_outcomes(tmp_path):
-    file = planner_file(tmp_path, "raise ZeroDivisionError('oops')", "broken")
-    (plane,) = [run(job) for job in jobs(tmp_path, file)]
-    scene = run(jobs(tmp_path, file, suite="tabletop", seconds=0.2)[0])
+def test_exceptions_are_outcomes(here):
+    word = own_planner(here, "raise ZeroDivisionError('oops')", "broken")
+    (plane,) = [run(job) for job in jobs(here, word)]
+    scene = run(jobs(here, word, suite="tabletop", seconds=0.2)[0])
     for found in (plane, scene):
         assert (found.status, found.detail, found.total) == ("RAISED", "ZeroDivisionError: oops", math.inf)
 
 
-def test_messages_can_be_written_whatever_is_in_them(tmp_path):
-    file = planner_file(tmp_path, "raise ValueError('\\udcff' + 'x' * 10_000)", "babbles")
-    (found,) = [run(job) for job in jobs(tmp_path, file)]
+def test_messages_can_be_written_whatever_is_in_them(here):
+    word = own_planner(here, "raise ValueError('\\udcff' + 'x' * 10_000)", "babbles")
+    (found,) = [run(job) for job in jobs(here, word)]
     assert found.detail.encode().startswith(b"ValueError: ?xxx")
     assert len(found.detail) == 1000
 
 
 def test_planners_take_turns_at_being_first(tmp_path):
-    given = jobs(tmp_path, suite="free_space, disc", planners=["anytime", "rrt_connect"])
+    given = jobs(tmp_path, "anytime", "rrt_connect", suite="free_space, disc")
     assert [job.planner.label for job in given] == ["anytime", "rrt_connect", "rrt_connect", "anytime"]
     assert len({job.key for job in given}) == 4
 
 
-def test_importing_is_not_in_the_time_of_a_run(tmp_path):
+def test_importing_is_not_in_the_time_of_a_run(here):
     # Whatever the first call does, it is not the one that is recorded.
-    mark = tmp_path / "called"
+    mark = here / "called"
     act = (
         f"import pathlib; mark = pathlib.Path({str(mark)!r}); first = not mark.exists(); mark.touch(); assert not first"
     )
-    (found,) = [run(job) for job in jobs(tmp_path, planner_file(tmp_path, act, "lazy"))]
+    (found,) = [run(job) for job in jobs(here, own_planner(here, act, "lazy"))]
     assert (found.status, found.detail) == ("SOLVED", "")
 
 
 # --- workers ---------------------------------------------------------------------------------------------------------
 
 
-def test_workers_survive_what_planners_do(tmp_path):
-    died = planner_file(tmp_path, "import os; os._exit(3)", "exits")
-    crashed = planner_file(tmp_path, f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "crashes")
-    good = planner_file(tmp_path, name="good")
-    found = list(workers.done(jobs(tmp_path, died, crashed, good), 1))
-    assert [(x.planner, x.status) for x in found] == [("exits", "CRASHED"), ("crashes", "CRASHED"), ("good", "SOLVED")]
+def test_workers_survive_what_planners_do(here):
+    died = own_planner(here, "import os; os._exit(3)", "exits")
+    crashed = own_planner(here, f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "crashes")
+    good = own_planner(here, name="good")
+    found = list(workers.done(jobs(here, died, crashed, good), 1))
+    assert [(x.planner, x.status) for x in found] == [(died, "CRASHED"), (crashed, "CRASHED"), (good, "SOLVED")]
     assert found[0].detail == "the process ended with exit code 3"
     assert found[1].detail == "the process ended with SIGSEGV"
 
 
-def test_what_planners_print_does_not_mix_with_results(tmp_path, capfd):
-    file = planner_file(tmp_path, "print('chatter', flush=True)", "chats")
-    (found,) = workers.done(jobs(tmp_path, file), 1)
+def test_what_planners_print_does_not_mix_with_results(here, capfd):
+    word = own_planner(here, "print('chatter', flush=True)", "chats")
+    (found,) = workers.done(jobs(here, word), 1)
     assert found.status == "SOLVED"
     out, err = capfd.readouterr()
     assert out == "" and "chatter" in err
 
 
-def test_a_planner_that_never_returns_is_stopped(tmp_path, monkeypatch):
-    file = planner_file(tmp_path, "import time; time.sleep(100)", "hangs")
+def test_a_planner_that_never_returns_is_stopped(here, monkeypatch):
+    word = own_planner(here, "import time; time.sleep(100)", "hangs")
     monkeypatch.setattr(workers, "TIMES", 0.0)
-    (found,) = workers.done(jobs(tmp_path, file), 1, patience=1.0)
+    (found,) = workers.done(jobs(here, word), 1, patience=1.0)
     assert (found.status, found.detail) == ("HUNG", "was still running long after its time limit of 0.3 s")
+
+
+def test_loading_a_problem_is_not_in_the_time_of_a_run(tmp_path, monkeypatch):
+    (job,) = jobs(tmp_path, "rrt_connect")
+    asked = []
+    monkeypatch.setattr(runner, "_problem", asked.append)
+    runner.load(job)
+    assert asked == [job.problem]
+
+
+def slowly(seconds):
+    time.sleep(seconds)
+
+
+def test_what_prepares_has_no_deadline_and_what_does_has_one():
+    work = workers.Work(do=str, prepare=slowly, allowed=lambda job: 2.0, lost=lambda job, status, detail: status)
+    assert list(workers.spread(work, [2.5], 1)) == ["2.5"]
+    assert list(workers.spread(dataclasses.replace(work, do=slowly, prepare=abs), [30.0], 1)) == ["HUNG"]
 
 
 def test_no_jobs_no_workers():
     assert list(workers.done([], 2)) == []
+
+
+def inverse(x):
+    if x == -1:
+        os._exit(4)
+    return 1.0 / x
+
+
+@pytest.mark.parametrize("processes", [0, 2])
+def test_anything_can_be_spread(processes):
+    assert sorted(workers.spread(workers.Work(do=inverse), [1, 2, 4], processes)) == [0.25, 0.5, 1.0]
+    with pytest.raises(ZeroDivisionError):
+        list(workers.spread(workers.Work(do=inverse), [1, 0], processes))
+    assert list(workers.spread(workers.Work(do=slowly), [0.0, 0.0], processes)) == [None, None]
+
+
+def test_a_lost_job_is_an_error_unless_it_is_an_outcome():
+    with pytest.raises(workers.WorkerLostError, match="CRASHED: the process ended with exit code 4, over -1"):
+        list(workers.spread(workers.Work(do=inverse), [-1], 1))
+    work = workers.Work(do=inverse, lost=lambda job, status, detail: (job, status))
+    assert sorted(map(str, workers.spread(work, [-1, 2], 1))) == ["(-1, 'CRASHED')", "0.5"]

@@ -14,12 +14,12 @@ from typing import Any
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.suite import Suite, load_suite
 from graceful_plan.compare.runs import workers
-from graceful_plan.compare.runs.journal import NAME, Journal, read
+from graceful_plan.compare.runs.journal import NAME, RunJournal, read
 from graceful_plan.compare.runs.known import known_costs
 from graceful_plan.compare.runs.machine import describe
-from graceful_plan.compare.runs.planner_file import PlannerNote, read_planners
+from graceful_plan.compare.runs.planner_notes import PlannerNote, read_planners
 from graceful_plan.compare.runs.records import Run
-from graceful_plan.compare.runs.runner import Job
+from graceful_plan.compare.runs.runner import PlannerJob
 from graceful_plan.exceptions import SettingError
 
 Progress = Callable[[int, int, Run | None], None]
@@ -61,11 +61,11 @@ class Settings:
             )
 
     @property
-    def jobs(self) -> list[Job]:
+    def jobs(self) -> list[PlannerJob]:
         """Every run. Planners take turns, at being first too, so that what else the machine does meets all alike."""
         rounds = [(seed, problem) for seed in self.seeds for problem in self.suite.problems]
         return [
-            Job(problem=problem, planner=planner, seed=seed, seconds=self.seconds, w=self.w)
+            PlannerJob(problem=problem, planner=planner, seed=seed, seconds=self.seconds, w=self.w)
             for i, (seed, problem) in enumerate(rounds)
             for first in [i % len(self.planners)]
             for planner in (*self.planners[first:], *self.planners[:first])
@@ -141,7 +141,6 @@ def compare(
     suite: str | Path | Suite = "quick",
     *,
     planners: Sequence[str] | None = None,
-    planner_files: Sequence[str | Path] = (),
     seeds: int | Sequence[int] | None = None,
     seconds: float | None = None,
     w: float | None = None,
@@ -154,8 +153,8 @@ def compare(
 
     Args:
         suite: Bundled suite, suite file, problem file or folder of those, or a `Suite`.
-        planners: Names with settings, as "rrt_star:range=0.4"; the first is the reference. All there are if None.
-        planner_files: Python files with planners of one's own. They are run.
+        planners: Names with settings, as "rrt_star:range=0.4", or classes of one's own, as "package.module:Class"; the
+            first is the reference. All of the library's if None.
         seeds: How many, or which.
         seconds: Time limit of every call [s].
         w: Safety weight.
@@ -170,12 +169,10 @@ def compare(
     Raises:
         GracefulPlanError: For misuse: unknown names, settings out of range, a folder with another comparison.
     """
-    settings = settle(
-        suite, planners=planners, planner_files=planner_files, seeds=seeds, seconds=seconds, w=w, processes=processes
-    )
+    settings = settle(suite, planners=planners, seeds=seeds, seconds=seconds, w=w, processes=processes)
     machine = describe()
     document = settings.to_document(machine)
-    with Journal(Path(out), document, machine, _known(settings)) as journal:
+    with RunJournal(Path(out), document, machine, _known(settings)) as journal:
         have = {run.key for run in journal.runs}
         jobs = [job for job in settings.jobs if job.key not in have]
         total = len(settings.jobs)
@@ -192,7 +189,6 @@ def settle(
     suite: str | Path | Suite = "quick",
     *,
     planners: Sequence[str] | None = None,
-    planner_files: Sequence[str | Path] = (),
     seeds: int | Sequence[int] | None = None,
     seconds: float | None = None,
     w: float | None = None,
@@ -206,7 +202,7 @@ def settle(
         seeds = range(seeds)
     return Settings(
         suite=loaded,
-        planners=read_planners(planners, planner_files),
+        planners=read_planners(planners),
         seeds=loaded.seeds if seeds is None else tuple(seeds),
         seconds=loaded.seconds if seconds is None else float(seconds),
         w=loaded.w if w is None else float(w),

@@ -34,7 +34,7 @@ class OtherSettings(GracefulPlanError, ValueError):
         )
 
 
-class JournalBusy(GracefulPlanError, RuntimeError):
+class RunJournalBusy(GracefulPlanError, RuntimeError):
     """A journal that another process is writing."""
 
     def __init__(self, file: Path) -> None:
@@ -42,7 +42,7 @@ class JournalBusy(GracefulPlanError, RuntimeError):
         super().__init__(f"{file} is in use by another process")
 
 
-class Journal:
+class RunJournal:
     """An open journal, begun if there was none. Use it in a `with` statement.
 
     Args:
@@ -54,7 +54,7 @@ class Journal:
     Raises:
         FormatError: If the file is something else, or damaged other than at its end.
         OtherSettings: If it was begun with other settings.
-        JournalBusy: If another process has it open.
+        RunJournalBusy: If another process has it open.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Journal:
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise JournalBusy(self.file) from None
+            raise RunJournalBusy(self.file) from None
 
     def _cut(self) -> None:
         """Cut off what a kill left of a last line; of a file that is something else, nothing."""
@@ -103,7 +103,7 @@ class Journal:
         if found:
             raise OtherSettings(self.file.parent, found)
 
-    def __enter__(self) -> Journal:
+    def __enter__(self) -> RunJournal:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from graceful_plan.compare.runs.best_paths import BestPaths
 from graceful_plan.exceptions import SettingError
 from graceful_plan.yaml_file import read_yaml
 
@@ -18,13 +19,17 @@ def read_known(file: str | Path, w: float | None = None) -> dict[str, float]:
     """Read least total costs by problem.
 
     Args:
-        file: YAML with `version`, `w` and `best_known`, a mapping from problems to costs.
+        file: YAML with `version`, `w` and `best_known`, a mapping from problems to costs; or a folder of best paths,
+            each of which is judged (see `best_paths`).
         w: Safety weight that they have to be for, if that is to be checked.
 
     Raises:
         SceneError: If the file is broken, with the line.
         SettingError: If they are for another weight.
+        StaleBestPath: If a path of a folder is for another weight, or does not hold what its file says.
     """
+    if Path(file).is_dir():
+        return BestPaths(Path(file), 1.0 if w is None else w).totals()
     top = read_yaml(Path(file))
     top.only("version", "w", "best_known")
     if top["version"].number() != _VERSION:

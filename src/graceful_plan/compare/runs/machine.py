@@ -1,4 +1,4 @@
-"""What a comparison was made on: processor, memory, instruction sets, versions."""
+"""What a figure was measured on: processor, memory, instruction sets, versions."""
 
 from __future__ import annotations
 
@@ -31,6 +31,13 @@ def describe() -> dict[str, str]:
     }
 
 
+def described() -> str:
+    """Return the same in one line."""
+    about = describe()
+    hardware = f"{about['processor']}, {about['cores']} cores, {about['memory']}"
+    return f"{hardware}; {about['system']}; kernels: {about['kernels']}; {about['versions']}"
+
+
 def processor() -> str:
     """Model of the processor."""
     info = Path("/proc/cpuinfo")
@@ -49,6 +56,11 @@ def memory_gb() -> float:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     except (ValueError, OSError):
         return float("nan")
+
+
+def resident_megabytes() -> float:
+    """Memory that this process holds [MB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def version(package: str) -> str:

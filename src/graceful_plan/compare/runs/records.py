@@ -89,6 +89,10 @@ class Run:
         totals = np.minimum.accumulate([math.inf, *(point.total for point in trace)])
         return totals[np.searchsorted(times, seconds, side="right")]
 
+    def total_at(self, seconds: float) -> float:
+        """Total cost of the best path by one time; see `totals_at`."""
+        return float(self.totals_at([seconds])[0])
+
     def to_json(self) -> str:
         """Return one line of strict JSON; numbers that are not finite become null."""
         document = asdict(self)

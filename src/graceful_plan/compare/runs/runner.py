@@ -11,13 +11,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from graceful_plan.analysis.certificate import certify
+from graceful_plan.analysis.certified_clearance import certified_clearance
 from graceful_plan.compare.problems.analytic import AnalyticProblem, analytic_problems
 from graceful_plan.compare.problems.problem_files import ProblemFile, load_problems
 from graceful_plan.compare.problems.suite import ProblemNote
 from graceful_plan.compare.runs.measures import exact_clearance, jerk
-from graceful_plan.compare.runs.planner_file import PlannerNote
+from graceful_plan.compare.runs.planner_notes import PlannerNote
 from graceful_plan.compare.runs.records import RAISED, SOLVED, Run
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners.planner import Budget, Planner
@@ -34,7 +35,7 @@ _WARM_UP = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class PlannerJob:
     """A run that is to be done.
 
     Args:
@@ -43,6 +44,7 @@ class Job:
         seed: Of its random numbers.
         seconds: Time limit of the call [s].
         w: Safety weight.
+        measured: Whether jerk and clearance are measured, which takes longer than many a run.
     """
 
     problem: ProblemNote
@@ -50,6 +52,7 @@ class Job:
     seed: int
     seconds: float
     w: float
+    measured: bool = True
 
     @property
     def key(self) -> tuple[str, str, int]:
@@ -62,7 +65,7 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SceneProblem:
+class SceneQuery:
     """A motion to plan in a scene."""
 
     start: Configuration
@@ -70,12 +73,12 @@ class SceneProblem:
     scene: Scene
 
 
-def run(job: Job) -> Run:
+def run(job: PlannerJob) -> Run:
     """Plan. Whatever is raised is an outcome."""
     try:
         problem = _problem(job.problem)
         planner = job.planner.make()
-        _warm_up(job.problem, job.planner, min(job.seconds, _WARM_UP), job.w)
+        warm_up(job.problem, job.planner, min(job.seconds, _WARM_UP), job.w)
         # Garbage of the run before is not this one's.
         gc.collect()
         if isinstance(problem, AnalyticProblem):
@@ -87,26 +90,26 @@ def run(job: Job) -> Run:
         return job.outcome(RAISED, words)
 
 
-def load(note: ProblemNote) -> None:
+def load(job: PlannerJob) -> None:
     """Load a problem, which may take a while and is the fault of no planner. What is wrong with it, `run` will meet."""
     with suppress(Exception):
-        _problem(note)
+        _problem(job.problem)
 
 
 @lru_cache(maxsize=64)
-def _problem(note: ProblemNote) -> SceneProblem | AnalyticProblem:
+def _problem(note: ProblemNote) -> SceneQuery | AnalyticProblem:
     """Load a problem, once in a process."""
     if note.kind == "analytic":
         return analytic_problems()[note.item]
     if note.kind == "file":
         found = _problem_file(note.source)[note.item]
-        return SceneProblem(start=found.start, goal=found.goal, scene=found.scene)
+        return SceneQuery(start=found.start, goal=found.goal, scene=found.scene)
     scene = _scene(note.source)
     if note.kind == "task":
         task = scene.tasks[note.item]
-        return SceneProblem(start=task.start, goal=task.goal, scene=task.scene)
+        return SceneQuery(start=task.start, goal=task.goal, scene=task.scene)
     start, goal = (end if isinstance(end, str) else np.array(end) for end in (note.start, note.goal))
-    return SceneProblem(start=start, goal=goal, scene=scene)  # type: ignore[arg-type]
+    return SceneQuery(start=start, goal=goal, scene=scene)  # type: ignore[arg-type]
 
 
 @lru_cache(maxsize=32)
@@ -120,8 +123,15 @@ def _problem_file(path: str) -> dict[str, ProblemFile]:
 
 
 @lru_cache(maxsize=1024)
-def _warm_up(note: ProblemNote, planner: PlannerNote, seconds: float, w: float) -> None:
-    """Let a planner plan in this scene up to its first path, so that imports and compiled scenes are in no figure."""
+def warm_up(note: ProblemNote, planner: PlannerNote, seconds: float = _WARM_UP, w: float = 0.0) -> None:
+    """Let a planner plan in this scene up to its first path, so that imports and compiled scenes are in no figure.
+
+    Args:
+        note: The problem.
+        planner: The planner.
+        seconds: Time limit [s].
+        w: Safety weight.
+    """
     problem = _problem(note)
     try:
         if isinstance(problem, AnalyticProblem):
@@ -143,7 +153,7 @@ def _warm_up(note: ProblemNote, planner: PlannerNote, seconds: float, w: float) 
         return  # The run itself will meet it again, and record it.
 
 
-def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
+def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
     started = time.perf_counter()
     result = plan(
         problem.start, problem.goal, problem.scene, w=job.w, planner=planner, time_limit=job.seconds, seed=job.seed
@@ -156,8 +166,13 @@ def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
     )
     if result.status is not PlanStatus.SOLVED or result.path is None or result.trajectory is None:
         return record
-    peak, rms = jerk(result.trajectory)
-    clearance, own = exact_clearance(result.trajectory, problem.scene)
+    if job.measured:
+        peak, rms = jerk(result.trajectory)
+        clearance, own = exact_clearance(result.trajectory, problem.scene)
+        certified = certified_clearance(result.trajectory, compile_scene(problem.scene).kernels).bound
+        record = replace(
+            record, jerk_peak=peak, jerk_rms=rms, clearance=clearance, self_clearance=own, certified=certified
+        )
     trace = aligned_trace(result, seconds)
     return replace(
         record,
@@ -165,13 +180,8 @@ def _run_scene(job: Job, problem: SceneProblem, planner: Planner) -> Run:
         total=result.cost.total,
         motion=result.cost.motion,
         impact=result.cost.impact,
-        jerk_peak=peak,
-        jerk_rms=rms,
         duration=result.trajectory.duration,
         length=result.path.length,
-        clearance=clearance,
-        self_clearance=own,
-        certified=certify(result, problem.scene).clearance,
         trace=trace,
         path=tuple(map(tuple, result.path.q.tolist())),
     )
@@ -201,7 +211,7 @@ def aligned_trace(result: PlanResult, seconds: float) -> tuple[TracePoint, ...]:
     )
 
 
-def _run_analytic(job: Job, instance: AnalyticProblem, planner: Planner) -> Run:
+def _run_analytic(job: PlannerJob, instance: AnalyticProblem, planner: Planner) -> Run:
     """Let a planner solve a problem in the plane; every path is checked, none is timed."""
     objective = replace(instance.objective, w=job.w)
     budget, trace, best = Budget(job.seconds), [], None

@@ -1,0 +1,72 @@
+"""Events of failures in scenes that calibration never saw: what was predicted of them, and whether they happened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmarks import suite
+from failbench.calibrations import skill
+from failbench.calibrations.failure_jobs import FailureJob, do_job
+from failbench.calibrations.failures import Failures
+
+Array = np.ndarray
+
+BINS = 20
+"""Of equally many events, or of equally many predicted hits."""
+FIGURES = ("events", "hits", "skill", "AUC", "ECE", "ratio", "log loss")
+"""What `Events.figures` returns."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Events:
+    """Events, one a row.
+
+    | field     | meaning                                             |
+    |-----------|-----------------------------------------------------|
+    | scene     | name of the scene                                   |
+    | motion    | number of the motion                                |
+    | happened  | whether it came to a contact                        |
+    | predicted | probability of a contact, by model                  |
+    | severity  | of the contact, where it is asked for               |
+    """
+
+    scene: Array
+    motion: Array
+    happened: Array
+    predicted: Mapping[str, Array]
+    severity: Array = field(default_factory=lambda: np.zeros(0))
+
+    def only(self, chosen: Array) -> Events:
+        """Return some of them."""
+        predicted = {name: p[chosen] for name, p in self.predicted.items()}
+        severity = self.severity[chosen] if len(self.severity) else self.severity
+        return Events(
+            scene=self.scene[chosen],
+            motion=self.motion[chosen],
+            happened=self.happened[chosen],
+            predicted=predicted,
+            severity=severity,
+        )
+
+    def figures(self, model: str) -> Sequence[object]:
+        """Return how well a model predicts them, as cells of a table."""
+        if not self.happened.any():
+            return (len(self.happened), 0, *["-"] * 5)
+        p = np.clip(self.predicted[model], 0.0, 1.0)
+        found = skill.figures(p, self.happened, min(BINS, len(self.happened)))
+        numbers = (found.brier_skill, found.auc, found.calibration_error, found.ratio, found.log_loss)
+        return (found.events, found.happened, *(f"{x:.3f}" for x in numbers))
+
+
+def fail(jobs: Sequence[FailureJob], options: suite.Options) -> tuple[list[Failures], list[str]]:
+    """Let robots fail; return the failures in the order of their jobs, and why some motions have none."""
+    outcomes = dict(suite.spread(_numbered, list(enumerate(jobs)), options.processes, "motions"))
+    ordered = [outcomes[i] for i in range(len(jobs))]
+    return [x for x in ordered if isinstance(x, Failures)], [x for x in ordered if isinstance(x, str)]
+
+
+def _numbered(job: tuple[int, FailureJob]) -> tuple[int, Failures | str]:
+    return job[0], do_job(job[1])
