@@ -10,7 +10,13 @@ import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import Judge, first_collision
 from graceful_plan.judge.reference_cost import reference_cost
-from graceful_plan.query.arguments import checked_objective, checked_planner, checked_seed, checked_time_limit
+from graceful_plan.query.arguments import (
+    checked_objective,
+    checked_planner,
+    checked_seed,
+    checked_speed,
+    checked_time_limit,
+)
 from graceful_plan.result import PlanningFailed
 
 _NAMES = sorted(gp.PLANNERS)
@@ -268,10 +274,12 @@ def test_misuse_names_the_culprit(task):
         gp.plan("liftt", goal, scene)
     with pytest.raises(UnknownNameError, match=r"unknown planner 'rrtx'; valid: .*rrt_connect"):
         gp.plan(q, goal, scene, planner="rrtx")
-    speeds = [("speed", value) for value in (0.0, 1.5, np.nan, "fast")]
+    speeds = [("speed", value) for value in (0.0, 1.5, np.nan)]
     for name, value in (("time_limit", -1.0), *speeds, ("iterations", -1)):
         with pytest.raises(SettingError, match=name):
             gp.plan(q, goal, scene, **{name: value})
+    with pytest.raises(SettingError, match="speed = 'fast', expected a fraction"):
+        checked_speed("fast")
     with pytest.raises(SettingError, match="w = "):
         gp.plan(q, goal, scene, -1.0)
 

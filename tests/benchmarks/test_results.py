@@ -95,3 +95,8 @@ def test_anchors_are_those_of_headings():
 )
 def test_false_references_are_found(line, false):
     assert bool(false_references(line, {"here"}, whole=False)) == false
+
+
+def test_the_guide_names_every_subject():
+    listed = re.findall(r"^\| `(\w+)` \|", runner.RESULTS.with_name("README.md").read_text(), flags=re.MULTILINE)
+    assert sorted(listed) == sorted(runner.SUBJECTS)
