@@ -108,7 +108,7 @@ def test_workers_out_of_range(workers):
 def test_workers_end_with_their_driver_and_stay_silent(deadly):
     code = """
 import fake_work
-from failbench.executors import LocalExecutor
+from failbench.sweeps.executors import LocalExecutor
 if __name__ == "__main__":
     for outcome in LocalExecutor(workers=2).map(fake_work.Fake(seconds=0.1), fake_work.chunks(500)):
         print(outcome.chunk.index, flush=True)

@@ -180,7 +180,7 @@ def test_kill_between_begin_and_commit_leaves_a_journal_that_was_not_begun(file)
     code = f"""
 import os, signal
 from pathlib import Path
-from failbench import journal
+from failbench.sweeps import journal
 journal.json.dumps = lambda value: os.kill(os.getpid(), signal.SIGKILL)  # the tables are there, nothing is in them
 with journal.SweepJournal(Path({str(file)!r})) as opened:
     opened.begin({{}})
