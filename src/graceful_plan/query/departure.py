@@ -99,12 +99,8 @@ def search_among_moving(
     The trace and what the callback is told are of the search as if nobody moved. The best path is at the end.
     """
     still = SceneObjective(objective.objective, objective.scene.without_moving())
-    limit, iterations = budget.time_limit, budget.iterations
-    budget.time_limit = budget.elapsed + _STILL * budget.remaining_seconds
-    if iterations is not None:
-        budget.iterations = budget.spent + int(np.ceil(_STILL * budget.remaining_iterations))
-    found = search(planner, replace(problem, kernels=still.kernels), still, budget, rng, callback, kept=ALL)
-    budget.time_limit, budget.iterations = limit, iterations
+    with budget.share(_STILL * budget.remaining_seconds, _STILL * budget.remaining_iterations) as part:
+        found = search(planner, replace(problem, kernels=still.kernels), still, part, rng, callback, kept=ALL)
     paths = list(found.paths)
     if paths and objective.w > 0.0 and not found.stopped:
         better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)

@@ -107,10 +107,8 @@ class Preference:
         callback: Callback | None = None,
     ) -> Search:
         """Search by J, then order and refine what was found by J_rho; the best is at the end."""
-        limit = budget.time_limit
-        budget.time_limit = budget.elapsed + _SEARCH * budget.remaining_seconds
-        found = search(planner, problem, self.objective, budget, rng, callback, kept=ALL)
-        budget.time_limit = limit
+        with budget.share(_SEARCH * budget.remaining_seconds) as part:
+            found = search(planner, problem, self.objective, part, rng, callback, kept=ALL)
         if found.paths and self.objective.w > 0.0:
             # Improvements come ever closer to each other: the last, the one before, the one before two, four, ...
             n = len(found.paths)

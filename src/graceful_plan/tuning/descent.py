@@ -1,6 +1,6 @@
 r"""All paths of a front down their own gradients at once.
 
-Each path has a box (see `front_refine`) or a weight, and descends
+Each path has a box (see `refine`) or a weight, and descends
 
 .. math:: f = -\log(V_\mathrm{box} - V) - \log(S_\mathrm{box} - S) \quad\mathrm{or}\quad f = \log(V + w S)
 
