@@ -174,6 +174,29 @@ class Shortcut:
             yield Path(line.q)
 
 
+def first_and_shorter(
+    find: Callable[[Questions, np.random.Generator], Path | None],
+    shortcut: Shortcut | None,
+    questions: Questions,
+    rng: np.random.Generator,
+) -> Iterator[Path]:
+    """Yield the first path that is found, then cheaper versions of it with what is left of the budget.
+
+    Args:
+        find: Looks for a path until the budget ends.
+        shortcut: How it is shortened; None yields it as it is.
+        questions: To problem and objective.
+        rng: Random numbers.
+    """
+    with suppress(Interrupted):
+        path = find(questions, rng)
+        if path is None:
+            return
+        yield path
+        if shortcut is not None:
+            yield from shortcut.improve(path, questions, questions.budget, rng)
+
+
 def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -> Line | None:
     """Take the free replacements that lower J most and do not overlap; None if there are none."""
     if not proposals:

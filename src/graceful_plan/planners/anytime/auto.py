@@ -18,7 +18,7 @@ from graceful_plan.planners.native import native_space
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import count
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -59,13 +59,11 @@ class Auto(Planner):
         if not isinstance(self.initial, Path | Array | None):
             raise SettingError("initial", self.initial, "a Path, an array of configurations or None")
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield better and better paths."""
-        if start_is_goal(problem):
-            yield Path(problem.start[None])
-            return
         space = native_space(problem, objective)
         several = isinstance(space, _native.SceneSpace) and objective.w > 0.0
         cores = [self.search.search(space, problem, rng) for _ in range(self.workers if several else 1)]

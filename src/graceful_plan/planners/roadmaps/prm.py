@@ -24,7 +24,7 @@ from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.roadmaps.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import MOVES, Shortcut
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -68,6 +68,7 @@ class PRM(Planner):
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -80,7 +81,7 @@ class PRM(Planner):
             max_samples=self.max_samples,
             shortcut=Shortcut() if self.shortcut else None,
         )
-        return _solve(growth, problem, objective, budget, rng)
+        return _interruptible(growth, Questions(problem, objective, budget), rng)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +110,7 @@ class PRMStar(Planner):
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -126,21 +128,16 @@ class PRMStar(Planner):
             max_samples=self.max_samples,
             shortcut=Shortcut(patience=len(MOVES)) if self.shortcut else None,
         )
-        return _solve(growth, problem, objective, budget, rng)
+        return _interruptible(growth, Questions(problem, objective, budget), rng)
 
 
-def _solve(
-    growth: _Growth, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
-) -> Iterator[Path]:
-    if start_is_goal(problem):
-        if budget.spend():
-            yield Path(problem.start[None])
-        return
+def _interruptible(growth: _Growth, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
     with suppress(Interrupted):
-        yield from _grow(growth, Questions(problem, objective, budget), budget, rng)
+        yield from _grow(growth, questions, rng)
 
 
-def _grow(growth: _Growth, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+def _grow(growth: _Growth, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
+    budget = questions.budget
     facts = learn_objective(questions.objective, questions.problem)
     sampler = InformedSampler(questions.problem, facts.length_bound if growth.informed else 0.0)
     cut_rng = rng.spawn(1)[0]  # so that cutting does not change which samples are drawn

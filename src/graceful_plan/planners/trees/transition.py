@@ -20,7 +20,6 @@ from typing import Literal
 import numpy as np
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.planners.planner import Problem
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.settings import count, positive
 
@@ -141,8 +140,3 @@ def estimate_cost_range(questions: Questions, rng: np.random.Generator) -> float
     random = rng.uniform(problem.lower, problem.upper, (_PROBES, len(problem.start)))
     costs = questions.state_costs(np.concatenate([problem.start[None], problem.goals, random]))
     return float(np.ptp(costs))
-
-
-def default_range(problem: Problem) -> float:
-    """Longest step of cost-guided trees: 3.5 % of the extent of the space [rad] (OMPL's default)."""
-    return 0.035 * problem.extent
