@@ -22,7 +22,7 @@ from graceful_plan.transcription.motion_rows import (
     torque_rows,
     velocity_rows,
 )
-from graceful_plan.transcription.spline_program import Charging, Integral, Layout, SplineProgram
+from graceful_plan.transcription.spline_program import Charging, Integral, SplineLayout, SplineProgram
 from graceful_plan.transcription.symbolic import SymbolicRobot
 
 Array = np.ndarray
@@ -70,7 +70,7 @@ def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[
     """Return the program of a task and where to begin, with a clearance to keep [m]."""
     limits, nq = task.scene.limits, len(task.scene.joints)
     h = min(_STRETCH * guess.duration, max(task.duration, 1e-6)) / task.intervals
-    layout = Layout(task.intervals, nq, h)
+    layout = SplineLayout(task.intervals, nq, h)
     state = guess.at(np.linspace(guess.t[0], guess.t[-1], task.intervals + 1))
     x = layout.pack(state.q, state.qd * guess.duration / task.intervals, h)
     linear = [
@@ -118,7 +118,7 @@ def _charges(task: MotionTask) -> list[Charging]:
     return found
 
 
-def _integrals(task: MotionTask, layout: Layout) -> list[Integral]:
+def _integrals(task: MotionTask, layout: SplineLayout) -> list[Integral]:
     """Simpson's rule on every piece; accelerations may jump at nodes, so both sides of them count."""
     samples = samples_at(layout, _THIRDS)
     return [Integral(samples, np.tile(_SIMPSON, layout.pieces), charge) for charge in _charges(task)]
@@ -133,7 +133,7 @@ def _wanted_clearance(clearance: Float[Array, " n"], margin: float) -> Float[Arr
     return least
 
 
-def _bounds(task: MotionTask, layout: Layout, x: Array) -> tuple[Array, Array]:
+def _bounds(task: MotionTask, layout: SplineLayout, x: Array) -> tuple[Array, Array]:
     """Nodes within the position limits, both ends fixed and at rest, the time positive and not too long."""
     lower, upper = task.scene.limits.position.T
     found = []

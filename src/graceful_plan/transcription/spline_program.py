@@ -35,7 +35,7 @@ def hermite(u: Float[Array, " n"]) -> Float[Array, "n order end"]:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-class Layout:
+class SplineLayout:
     """Where the variables are: (q, w) node by node, then the share of the first time of a piece.
 
     Args:
@@ -76,7 +76,7 @@ class Samples:
         u: Which fraction of it has passed.
     """
 
-    def __init__(self, layout: Layout, piece: Int[Array, " n"], u: Float[Array, " n"]) -> None:
+    def __init__(self, layout: SplineLayout, piece: Int[Array, " n"], u: Float[Array, " n"]) -> None:
         self.layout, self.piece, self.u = layout, piece, u
         self.coefficient = hermite(u)[:, :3]
         self.places = layout.places(piece)
@@ -187,7 +187,7 @@ class SplineProgram(Program):
 
     def __init__(
         self,
-        layout: Layout,
+        layout: SplineLayout,
         bounds: tuple[Float[Array, " variable"], Float[Array, " variable"]],
         time_cost: float,
         integrals: Sequence[Integral],

@@ -71,10 +71,10 @@ def read_front(source: str | FilePath) -> FrontParts:
         raise FormatError(name, f"cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise FormatError(name, f"not JSON: {error}") from None
-    return _Reader(name).front(document)
+    return _FrontReader(name).front(document)
 
 
-class _Reader:
+class _FrontReader:
     """Reads parts of a document and says which file and which part is wrong."""
 
     def __init__(self, name: str) -> None:

@@ -62,7 +62,7 @@ class Program(ABC):
         raise NotImplementedError
 
 
-class Outcome(Enum):
+class SolveOutcome(Enum):
     """How a solve ended."""
 
     SOLVED = "a local optimum"
@@ -75,7 +75,7 @@ class Outcome(Enum):
 class Solution:
     """Where a solve ended."""
 
-    outcome: Outcome
+    outcome: SolveOutcome
     x: Float[Array, " variable"]
     iterations: int
     word: str
@@ -128,19 +128,19 @@ def minimise(
         raise calls.error
     stats = solver.stats()
     word = str(stats["return_status"])
-    return Solution(outcome_of(word), np.asarray(found["x"]).ravel(), int(stats["iter_count"]), word)
+    return Solution(_outcome_of(word), np.asarray(found["x"]).ravel(), int(stats["iter_count"]), word)
 
 
-def outcome_of(word: str) -> Outcome:
+def _outcome_of(word: str) -> SolveOutcome:
     """Say how a solve ended, given IPOPT's own word for it."""
     for names, outcome in (
-        (_FEASIBLE, Outcome.SOLVED),
-        (_STOPPED, Outcome.STOPPED),
-        (_INFEASIBLE, Outcome.INFEASIBLE),
+        (_FEASIBLE, SolveOutcome.SOLVED),
+        (_STOPPED, SolveOutcome.STOPPED),
+        (_INFEASIBLE, SolveOutcome.INFEASIBLE),
     ):
         if word in names:
             return outcome
-    return Outcome.FAILED
+    return SolveOutcome.FAILED
 
 
 class _Calls:
