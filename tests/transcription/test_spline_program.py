@@ -20,7 +20,15 @@ from graceful_plan.transcription.motion_rows import (
     torque_rows,
     velocity_rows,
 )
-from graceful_plan.transcription.spline_program import Charge, Integral, Samples, SplineLayout, SplineProgram
+from graceful_plan.transcription.spline_program import (
+    Charge,
+    Integral,
+    Samples,
+    SplineCost,
+    SplineLayout,
+    SplineProgram,
+    SplineRows,
+)
 from graceful_plan.transcription.symbolic import symbolic_robot
 
 Array = np.ndarray
@@ -37,7 +45,7 @@ def scene() -> Scene:
 
 def _program(layout: SplineLayout, integrals=(), linear=(), sampled=()) -> SplineProgram:
     bound = np.full(layout.size, np.inf)
-    return SplineProgram(layout, (-bound, bound), 1.3, integrals, linear, sampled)
+    return SplineProgram(layout, (-bound, bound), SplineCost(1.3, integrals), SplineRows(linear, sampled))
 
 
 def _point(layout: SplineLayout, scene: Scene, seed: int) -> Array:

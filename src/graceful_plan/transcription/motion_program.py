@@ -22,7 +22,14 @@ from graceful_plan.transcription.motion_rows import (
     torque_rows,
     velocity_rows,
 )
-from graceful_plan.transcription.spline_program import Charging, Integral, SplineLayout, SplineProgram
+from graceful_plan.transcription.spline_program import (
+    Charging,
+    Integral,
+    SplineCost,
+    SplineLayout,
+    SplineProgram,
+    SplineRows,
+)
 from graceful_plan.transcription.symbolic import SymbolicRobot
 
 Array = np.ndarray
@@ -86,9 +93,8 @@ def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[
     sampled = [clearance_rows(near, kernels, _wanted_clearance(clearance, margin))]
     if task.torque and task.robot is not None:
         sampled.append(torque_rows(samples_at(layout, _THIRDS), task.robot, np.asarray(limits.torque)))
-    time_cost = 1.0 if task.objective == "time" else 0.0
-    bounds, integrals = _bounds(task, layout, x), _integrals(task, layout)
-    return SplineProgram(layout, bounds, time_cost, integrals, linear, sampled, _SLACK), x
+    cost = SplineCost(1.0 if task.objective == "time" else 0.0, _integrals(task, layout))
+    return SplineProgram(layout, _bounds(task, layout, x), cost, SplineRows(linear, sampled, _SLACK)), x
 
 
 def motion_cost(task: MotionTask, motion: Trajectory) -> float:

@@ -25,6 +25,7 @@ from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, DifferentiableObjective, Problem
 from graceful_plan.planners.questions import Interrupted, checked_costs, out_of_time
+from graceful_plan.planners.resampling import evenly
 from graceful_plan.tuning.archive import Aimed, Candidate, EdgeTest
 
 Array = np.ndarray
@@ -88,9 +89,7 @@ def _evened(member: Aimed, certain: EdgeTest) -> Float[Array, "n nq"] | None:
         return None
     if len(path) == EDGES + 1:
         return path.q  # as a descent has left it
-    arc = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
-    at = np.linspace(0.0, arc[-1], EDGES + 1)
-    q = np.column_stack([np.interp(at, arc, column) for column in path.q.T])
+    q = evenly(path.q, EDGES + 1)
     return q if np.all(certain(q[:-1], q[1:])) else None
 
 

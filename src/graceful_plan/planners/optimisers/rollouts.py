@@ -118,10 +118,3 @@ def weights(rollouts: Rollouts, spread: Float[Array, "point point"], sharpness: 
 
 def _at_points(edge: Float[Array, "rollout edge"]) -> Float[Array, "rollout point"]:
     return 0.5 * (edge[:, :-1] + edge[:, 1:])
-
-
-def evenly(q: Float[Array, "vertex nq"], points: int) -> Float[Array, "point nq"]:
-    """Return points at even distances along a polyline, both ends among them."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-    s = np.linspace(0.0, arc[-1], points)
-    return np.stack([np.interp(s, arc, q[:, joint]) for joint in range(q.shape[1])], axis=1)

@@ -29,10 +29,11 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.optimiser import Optimiser
-from graceful_plan.planners.optimisers.rollouts import Rollouts, evenly, in_close_up, weights
+from graceful_plan.planners.optimisers.rollouts import Rollouts, in_close_up, weights
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.planners.questions import Interrupted, Questions
+from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.settings import count, positive
 
 Array = np.ndarray
