@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
 
@@ -102,6 +102,7 @@ def path_total(objective: BoundObjective, path: Path) -> float:
     return float(edge_totals(objective, path.q[:-1], path.q[1:]).sum())
 
 
+@final
 @dataclass
 class Budget:
     """What a planner may still spend: seconds, iterations, or until somebody cancels.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 
@@ -22,6 +23,7 @@ _JUMP = 1e-4
 """Jump of an acceleration, relative to its limit, that counts as one where the jerk is limited."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Violation:
     """A limit that is broken, where it is broken most."""
@@ -43,6 +45,7 @@ class Violation:
         return f"{self.limit}{where}{when}: {self.value:.4g}, allowed {self.bound:.4g}"
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class _Loads:
     """Values of one kind over their bounds, rows at times, columns of joints."""

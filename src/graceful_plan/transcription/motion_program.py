@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -56,6 +57,7 @@ _MOMENTS = 800
 """Moments of a trajectory at which its cost is sampled."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionTask:
     """What is asked for; see `optimise_trajectory`."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -35,6 +35,7 @@ def hermite(u: Float[Array, " n"]) -> Float[Array, "n order end"]:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
+@final
 class SplineLayout:
     """Where the variables are: (q, w) node by node, then the share of the first time of a piece.
 
@@ -67,6 +68,7 @@ class SplineLayout:
         return np.concatenate([own, np.full((len(piece), 1), self.size - 1)], axis=1)
 
 
+@final
 class Samples:
     """Moments of the motion at which something is charged or bounded.
 
@@ -138,6 +140,7 @@ Charging = Callable[[Array, bool], Charge]
 """Charges states [order, n, nq], with the curvature if it is wanted."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Integral:
     """A part of the cost: a weighted sum over samples, times the time of a piece."""
@@ -147,6 +150,7 @@ class Integral:
     charge: Charging
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class LinearRows:
     """Constraints that are linear in the nodes over a power of h; limits are of O(1)."""
@@ -160,6 +164,7 @@ class LinearRows:
     most: Float[Array, " row"]
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class SampleRows:
     """Constraints on functions of (q, qd, qdd) at samples, one or more each; their curvature is left out."""
@@ -172,6 +177,7 @@ class SampleRows:
     most: Float[Array, "n k"]
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class SplineCost:
     """What is minimised.
@@ -185,6 +191,7 @@ class SplineCost:
     integrals: Sequence[Integral] = ()
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class SplineRows:
     """What is bounded.
@@ -204,6 +211,7 @@ class SplineRows:
         return np.concatenate([np.zeros(0), *(of_rows(rows).ravel() for rows in (*self.linear, *self.sampled))])
 
 
+@final
 class SplineProgram(Program):
     """Minimise time, integrals, or both, over cubics with evenly spaced nodes.
 

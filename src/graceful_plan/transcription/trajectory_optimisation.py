@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,6 +57,7 @@ class OptimisationStatus(Enum):
     INFEASIBLE = "No motion within all limits was found near the one given; relax what `violated` names, or allow time."
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OptimisedTrajectory:
     """The outcome of `optimise_trajectory`."""
@@ -146,6 +148,7 @@ def optimise_trajectory(
     return _Optimisation(task, first, budget, iterations).run()
 
 
+@final
 class _Optimisation:
     """One call: the motion to begin with, the solves, and the judge's view of what they find."""
 
@@ -281,6 +284,7 @@ class _Optimisation:
         return (Violation(limit="acceleration", joint=name, value=float(need), bound=limits.acceleration[slowest]),)
 
 
+@final
 class _Solve:
     """Watches one solve: keeps the best feasible iterates, and ends it when budget or progress ends."""
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from typing import final
 
 import numpy as np
 
@@ -93,6 +94,7 @@ def _evened(member: Aimed, certain: EdgeTest) -> Float[Array, "n nq"] | None:
     return q if np.all(certain(q[:-1], q[1:])) else None
 
 
+@final
 class _Batch:
     """Paths with the same number of vertices, their costs and what L-BFGS remembers of each."""
 

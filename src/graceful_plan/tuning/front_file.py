@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 from graceful_plan import documents
 from graceful_plan.exceptions import FormatError
@@ -74,6 +74,7 @@ def read_front(source: str | FilePath) -> FrontParts:
     return _FrontReader(name).front(document)
 
 
+@final
 class _FrontReader:
     """Reads parts of a document and says which file and which part is wrong."""
 

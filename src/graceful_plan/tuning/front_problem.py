@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -18,6 +19,7 @@ _SAME = 1e-9
 """Largest difference between two configurations that are the same [rad or m]."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrontProblem:
     """A problem, and its costs at every safety weight.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -56,6 +57,7 @@ _PER_NODE = 5
 MOST_POINTS = 1000
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class FrontProgress:
     """How far a search for a front has come: seconds since the call, its stage, and the candidates on the front."""
@@ -131,6 +133,7 @@ def pareto(
         return failed(PlanStatus.NONFINITE, str(error))
 
 
+@final
 class _Tuner:
     """One search for a front."""
 

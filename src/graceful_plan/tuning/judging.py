@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import final
 
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
@@ -24,6 +25,7 @@ _LATE = 3
 """Candidates that are judged after the time limit if none has passed."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class FrontQuery:
     """What a front is asked for.
@@ -61,6 +63,7 @@ class FrontQuery:
         )
 
 
+@final
 class Judging:
     """What of an archive has been judged.
 

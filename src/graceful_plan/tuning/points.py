@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import final
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParetoPoint:
     """One verified motion of a front.

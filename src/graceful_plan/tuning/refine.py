@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import final
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem
 from graceful_plan.planners.questions import out_of_time
-from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, move_aside, straighten_joint
+from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, move_aside, replaced, straighten_joint
 from graceful_plan.tuning.archive import Aimed, Archive, Candidate, EdgeTest, charged, widest_gaps
 from graceful_plan.tuning.descent import descend
 from graceful_plan.tuning.front_problem import FrontProblem
@@ -65,6 +66,7 @@ _EPS = 1e-9
 """Relative growth of an area that is rounding."""
 
 
+@final
 class Refinement:
     """Improves the candidates of an archive, turn by turn.
 
@@ -303,11 +305,4 @@ def _taken(member: Aimed, news: list[tuple[Replacement, Array]], tried: bool) ->
 
 
 def _applied(candidate: Candidate, news: list[tuple[Replacement, Array]]) -> Candidate:
-    q, edges, at = [candidate.q[:1]], [], 0
-    for new, cost in sorted(news, key=lambda pair: pair[0].first):
-        q += [candidate.q[at + 1 : new.first + 1], new.q[1:]]
-        edges += [candidate.edges[at : new.first], cost]
-        at = new.last
-    whole, costs = np.concatenate([*q, candidate.q[at + 1 :]]), np.concatenate([*edges, candidate.edges[at:]])
-    moved = np.any(np.diff(whole, axis=0) != 0.0, axis=1)
-    return replace(candidate, q=whole[np.concatenate([[True], moved])], edges=costs[moved])
+    return candidate.moved_to(*replaced(candidate.q, candidate.edges, news))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -28,6 +29,7 @@ _SEEDS = 0.12
 """Share of the time for other paths to begin with."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class FrontSettings:
     """How a front is searched for.
@@ -93,6 +95,7 @@ def sweep_weights(shortest: Float[Array, " 2"], count: int, shift: float = 0.0) 
     return np.minimum(shortest[0] / shortest[1] * np.exp(np.minimum(exponents, greatest)), MAX_WEIGHT)
 
 
+@final
 class _Search:
     """Minimisations of V + w S, one weight after the other."""
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from graceful_plan.planners.settings import count, positive_fraction
 from graceful_plan.planners.trivial import stays_at_goal
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Anytime(Planner):
     """Improves its path until the budget ends, or until it is proven optimal: a free straight edge at w = 0.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -32,6 +32,7 @@ _WORTH_TELLING = 1e-3
 """Relative gain from which on the others are told."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Auto(Planner):
     """Improves its path until the budget ends, or until it is proven optimal.

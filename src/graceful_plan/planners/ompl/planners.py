@@ -14,6 +14,7 @@ References:
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -88,7 +89,18 @@ class _StarTree(_Tree):
         super().__post_init__()
         positive("rewire_factor", self.rewire_factor)
 
-    def _kind(self, name: str, d: int, informed: bool) -> Kind:
+    @stays_at_goal
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths until the budget ends or a straight line is proven best."""
+        return _improvements(self._kind(len(problem.start)), Questions(problem, objective, budget), rng)
+
+    @abstractmethod
+    def _kind(self, d: int) -> Kind:
+        """Which of them, in a space of `d` joints."""
+
+    def _rewired(self, name: str, d: int, informed: bool) -> Kind:
         def neighbours(n: int) -> int:
             return int(np.ceil(self.rewire_factor * np.e * (1.0 + 1.0 / d) * np.log(n + 1.0)))
 
@@ -106,13 +118,8 @@ class RRTStar(_StarTree):
 
     name: ClassVar[str] = "rrt_star"
 
-    @stays_at_goal
-    def solve(
-        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
-    ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
-        kind = self._kind("RRTstar", len(problem.start), informed=False)
-        return _improvements(kind, Questions(problem, objective, budget), rng)
+    def _kind(self, d: int) -> Kind:
+        return self._rewired("RRTstar", d, informed=False)
 
 
 @final
@@ -122,13 +129,8 @@ class InformedRRTStar(_StarTree):
 
     name: ClassVar[str] = "informed_rrt_star"
 
-    @stays_at_goal
-    def solve(
-        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
-    ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
-        kind = self._kind("InformedRRTstar", len(problem.start), informed=True)
-        return _improvements(kind, Questions(problem, objective, budget), rng)
+    def _kind(self, d: int) -> Kind:
+        return self._rewired("InformedRRTstar", d, informed=True)
 
 
 @final

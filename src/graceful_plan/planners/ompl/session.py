@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import dist
+from typing import final
 
 import numpy as np
 from ompl import base as ob
@@ -44,6 +45,7 @@ def _quiet() -> Generator[None, None, None]:
         ou.setLogLevel(level)
 
 
+@final
 @dataclass
 class _Best:
     """Cost of the best path so far; what the validator measures new states against."""
@@ -51,6 +53,7 @@ class _Best:
     cost: float = np.inf
 
 
+@final
 class _Validator(ob.MotionValidator):
     """Checks motions, and refuses states that no better path can pass (if there is a sampler that knows)."""
 
@@ -79,6 +82,7 @@ class _Validator(ob.MotionValidator):
         return free
 
 
+@final
 class KnownStates:
     """Every state that a checked motion led to: those that OMPL will ask edge costs for.
 
@@ -113,6 +117,7 @@ class KnownStates:
         return q[np.argpartition(np.einsum("ij,ij->i", gap, gap), k - 1)[:k]]
 
 
+@final
 class _Objective(ob.OptimizationObjective):
     """Our edge cost; the edges that RRT* asks for one by one are evaluated together, once per new state."""
 
@@ -169,6 +174,7 @@ class _Objective(ob.OptimizationObjective):
         return cost[0]
 
 
+@final
 class Session:
     """An OMPL planner on one problem, run in slices.
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -49,6 +49,7 @@ _FIRMINGS = 3
 """How often."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class CHOMP(Optimiser):
     """Improves a path along the gradient of J, in the metric of smooth paths.
@@ -109,6 +110,7 @@ class CHOMP(Optimiser):
                 bend = self.bend
 
 
+@final
 class _Descents:
     """Descents of one path, through stages whose hits are ever narrower."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import final
 
 import numpy as np
 
@@ -40,6 +41,7 @@ def with_edges(path: Path, edges: int) -> Float[Array, "point nq"]:
     return np.concatenate([*parts, q[-1:]])
 
 
+@final
 class Incumbent:
     """The best free path so far, with as many points as those that come after it.
 

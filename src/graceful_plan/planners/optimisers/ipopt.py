@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -45,6 +45,7 @@ _NEARLY = 1e-3
 """How far a constraint may be broken by an iterate that is worth checking."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class CasADi(Optimiser):
     """Improves a path by direct transcription with IPOPT, through CasADi.
@@ -110,6 +111,7 @@ class CasADi(Optimiser):
                 bend, stages = self.bend, bool(solves.stages)
 
 
+@final
 class _Solves:
     """Solves of one path, and what they find."""
 
@@ -147,6 +149,7 @@ class _Solves:
         return program.path(solution.x if watched.best is None else watched.best)
 
 
+@final
 class _Watch:
     """Spends the budget, keeps what is free and better, and ends a solve that has settled."""
 

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -71,6 +71,7 @@ class SolveOutcome(Enum):
     FAILED = "the solver gave up"
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Where a solve ended."""
@@ -143,6 +144,7 @@ def _outcome_of(word: str) -> SolveOutcome:
     return SolveOutcome.FAILED
 
 
+@final
 class _Calls:
     """Answers what CasADi asks; keeps the last point, and the first exception for later: CasADi would print it."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 
@@ -24,6 +25,7 @@ _FLAT = 1e-3
 _TINY = 1e-300
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollouts:
     """Paths between the same ends, and what their edges cost."""

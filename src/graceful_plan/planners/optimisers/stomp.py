@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -48,6 +48,7 @@ _BUMP = 6.7
 """Points that a bump spans between its zeros, times tether ** 0.25."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class STOMP(Optimiser):
     """Improves a path by noise: no gradients, any cost.
@@ -141,6 +142,7 @@ class STOMP(Optimiser):
         return moved[None]
 
 
+@final
 class _Noise:
     """Noise of one reach: its shape, and how much of it helps at present."""
 

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -42,6 +43,7 @@ _CHUNK = 64  # edges that a thread prices at once
 _BLOCK = 512  # configurations whose nearest nodes are looked for at once
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ground:
     """What a roadmap is grown in.
@@ -67,6 +69,7 @@ class Ground:
     threads: int = 1
 
 
+@final
 class Growth:
     """A roadmap while it grows.
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -32,6 +32,7 @@ _PROVEN = 1e-8
 """Relative gap to the least possible cost at which a path is the best there is."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class _Growth:
     """How a roadmap grows; what PRM and PRM* differ in."""
@@ -44,6 +45,7 @@ class _Growth:
     shortcut: Shortcut | None
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class PRM(Planner):
     """Probabilistic roadmap; stops at the first path, after shortcutting it.
@@ -84,6 +86,7 @@ class PRM(Planner):
         return _interruptible(growth, Questions(problem, objective, budget), rng)
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class PRMStar(Planner):
     """Asymptotically optimal roadmap: k(n) = factor * e (1 + 1/d) ln n neighbours.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -32,6 +32,7 @@ _REACH = 0.035
 """Longest extension by default, as a share of the extent of the space (OMPL's default)."""
 
 
+@final
 class Side:
     """A tree that grows by steps that pass the transition test, with the direction in which its edges are travelled.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
 from graceful_plan.planners.trivial import stays_at_goal
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class RRTConnect(Planner):
     """Two trees that grow towards each other. The fastest way to a first path; pays no heed to the cost.

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, log
-from typing import Literal
+from typing import Literal, final
 
 import numpy as np
 
@@ -30,6 +30,7 @@ _LOG_LIMIT = log(1e12)
 _NEGLIGIBLE = 1e-4  # climbs below this share of the range are accepted without heating or cooling [Devaurs2013]
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class TransitionSettings:
     """Constants of the transition test."""
@@ -55,6 +56,7 @@ class TransitionSettings:
             raise SettingError("temperature_factor", self.temperature_factor, "a finite number > 1")
 
 
+@final
 class TransitionTest:
     """Decides whether a step is worth its climb. Temperatures are kept as logarithms, within [1e-12, 1e12].
 
@@ -110,6 +112,7 @@ class TransitionTest:
         self._log_t = min(_LOG_LIMIT, max(-_LOG_LIMIT, self._log_t + log_factor))
 
 
+@final
 class RefinementControl:
     """Keeps a tree from growing ever denser where it already is: short steps are rationed.
 
