@@ -12,7 +12,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
-from graceful_plan.tuning.points import dominated_area, non_dominated
+from graceful_plan.planners.roadmaps.graph import non_dominated
+from graceful_plan.tuning.points import dominated_area
 from graceful_plan.tuning.search import sweep_weights
 
 Array = np.ndarray
@@ -113,9 +114,7 @@ def sweep(name: str, count: int, seconds: float) -> MeasuredFront:
     found = [shortest, *(cost(w) for w in weights.tolist())]
     costs = np.array([(c.motion, c.impact) for c in found if c is not None])
     costs = costs[non_dominated(costs)]
-    return MeasuredFront(
-        costs=costs[np.argsort(costs[:, 0])], seconds=time.perf_counter() - started, by_weight=len(costs)
-    )
+    return MeasuredFront(costs=costs, seconds=time.perf_counter() - started, by_weight=len(costs))
 
 
 def epsilon(front: Array, other: Array) -> float:

@@ -271,6 +271,17 @@ def test_ompl_console_output_is_silenced_only_while_planning() -> None:
     assert ou.getLogLevel() == before
 
 
+@pytest.mark.parametrize("name", _NAMES)
+def test_who_starts_at_a_goal_stays_there_at_no_cost(name: str) -> None:
+    inner = free_space().problem
+    goals = np.stack([inner.goals[0], inner.start])
+    problem = FunctionProblem(start=inner.start, goals=goals, lower=inner.lower, upper=inner.upper)
+    budget = Budget(iterations=0)
+    (path,) = PLANNERS[name]().solve(problem, free_space().objective, budget, np.random.default_rng(0))
+    np.testing.assert_array_equal(path.q, inner.start[None])
+    assert budget.spent == 0
+
+
 @pytest.mark.parametrize("goal", [(2.0, 0.0), (-2.0, 0.0)])
 def test_a_path_starts_at_the_start_even_if_it_is_a_goal(goal: tuple[float, float]) -> None:
     inner = disc().problem

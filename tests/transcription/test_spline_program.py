@@ -20,7 +20,15 @@ from graceful_plan.transcription.motion_rows import (
     torque_rows,
     velocity_rows,
 )
-from graceful_plan.transcription.spline_program import Charge, Integral, Layout, Samples, SplineProgram
+from graceful_plan.transcription.spline_program import (
+    Charge,
+    Integral,
+    Samples,
+    SplineCost,
+    SplineLayout,
+    SplineProgram,
+    SplineRows,
+)
 from graceful_plan.transcription.symbolic import symbolic_robot
 
 Array = np.ndarray
@@ -35,12 +43,12 @@ def scene() -> Scene:
     return gp.load_scene("tabletop_l1").tasks["green_to_blue"].scene
 
 
-def _program(layout: Layout, integrals=(), linear=(), sampled=()) -> SplineProgram:
+def _program(layout: SplineLayout, integrals=(), linear=(), sampled=()) -> SplineProgram:
     bound = np.full(layout.size, np.inf)
-    return SplineProgram(layout, (-bound, bound), 1.3, integrals, linear, sampled)
+    return SplineProgram(layout, (-bound, bound), SplineCost(1.3, integrals), SplineRows(linear, sampled))
 
 
-def _point(layout: Layout, scene: Scene, seed: int) -> Array:
+def _point(layout: SplineLayout, scene: Scene, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     q = np.asarray(scene.tasks["green_to_blue"].start) + 0.2 * rng.normal(size=(layout.pieces + 1, layout.nq))
     return layout.pack(q, 0.1 * rng.normal(size=q.shape), 1.1 * layout.time)
@@ -84,7 +92,7 @@ def _check_curvature(program: SplineProgram, x: Array, multipliers: Array) -> No
 
 @pytest.mark.parametrize("u", [0.0, 0.3, 0.5, 1.0])
 def test_samples_lie_on_the_trajectory(scene: Scene, u: float) -> None:
-    layout = Layout(_PIECES, 7, 0.08)
+    layout = SplineLayout(_PIECES, 7, 0.08)
     x = _point(layout, scene, 0)
     (q, w), h = layout.nodes(x), layout.h(x)
     trajectory = Trajectory(h * np.arange(_PIECES + 1), q, w / h, np.zeros_like(q), scene.joints)
@@ -95,7 +103,7 @@ def test_samples_lie_on_the_trajectory(scene: Scene, u: float) -> None:
 
 
 def test_linear_rows_are_derivatives_over_limits(scene: Scene) -> None:
-    layout, limit = Layout(_PIECES, 7, 0.08), np.linspace(1.0, 3.0, 7)
+    layout, limit = SplineLayout(_PIECES, 7, 0.08), np.linspace(1.0, 3.0, 7)
     x = _point(layout, scene, 1)
     rows = [
         position_rows(layout, *scene.limits.position.T),
@@ -117,7 +125,7 @@ def test_linear_rows_are_derivatives_over_limits(scene: Scene) -> None:
 
 
 def test_slopes_and_curvature_of_limits(scene: Scene) -> None:
-    layout, limit = Layout(_PIECES, 7, 0.08), np.linspace(1.0, 3.0, 7)
+    layout, limit = SplineLayout(_PIECES, 7, 0.08), np.linspace(1.0, 3.0, 7)
     linear = [
         position_rows(layout, *scene.limits.position.T),
         velocity_rows(layout, limit),
@@ -131,7 +139,7 @@ def test_slopes_and_curvature_of_limits(scene: Scene) -> None:
 
 
 def test_slopes_of_torque_and_clearance(scene: Scene) -> None:
-    layout = Layout(2, 7, 0.08)
+    layout = SplineLayout(2, 7, 0.08)
     kernels = gp.Objective().bind(scene).kernels
     near = samples_at(layout, np.array([0.0, 0.5]), first=False)
     torque = torque_rows(samples_at(layout, np.array([0.0, 1.0])), symbolic_robot(scene), scene.limits.torque)
@@ -148,7 +156,7 @@ def test_slopes_of_torque_and_clearance(scene: Scene) -> None:
 
 @pytest.mark.parametrize("name", ["impact", "effort", "acceleration", "length"])
 def test_slopes_of_what_is_charged(scene: Scene, name: str) -> None:
-    layout, limits = Layout(2, 7, 0.08), scene.limits
+    layout, limits = SplineLayout(2, 7, 0.08), scene.limits
     charge = {
         "impact": ImpactCharge(gp.ImpactCost(), scene, 2.0),
         "effort": effort_charge(symbolic_robot(scene), np.asarray(limits.torque)),
@@ -169,7 +177,7 @@ def test_impact_without_derivatives_is_differenced(scene: Scene) -> None:
     class Plain(gp.ImpactCost):
         pass
 
-    layout = Layout(2, 7, 0.08)
+    layout = SplineLayout(2, 7, 0.08)
     states = samples_at(layout, np.array([0.0, 0.5])).states(_point(layout, scene, 6))
     exact, differenced = (ImpactCharge(cost, scene, 1.0)(states, False) for cost in (gp.ImpactCost(), Plain()))
     np.testing.assert_allclose(differenced.value, exact.value)
@@ -177,7 +185,7 @@ def test_impact_without_derivatives_is_differenced(scene: Scene) -> None:
 
 
 def test_curvature_of_impact_is_convex(scene: Scene) -> None:
-    layout = Layout(4, 7, 0.08)
+    layout = SplineLayout(4, 7, 0.08)
     states = samples_at(layout, np.array([0.0, 0.5])).states(_point(layout, scene, 7))
     values = np.linalg.eigvalsh(ImpactCharge(gp.ImpactCost(), scene, 1.0)(states, True).curvature)
     assert values.max() > 0.0
@@ -197,7 +205,7 @@ def test_curvature_of_a_general_charge() -> None:
         second = first[:, :, None] * first[:, None, :] + 0.2 * A / np.trace(A)
         return Charge(value, (value[:, None] * first).reshape(len(z), 3, nq), value[:, None, None] * second)
 
-    layout = Layout(3, nq, 0.4)
+    layout = SplineLayout(3, nq, 0.4)
     samples = Samples(layout, np.array([0, 1, 1, 2]), np.array([0.0, 0.2, 0.7, 1.0]))
     program = _program(layout, [Integral(samples, np.array([1.0, 2.0, 0.5, 1.5]), charge)])
     x = layout.pack(0.3 * rng.normal(size=(4, nq)), 0.3 * rng.normal(size=(4, nq)), 0.5)

@@ -5,7 +5,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.tuning.fronts import Progress
+from graceful_plan.tuning.fronts import FrontProgress
 from graceful_plan.tuning.points import dominated_area
 
 _ITERATIONS = 1200
@@ -61,7 +61,7 @@ def test_choice_of_a_front(front):
 
 
 def test_time_is_kept_and_told(task):
-    told: list[Progress] = []
+    told: list[FrontProgress] = []
     front = gp.pareto(task.start, task.goal, task.scene, points=4, time_limit=1.5, callback=told.append)
     assert front.status is gp.PlanStatus.SOLVED
     assert told and told[-1].candidates >= 2

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import lgamma, log, pi
+from typing import final
 
 import numpy as np
 
@@ -25,6 +26,7 @@ _PROBES = 24
 _REJECTION_ROUNDS = 30
 
 
+@final
 @dataclass(frozen=True)
 class ObjectiveFacts:
     """What a planner may rely on.
@@ -70,6 +72,7 @@ def learn_objective(objective: BoundObjective, problem: Problem) -> ObjectiveFac
     )
 
 
+@final
 class InformedSampler:
     """Draws configurations uniformly from where a path cheaper than a given cost can pass.
 

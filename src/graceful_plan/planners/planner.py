@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
 
@@ -101,6 +102,7 @@ def path_total(objective: BoundObjective, path: Path) -> float:
     return float(edge_totals(objective, path.q[:-1], path.q[1:]).sum())
 
 
+@final
 @dataclass
 class Budget:
     """What a planner may still spend: seconds, iterations, or until somebody cancels.
@@ -143,6 +145,29 @@ class Budget:
             return False
         self.spent += n
         return True
+
+    @contextmanager
+    def share(self, seconds: float = np.inf, iterations: int | float = np.inf) -> Generator[Budget]:
+        """Hand out a part of what is left as a budget of its own, for a `with` block.
+
+        The clock of the part is that of the whole. What the part spends counts here when the block ends, however it
+        ends; this budget itself is not to be spent in the meantime.
+
+        Args:
+            seconds: At most so many of those left [s].
+            iterations: At most so many of those left, rounded up; none are counted out if they are not limited at all.
+        """
+        granted = min(max(0.0, iterations), self.remaining_iterations)
+        part = Budget(
+            time_limit=min(self.time_limit, self.elapsed + max(0.0, seconds)),
+            iterations=None if np.isinf(granted) else int(np.ceil(granted)),
+            cancelled=self.cancelled,
+            started=self.started,
+        )
+        try:
+            yield part
+        finally:
+            self.spent += part.spent
 
 
 class Planner(ABC):

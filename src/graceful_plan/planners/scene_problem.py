@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from graceful_plan.planners.planner import Problem
 Array = np.ndarray
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneProblem(Problem):
     """From a start to one of several goals in a scene.

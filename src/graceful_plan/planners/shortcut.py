@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -31,6 +31,7 @@ _NEGLIGIBLE = 1e-9
 _TINY = 1e-300
 
 
+@final
 @dataclass(frozen=True)
 class Replacement:
     """New vertices for the stretch from vertex `first` to vertex `last`; both ends of `q` are these vertices."""
@@ -40,6 +41,7 @@ class Replacement:
     q: Float[Array, "vertex nq"]
 
 
+@final
 class Line:
     """A path with its arc length, to pick points from.
 
@@ -130,6 +132,7 @@ MOVES: tuple[Move, ...] = (leave_out, move_aside, cut, move_aside, straighten_jo
 """What the rounds take turns in; moving aside, which alone can leave the hull of the path, comes up most."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Shortcut:
     """Settings of the post-processing that planners share. One iteration is one round of one move."""
@@ -174,6 +177,29 @@ class Shortcut:
             yield Path(line.q)
 
 
+def first_and_shorter(
+    find: Callable[[Questions, np.random.Generator], Path | None],
+    shortcut: Shortcut | None,
+    questions: Questions,
+    rng: np.random.Generator,
+) -> Iterator[Path]:
+    """Yield the first path that is found, then cheaper versions of it with what is left of the budget.
+
+    Args:
+        find: Looks for a path until the budget ends.
+        shortcut: How it is shortened; None yields it as it is.
+        questions: To problem and objective.
+        rng: Random numbers.
+    """
+    with suppress(Interrupted):
+        path = find(questions, rng)
+        if path is None:
+            return
+        yield path
+        if shortcut is not None:
+            yield from shortcut.improve(path, questions, questions.budget, rng)
+
+
 def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -> Line | None:
     """Take the free replacements that lower J most and do not overlap; None if there are none."""
     if not proposals:
@@ -193,7 +219,7 @@ def apply_best(line: Line, proposals: list[Replacement], questions: Questions) -
             taken.append(int(k))
     if not taken:
         return None
-    return _with_replacements(line, [(proposals[k], cost[begin[k] : begin[k + 1]]) for k in taken])
+    return Line(*replaced(line.q, line.cost, [(proposals[k], cost[begin[k] : begin[k + 1]]) for k in taken]))
 
 
 def _are_free(
@@ -210,12 +236,15 @@ def _are_free(
     return [ok and bool(part.all()) for ok, part in zip(inside, np.split(free, ends), strict=True)]
 
 
-def _with_replacements(line: Line, taken: list[tuple[Replacement, Array]]) -> Line:
-    q, cost, at = [line.q[:1]], [], 0
+def replaced(
+    q: Float[Array, "vertex nq"], cost: Float[Array, "*edge"], taken: list[tuple[Replacement, Array]]
+) -> tuple[Float[Array, "vertex2 nq"], Float[Array, "*edge2"]]:
+    """Vertices and costs of edges after replacements that do not overlap, each given with the costs of its edges."""
+    parts, costs, at = [q[:1]], [], 0
     for new, new_cost in sorted(taken, key=lambda pair: pair[0].first):
-        q += [line.q[at + 1 : new.first + 1], new.q[1:]]
-        cost += [line.cost[at : new.first], new_cost]
+        parts += [q[at + 1 : new.first + 1], new.q[1:]]
+        costs += [cost[at : new.first], new_cost]
         at = new.last
-    vertices, costs = np.concatenate([*q, line.q[at + 1 :]]), np.concatenate([*cost, line.cost[at:]])
+    vertices, edges = np.concatenate([*parts, q[at + 1 :]]), np.concatenate([*costs, cost[at:]])
     moved = np.any(np.diff(vertices, axis=0) != 0.0, axis=1)
-    return Line(vertices[np.concatenate([[True], moved])], costs[moved])
+    return vertices[np.concatenate([[True], moved])], edges[moved]

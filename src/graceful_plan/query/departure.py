@@ -25,7 +25,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import Shortcut
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import ALL, Search, is_solution, search
+from graceful_plan.query.search import ALL, Search, is_solution, search, thinned
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
@@ -92,12 +92,8 @@ def search_among_moving(
     """
     planner, objective, callback = request.planner, request.objective, request.callback
     still = SceneObjective(objective.objective, objective.scene.without_moving())
-    limit, iterations = budget.time_limit, budget.iterations
-    budget.time_limit = budget.elapsed + _STILL * budget.remaining_seconds
-    if iterations is not None:
-        budget.iterations = budget.spent + int(np.ceil(_STILL * budget.remaining_iterations))
-    found = search(planner, replace(problem, kernels=still.kernels), still, budget, rng, callback, kept=ALL)
-    budget.time_limit, budget.iterations = limit, iterations
+    with budget.share(_STILL * budget.remaining_seconds, _STILL * budget.remaining_iterations) as part:
+        found = search(planner, replace(problem, kernels=still.kernels), still, part, rng, callback, kept=ALL)
     paths = list(found.paths)
     if paths and objective.w > 0.0 and not found.stopped:
         better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)
@@ -125,11 +121,11 @@ class _Choice:
             still: Index of the best as if nobody moved.
             deadline: Clock reading after which no more are looked at [s].
         """
-        # Improvements come ever closer to each other: the last, the one before, the one before three, seven, ...
-        n = len(paths)
-        order = dict.fromkeys([n - 1, still, *(n - 2**k for k in range(n.bit_length()) if 2**k <= n)] if n else [])
+        order = thinned(len(paths))
+        if order:
+            order.insert(1, still)
         totals: dict[int, float] = {}
-        for index in order:
+        for index in dict.fromkeys(order):
             if len(totals) < 2 or time.perf_counter() < deadline:
                 totals[index] = self._total(paths[index])
         return [paths[index] for index in sorted(totals, key=lambda index: -totals[index])]

@@ -34,7 +34,7 @@ from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
-from graceful_plan.query.search import ALL, Callback, Search, search
+from graceful_plan.query.search import ALL, Callback, Search, search, thinned
 
 Array = np.ndarray
 
@@ -107,15 +107,11 @@ class Preference:
         callback: Callback | None = None,
     ) -> Search:
         """Search by J, then order and refine what was found by J_rho; the best is at the end."""
-        limit = budget.time_limit
-        budget.time_limit = budget.elapsed + _SEARCH * budget.remaining_seconds
-        found = search(planner, problem, self.objective, budget, rng, callback, kept=ALL)
-        budget.time_limit = limit
+        with budget.share(_SEARCH * budget.remaining_seconds) as part:
+            found = search(planner, problem, self.objective, part, rng, callback, kept=ALL)
         if found.paths and self.objective.w > 0.0:
-            # Improvements come ever closer to each other: the last, the one before, the one before two, four, ...
-            n = len(found.paths)
-            ages = [0, *(2**k for k in range(n.bit_length()) if 2**k < n)]
-            found.paths = sorted((found.paths[n - 1 - age] for age in ages), key=self.total, reverse=True)
+            kept = (found.paths[index] for index in thinned(len(found.paths)))
+            found.paths = sorted(kept, key=self.total, reverse=True)
             found.paths.append(self.refined(found.paths[-1], problem, budget, rng))
         return found
 

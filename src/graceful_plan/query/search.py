@@ -69,6 +69,15 @@ def search(
     return found
 
 
+def thinned(n: int) -> list[int]:
+    """Indices of improvements that stand for all n of them, the last one first: it, and those 1, 2, 4, 8, ... before.
+
+    Improvements come ever closer to each other, so that few of the late ones and fewer of the early ones will do.
+    """
+    ages = [0, *(2**k for k in range(n.bit_length()))]
+    return [n - 1 - age for age in ages if age < n]
+
+
 def is_solution(path: Path, problem: SceneProblem) -> bool:
     """Check a planner's word: from the start to one of the goals, on edges that are free at a fine step."""
     ends = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()

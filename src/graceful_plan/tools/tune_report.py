@@ -14,7 +14,7 @@ from typing import Any
 import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.exceptions import GracefulPlanError, SettingError
-from graceful_plan.tuning.fronts import Progress
+from graceful_plan.tuning.fronts import FrontProgress
 
 
 class ValidationError(GracefulPlanError, RuntimeError):
@@ -113,7 +113,7 @@ def run(
     target_impact: float | None = None,
     max_detour: float | None = None,
     failures: int = 0,
-    callback: Callable[[Progress], bool | None] | None = None,
+    callback: Callable[[FrontProgress], bool | None] | None = None,
     **settings: Any,
 ) -> TuneReport:
     """Find the front of a task, choose from it, and write front.json, front.png, front.html and chosen.json.

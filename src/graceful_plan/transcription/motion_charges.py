@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import final
 
 import numpy as np
 
@@ -24,6 +25,7 @@ _SOFTENED = 1e-3
 """Speed below which the length of a motion is rounded off [rad/s]."""
 
 
+@final
 class ImpactCharge:
     """Impact of a failure at a state, times the safety weight.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 
@@ -22,6 +23,7 @@ _JUMP = 1e-4
 """Jump of an acceleration, relative to its limit, that counts as one where the jerk is limited."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Violation:
     """A limit that is broken, where it is broken most."""
@@ -43,8 +45,9 @@ class Violation:
         return f"{self.limit}{where}{when}: {self.value:.4g}, allowed {self.bound:.4g}"
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Reach:
+class _Loads:
     """Values of one kind over their bounds, rows at times, columns of joints."""
 
     limit: str
@@ -86,7 +89,7 @@ def violations(
     """
     found: list[Violation | None] = [_beyond_position(trajectory, limits)]
     if len(trajectory) > 1:
-        found += [reach.worst(trajectory.joints) for reach in _reaches(trajectory, limits, jerk, robot)]
+        found += [loads.worst(trajectory.joints) for loads in _loads(trajectory, limits, jerk, robot)]
     if trajectory.duration > duration * (1.0 + TOLERANCE):
         found.append(Violation(limit="duration", value=trajectory.duration, bound=duration))
     return tuple(violation for violation in found if violation is not None)
@@ -129,25 +132,25 @@ def _moments(trajectory: Trajectory) -> Float[Array, " n"]:
     return np.append((trajectory.t[:-1, None] + steps).ravel(), trajectory.t[-1])
 
 
-def _reaches(
+def _loads(
     trajectory: Trajectory, limits: Limits, jerk: Float[Array, " nq"] | None, robot: SymbolicRobot | None
-) -> list[Reach]:
+) -> list[_Loads]:
     a0, a1 = trajectory.piece_accelerations
     h, t = np.diff(trajectory.t)[:, None], trajectory.t
     # Within a piece the velocity peaks where the linear acceleration changes sign.
     crossing = np.where(a0 * a1 < 0.0, a0 / np.where(a0 == a1, 1.0, a0 - a1), 0.0) * h
     peak = trajectory.qd[:-1] + 0.5 * a0 * crossing
     found = [
-        Reach("velocity", np.append(t, t[:-1]), np.concatenate([trajectory.qd, peak]), limits.velocity),
-        Reach("acceleration", np.append(t[:-1], t[1:]), np.concatenate([a0, a1]), limits.acceleration),
+        _Loads("velocity", np.append(t, t[:-1]), np.concatenate([trajectory.qd, peak]), limits.velocity),
+        _Loads("acceleration", np.append(t[:-1], t[1:]), np.concatenate([a0, a1]), limits.acceleration),
     ]
     if jerk is not None:
         jump = np.concatenate([a0[:1], a0[1:] - a1[:-1], -a1[-1:]])
-        found.append(Reach("jerk", t[:-1], _jerks(trajectory), jerk))
-        found.append(Reach("acceleration continuity", t, jump, _JUMP * limits.acceleration))
+        found.append(_Loads("jerk", t[:-1], _jerks(trajectory), jerk))
+        found.append(_Loads("acceleration continuity", t, jump, _JUMP * limits.acceleration))
     if robot is not None:
         at, states = _piecewise(trajectory)
-        found.append(Reach("torque", at, robot.torques(*states), np.asarray(limits.torque)))
+        found.append(_Loads("torque", at, robot.torques(*states), np.asarray(limits.torque)))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -22,7 +23,14 @@ from graceful_plan.transcription.motion_rows import (
     torque_rows,
     velocity_rows,
 )
-from graceful_plan.transcription.spline_program import Charging, Integral, Layout, SplineProgram
+from graceful_plan.transcription.spline_program import (
+    Charging,
+    Integral,
+    SplineCost,
+    SplineLayout,
+    SplineProgram,
+    SplineRows,
+)
 from graceful_plan.transcription.symbolic import SymbolicRobot
 
 Array = np.ndarray
@@ -49,6 +57,7 @@ _MOMENTS = 800
 """Moments of a trajectory at which its cost is sampled."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionTask:
     """What is asked for; see `optimise_trajectory`."""
@@ -70,7 +79,7 @@ def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[
     """Return the program of a task and where to begin, with a clearance to keep [m]."""
     limits, nq = task.scene.limits, len(task.scene.joints)
     h = min(_STRETCH * guess.duration, max(task.duration, 1e-6)) / task.intervals
-    layout = Layout(task.intervals, nq, h)
+    layout = SplineLayout(task.intervals, nq, h)
     state = guess.at(np.linspace(guess.t[0], guess.t[-1], task.intervals + 1))
     x = layout.pack(state.q, state.qd * guess.duration / task.intervals, h)
     linear = [
@@ -86,9 +95,8 @@ def motion_program(task: MotionTask, guess: Trajectory, margin: float) -> tuple[
     sampled = [clearance_rows(near, kernels, _wanted_clearance(clearance, margin))]
     if task.torque and task.robot is not None:
         sampled.append(torque_rows(samples_at(layout, _THIRDS), task.robot, np.asarray(limits.torque)))
-    time_cost = 1.0 if task.objective == "time" else 0.0
-    bounds, integrals = _bounds(task, layout, x), _integrals(task, layout)
-    return SplineProgram(layout, bounds, time_cost, integrals, linear, sampled, _SLACK), x
+    cost = SplineCost(1.0 if task.objective == "time" else 0.0, _integrals(task, layout))
+    return SplineProgram(layout, _bounds(task, layout, x), cost, SplineRows(linear, sampled, _SLACK)), x
 
 
 def motion_cost(task: MotionTask, motion: Trajectory) -> float:
@@ -118,7 +126,7 @@ def _charges(task: MotionTask) -> list[Charging]:
     return found
 
 
-def _integrals(task: MotionTask, layout: Layout) -> list[Integral]:
+def _integrals(task: MotionTask, layout: SplineLayout) -> list[Integral]:
     """Simpson's rule on every piece; accelerations may jump at nodes, so both sides of them count."""
     samples = samples_at(layout, _THIRDS)
     return [Integral(samples, np.tile(_SIMPSON, layout.pieces), charge) for charge in _charges(task)]
@@ -133,7 +141,7 @@ def _wanted_clearance(clearance: Float[Array, " n"], margin: float) -> Float[Arr
     return least
 
 
-def _bounds(task: MotionTask, layout: Layout, x: Array) -> tuple[Array, Array]:
+def _bounds(task: MotionTask, layout: SplineLayout, x: Array) -> tuple[Array, Array]:
     """Nodes within the position limits, both ends fixed and at rest, the time positive and not too long."""
     lower, upper = task.scene.limits.position.T
     found = []

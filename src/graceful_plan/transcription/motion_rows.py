@@ -9,7 +9,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.planners.optimisers.nlp import Pattern
-from graceful_plan.transcription.spline_program import Layout, LinearRows, SampleRows, Samples, hermite
+from graceful_plan.transcription.spline_program import LinearRows, SampleRows, Samples, SplineLayout, hermite
 from graceful_plan.transcription.symbolic import SymbolicRobot
 
 Array = np.ndarray
@@ -21,28 +21,28 @@ _CLEARANCE_UNIT = 0.05
 """Clearance [m] that counts as one in its rows, so that all rows are of O(1)."""
 
 
-def position_rows(layout: Layout, lower: Float[Array, " nq"], upper: Float[Array, " nq"]) -> LinearRows:
+def position_rows(layout: SplineLayout, lower: Float[Array, " nq"], upper: Float[Array, " nq"]) -> LinearRows:
     """Positions at the middles of the pieces; those of the nodes are bounds of variables."""
     rows = _piece_rows("position", layout, np.array([0.5]), _POSITION, np.ones(layout.nq))
     return replace(rows, least=np.tile(lower, layout.pieces), most=np.tile(upper, layout.pieces))
 
 
-def velocity_rows(layout: Layout, limit: Float[Array, " nq"]) -> LinearRows:
+def velocity_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
     """Velocities at the beginnings and middles of the pieces."""
     return _piece_rows("velocity", layout, np.array([0.0, 0.5]), _VELOCITY, limit)
 
 
-def acceleration_rows(layout: Layout, limit: Float[Array, " nq"]) -> LinearRows:
+def acceleration_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
     """Accelerations at both ends of the pieces, between which they are linear."""
     return _piece_rows("acceleration", layout, np.array([0.0, 1.0]), _ACCELERATION, limit)
 
 
-def jerk_rows(layout: Layout, limit: Float[Array, " nq"]) -> LinearRows:
+def jerk_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
     """Jerks, one a piece."""
     return _piece_rows("jerk", layout, np.array([0.5]), _JERK, limit)
 
 
-def continuity_rows(layout: Layout, limit: Float[Array, " nq"]) -> LinearRows:
+def continuity_rows(layout: SplineLayout, limit: Float[Array, " nq"]) -> LinearRows:
     """Accelerations that do not jump from one piece to the next, nor at start and end: they are 0 there."""
     nq, pieces = layout.nq, layout.pieces
     node, end, joint = (grid.ravel() for grid in np.indices((pieces + 1, 2, nq)))
@@ -69,7 +69,9 @@ def continuity_rows(layout: Layout, limit: Float[Array, " nq"]) -> LinearRows:
     )
 
 
-def _piece_rows(name: str, layout: Layout, u: Float[Array, " n"], order: int, limit: Float[Array, " nq"]) -> LinearRows:
+def _piece_rows(
+    name: str, layout: SplineLayout, u: Float[Array, " n"], order: int, limit: Float[Array, " nq"]
+) -> LinearRows:
     """Rows, between -1 and 1, of a derivative over its limit at fractions `u` of every piece."""
     nq = layout.nq
     finite = np.flatnonzero(np.isfinite(limit))
@@ -110,7 +112,7 @@ def clearance_rows(samples: Samples, kernels: Kernels, least: Float[Array, " n"]
     return SampleRows("clearance", samples, bounded, least[:, None] / _CLEARANCE_UNIT, none)
 
 
-def samples_at(layout: Layout, u: Float[Array, " n"], first: bool = True) -> Samples:
+def samples_at(layout: SplineLayout, u: Float[Array, " n"], first: bool = True) -> Samples:
     """Return samples at fractions `u` of every piece."""
     piece = np.repeat(np.arange(layout.pieces), len(u))
     share = np.tile(u, layout.pieces)

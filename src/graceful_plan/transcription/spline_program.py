@@ -12,8 +12,8 @@ with l = (q, w) at both ends of the piece. Whatever else is charged or bounded i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -35,7 +35,8 @@ def hermite(u: Float[Array, " n"]) -> Float[Array, "n order end"]:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-class Layout:
+@final
+class SplineLayout:
     """Where the variables are: (q, w) node by node, then the share of the first time of a piece.
 
     Args:
@@ -67,6 +68,7 @@ class Layout:
         return np.concatenate([own, np.full((len(piece), 1), self.size - 1)], axis=1)
 
 
+@final
 class Samples:
     """Moments of the motion at which something is charged or bounded.
 
@@ -76,7 +78,7 @@ class Samples:
         u: Which fraction of it has passed.
     """
 
-    def __init__(self, layout: Layout, piece: Int[Array, " n"], u: Float[Array, " n"]) -> None:
+    def __init__(self, layout: SplineLayout, piece: Int[Array, " n"], u: Float[Array, " n"]) -> None:
         self.layout, self.piece, self.u = layout, piece, u
         self.coefficient = hermite(u)[:, :3]
         self.places = layout.places(piece)
@@ -138,6 +140,7 @@ Charging = Callable[[Array, bool], Charge]
 """Charges states [order, n, nq], with the curvature if it is wanted."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Integral:
     """A part of the cost: a weighted sum over samples, times the time of a piece."""
@@ -147,6 +150,7 @@ class Integral:
     charge: Charging
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class LinearRows:
     """Constraints that are linear in the nodes over a power of h; limits are of O(1)."""
@@ -160,6 +164,7 @@ class LinearRows:
     most: Float[Array, " row"]
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class SampleRows:
     """Constraints on functions of (q, qd, qdd) at samples, one or more each; their curvature is left out."""
@@ -172,50 +177,76 @@ class SampleRows:
     most: Float[Array, "n k"]
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class SplineCost:
+    """What is minimised.
+
+    Args:
+        time: What a second costs.
+        integrals: The rest of the cost.
+    """
+
+    time: float
+    integrals: Sequence[Integral] = ()
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class SplineRows:
+    """What is bounded.
+
+    Args:
+        linear: Limits of position, velocity, acceleration and jerk.
+        sampled: Limits of torque and clearance.
+        slack: How far an iterate may be beyond rows of each name and still be worth keeping; 0 if it is not named.
+    """
+
+    linear: Sequence[LinearRows] = ()
+    sampled: Sequence[SampleRows] = ()
+    slack: Mapping[str, float] = field(default_factory=dict)
+
+    def joined(self, of_rows: Callable[[LinearRows | SampleRows], Array]) -> Float[Array, " constraint"]:
+        """Something of all rows, one after the other."""
+        return np.concatenate([np.zeros(0), *(of_rows(rows).ravel() for rows in (*self.linear, *self.sampled))])
+
+
+@final
 class SplineProgram(Program):
     """Minimise time, integrals, or both, over cubics with evenly spaced nodes.
 
     Args:
         layout: Where the variables are.
         bounds: Lower and upper bounds of the variables.
-        time_cost: What a second costs.
-        integrals: The rest of the cost.
-        linear: Limits of position, velocity, acceleration and jerk.
-        sampled: Limits of torque and clearance.
-        slack: How far an iterate may be beyond rows of each name and still be worth keeping.
+        cost: What is minimised.
+        rows: What is bounded besides.
     """
 
     def __init__(
         self,
-        layout: Layout,
+        layout: SplineLayout,
         bounds: tuple[Float[Array, " variable"], Float[Array, " variable"]],
-        time_cost: float,
-        integrals: Sequence[Integral],
-        linear: Sequence[LinearRows],
-        sampled: Sequence[SampleRows],
-        slack: Mapping[str, float] | None = None,
+        cost: SplineCost,
+        rows: SplineRows,
     ) -> None:
-        self.layout, self.time_cost = layout, time_cost
-        self.integrals, self.linear, self.sampled = tuple(integrals), tuple(linear), tuple(sampled)
+        self.layout, self.cost, self.rows = layout, cost, rows
         self.lower, self.upper = bounds
-        self.least = np.concatenate([np.zeros(0), *(rows.least.ravel() for rows in (*linear, *sampled))])
-        self.most = np.concatenate([np.zeros(0), *(rows.most.ravel() for rows in (*linear, *sampled))])
-        given = slack or {}
-        slacks = [np.full(rows.least.size, given.get(rows.name, 0.0)) for rows in (*linear, *sampled)]
-        self.slack = np.concatenate([np.zeros(0), *slacks])
-        """The same for every constraint."""
+        self.least = rows.joined(lambda part: part.least)
+        self.most = rows.joined(lambda part: part.most)
+        self.slack = rows.joined(lambda part: np.full(part.least.size, rows.slack.get(part.name, 0.0)))
+        """How far an iterate may be beyond each constraint and still be worth keeping."""
         self.jacobian_pattern = self._jacobian_pattern()
         self._pair = np.triu_indices(4 * layout.nq + 1)
         self.hessian_pattern = self._hessian_pattern()
 
     def _jacobian_pattern(self) -> Pattern:
         rows, columns, first, last = [], [], 0, self.layout.size - 1
-        for part in self.linear:
+        for part in self.rows.linear:
             n = len(part.least)
             rows += [part.pattern.row + first, *([np.arange(n) + first] if part.power else [])]
             columns += [part.pattern.column, *([np.full(n, last)] if part.power else [])]
             first += n
-        for part in self.sampled:
+        for part in self.rows.sampled:
             n, k = part.least.shape
             local = part.samples.places.shape[1]
             rows.append(np.repeat(np.arange(n * k) + first, local))
@@ -237,12 +268,12 @@ class SplineProgram(Program):
         """Compute cost, gradient, constraints and Jacobian."""
         cost, gradient = self._cost(x)
         values, entries, h = [], [], self.layout.h(x)
-        for part in self.linear:
+        for part in self.rows.linear:
             scaled = part.entry / h**part.power
             value = np.bincount(part.pattern.row, scaled * x[part.pattern.column], len(part.least))
             values.append(value)
             entries += [scaled, *([-part.power * value * self.layout.time / h] if part.power else [])]
-        for part in self.sampled:
+        for part in self.rows.sampled:
             states = part.samples.states(x)
             value, slope = part.bounded(states)
             local = [part.samples.slopes(x, states, slope[:, k]) for k in range(value.shape[1])]
@@ -252,9 +283,9 @@ class SplineProgram(Program):
 
     def _cost(self, x: Array) -> tuple[float, Array]:
         h, scale = self.layout.h(x), self.layout.time
-        cost, gradient = self.time_cost * h * self.layout.pieces, np.zeros(len(x))
-        gradient[-1] = self.time_cost * scale * self.layout.pieces
-        for part in self.integrals:
+        cost, gradient = self.cost.time * h * self.layout.pieces, np.zeros(len(x))
+        gradient[-1] = self.cost.time * scale * self.layout.pieces
+        for part in self.cost.integrals:
             states = part.samples.states(x)
             charge = part.charge(states, False)
             total = float(part.weight @ charge.value)
@@ -270,7 +301,7 @@ class SplineProgram(Program):
         """Hessian of the cost and of the linear rows; the curvature of sampled rows is left out."""
         assert self.hessian_pattern is not None
         entries, h, scale = np.zeros(len(self.hessian_pattern.row)), self.layout.h(x), self.layout.time
-        for part in self.integrals:
+        for part in self.cost.integrals:
             states = part.samples.states(x)
             charge = part.charge(states, True)
             local = h * part.samples.curvature(x, states, charge.slope, charge.curvature)
@@ -280,7 +311,7 @@ class SplineProgram(Program):
             weighed = factor * part.weight[:, None] * local[:, self._pair[0], self._pair[1]]
             entries += np.bincount(self._slot[part.samples.piece].ravel(), weighed.ravel(), len(entries))
         first = 0
-        for part in self.linear:
+        for part in self.rows.linear:
             n, p = len(part.least), part.power
             share, first = multipliers[first : first + n], first + n
             if p == 0:

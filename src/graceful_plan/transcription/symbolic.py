@@ -12,7 +12,7 @@ from __future__ import annotations
 import weakref
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, final
 
 import mujoco
 import numpy as np
@@ -34,6 +34,7 @@ _KEPT = 8
 """Batched functions that are kept, by their number of states."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkInertia:
     """What a link weighs, in its own frame.
@@ -54,6 +55,7 @@ class LinkInertia:
     floating: float
 
 
+@final
 class SymbolicRobot:
     """CasADi functions of a scene's robot, each built when it is first asked for.
 

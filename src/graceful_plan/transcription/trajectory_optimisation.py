@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.verification import verify
 from graceful_plan.path import Path, finite_array
-from graceful_plan.planners.optimisers.nlp import Outcome, Values, minimise
+from graceful_plan.planners.optimisers.nlp import SolveOutcome, Values, minimise
 from graceful_plan.planners.planner import Budget
 from graceful_plan.result import Verdict
 from graceful_plan.scene.scene import Scene
@@ -56,6 +57,7 @@ class OptimisationStatus(Enum):
     INFEASIBLE = "No motion within all limits was found near the one given; relax what `violated` names, or allow time."
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OptimisedTrajectory:
     """The outcome of `optimise_trajectory`."""
@@ -146,6 +148,7 @@ def optimise_trajectory(
     return _Optimisation(task, first, budget, iterations).run()
 
 
+@final
 class _Optimisation:
     """One call: the motion to begin with, the solves, and the judge's view of what they find."""
 
@@ -166,7 +169,7 @@ class _Optimisation:
         found, outcome, broken = self._search()
         cost = motion_cost(self.task, found[0]) if found else np.inf
         if found and cost < initial_cost:
-            status = OptimisationStatus.SOLVED if outcome is Outcome.SOLVED else OptimisationStatus.STOPPED
+            status = OptimisationStatus.SOLVED if outcome is SolveOutcome.SOLVED else OptimisationStatus.STOPPED
             return self._result(status, found, (), cost, initial_cost)
         status = OptimisationStatus.UNCHANGED if best else OptimisationStatus.INFEASIBLE
         return self._result(status, best, () if best else broken or before[1], initial_cost, initial_cost)
@@ -190,9 +193,9 @@ class _Optimisation:
             stats={"seconds": self.budget.elapsed, "iterations": float(self.spent), "solves": float(self.solves)},
         )
 
-    def _search(self) -> tuple[tuple[Trajectory, Verdict] | None, Outcome, tuple[Violation, ...]]:
+    def _search(self) -> tuple[tuple[Trajectory, Verdict] | None, SolveOutcome, tuple[Violation, ...]]:
         """Solve, and again with more clearance for as long as the judge finds a collision between samples."""
-        outcome, broken, margin = Outcome.FAILED, (), self.task.margin
+        outcome, broken, margin = SolveOutcome.FAILED, (), self.task.margin
         guess = self.first
         for _ in range(_ATTEMPTS):
             if self.budget.exhausted:
@@ -281,6 +284,7 @@ class _Optimisation:
         return (Violation(limit="acceleration", joint=name, value=float(need), bound=limits.acceleration[slowest]),)
 
 
+@final
 class _Solve:
     """Watches one solve: keeps the best feasible iterates, and ends it when budget or progress ends."""
 

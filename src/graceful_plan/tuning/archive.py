@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import final
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _SAME, _SAME_MOTION = 1e-6, 1e-9
 """Relative differences of impact and of motion that are none."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
     """A free path and what it costs.
@@ -62,6 +64,7 @@ class Candidate:
         return replace(self, q=q, edges=edges)
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Aimed:
     """A candidate and what is to become of it: less motion and impact inside of a box, or less V + w S.
@@ -96,6 +99,7 @@ def charged(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array
     return costs
 
 
+@final
 class Archive:
     """The candidates that no other is better than, sorted by motion."""
 

@@ -1,6 +1,6 @@
 r"""All paths of a front down their own gradients at once.
 
-Each path has a box (see `front_refine`) or a weight, and descends
+Each path has a box (see `refine`) or a weight, and descends
 
 .. math:: f = -\log(V_\mathrm{box} - V) - \log(S_\mathrm{box} - S) \quad\mathrm{or}\quad f = \log(V + w S)
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from typing import final
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, DifferentiableObjective, Problem
 from graceful_plan.planners.questions import Interrupted, checked_costs, out_of_time
+from graceful_plan.planners.resampling import evenly
 from graceful_plan.tuning.archive import Aimed, Candidate, EdgeTest
 
 Array = np.ndarray
@@ -88,12 +90,11 @@ def _evened(member: Aimed, certain: EdgeTest) -> Float[Array, "n nq"] | None:
         return None
     if len(path) == EDGES + 1:
         return path.q  # as a descent has left it
-    arc = np.concatenate([[0.0], np.cumsum(path.segment_lengths)])
-    at = np.linspace(0.0, arc[-1], EDGES + 1)
-    q = np.column_stack([np.interp(at, arc, column) for column in path.q.T])
+    q = evenly(path.q, EDGES + 1)
     return q if np.all(certain(q[:-1], q[1:])) else None
 
 
+@final
 class _Batch:
     """Paths with the same number of vertices, their costs and what L-BFGS remembers of each."""
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 from graceful_plan import documents
 from graceful_plan.exceptions import FormatError
@@ -71,10 +71,11 @@ def read_front(source: str | FilePath) -> FrontParts:
         raise FormatError(name, f"cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise FormatError(name, f"not JSON: {error}") from None
-    return _Reader(name).front(document)
+    return _FrontReader(name).front(document)
 
 
-class _Reader:
+@final
+class _FrontReader:
     """Reads parts of a document and says which file and which part is wrong."""
 
     def __init__(self, name: str) -> None:

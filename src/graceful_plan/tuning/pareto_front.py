@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from pathlib import Path as FilePath
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +45,7 @@ class ChoiceStatus(Enum):
     NO_FRONT = "The front is empty; see its status."
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
     """What a front offers to someone with demands.
@@ -62,6 +64,7 @@ class Choice:
     detail: str = ""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParetoFront:
     """Verified motions between one start and one goal, none of them better than another, the shortest first.

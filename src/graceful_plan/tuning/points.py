@@ -1,21 +1,24 @@
-"""Points of a front of motion against impact, and which of them no other is better than; see `pareto_front`."""
+"""Points of a front of motion against impact; see `pareto_front`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Float
 from graceful_plan.path import Path
+from graceful_plan.planners.roadmaps.graph import non_dominated
 from graceful_plan.result import CostBreakdown, Verdict
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParetoPoint:
     """One verified motion of a front.
@@ -50,22 +53,10 @@ class ParetoPoint:
         return self.cost.impact
 
 
-def non_dominated(costs: Float[Array, "n 2"]) -> Bool[Array, " n"]:
-    """Tell which points no other is better than; of equal ones, the first."""
-    order = np.lexsort((np.arange(len(costs)), costs[:, 1], costs[:, 0]))
-    keep = np.zeros(len(costs), dtype=bool)
-    least = np.inf
-    for i in order.tolist():
-        if costs[i, 1] < least:
-            least, keep[i] = costs[i, 1], True
-    return keep
-
-
 def dominated_area(costs: Float[Array, "n 2"], reference: Float[Array, " 2"]) -> float:
     """Area of what is worse than some point and better than the reference."""
     inside = costs[np.all(costs < reference, axis=1)]
     front = inside[non_dominated(inside)]
-    front = front[np.argsort(front[:, 0])]
     right = np.append(front[1:, 0], reference[0])
     return float(np.sum((right - front[:, 0]) * (reference[1] - front[:, 1])))
 
@@ -92,5 +83,5 @@ def _slope(costs: Float[Array, "n 2"], a: int, b: int) -> float:
 def front_of(points: Sequence[ParetoPoint]) -> tuple[ParetoPoint, ...]:
     """Drop the points that others are better than, sort the rest by motion and say which weights lead to each."""
     costs = np.array([(p.motion, p.impact) for p in points], dtype=np.float64).reshape(-1, 2)
-    kept = sorted(np.flatnonzero(non_dominated(costs)).tolist(), key=lambda i: costs[i, 0])
-    return tuple(replace(points[i], weights=w) for i, w in zip(kept, hull_weights(costs[kept]), strict=True))
+    kept = non_dominated(costs)
+    return tuple(replace(points[i], weights=w) for i, w in zip(kept.tolist(), hull_weights(costs[kept]), strict=True))

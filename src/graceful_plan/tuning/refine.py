@@ -8,7 +8,7 @@ are taken that enlarge
 
 its share of the dominated area. So it minimises motion under a bound on impact and impact under a bound on motion, the
 bounds follow the neighbours, and the paths spread out. Into the widest gaps, paths are sent from both sides. With
-derivatives, all paths first descend together (`front_descent`); random moves, all those of a round in one batch, do
+derivatives, all paths first descend together (`descent`); random moves, all those of a round in one batch, do
 what is left: they change the number of vertices, slide along obstacles, and jump.
 
 References:
@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import final
 
 import numpy as np
 
@@ -27,9 +28,10 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import BoundObjective, Budget, DifferentiableObjective, Problem
 from graceful_plan.planners.questions import out_of_time
-from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, move_aside, straighten_joint
+from graceful_plan.planners.shortcut import Line, Replacement, cut, leave_out, move_aside, replaced, straighten_joint
 from graceful_plan.tuning.archive import Aimed, Archive, Candidate, EdgeTest, charged, widest_gaps
 from graceful_plan.tuning.descent import descend
+from graceful_plan.tuning.front_problem import FrontProblem
 from graceful_plan.tuning.points import dominated_area
 
 Array = np.ndarray
@@ -64,34 +66,26 @@ _EPS = 1e-9
 """Relative growth of an area that is rounding."""
 
 
+@final
 class Refinement:
     """Improves the candidates of an archive, turn by turn.
 
     One iteration is one step of all paths down their gradients, or one round of random moves.
 
     Args:
+        sought: The problem; its costs are taken at weight 1.
         archive: What to begin with; improved candidates are offered to it.
-        problem: Limits and obstacles.
-        objective: The costs, with weight 1.
-        certain: Which edges are free, as finely as they can be checked.
         budget: Time and iterations.
         rng: Random numbers.
         capacity: How many candidates are refined at a time, besides those sent into gaps.
     """
 
     def __init__(
-        self,
-        archive: Archive,
-        problem: Problem,
-        objective: BoundObjective,
-        certain: EdgeTest,
-        budget: Budget,
-        rng: np.random.Generator,
-        capacity: int,
+        self, sought: FrontProblem, archive: Archive, budget: Budget, rng: np.random.Generator, capacity: int
     ) -> None:
-        self.archive, self.problem, self.objective, self.certain = archive, problem, objective, certain
-        self.budget, self.rng, self.capacity = budget, rng, capacity
-        self.smooth = _has_derivatives(objective, problem)
+        self.problem, self.objective, self.certain = sought.problem, sought.objective_at(1.0), sought.certain
+        self.archive, self.budget, self.rng, self.capacity = archive, budget, rng, capacity
+        self.smooth = _has_derivatives(self.objective, self.problem)
 
     def turn(self, found: Sequence[Candidate], rounds: int = _TURN) -> Iterator[None]:
         """Improve what was found and then the whole front, for as long as that helps; yields now and then.
@@ -311,11 +305,4 @@ def _taken(member: Aimed, news: list[tuple[Replacement, Array]], tried: bool) ->
 
 
 def _applied(candidate: Candidate, news: list[tuple[Replacement, Array]]) -> Candidate:
-    q, edges, at = [candidate.q[:1]], [], 0
-    for new, cost in sorted(news, key=lambda pair: pair[0].first):
-        q += [candidate.q[at + 1 : new.first + 1], new.q[1:]]
-        edges += [candidate.edges[at : new.first], cost]
-        at = new.last
-    whole, costs = np.concatenate([*q, candidate.q[at + 1 :]]), np.concatenate([*edges, candidate.edges[at:]])
-    moved = np.any(np.diff(whole, axis=0) != 0.0, axis=1)
-    return replace(candidate, q=whole[np.concatenate([[True], moved])], edges=costs[moved])
+    return candidate.moved_to(*replaced(candidate.q, candidate.edges, news))

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import MAX_WEIGHT
 from graceful_plan.path import Path
-from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
-from graceful_plan.tuning.archive import Archive, Candidate, EdgeTest
+from graceful_plan.planners.planner import Budget, Planner
+from graceful_plan.tuning.archive import Archive, Candidate
+from graceful_plan.tuning.front_problem import FrontProblem, Seeds
 from graceful_plan.tuning.refine import WEIGHTS, Refinement
 
 Array = np.ndarray
-
-Seeds = Callable[[float], Sequence[Path]]
-"""Paths from elsewhere to begin with, within so many seconds; they need not be good, but different."""
-ObjectiveAt = Callable[[float], BoundObjective]
-"""The objective with a safety weight."""
 
 _SHORTEST = 0.06
 """Share of the budget for the shortest path."""
@@ -32,6 +29,7 @@ _SEEDS = 0.12
 """Share of the time for other paths to begin with."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class FrontSettings:
     """How a front is searched for.
@@ -48,17 +46,10 @@ class FrontSettings:
 
 
 def search_front(
-    problem: Problem,
-    objective_at: ObjectiveAt,
-    certain: EdgeTest,
-    settings: FrontSettings,
-    budget: Budget,
-    rng: np.random.Generator,
-    archive: Archive,
-    seeds: Seeds | None = None,
+    sought: FrontProblem, settings: FrontSettings, archive: Archive, budget: Budget, rng: np.random.Generator
 ) -> Iterator[str]:
     """Fill an archive until the budget ends; yields the name of the stage after every step. Every path is free."""
-    search = _Search(problem, objective_at, certain, settings, budget, rng, archive)
+    search = _Search(sought, settings.planner, archive, budget, rng)
     yield from search.shortest()
     if not len(archive):
         return
@@ -66,9 +57,9 @@ def search_front(
         search.at(0.0, _ONLY)
         yield "shortest"
         return
-    refinement = Refinement(archive, problem, objective_at(1.0), certain, budget, rng, settings.capacity)
-    if seeds is not None and not budget.exhausted:
-        search.begin(seeds(_SEEDS * search.whole[0]))
+    refinement = Refinement(sought, archive, budget, rng, settings.capacity)
+    if sought.seeds is not None and not budget.exhausted:
+        search.begin(sought.seeds)
         yield "roadmap"
         for _ in refinement.turn((), rounds=1):
             yield "refine"
@@ -104,21 +95,14 @@ def sweep_weights(shortest: Float[Array, " 2"], count: int, shift: float = 0.0) 
     return np.minimum(shortest[0] / shortest[1] * np.exp(np.minimum(exponents, greatest)), MAX_WEIGHT)
 
 
+@final
 class _Search:
     """Minimisations of V + w S, one weight after the other."""
 
     def __init__(
-        self,
-        problem: Problem,
-        objective_at: ObjectiveAt,
-        certain: EdgeTest,
-        settings: FrontSettings,
-        budget: Budget,
-        rng: np.random.Generator,
-        archive: Archive,
+        self, sought: FrontProblem, planner: Planner, archive: Archive, budget: Budget, rng: np.random.Generator
     ) -> None:
-        self.problem, self.objective_at, self.certain = problem, objective_at, certain
-        self.planner, self.budget, self.rng, self.archive = settings.planner, budget, rng, archive
+        self.sought, self.planner, self.archive, self.budget, self.rng = sought, planner, archive, budget, rng
         self.whole = budget.remaining_seconds, budget.remaining_iterations
 
     def shortest(self) -> Iterator[str]:
@@ -132,32 +116,27 @@ class _Search:
                 return
             share = _SWEEP
 
-    def begin(self, paths: Sequence[Path]) -> None:
+    def begin(self, seeds: Seeds) -> None:
         """Offer paths from elsewhere."""
-        objective = self.objective_at(1.0)
+        objective = self.sought.objective_at(1.0)
+        with self.budget.share(seconds=_SEEDS * self.whole[0]) as part:
+            paths = seeds(part)
         for path in paths:
-            if _leads_there(path, self.problem) and np.all(self.certain(path.q[:-1], path.q[1:])):
+            if self.sought.is_solved_by(path):
                 candidate = Candidate.of(path, objective, "roadmap", 0.0)
                 self.archive.offer(dataclasses.replace(candidate, made_with=float(candidate.cost[1])))
 
     def at(self, w: float, share: float) -> list[Candidate]:
         """Let the planner work for a share of the whole budget; offer all that it finds, and return the best."""
-        objective = self.objective_at(w)
+        objective = self.sought.objective_at(w)
         planner = begun_at(self.planner, Path(self.archive.best_for(w).q)) if len(self.archive) else self.planner
-        part = self._part(share)
         best: list[Candidate] = []
-        for path in planner.solve(self.problem, objective, part, self.rng):
-            if _leads_there(path, self.problem) and np.all(self.certain(path.q[:-1], path.q[1:])):
-                best = [Candidate.of(path, objective, "weight", w)]
-                self.archive.offer(best[0])
-        self.budget.spent += part.spent
+        with self.budget.share(share * self.whole[0], share * self.whole[1]) as part:
+            for path in planner.solve(self.sought.problem, objective, part, self.rng):
+                if self.sought.is_solved_by(path):
+                    best = [Candidate.of(path, objective, "weight", w)]
+                    self.archive.offer(best[0])
         return best
-
-    def _part(self, share: float) -> Budget:
-        seconds = min(share * self.whole[0], self.budget.remaining_seconds)
-        iterations = min(share * self.whole[1], self.budget.remaining_iterations)
-        limit = None if np.isinf(iterations) else int(np.ceil(iterations))
-        return Budget(seconds, limit, self.budget.cancelled)
 
 
 def begun_at(planner: Planner, path: Path) -> Planner:
@@ -165,9 +144,3 @@ def begun_at(planner: Planner, path: Path) -> Planner:
     if not dataclasses.is_dataclass(planner) or all(field.name != "initial" for field in dataclasses.fields(planner)):
         return planner
     return dataclasses.replace(planner, initial=path)
-
-
-def _leads_there(path: Path, problem: Problem) -> bool:
-    """Whether a path leads from the start to one of the goals."""
-    away = np.abs(path.q[0] - problem.start).max(), np.abs(problem.goals - path.q[-1]).max(axis=1).min()
-    return bool(max(away) <= 1e-9)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graceful_plan.planners.optimisers.nlp import Outcome, Pattern, Program, Values, minimise
+from graceful_plan.planners.optimisers.nlp import Pattern, Program, SolveOutcome, Values, minimise
 
 Array = np.ndarray
 
@@ -38,7 +38,7 @@ class Raising(Quartic):
 @pytest.mark.parametrize("curved", [True, False])
 def test_constrained_optimum(curved: bool) -> None:
     solution = minimise(Quartic(20, 5.0, curved), np.linspace(0.0, 0.3, 20))
-    assert solution.outcome is Outcome.SOLVED
+    assert solution.outcome is SolveOutcome.SOLVED
     np.testing.assert_allclose(solution.x, np.full(20, 0.5), atol=1e-5)
 
 
@@ -58,18 +58,18 @@ def test_watch_ends_a_solve() -> None:
         return values.cost < 4.0
 
     solution = minimise(Quartic(8, 6.0, curved=True), np.zeros(8), watch)
-    assert solution.outcome is Outcome.STOPPED
+    assert solution.outcome is SolveOutcome.STOPPED
     assert costs[-1] < 4.0 <= min(costs[:-1])
     assert ((solution.x - 1.0) ** 4).sum() == pytest.approx(costs[-1])
 
 
 def test_iterations_end_a_solve() -> None:
     solution = minimise(Quartic(8, 6.0, curved=False), np.zeros(8), iterations=2)
-    assert (solution.outcome, solution.iterations) == (Outcome.STOPPED, 2)
+    assert (solution.outcome, solution.iterations) == (SolveOutcome.STOPPED, 2)
 
 
 def test_what_cannot_be_is_infeasible() -> None:
-    assert minimise(Quartic(3, -0.5, curved=True, least=-1.0), np.ones(3)).outcome is Outcome.INFEASIBLE
+    assert minimise(Quartic(3, -0.5, curved=True, least=-1.0), np.ones(3)).outcome is SolveOutcome.INFEASIBLE
 
 
 @pytest.mark.parametrize("curved", [True, False])

@@ -22,9 +22,10 @@ from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.exceptions import CostError, NonFiniteError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
-from graceful_plan.planners.optimisers.rollouts import Rollouts, evenly, weights
+from graceful_plan.planners.optimisers.rollouts import Rollouts, weights
 from graceful_plan.planners.optimisers.stomp import STOMP
 from graceful_plan.planners.planner import Budget, path_total
+from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
 
 _DETOURS = {

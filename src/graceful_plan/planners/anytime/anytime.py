@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -28,9 +28,10 @@ from graceful_plan.path import Path
 from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import count, positive_fraction
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.trivial import stays_at_goal
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Anytime(Planner):
     """Improves its path until the budget ends, or until it is proven optimal: a free straight edge at w = 0.
@@ -63,13 +64,11 @@ class Anytime(Planner):
         count("challengers", self.challengers)
         count("max_nodes", self.max_nodes, 10)
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield better and better paths."""
-        if start_is_goal(problem):
-            yield Path(problem.start[None])
-            return
         core = self.search(native_space(problem, objective), problem, rng)
         while not budget.exhausted and not core.optimal:
             if run_slice(core.run, budget):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from graceful_plan.planners.native import native_space
 from graceful_plan.planners.optimisers.optimiser import joined_to_ends
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import count
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -32,6 +32,7 @@ _WORTH_TELLING = 1e-3
 """Relative gain from which on the others are told."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Auto(Planner):
     """Improves its path until the budget ends, or until it is proven optimal.
@@ -59,13 +60,11 @@ class Auto(Planner):
         if not isinstance(self.initial, Path | Array | None):
             raise SettingError("initial", self.initial, "a Path, an array of configurations or None")
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield better and better paths."""
-        if start_is_goal(problem):
-            yield Path(problem.start[None])
-            return
         space = native_space(problem, objective)
         several = isinstance(space, _native.SceneSpace) and objective.w > 0.0
         cores = [self.search.search(space, problem, rng) for _ in range(self.workers if several else 1)]

@@ -14,23 +14,45 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from abc import abstractmethod
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from graceful_plan.path import Path
+from graceful_plan.planners.ompl.kind import Kind
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.settings import count, fraction, positive
-from graceful_plan.planners.shortcut import Shortcut
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
+from graceful_plan.planners.trivial import stays_at_goal
 
 
 @dataclass(frozen=True, kw_only=True)
-class RRT(Planner):
+class _Tree(Planner):
+    """Settings of trees that grow towards samples."""
+
+    range: float | None = None
+    """Longest extension [rad]; by default OMPL's fifth of the extent of the space."""
+    goal_bias: float = 0.05
+    """Share of samples that are a goal (OMPL's default)."""
+
+    def __post_init__(self) -> None:
+        positive("range", self.range)
+        fraction("goal_bias", self.goal_bias)
+
+    def _configure(self, planner: Any) -> None:
+        planner.setGoalBias(self.goal_bias)
+        if self.range is not None:
+            planner.setRange(self.range)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RRT(_Tree):
     """Rapidly-exploring random tree; stops at the first path, after shortcutting it.
 
     One iteration is one sample, or one round of shortcutting.
@@ -39,86 +61,79 @@ class RRT(Planner):
     name: ClassVar[str] = "rrt"
     anytime: ClassVar[bool] = False
 
-    range: float | None = None
-    """Longest extension [rad]; by default OMPL's fifth of the extent of the space."""
-    goal_bias: float = 0.05
-    """Share of samples that are a goal (OMPL's default)."""
     shortcut: bool = True
     """Whether to shortcut the path with what is left of the budget."""
 
-    def __post_init__(self) -> None:
-        positive("range", self.range)
-        fraction("goal_bias", self.goal_bias)
-
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield the first path found, then shorter cuts of it."""
-        questions = Questions(problem, objective, budget)
+        shortcut = Shortcut() if self.shortcut else None
+        return first_and_shorter(self._first, shortcut, Questions(problem, objective, budget), rng)
 
-        def configure(planner: Any) -> None:
-            planner.setGoalBias(self.goal_bias)
-            if self.range is not None:
-                planner.setRange(self.range)
-
-        with suppress(Interrupted):
-            for path in _improvements(questions, rng, "RRT", configure):
-                yield path
-                if self.shortcut:
-                    yield from Shortcut().improve(path, questions, budget, rng)
-                return
+    def _first(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+        return next(_improvements(Kind("RRT", self._configure), questions, rng), None)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RRTStar(Planner):
+class _StarTree(_Tree):
+    """Settings of trees that are rewired."""
+
+    anytime: ClassVar[bool] = True
+
+    rewire_factor: float = 1.1
+    """Multiplies e (1 + 1/d) ln n neighbours. OMPL's 2^(d+1) on top makes that every node for an arm; left out."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive("rewire_factor", self.rewire_factor)
+
+    @stays_at_goal
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths until the budget ends or a straight line is proven best."""
+        return _improvements(self._kind(len(problem.start)), Questions(problem, objective, budget), rng)
+
+    @abstractmethod
+    def _kind(self, d: int) -> Kind:
+        """Which of them, in a space of `d` joints."""
+
+    def _rewired(self, name: str, d: int, informed: bool) -> Kind:
+        def neighbours(n: int) -> int:
+            return int(np.ceil(self.rewire_factor * np.e * (1.0 + 1.0 / d) * np.log(n + 1.0)))
+
+        def configure(planner: Any) -> None:
+            self._configure(planner)
+            planner.setRewireFactor(self.rewire_factor / 2.0 ** (d + 1))
+
+        return Kind(name, configure, neighbours, informed)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RRTStar(_StarTree):
     """Asymptotically optimal rapidly-exploring random tree. One iteration is one sample."""
 
     name: ClassVar[str] = "rrt_star"
-    anytime: ClassVar[bool] = True
 
-    range: float | None = None
-    """Longest extension [rad]; by default OMPL's fifth of the extent of the space."""
-    goal_bias: float = 0.05
-    """Share of samples that are a goal (OMPL's default)."""
-    rewire_factor: float = 1.1
-    """Multiplies e (1 + 1/d) ln n neighbours. OMPL's 2^(d+1) on top makes that every node for an arm; left out."""
-
-    def __post_init__(self) -> None:
-        _check_rrt_star(self.range, self.goal_bias, self.rewire_factor)
-
-    def solve(
-        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
-    ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
-        settings = (self.range, self.goal_bias, self.rewire_factor)
-        return _solve_rrt_star("RRTstar", settings, problem, objective, budget, rng)
+    def _kind(self, d: int) -> Kind:
+        return self._rewired("RRTstar", d, informed=False)
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class InformedRRTStar(Planner):
+class InformedRRTStar(_StarTree):
     """RRT* that, once it has a path, looks only where a better one can be. One iteration is one sample."""
 
     name: ClassVar[str] = "informed_rrt_star"
-    anytime: ClassVar[bool] = True
 
-    range: float | None = None
-    """Longest extension [rad]; by default OMPL's fifth of the extent of the space."""
-    goal_bias: float = 0.05
-    """Share of samples that are a goal (OMPL's default)."""
-    rewire_factor: float = 1.1
-    """Multiplies e (1 + 1/d) ln n neighbours. OMPL's 2^(d+1) on top makes that every node for an arm; left out."""
-
-    def __post_init__(self) -> None:
-        _check_rrt_star(self.range, self.goal_bias, self.rewire_factor)
-
-    def solve(
-        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
-    ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
-        settings = (self.range, self.goal_bias, self.rewire_factor)
-        return _solve_rrt_star("InformedRRTstar", settings, problem, objective, budget, rng)
+    def _kind(self, d: int) -> Kind:
+        return self._rewired("InformedRRTstar", d, informed=True)
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class BITStar(Planner):
     """Batch informed trees. One iteration is one edge taken from the queue, or one new batch."""
@@ -135,67 +150,24 @@ class BITStar(Planner):
         count("samples_per_batch", self.samples_per_batch)
         positive("rewire_factor", self.rewire_factor)
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield better and better paths until the budget ends or a straight line is proven best."""
-        questions = Questions(problem, objective, budget)
+        kind = Kind("BITstar", self._configure, informed=True)
+        return _improvements(kind, Questions(problem, objective, budget), rng)
 
-        def configure(planner: Any) -> None:
-            planner.setSamplesPerBatch(self.samples_per_batch)
-            planner.setRewireFactor(self.rewire_factor)
-            planner.setStopOnSolnImprovement(True)  # so that the next batch is drawn from a smaller box
-
-        with suppress(Interrupted):
-            yield from _improvements(questions, rng, "BITstar", configure, informed=True)
+    def _configure(self, planner: Any) -> None:
+        planner.setSamplesPerBatch(self.samples_per_batch)
+        planner.setRewireFactor(self.rewire_factor)
+        planner.setStopOnSolnImprovement(True)  # so that the next batch is drawn from a smaller box
 
 
-def _check_rrt_star(range_: float | None, goal_bias: float, rewire_factor: float) -> None:
-    positive("range", range_)
-    fraction("goal_bias", goal_bias)
-    positive("rewire_factor", rewire_factor)
+def _improvements(kind: Kind, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
+    if questions.budget.exhausted:
+        return
+    from graceful_plan.planners.ompl.session import Session  # importing the library must not import OMPL
 
-
-def _solve_rrt_star(
-    kind: str,
-    settings: tuple[float | None, float, float],
-    problem: Problem,
-    objective: BoundObjective,
-    budget: Budget,
-    rng: np.random.Generator,
-) -> Iterator[Path]:
-    range_, goal_bias, factor = settings
-    questions = Questions(problem, objective, budget)
-    d = len(problem.start)
-
-    def neighbours(n: int) -> int:
-        return int(np.ceil(factor * np.e * (1.0 + 1.0 / d) * np.log(n + 1.0)))
-
-    def configure(planner: Any) -> None:
-        planner.setGoalBias(goal_bias)
-        planner.setRewireFactor(factor / 2.0 ** (d + 1))
-        if range_ is not None:
-            planner.setRange(range_)
-
-    informed = kind == "InformedRRTstar"
     with suppress(Interrupted):
-        yield from _improvements(questions, rng, kind, configure, neighbours, informed)
-
-
-def _improvements(
-    questions: Questions,
-    rng: np.random.Generator,
-    kind: str,
-    configure: Callable[[Any], None],
-    neighbours: Callable[[int], int] | None = None,
-    informed: bool = False,
-) -> Iterator[Path]:
-    budget = questions.budget
-    if start_is_goal(questions.problem):
-        if budget.spend():
-            yield Path(questions.problem.start[None])
-    elif not budget.exhausted:
-        from graceful_plan.planners.ompl.session import Session  # importing the library must not import OMPL
-
-        seed = int(rng.integers(1, 2**31))
-        yield from Session(questions, seed, kind, configure, neighbours, informed).improvements(budget)
+        yield from Session(questions, int(rng.integers(1, 2**31)), kind).improvements()

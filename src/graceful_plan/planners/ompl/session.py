@@ -1,6 +1,6 @@
 """One problem inside OMPL: its space, validator and objective written in Python, and solving in short slices.
 
-Imports OMPL at the top: `ompl.py` imports this module when a planner is run. What callbacks return is converted to
+Imports OMPL at the top: `planners.py` imports this module when a planner is run. What callbacks return is converted to
 exactly `bool` and `ob.Cost`, since OMPL's bindings take nothing else. The motion validator must not keep the space
 information, which owns it. States are read with `s[0:n]`; none is kept.
 """
@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import dist
-from typing import Any
+from typing import final
 
 import numpy as np
 from ompl import base as ob
@@ -21,6 +21,7 @@ from ompl import util as ou
 from graceful_plan.array_types import Float
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.ompl.kind import Kind
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
 
@@ -44,13 +45,15 @@ def _quiet() -> Generator[None, None, None]:
         ou.setLogLevel(level)
 
 
+@final
 @dataclass
-class Incumbent:
+class _Best:
     """Cost of the best path so far; what the validator measures new states against."""
 
     cost: float = np.inf
 
 
+@final
 class _Validator(ob.MotionValidator):
     """Checks motions, and refuses states that no better path can pass (if there is a sampler that knows)."""
 
@@ -60,18 +63,18 @@ class _Validator(ob.MotionValidator):
         questions: Questions,
         known: KnownStates,
         informed: InformedSampler | None,
-        incumbent: Incumbent,
+        best: _Best,
     ) -> None:
         super().__init__(si)
         self._questions, self._known = questions, known
-        self._informed, self._incumbent = informed, incumbent
+        self._informed, self._best = informed, best
         self._n = len(questions.problem.start)
 
     def checkMotion(self, s0: ob.State, s1: ob.State) -> bool:
         a, b = s0[0 : self._n], s1[0 : self._n]
         q0, q1 = np.array([a]), np.array([b])
-        if self._informed is not None and np.isfinite(self._incumbent.cost):
-            if self._informed.bound_through(q1)[0] >= self._incumbent.cost:
+        if self._informed is not None and np.isfinite(self._best.cost):
+            if self._informed.bound_through(q1)[0] >= self._best.cost:
                 return False
         free = bool(self._questions.problem.edges_free(q0, q1)[0])
         if free:
@@ -79,6 +82,7 @@ class _Validator(ob.MotionValidator):
         return free
 
 
+@final
 class KnownStates:
     """Every state that a checked motion led to: those that OMPL will ask edge costs for.
 
@@ -113,6 +117,7 @@ class KnownStates:
         return q[np.argpartition(np.einsum("ij,ij->i", gap, gap), k - 1)[:k]]
 
 
+@final
 class _Objective(ob.OptimizationObjective):
     """Our edge cost; the edges that RRT* asks for one by one are evaluated together, once per new state."""
 
@@ -169,32 +174,22 @@ class _Objective(ob.OptimizationObjective):
         return cost[0]
 
 
+@final
 class Session:
     """An OMPL planner on one problem, run in slices.
 
     Args:
         questions: The problem and the objective.
         seed: For OMPL's own generator, > 0; OMPL has one seed per process.
-        kind: Name of the planner's class in `ompl.geometric`.
-        configure: Sets the settings of the planner.
-        neighbours: How many neighbours the planner looks at among n states; None to evaluate edges one by one.
-        informed: Whether to draw and keep only states that can improve the best path.
+        kind: Which planner.
     """
 
-    def __init__(
-        self,
-        questions: Questions,
-        seed: int,
-        kind: str,
-        configure: Callable[[Any], None],
-        neighbours: Callable[[int], int] | None = None,
-        informed: bool = False,
-    ) -> None:
+    def __init__(self, questions: Questions, seed: int, kind: Kind) -> None:
         problem = questions.problem
         facts = learn_objective(questions.objective, problem)
-        self.questions, self.incumbent = questions, Incumbent()
+        self.questions, self.best = questions, _Best()
         self.sampler = InformedSampler(problem, facts.length_bound)
-        self.informed = informed and facts.length_bound > 0.0
+        self.informed = kind.informed and facts.length_bound > 0.0
         with _quiet():
             ou.RNG.setSeed(seed)  # before anything that draws is built
             self.space = ob.RealVectorStateSpace(len(problem.start))
@@ -202,33 +197,34 @@ class Session:
             si = ob.SpaceInformation(self.space)
             n = len(problem.start)
             si.setStateValidityChecker(lambda s: bool(problem.states_free(np.array([s[0:n]]))[0]))
-            known = KnownStates(problem.start, neighbours)
+            known = KnownStates(problem.start, kind.neighbours)
             guide = self.sampler if self.informed else None
-            si.setMotionValidator(_Validator(si, questions, known, guide, self.incumbent))
+            si.setMotionValidator(_Validator(si, questions, known, guide, self.best))
             si.setup()
             self.definition = ob.ProblemDefinition(si)
             self._set_ends(si)
             ours = _Objective(si, questions, known, facts.length_bound, facts.symmetric)
             ours.setCostThreshold(ob.Cost(self.sampler.least_cost * (1.0 + _PROVEN)))
             self.definition.setOptimizationObjective(ours)
-            self.planner = getattr(og, kind)(si)
-            configure(self.planner)
+            self.planner = getattr(og, kind.name)(si)
+            kind.configure(self.planner)
             self.planner.setProblemDefinition(self.definition)
             self.planner.setup()
 
-    def improvements(self, budget: Budget) -> Iterator[Path]:
+    def improvements(self) -> Iterator[Path]:
         """Yield each better path; one iteration is one evaluation of OMPL's termination condition.
 
         Raises:
             CostError: If the objective breaks its contract.
         """
+        budget = self.questions.budget
         while not budget.exhausted and not self._optimal():
             path = self._slice(budget)
             if path is None:
                 continue
             cost = self.questions.path_cost(path)
-            if cost < self.incumbent.cost * (1.0 - 1e-12):
-                self.incumbent.cost = cost
+            if cost < self.best.cost * (1.0 - 1e-12):
+                self.best.cost = cost
                 yield path
                 if self.informed:
                     self._shrink()
@@ -253,11 +249,11 @@ class Session:
         return Path(q)
 
     def _optimal(self) -> bool:
-        return self.incumbent.cost <= self.sampler.least_cost * (1.0 + _PROVEN)
+        return self.best.cost <= self.sampler.least_cost * (1.0 + _PROVEN)
 
     def _shrink(self) -> None:
         """Draw from the box around the informed set only; the validator refuses what is outside of the set."""
-        lower, upper = self.sampler.box(self.incumbent.cost)
+        lower, upper = self.sampler.box(self.best.cost)
         self._set_bounds(lower, upper)
 
     def _set_bounds(self, lower: Array, upper: Array) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -28,11 +28,10 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.covariant import Descent
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
-from graceful_plan.planners.optimisers.incumbent import Incumbent
 from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.path_energy import ObstaclePotential, PathEnergy
-from graceful_plan.planners.optimisers.smoothness import Smoothness
-from graceful_plan.planners.planner import BoundObjective, Budget, Problem, WidenableObjective
+from graceful_plan.planners.optimisers.workpiece import JITTER, Workpiece
+from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.settings import count, positive
 
@@ -40,8 +39,6 @@ Array = np.ndarray
 
 METHODS = ("lbfgs", "gradient")
 """Words for how CHOMP goes down."""
-_JITTER = 1e-3
-"""Displacement that breaks symmetries: where both sides are equal, a gradient chooses neither [rad]."""
 _SETTLED = 1e-5
 """Relative fall of the energy below which a step counts as idle."""
 _IDLE = 4
@@ -52,6 +49,7 @@ _FIRMINGS = 3
 """How often."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class CHOMP(Optimiser):
     """Improves a path along the gradient of J, in the metric of smooth paths.
@@ -103,37 +101,24 @@ class CHOMP(Optimiser):
     ) -> Iterator[Path]:
         """Yield better and better paths."""
         with suppress(Interrupted):
-            work = _Work(self, path, problem, objective, budget)
-            bend = _JITTER
-            while work.worthwhile and not budget.exhausted:
-                yield from work.descend(work.bent(bend, rng))
+            piece = Workpiece(path, self.edges, Slopes(problem, objective, budget))
+            descents, bend = _Descents(self, piece), JITTER
+            while piece.movable and not budget.exhausted:
+                yield from descents.descend(piece.bent(bend, rng))
                 if self.bend is None:
                     return
                 bend = self.bend
 
 
-class _Work:
-    """What the descents of one path share: the best free path, the metric, and the objectives of the stages."""
+@final
+class _Descents:
+    """Descents of one path, through stages whose hits are ever narrower."""
 
-    def __init__(
-        self, settings: CHOMP, path: Path, problem: Problem, objective: BoundObjective, budget: Budget
-    ) -> None:
-        self.settings, self.problem, self.budget = settings, problem, budget
-        self.slopes = Slopes(problem, objective, budget)
-        self.kept = Incumbent(path, settings.edges, self.slopes)
-        self.worthwhile = len(self.kept.q) > 2
-        inner = max(1, len(self.kept.q) - 2)
-        self.metric, self.bends = Smoothness(inner, 1), Smoothness(inner, 2)
-        widths = settings.widths if objective.w > 0.0 and isinstance(objective, WidenableObjective) else ()
-        wide = [objective.widened(width) for width in widths]  # pyright: ignore[reportAttributeAccessIssue]
-        self.stages = [Slopes(problem, stage, budget) for stage in wide if stage is not None]
-
-    def bent(self, size: float, rng: np.random.Generator) -> Float[Array, "point nq"]:
-        """Return the best path with a smooth random displacement."""
-        q = self.kept.q.copy()
-        q[1:-1] += size * self.bends.noise(1, q.shape[1], rng)[0]
-        q[1:-1] = self.metric.into_limits(q[1:-1], self.problem.lower, self.problem.upper)
-        return q
+    def __init__(self, settings: CHOMP, piece: Workpiece) -> None:
+        self.settings, self.piece = settings, piece
+        self.slopes, self.kept, self.budget = piece.slopes, piece.kept, piece.budget
+        problem = piece.slopes.problem
+        self.stages = [Slopes(problem, stage, piece.budget) for stage in piece.widened(settings.widths)]
 
     def descend(self, q: Float[Array, "point nq"]) -> Iterator[Path]:
         """Go down from a path through all stages."""
@@ -168,11 +153,10 @@ class _Work:
         if not self.budget.spend():
             return
         energy = PathEnergy(slopes, potential)
-        limits = self.problem.lower, self.problem.upper
         memory = chosen.memory if chosen.method == "lbfgs" else 0
         # A long step can jump through something thin, and no potential brings a path back from there.
         allowed = self.kept.is_free if self.kept.is_free(q) else None
-        descent = Descent(energy, self.metric, limits, memory, chosen.longest_step, allowed)
+        descent = Descent(energy, self.piece.metric, self.piece.limits, memory, chosen.longest_step, allowed)
         descent.begin(energy(q))
         yield descent
         while idle < _IDLE and (most is None or spent < most) and self.budget.spend():

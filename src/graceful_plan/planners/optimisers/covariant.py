@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import final
 
 import numpy as np
 
@@ -31,6 +32,7 @@ _LEAST_STRETCH = 1e-9
 """Cost per length below which nothing is gained by moving."""
 
 
+@final
 class Memory:
     """What L-BFGS remembers: steps and what they changed in the gradient; the plain metric if there are none.
 
@@ -94,6 +96,7 @@ def _is_curved(step: Array, change: Array, product: float) -> bool:
     return product > _CURVED * float(np.linalg.norm(step) * np.linalg.norm(change))
 
 
+@final
 class Descent:
     """Goes down from a path, step by step, inside the limits.
 

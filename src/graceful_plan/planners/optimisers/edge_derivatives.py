@@ -5,6 +5,8 @@ Optimisers ask here, in slices that can be interrupted, and need not care which 
 
 from __future__ import annotations
 
+from typing import final
+
 import numpy as np
 
 from graceful_plan.array_types import Float
@@ -58,6 +60,7 @@ def _differences(
     return cost[-1], (up0 - down0).T / (2.0 * difference), (up1 - down1).T / (2.0 * difference)
 
 
+@final
 class Slopes(Questions):
     """`Questions` with derivatives.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import final
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.resampling import evenly
 
 Array = np.ndarray
 
@@ -31,9 +33,7 @@ def with_edges(path: Path, edges: int) -> Float[Array, "point nq"]:
     if len(q) < 2:
         return q
     if len(lengths) > edges:
-        arc = np.concatenate([[0.0], np.cumsum(lengths)])
-        places = np.linspace(0.0, arc[-1], edges + 1)
-        return np.stack([np.interp(places, arc, column) for column in q.T], axis=1)
+        return evenly(q, edges + 1)
     pieces = np.ones(len(lengths), dtype=int)
     for _ in range(edges - len(lengths)):
         pieces[np.argmax(lengths / pieces)] += 1
@@ -41,6 +41,7 @@ def with_edges(path: Path, edges: int) -> Float[Array, "point nq"]:
     return np.concatenate([*parts, q[-1:]])
 
 
+@final
 class Incumbent:
     """The best free path so far, with as many points as those that come after it.
 

@@ -18,26 +18,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.edge_derivatives import Slopes
-from graceful_plan.planners.optimisers.incumbent import Incumbent
 from graceful_plan.planners.optimisers.nlp import Values, minimise
 from graceful_plan.planners.optimisers.optimiser import Optimiser
 from graceful_plan.planners.optimisers.path_program import PathProgram
-from graceful_plan.planners.optimisers.smoothness import Smoothness
-from graceful_plan.planners.planner import BoundObjective, Budget, Problem, WidenableObjective
+from graceful_plan.planners.optimisers.workpiece import JITTER, Workpiece
+from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.settings import count, positive
 
 Array = np.ndarray
 
-_JITTER = 1e-3
-"""Displacement that breaks symmetries: where both sides are equal, a gradient chooses neither [rad]."""
 _SETTLED, _IDLE = 1e-4, 10
 """Relative fall of J below which an iteration counts as idle, and how many of these in a row end a solve."""
 _WORTH = 1e-3
@@ -48,6 +45,7 @@ _NEARLY = 1e-3
 """How far a constraint may be broken by an iterate that is worth checking."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class CasADi(Optimiser):
     """Improves a path by direct transcription with IPOPT, through CasADi.
@@ -94,46 +92,33 @@ class CasADi(Optimiser):
     ) -> Iterator[Path]:
         """Yield better and better paths."""
         with suppress(Interrupted):
-            work = _Work(self, path, problem, objective, budget)
-            if len(work.kept.q) > 2:
-                yield from self._solves(work, budget, rng)
+            piece = Workpiece(path, self.edges, Slopes(problem, objective, budget))
+            if piece.movable:
+                yield from self._solves(piece, rng)
 
-    def _solves(self, work: _Work, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+    def _solves(self, piece: Workpiece, rng: np.random.Generator) -> Iterator[Path]:
         """Solve from the path, on from there for as long as that is worthwhile, then from bent ones."""
-        bend, stages = _JITTER, bool(work.stages)
-        while not budget.exhausted:
-            before = work.kept.total
-            yield from work.solve(work.bent(bend, rng), stages)
-            if stages or work.kept.total < before * (1.0 - _WORTH):
-                bend, stages = _JITTER, False
+        solves = _Solves(self, piece)
+        bend, stages = JITTER, bool(solves.stages)
+        while not piece.budget.exhausted:
+            before = piece.kept.total
+            yield from solves.solve(piece.bent(bend, rng), stages)
+            if stages or piece.kept.total < before * (1.0 - _WORTH):
+                bend, stages = JITTER, False
             elif self.bend is None:
                 return
             else:
-                bend, stages = self.bend, bool(work.stages)
+                bend, stages = self.bend, bool(solves.stages)
 
 
-class _Work:
-    """What the solves of one path share."""
+@final
+class _Solves:
+    """Solves of one path, and what they find."""
 
-    def __init__(
-        self, settings: CasADi, path: Path, problem: Problem, objective: BoundObjective, budget: Budget
-    ) -> None:
-        self.settings, self.problem, self.objective, self.budget = settings, problem, objective, budget
-        self.slopes = Slopes(problem, objective, budget)
-        self.kept = Incumbent(path, settings.edges, self.slopes)
-        inner = max(1, len(self.kept.q) - 2)
-        self.metric, self.bends = Smoothness(inner, 1), Smoothness(inner, 2)
-        widths = settings.widths if objective.w > 0.0 and isinstance(objective, WidenableObjective) else ()
-        wide = [objective.widened(width) for width in widths]  # pyright: ignore[reportAttributeAccessIssue]
-        self.stages = [stage for stage in wide if stage is not None]
+    def __init__(self, settings: CasADi, piece: Workpiece) -> None:
+        self.settings, self.slopes, self.kept, self.budget = settings, piece.slopes, piece.kept, piece.budget
+        self.stages = piece.widened(settings.widths)
         self.found: list[Path] = []
-
-    def bent(self, size: float, rng: np.random.Generator) -> Float[Array, "point nq"]:
-        """Return the best path with a smooth random displacement."""
-        q = self.kept.q.copy()
-        q[1:-1] += size * self.bends.noise(1, q.shape[1], rng)[0]
-        q[1:-1] = self.metric.into_limits(q[1:-1], self.problem.lower, self.problem.upper)
-        return q
 
     def solve(self, q: Float[Array, "point nq"], stages: bool) -> Iterator[Path]:
         """Solve from a path on, through all stages or the last alone, and yield the best of what was found."""
@@ -142,13 +127,13 @@ class _Work:
             for stage in self.stages if stages else ():
                 q = self._minimised(q, stage, self.settings.stage_iterations, last=False)
                 self.found += self.kept.approach(q, self.slopes.path_cost(Path(q)))
-            q = self._minimised(q, self.objective, self.settings.solve_iterations, last=True)
+            q = self._minimised(q, self.slopes.objective, self.settings.solve_iterations, last=True)
             self.found += self.kept.approach(q, self.slopes.path_cost(Path(q)))
         if self.found:
             yield self.found[-1]
 
     def _minimised(self, q: Array, objective: BoundObjective, iterations: int, last: bool) -> Array:
-        slopes = Slopes(self.problem, objective, self.budget)
+        slopes = Slopes(self.slopes.problem, objective, self.budget)
         total = slopes.path_cost(Path(q))
         its = self.settings
         program = PathProgram(q, slopes, its.clearance, its.spacing, total, its.reach)
@@ -164,16 +149,17 @@ class _Work:
         return program.path(solution.x if watched.best is None else watched.best)
 
 
+@final
 class _Watch:
     """Spends the budget, keeps what is free and better, and ends a solve that has settled."""
 
-    def __init__(self, program: PathProgram, work: _Work, last: bool) -> None:
-        self.program, self.work, self.last = program, work, last
+    def __init__(self, program: PathProgram, solves: _Solves, last: bool) -> None:
+        self.program, self.solves, self.last = program, solves, last
         self.best: Array | None = None
         self._cost, self._idle = np.inf, 0
 
     def __call__(self, x: Float[Array, " variable"], values: Values) -> bool:
-        if not self.work.budget.spend():
+        if not self.solves.budget.spend():
             return True
         self._idle += 1
         broken = np.maximum(self.program.least - values.constraints, values.constraints - self.program.most)
@@ -189,6 +175,6 @@ class _Watch:
 
     def _offer(self, q: Float[Array, "point nq"], total: float) -> None:
         """Keep a path that is better and free; the cost of one that was cut off at limits is another one."""
-        kept = self.work.kept
+        kept = self.solves.kept
         if total < kept.total:
-            self.work.found += kept.offer(q, self.work.slopes.path_cost(Path(q)))
+            self.solves.found += kept.offer(q, self.solves.slopes.path_cost(Path(q)))

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class Program(ABC):
         raise NotImplementedError
 
 
-class Outcome(Enum):
+class SolveOutcome(Enum):
     """How a solve ended."""
 
     SOLVED = "a local optimum"
@@ -71,11 +71,12 @@ class Outcome(Enum):
     FAILED = "the solver gave up"
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Where a solve ended."""
 
-    outcome: Outcome
+    outcome: SolveOutcome
     x: Float[Array, " variable"]
     iterations: int
     word: str
@@ -128,21 +129,22 @@ def minimise(
         raise calls.error
     stats = solver.stats()
     word = str(stats["return_status"])
-    return Solution(outcome_of(word), np.asarray(found["x"]).ravel(), int(stats["iter_count"]), word)
+    return Solution(_outcome_of(word), np.asarray(found["x"]).ravel(), int(stats["iter_count"]), word)
 
 
-def outcome_of(word: str) -> Outcome:
+def _outcome_of(word: str) -> SolveOutcome:
     """Say how a solve ended, given IPOPT's own word for it."""
     for names, outcome in (
-        (_FEASIBLE, Outcome.SOLVED),
-        (_STOPPED, Outcome.STOPPED),
-        (_INFEASIBLE, Outcome.INFEASIBLE),
+        (_FEASIBLE, SolveOutcome.SOLVED),
+        (_STOPPED, SolveOutcome.STOPPED),
+        (_INFEASIBLE, SolveOutcome.INFEASIBLE),
     ):
         if word in names:
             return outcome
-    return Outcome.FAILED
+    return SolveOutcome.FAILED
 
 
+@final
 class _Calls:
     """Answers what CasADi asks; keeps the last point, and the first exception for later: CasADi would print it."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from graceful_plan.path import Path, finite_array
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.trees.rrt_connect import RRTConnect
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -43,13 +43,11 @@ class Optimiser(Planner):
         If `path` itself is free, they cost less than it does. Nothing is yielded if there is none within the budget.
         """
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield better and better paths."""
-        if start_is_goal(problem):
-            yield Path(problem.start[None])
-            return
         path = None if self.initial is None else joined_to_ends(self.initial, problem)
         if path is None:
             for path in _first_paths(problem, objective, budget, rng):

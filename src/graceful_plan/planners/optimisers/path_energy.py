@@ -22,6 +22,7 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -34,6 +35,7 @@ _TINY = 1e-12
 """Length below which an edge has no direction [rad]."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class ObstaclePotential:
     """How much a path is charged for being close to obstacles.
@@ -81,6 +83,7 @@ class ObstaclePotential:
         return length * mean, d_q0, d_q1
 
 
+@final
 @dataclass(frozen=True)
 class Evaluation:
     """A path with its energy."""
@@ -95,6 +98,7 @@ class Evaluation:
     """Of each edge, with the potential."""
 
 
+@final
 class PathEnergy:
     """Evaluates whole paths.
 

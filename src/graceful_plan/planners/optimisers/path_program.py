@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import final
+
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
@@ -19,6 +21,7 @@ _COARSE = 30.0
 """Unit of the points among the variables [rad], so that the approximation of the Hessian hardly weighs them."""
 
 
+@final
 class PathProgram(Program):
     r"""Minimise J over the inner points of a path, within joint limits and with clearance as constraint.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 
@@ -24,6 +25,7 @@ _FLAT = 1e-3
 _TINY = 1e-300
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollouts:
     """Paths between the same ends, and what their edges cost."""
@@ -118,10 +120,3 @@ def weights(rollouts: Rollouts, spread: Float[Array, "point point"], sharpness: 
 
 def _at_points(edge: Float[Array, "rollout edge"]) -> Float[Array, "rollout point"]:
     return 0.5 * (edge[:, :-1] + edge[:, 1:])
-
-
-def evenly(q: Float[Array, "vertex nq"], points: int) -> Float[Array, "point nq"]:
-    """Return points at even distances along a polyline, both ends among them."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-    s = np.linspace(0.0, arc[-1], points)
-    return np.stack([np.interp(s, arc, q[:, joint]) for joint in range(q.shape[1])], axis=1)

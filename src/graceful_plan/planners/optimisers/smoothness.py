@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import final
 
 import numpy as np
 
@@ -30,6 +31,7 @@ _LIMIT_PASSES = 10
 """Bumps per joint before what is still outside of the limits is cut off."""
 
 
+@final
 @dataclass(frozen=True)
 class Smoothness:
     """The metric of paths with some number of inner points.
@@ -38,7 +40,7 @@ class Smoothness:
         n: Inner points.
         order: 1 for differences (short paths are smooth), 2 for second differences (straight, evenly spaced ones are).
         tether: Added to the diagonal of A: what it costs to move a point at all, so that bumps and noise of order 2
-            reach over some 6.7 / tether ** 0.25 points instead of the whole path. `cost` and `gradient` leave it out.
+            reach over some 6.7 / tether ** 0.25 points instead of the whole path.
     """
 
     n: int
@@ -82,24 +84,9 @@ class Smoothness:
     def _root(self) -> Float[Array, "n n"]:
         return np.linalg.inv(self.factor).T  # L^-T, so that its product with white noise has the covariance A^-1
 
-    def cost(self, q: Float[Array, "*batch point nq"]) -> Float[Array, "*batch"]:
-        """Half the squared differences of whole paths, ends included, summed over joints."""
-        return np.asarray(0.5 * np.square(self.difference @ q).sum(axis=(-2, -1)))
-
-    def gradient(self, q: Float[Array, "*batch point nq"]) -> Float[Array, "*batch n nq"]:
-        """Derivative of `cost` with respect to the inner points of whole paths."""
-        return self.difference[:, 1:-1].T @ (self.difference @ q)
-
     def solve(self, force: Float[Array, "*batch n nq"]) -> Float[Array, "*batch n nq"]:
         """Return the motion of the inner points in the direction of a force that bends the path least: A^-1 force."""
         return self.inverse @ force
-
-    def smoothest(self, start: Float[Array, " nq"], goal: Float[Array, " nq"]) -> Float[Array, "point nq"]:
-        """Return the path of least `cost` between two ends, both included."""
-        q = np.zeros((self.n + 2, len(start)))
-        q[0], q[-1] = start, goal
-        q[1:-1] = -np.linalg.solve(self.matrix - self.tether * np.eye(self.n), self.gradient(q))
-        return q
 
     def noise(self, rollouts: int, nq: int, rng: np.random.Generator) -> Float[Array, "rollout n nq"]:
         """Draw Gaussian displacements of the inner points of covariance A^-1, for each joint on its own.

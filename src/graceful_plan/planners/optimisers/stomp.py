@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -29,10 +29,11 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.optimiser import Optimiser
-from graceful_plan.planners.optimisers.rollouts import Rollouts, evenly, in_close_up, weights
+from graceful_plan.planners.optimisers.rollouts import Rollouts, in_close_up, weights
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem
 from graceful_plan.planners.questions import Interrupted, Questions
+from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.settings import count, positive
 
 Array = np.ndarray
@@ -47,6 +48,7 @@ _BUMP = 6.7
 """Points that a bump spans between its zeros, times tether ** 0.25."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class STOMP(Optimiser):
     """Improves a path by noise: no gradients, any cost.
@@ -140,6 +142,7 @@ class STOMP(Optimiser):
         return moved[None]
 
 
+@final
 class _Noise:
     """Noise of one reach: its shape, and how much of it helps at present."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import final
 
 import numpy as np
 
@@ -20,6 +21,7 @@ _NO_INDEX = np.zeros(0, dtype=np.int32)
 _TELLING = 8  # edges with exposure that tell whether directions differ
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class EdgePrices:
     """Motion cost and exposure of edges; exposures of 0 are not stored.
@@ -76,6 +78,7 @@ Price = Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], EdgePrices]
 """Prices straight edges in the direction in which they are given."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Edges:
     """Directed edges with their prices.

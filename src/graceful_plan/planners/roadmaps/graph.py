@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,7 @@ from graceful_plan.exceptions import SettingError, ShapeError
 Array = np.ndarray
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class GraphFront:
     """Paths none of which dominates another, by ascending first cost."""
@@ -26,6 +28,7 @@ class GraphFront:
     """Whether the search came to its end within its time; if not, paths of least second cost are missing."""
 
 
+@final
 class Graph:
     """A directed graph; loops and parallel edges do no harm.
 

@@ -12,9 +12,10 @@ References:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -28,7 +29,7 @@ Array = np.ndarray
 FIRST_SHARE = 0.3
 """Share of the nodes that is drawn before there are paths to lie beside."""
 WEIGHTS = (0.0, 0.2, 1.0, 5.0)
-"""Safety weights that a roadmap for all weights is grown with."""
+"""Safety weights of the paths that nodes are drawn beside."""
 _BATCHES = 24
 _LEAST_BATCH = 8
 _PAIRS_AT_ONCE = 6  # whose paths a batch lies beside
@@ -42,6 +43,7 @@ _CHUNK = 64  # edges that a thread prices at once
 _BLOCK = 512  # configurations whose nearest nodes are looked for at once
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ground:
     """What a roadmap is grown in.
@@ -67,6 +69,7 @@ class Ground:
     threads: int = 1
 
 
+@final
 class Growth:
     """A roadmap while it grows.
 
@@ -76,7 +79,6 @@ class Growth:
         neighbours: How many nearest nodes one of the first nodes is joined to; half as many for those beside paths.
         rng: Source of all random numbers.
         deadline: Reading of the clock at which to stop [s]; the batch at work is then left out.
-        weights: Safety weights of the paths that nodes are drawn beside.
     """
 
     def __init__(
@@ -86,10 +88,8 @@ class Growth:
         neighbours: int,
         rng: np.random.Generator,
         deadline: float = np.inf,
-        weights: Sequence[float] = WEIGHTS,
     ) -> None:
         self.ground, self.neighbours, self.rng, self.deadline = ground, neighbours, rng, deadline
-        self.weights = weights
         self.q, place = np.unique(pairs.reshape(-1, len(ground.lower)), axis=0, return_inverse=True)
         self.pairs = place.reshape(-1, 2)
         self._parts: list[Edges] = []
@@ -160,7 +160,7 @@ class Growth:
         self._turn += len(turn)
         paths: dict[tuple[int, ...], Array] = {}
         for start, goal in self.pairs[turn].tolist():
-            for w in self.weights:
+            for w in WEIGHTS:
                 steps, _ = graph.cheapest(motion + w * impact, start, [goal])
                 if len(steps):
                     nodes = np.append(tail[steps[0]], head[steps])

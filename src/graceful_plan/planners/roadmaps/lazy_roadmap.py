@@ -7,6 +7,7 @@ graph of the first n + m, whatever the batches were, and more samples never make
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import final
 
 import numpy as np
 
@@ -22,6 +23,7 @@ _NEIGHBOUR_CHUNK = 150_000  # distances per step, about 3 ms
 _LEAST_COST = 1e-12  # a stored zero would be no edge to the graph search
 
 
+@final
 class LazyRoadmap:
     """Nodes, edges to earlier nodes in compressed rows, and the cheapest path among them.
 

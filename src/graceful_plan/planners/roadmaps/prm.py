@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.roadmaps.lazy_roadmap import LazyRoadmap
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.shortcut import MOVES, Shortcut
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.trivial import stays_at_goal
 
 Array = np.ndarray
 
@@ -32,6 +32,7 @@ _PROVEN = 1e-8
 """Relative gap to the least possible cost at which a path is the best there is."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class _Growth:
     """How a roadmap grows; what PRM and PRM* differ in."""
@@ -44,6 +45,7 @@ class _Growth:
     shortcut: Shortcut | None
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class PRM(Planner):
     """Probabilistic roadmap; stops at the first path, after shortcutting it.
@@ -68,6 +70,7 @@ class PRM(Planner):
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -80,9 +83,10 @@ class PRM(Planner):
             max_samples=self.max_samples,
             shortcut=Shortcut() if self.shortcut else None,
         )
-        return _solve(growth, problem, objective, budget, rng)
+        return _interruptible(growth, Questions(problem, objective, budget), rng)
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class PRMStar(Planner):
     """Asymptotically optimal roadmap: k(n) = factor * e (1 + 1/d) ln n neighbours.
@@ -109,6 +113,7 @@ class PRMStar(Planner):
         count("batch", self.batch)
         count("max_samples", self.max_samples, 10)
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
@@ -126,21 +131,16 @@ class PRMStar(Planner):
             max_samples=self.max_samples,
             shortcut=Shortcut(patience=len(MOVES)) if self.shortcut else None,
         )
-        return _solve(growth, problem, objective, budget, rng)
+        return _interruptible(growth, Questions(problem, objective, budget), rng)
 
 
-def _solve(
-    growth: _Growth, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
-) -> Iterator[Path]:
-    if start_is_goal(problem):
-        if budget.spend():
-            yield Path(problem.start[None])
-        return
+def _interruptible(growth: _Growth, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
     with suppress(Interrupted):
-        yield from _grow(growth, Questions(problem, objective, budget), budget, rng)
+        yield from _grow(growth, questions, rng)
 
 
-def _grow(growth: _Growth, questions: Questions, budget: Budget, rng: np.random.Generator) -> Iterator[Path]:
+def _grow(growth: _Growth, questions: Questions, rng: np.random.Generator) -> Iterator[Path]:
+    budget = questions.budget
     facts = learn_objective(questions.objective, questions.problem)
     sampler = InformedSampler(questions.problem, facts.length_bound if growth.informed else 0.0)
     cut_rng = rng.spawn(1)[0]  # so that cutting does not change which samples are drawn

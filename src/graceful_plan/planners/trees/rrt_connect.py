@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -18,10 +18,11 @@ from graceful_plan.planners.native import native_space, run_slice, seed_from
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.settings import count, positive_fraction
-from graceful_plan.planners.shortcut import Shortcut
-from graceful_plan.planners.trivial import start_is_goal
+from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
+from graceful_plan.planners.trivial import stays_at_goal
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class RRTConnect(Planner):
     """Two trees that grow towards each other. The fastest way to a first path; pays no heed to the cost.
@@ -46,23 +47,20 @@ class RRTConnect(Planner):
         positive_fraction("range", self.range)
         count("max_nodes", self.max_nodes, 10)
 
+    @stays_at_goal
     def solve(
         self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
         """Yield the first path, then shorter cuts of it."""
-        if start_is_goal(problem):
-            yield Path(problem.start[None])
-            return
-        space = native_space(problem, objective)
+        return first_and_shorter(self._connect, self.shortcut, Questions(problem, objective, budget), rng)
+
+    def _connect(self, questions: Questions, rng: np.random.Generator) -> Path | None:
+        problem = questions.problem
+        space = native_space(problem, questions.objective)
         core = _native.Connect(
             space, problem.start, problem.goals, self.range * problem.extent, self.max_nodes, seed_from(rng)
         )
-        solved = False
-        while not solved and not budget.exhausted:
-            solved = run_slice(core.run, budget)
-        if not solved:
-            return
-        path = Path(core.path)
-        yield path
-        if self.shortcut is not None:
-            yield from self.shortcut.improve(path, Questions(problem, objective, budget), budget, rng)
+        while not questions.budget.exhausted:
+            if run_slice(core.run, questions.budget):
+                return Path(core.path)
+        return None

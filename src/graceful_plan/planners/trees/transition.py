@@ -15,12 +15,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, log
-from typing import Literal
+from typing import Literal, final
 
 import numpy as np
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.planners.planner import Problem
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.settings import count, positive
 
@@ -31,6 +30,7 @@ _LOG_LIMIT = log(1e12)
 _NEGLIGIBLE = 1e-4  # climbs below this share of the range are accepted without heating or cooling [Devaurs2013]
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class TransitionSettings:
     """Constants of the transition test."""
@@ -56,6 +56,7 @@ class TransitionSettings:
             raise SettingError("temperature_factor", self.temperature_factor, "a finite number > 1")
 
 
+@final
 class TransitionTest:
     """Decides whether a step is worth its climb. Temperatures are kept as logarithms, within [1e-12, 1e12].
 
@@ -111,6 +112,7 @@ class TransitionTest:
         self._log_t = min(_LOG_LIMIT, max(-_LOG_LIMIT, self._log_t + log_factor))
 
 
+@final
 class RefinementControl:
     """Keeps a tree from growing ever denser where it already is: short steps are rationed.
 
@@ -141,8 +143,3 @@ def estimate_cost_range(questions: Questions, rng: np.random.Generator) -> float
     random = rng.uniform(problem.lower, problem.upper, (_PROBES, len(problem.start)))
     costs = questions.state_costs(np.concatenate([problem.start[None], problem.goals, random]))
     return float(np.ptp(costs))
-
-
-def default_range(problem: Problem) -> float:
-    """Longest step of cost-guided trees: 3.5 % of the extent of the space [rad] (OMPL's default)."""
-    return 0.035 * problem.extent

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import final
+
 import numpy as np
 
 from graceful_plan.array_types import Float
@@ -9,6 +11,7 @@ from graceful_plan.array_types import Float
 Array = np.ndarray
 
 
+@final
 class Tree:
     """Nodes in the order of insertion; the first are roots.
 

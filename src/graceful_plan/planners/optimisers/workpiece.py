@@ -1,0 +1,56 @@
+"""A path that an optimiser works on: its best version, how it may be bent, and the costs that guide from afar."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.path import Path
+from graceful_plan.planners.optimisers.edge_derivatives import Slopes
+from graceful_plan.planners.optimisers.incumbent import Incumbent
+from graceful_plan.planners.optimisers.smoothness import Smoothness
+from graceful_plan.planners.planner import BoundObjective, WidenableObjective
+
+Array = np.ndarray
+
+JITTER = 1e-3
+"""Displacement that breaks symmetries: where both sides are equal, a gradient chooses neither [rad]."""
+
+
+@final
+class Workpiece:
+    """What the descents of one path share.
+
+    Args:
+        path: The path to begin with.
+        edges: How many edges it has while it is worked on.
+        slopes: Questions to problem and objective.
+    """
+
+    def __init__(self, path: Path, edges: int, slopes: Slopes) -> None:
+        self.slopes, self.budget = slopes, slopes.budget
+        self.limits = slopes.problem.lower, slopes.problem.upper
+        self.kept = Incumbent(path, edges, slopes)
+        inner = max(1, len(self.kept.q) - 2)
+        self.metric, self._bends = Smoothness(inner, 1), Smoothness(inner, 2)
+
+    @property
+    def movable(self) -> bool:
+        """Whether there are points between the ends."""
+        return len(self.kept.q) > 2
+
+    def widened(self, widths: tuple[float, ...]) -> list[BoundObjective]:
+        """The objective with hits smeared, as far as it can be; nothing where they do not count."""
+        objective = self.slopes.objective
+        if not (objective.w > 0.0 and isinstance(objective, WidenableObjective)):
+            return []
+        return [wide for wide in map(objective.widened, widths) if wide is not None]
+
+    def bent(self, size: float, rng: np.random.Generator) -> Float[Array, "point nq"]:
+        """Return the best path with a smooth random displacement."""
+        q = self.kept.q.copy()
+        q[1:-1] += size * self._bends.noise(1, q.shape[1], rng)[0]
+        q[1:-1] = self.metric.into_limits(q[1:-1], *self.limits)
+        return q
