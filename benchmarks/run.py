@@ -25,6 +25,7 @@ SUBJECTS = (
     "impact_speed",
     "safety",
     "first_path",
+    "inverse_kinematics",
     "motion_problems",
     "planners",
     "best_known",

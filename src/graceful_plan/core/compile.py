@@ -268,9 +268,7 @@ def _joint_motion(amount: float, slide: bool) -> Float[Array, "4 4"]:
     return X
 
 
-def _self_pairs(
-    groups: list[_Group], n_frame: int, overlapping: frozenset[tuple[int, int]]
-) -> Int[Array, "pair 2"]:
+def _self_pairs(groups: list[_Group], n_frame: int, overlapping: frozenset[tuple[int, int]]) -> Int[Array, "pair 2"]:
     pairs = [
         (n_frame + a, n_frame + b)
         for a in range(len(groups))
