@@ -21,11 +21,6 @@ _ENDLESS: dict[str, Any] = {"time_limit": 60.0, "seed": 3}
 
 
 @pytest.fixture(scope="module")
-def task() -> gp.Task:
-    return gp.load_scene("tabletop").tasks["green_to_blue"]
-
-
-@pytest.fixture(scope="module")
 def pose(task: gp.Task) -> PoseGoal:
     data = task.scene.data_at(task.goal[0])
     X = np.eye(4)

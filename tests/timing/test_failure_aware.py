@@ -182,11 +182,6 @@ class Energy(gp.Cost):
 
 
 @pytest.fixture(scope="module")
-def task() -> gp.Task:
-    return gp.load_scene("tabletop").tasks["green_to_blue"]
-
-
-@pytest.fixture(scope="module")
 def objective() -> gp.Objective:
     return gp.Objective(impact=Energy())
 
