@@ -26,6 +26,7 @@ SUBJECTS = (
     "impact_speed",
     "safety",
     "first_path",
+    "inverse_kinematics",
     "motion_problems",
     "planners",
     "best_known",

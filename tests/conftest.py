@@ -1,6 +1,28 @@
-"""What all tests share."""
+"""What all tests share: hypothesis without haste, and the scene and task that most of them use."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    import graceful_plan as gp
 
 settings.register_profile("unhurried", deadline=None)  # no timed asserts: the machine may be busy
 settings.load_profile("unhurried")
+
+
+@pytest.fixture(scope="session")
+def scene() -> gp.Scene:
+    """Load the scene `tabletop`, with empty hands; one for all tests, since a scene never changes."""
+    import graceful_plan as gp  # here, since shapes are checked only in what is imported after the tests are configured
+
+    return gp.load_scene("tabletop")
+
+
+@pytest.fixture(scope="session")
+def task(scene: gp.Scene) -> gp.Task:
+    """Take its task `green_to_blue`; in the task's scene the object is in the gripper."""
+    return scene.tasks["green_to_blue"]

@@ -22,11 +22,6 @@ from graceful_plan.result import PlanningFailed
 _NAMES = sorted(gp.PLANNERS)
 
 
-@pytest.fixture(scope="module")
-def task():
-    return gp.load_scene("tabletop").tasks["green_to_blue"]
-
-
 def _quick(task, **settings):
     settings = {"time_limit": 0.4, **settings}
     return gp.plan(task.start, task.goal, task.scene, **settings)

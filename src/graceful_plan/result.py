@@ -57,7 +57,10 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """The independent judge's findings, by name."""
+    """The independent judge's findings, by name: the motion is verified, its cost only where there is a check "cost".
+
+    `plan` has the cost recomputed for Algorithm 1, `ImpactCost("aabb")`, and for no other model.
+    """
 
     checks: Mapping[str, Check] = field(default_factory=dict)
 
@@ -118,6 +121,7 @@ class PlanResult:
     path: Path | None = None
     trajectory: Trajectory | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
+    """The planner's own figure; the judge recomputes it only where the verdict has a check "cost"."""
     verdict: Verdict = field(default_factory=Verdict)
     trace: tuple[TracePoint, ...] = ()
     detail: str = ""

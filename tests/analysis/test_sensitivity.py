@@ -17,11 +17,6 @@ from graceful_plan.exceptions import SettingError, ShapeError
 
 
 @pytest.fixture(scope="module")
-def task() -> gp.Task:
-    return gp.load_scene("tabletop").tasks["green_to_blue"]
-
-
-@pytest.fixture(scope="module")
 def paths(task: gp.Task) -> dict[str, gp.Path]:
     rng = np.random.default_rng(0)
     middle = 0.5 * (task.start + task.goal[0]) + rng.normal(0.0, 0.4, (6, 7))

@@ -12,11 +12,6 @@ from graceful_plan.costs.cost import NonFiniteCostError, checked_state
 from graceful_plan.exceptions import CostError, SettingError, ShapeError, UnknownNameError
 
 
-@pytest.fixture(scope="module")
-def task():
-    return gp.load_scene("tabletop").tasks["green_to_blue"]
-
-
 @dataclass(frozen=True)
 class Constant(gp.Cost):
     value: float = 2.0

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
+from graceful_plan import ImpactCost, Objective, plan
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.judge.exact import Judge, first_collision, state_contacts
 from graceful_plan.judge.motion_samples import motion_samples, reach
@@ -292,6 +295,22 @@ def test_a_wrong_cost_is_found(scene: Scene, change: dict) -> None:
     assert verify(_FREE, scene, cost=CostBreakdown(**values)).passed
     assert verify(_FREE, scene, cost=CostBreakdown(**(values | change))).failures == ("cost",)
     assert verify(_FREE, scene, cost=CostBreakdown()).failures == ("cost",)
+
+
+def test_no_verdict_speaks_of_a_cost_that_was_not_recomputed() -> None:
+    """The judge has a second implementation of Algorithm 1 only, so only that cost may pass for verified."""
+    task = load_scene("tabletop_l1").tasks["green_to_blue"]
+    quick: dict = {"iterations": 30, "seed": 1}
+    checks = plan(task.start, task.goal, task.scene, w=1.0, **quick).verdict.checks
+    assert checks and not [name for name, check in checks.items() if "cost" in name or "impact" in check.detail]
+
+    objective = Objective(impact=ImpactCost(model="aabb"), w=1.0, exposure="length")
+    result = plan(task.start, task.goal, task.scene, objective=objective, **quick)
+    assert result.verdict.checks["cost"].passed and "Algorithm 1" in result.verdict.checks["cost"].detail
+    assert result.trajectory is not None and result.path is not None
+    falsified = replace(result.cost, motion=0.9 * result.cost.motion)
+    for cost, failures in ((result.cost, ()), (falsified, ("cost",))):
+        assert verify(result.trajectory, task.scene, cost=cost, cost_path=result.path).failures == failures
 
 
 def test_a_motion_of_another_robot_is_refused(scene: Scene) -> None:

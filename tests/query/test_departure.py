@@ -11,8 +11,8 @@ _OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="footprint"))
 
 
 @pytest.fixture(scope="module")
-def task():
-    return gp.load_scene("tabletop").tasks["right_to_left"]
+def task(scene):
+    return scene.tasks["right_to_left"]
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,13 @@ import pytest
 from graceful_plan.exceptions import NonFiniteError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import state_contacts
 from graceful_plan.query.goals import resolve_goal, resolve_start
-from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return load_scene("tabletop").tasks["lift_to_goal"].scene
+def scene(scene: Scene) -> Scene:
+    return scene.tasks["lift_to_goal"].scene
 
 
 @pytest.fixture(scope="module")

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import mink
 import numpy as np
 import pytest
 
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.query.ik import _Solver, solve_ik
-from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.query.ik import PoseSolver, draw_seeds, solve_ik
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return load_scene("tabletop").tasks["lift_to_goal"].scene
+def scene(scene: Scene) -> Scene:
+    return scene.tasks["lift_to_goal"].scene
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_solutions_of_reachable_poses(scene: Scene, start: np.ndarray, seed: int
     lower, upper = scene.limits.position.T
     for q in found.q:
         position, angle = pose_error(goal, _tool(scene, q))
-        assert position <= 0.01 * goal.position_tolerance and angle <= 0.01 * goal.orientation_tolerance
+        assert position <= 1e-6 and angle <= 1e-6
         assert (lower <= q).all() and (q <= upper).all()
     distances = np.linalg.norm(found.q - start, axis=1)
     assert (np.diff(distances) >= 0.0).all()
@@ -82,19 +82,57 @@ def test_colliding_solutions_are_dropped_and_counted(scene: Scene, start: np.nda
     assert (half.q[:, 0] > 0.0).all()
 
 
+@pytest.mark.parametrize("free_yaw", [False, True])
+def test_mink_polishes_every_solution(
+    scene: Scene, start: np.ndarray, free_yaw: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every solution is where a step of mink led, and as exact as doubles allow; only the start may be so already."""
+    ended, solve = [], mink.solve_ik
+
+    def spy(configuration: mink.Configuration, tasks: list, dt: float, *args: object, **settings: object) -> np.ndarray:
+        velocity = solve(configuration, tasks, dt, *args, **settings)
+        ended.append(configuration.integrate(velocity, dt)[scene.qpos_adr])
+        return velocity
+
+    monkeypatch.setattr(mink, "solve_ik", spy)
+    goal = PoseGoal(_tool(scene, _anywhere(scene, 4)), free_yaw=free_yaw)
+    found = solve_ik(goal, scene, start)
+    assert len(found.q) == 8
+    for q in found.q:
+        assert np.abs(np.array(ended) - q).max(axis=1).min() < 1e-12
+        assert max(pose_error(goal, _tool(scene, q))) < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_polishing_ends_nearer_than_the_search(scene: Scene, start: np.ndarray, seed: int) -> None:
+    solver = PoseSolver(PoseGoal(_tool(scene, _anywhere(scene, seed))), scene)
+    near, _ = solver.search(draw_seeds(scene, start, 32, np.random.default_rng(seed), 0), 60)
+    assert len(near) >= 4
+    for q in near:
+        found, (ended,) = solver.polish(q[None], 8)
+        assert sum(solver.errors(ended)) <= sum(solver.errors(q)) < 0.011
+        assert not len(found) or max(solver.errors(found[0])) < 1e-5
+
+
+def test_what_reaches_the_pose_is_not_moved(scene: Scene, start: np.ndarray) -> None:
+    found, ended = PoseSolver(PoseGoal(_tool(scene, start)), scene).polish(start[None], 8)
+    np.testing.assert_array_equal(found[0], start)
+    np.testing.assert_array_equal(ended[0], start)
+
+
 def test_mink_reaches_poses_within_limits(scene: Scene) -> None:
-    """The fallback on its own: from seeds near a configuration it comes back to its pose."""
+    """Where the search brought nothing near: from seeds near a configuration mink comes back to its pose."""
     rng = np.random.default_rng(0)
     reached = 0
+    lower, upper = scene.limits.position.T
     for seed in range(6):
         q = _anywhere(scene, seed)
-        solver = _Solver(PoseGoal(_tool(scene, q)), scene)
-        seeds = np.clip(q + 0.2 * rng.normal(size=(1, len(q))), *scene.limits.position.T)
-        found, _ = solver.polish(seeds, 30)
+        solver = PoseSolver(PoseGoal(_tool(scene, q)), scene)
+        found, _ = solver.polish(np.clip(q + 0.2 * rng.normal(size=(1, len(q))), lower, upper), 30)
         reached += len(found)
         for solution in found:
             assert max(pose_error(solver.goal, _tool(scene, solution))) < 1e-4
-            assert (scene.limits.position[:, 0] <= solution).all() and (solution <= scene.limits.position[:, 1]).all()
+            assert (lower <= solution).all() and (solution <= upper).all()
     assert reached >= 4
 
 

@@ -18,11 +18,6 @@ def person(**changes) -> gp.MovingEntity:
     return gp.MovingEntity("person", "adult", **{**PERSON, **changes})
 
 
-@pytest.fixture(scope="module")
-def scene() -> gp.Scene:
-    return gp.load_scene("tabletop")
-
-
 # --- where it is ------------------------------------------------------------------------------------------------------
 
 

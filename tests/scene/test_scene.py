@@ -18,6 +18,7 @@ from graceful_plan.exceptions import (
     UnsupportedError,
 )
 from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
+from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.scene import Scene
@@ -68,11 +69,6 @@ _NQ = 6
 def _workshop(**changes: object) -> Scene:
     given = {"robot": "six/", "tool": "six/tip", "entities": {"bench": "table", "cup": "glass"}} | changes
     return Scene.from_mjcf(changes.pop("source", _ARM), **{k: v for k, v in given.items() if k != "source"})  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def tabletop() -> Scene:
-    return load_scene("tabletop")
 
 
 # --- any arm ----------------------------------------------------------------------------------------------------------
@@ -307,9 +303,9 @@ def test_what_is_carried_rides_on_the_tool(body: str) -> None:
     assert scene.model.body(body).jntnum[0] == 1
 
 
-def test_by_default_things_hang_upright_from_a_tool_that_points_down(tabletop: Scene) -> None:
-    q = tabletop.keyframes["ready"]
-    data = tabletop.attach("white1").data_at(q)
+def test_by_default_things_hang_upright_from_a_tool_that_points_down(scene: Scene) -> None:
+    q = scene.keyframes["ready"]
+    data = scene.attach("white1").data_at(q)
     np.testing.assert_allclose(_pose(data, "white1")[:3, 2], [0.0, 0.0, 1.0], atol=1e-6)
     np.testing.assert_allclose(_pose(data, "white1")[:3, 3], _tool(data, "panda/tool")[:3, 3], atol=1e-12)
 
@@ -446,15 +442,15 @@ def test_contacts_of_random_configurations_are_among_the_pairs(name: str) -> Non
     assert seen <= pairs
 
 
-def test_pairs_and_poses_cannot_be_written_to(tabletop: Scene) -> None:
-    task = tabletop.tasks["lift_to_goal"]
+def test_pairs_and_poses_cannot_be_written_to(scene: Scene) -> None:
+    task = scene.tasks["lift_to_goal"]
     assert task.scene.carried is not None
-    limits = tabletop.limits
+    limits = scene.limits
     for array in (
-        tabletop.collision_pairs(),
-        tabletop.keyframes["lift"],
-        tabletop.home_qpos,
-        tabletop.qpos_adr,
+        scene.collision_pairs(),
+        scene.keyframes["lift"],
+        scene.home_qpos,
+        scene.qpos_adr,
         limits.position,
         limits.velocity,
         limits.acceleration,
@@ -462,7 +458,7 @@ def test_pairs_and_poses_cannot_be_written_to(tabletop: Scene) -> None:
         task.goal,
         task.start,
         task.scene.carried.X_TO,
-        tabletop.attach("white1").carried.X_TO,  # type: ignore[union-attr]
+        scene.attach("white1").carried.X_TO,  # type: ignore[union-attr]
     ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
@@ -530,25 +526,25 @@ def test_impossible_things_cannot_be_added(add: object, error: type[Exception], 
 # --- the scene as an object -------------------------------------------------------------------------------------------
 
 
-def test_a_configuration_has_the_right_shape(tabletop: Scene) -> None:
+def test_a_configuration_has_the_right_shape(scene: Scene) -> None:
     with pytest.raises(ShapeError, match="q has shape"):
-        tabletop.data_at([0.0] * 6)
+        scene.data_at([0.0] * 6)
     with pytest.raises(NonFiniteError, match="q is not finite"):
-        tabletop.data_at([np.nan] * 7)
+        scene.data_at([np.nan] * 7)
 
 
 def test_the_table_of_fields_is_true() -> None:
-    table = re.findall(r"^    \| (\w+) +\|", Scene.__doc__ or "", flags=re.MULTILINE)
+    table = re.findall(r"^    \| (\w+) +\|", SceneFacts.__doc__ or "", flags=re.MULTILINE)
     assert table[1:] == [field.name for field in dataclasses.fields(Scene)]
 
 
-def test_scenes_are_equal_only_to_themselves(tabletop: Scene) -> None:
+def test_scenes_are_equal_only_to_themselves(scene: Scene) -> None:
     other = load_scene("tabletop")
-    assert tabletop == tabletop
-    assert tabletop != other
-    assert len({tabletop, other}) == 2
+    assert scene == scene.tasks["lift_to_goal"].world
+    assert scene != other
+    assert len({scene, other}) == 2
     with pytest.raises(AttributeError):
-        tabletop.model = other.model  # type: ignore[misc]
+        scene.model = other.model  # type: ignore[misc]
 
 
 def test_a_summary_names_everything() -> None:

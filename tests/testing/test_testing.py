@@ -14,7 +14,6 @@ from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, Planner, Problem, path_total
-from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.scene import Scene
 from graceful_plan.testing import ContractError, PlannerTrial, check_cost, check_planner
 
@@ -164,11 +163,6 @@ def test_settings_that_can_be_changed_are_refused() -> None:
     )
     with pytest.raises(ContractError, match=r"is not a graceful_plan.planners.Planner"):
         check_planner("rrt", _TRIAL)  # pyright: ignore[reportArgumentType]
-
-
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return load_scene("tabletop")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,9 @@ def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
     """Signed clearance of the fast checker [m]: the least over surroundings and self, positive is free.
 
     Spheres cover robot and carried object, so that a positive value is a lower bound of the true clearance, by less
-    than 1 cm; infinite where there is nothing to hit.
+    than 1 cm; infinite where there is nothing to hit. It counts all pairs that `plan` and `verify` test: where it is
+    positive, they find no collision. What rides on one link, such as the carried object and the link behind the
+    gripper, keeps its distance in all configurations: apart it is not counted, overlapping it makes all negative.
 
     Raises:
         ShapeError: If the last axis of q is not the number of joints.

@@ -3,11 +3,16 @@
 Frames: W world, L link, P parent link, G geom, T tool. A link is a joint with everything rigidly behind it; rigid links
 without a joint group geoms that ride on the same frame and may touch the same things, so that every pair of links and
 every pair of link and obstacle is either tested or not.
+
+Geoms that ride on one frame, such as the carried object and the last link, or the base and what stands beside it, keep
+their distance in all configurations. Those that are apart are not tested, since covering spheres might overlap where
+the geoms never touch; those that overlap are tested, so that no configuration is free, as the exact judge says too.
 """
 
 from __future__ import annotations
 
 import weakref
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import mujoco
@@ -67,7 +72,8 @@ def _compile(scene: Scene) -> CompiledScene:
     data = _reference_data(scene)
     frames = _frames(scene, data)
     groups = _groups(scene, frames)
-    robot = _robot_arrays(scene, data, frames, groups)
+    overlapping = _overlapping(scene.model, data)
+    robot = _robot_arrays(scene, data, frames, groups, overlapping)
     world = _world_arrays(scene, data, groups)
     hazards = _hazard_arrays(scene, data, frames)
     _check_capacity(scene.model, groups, robot, hazards)
@@ -194,7 +200,20 @@ def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
     ]
 
 
-def _robot_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames, groups: list[_Group]) -> RobotArrays:
+def _overlapping(model: mujoco.MjModel, data: mujoco.MjData) -> frozenset[tuple[int, int]]:
+    """Return the pairs of geoms, both ways round, that overlap at the reference configuration by exact geometry."""
+    mujoco.mj_collision(model, data)
+    pairs = data.contact.geom[data.contact.dist < 0.0].tolist()
+    return frozenset((a, b) for pair in pairs for a, b in (pair, pair[::-1]))
+
+
+def _robot_arrays(
+    scene: Scene,
+    data: mujoco.MjData,
+    frames: _Frames,
+    groups: list[_Group],
+    overlapping: frozenset[tuple[int, int]],
+) -> RobotArrays:
     n_frame = len(frames.parent)
     parent, joint, slide, X_PL = list(frames.parent), [-1, *range(n_frame - 1)], [0] * n_frame, []
     for frame, p in enumerate(frames.parent):
@@ -234,7 +253,7 @@ def _robot_arrays(scene: Scene, data: mujoco.MjData, frames: _Frames, groups: li
         sphere_link=np.array(links, dtype=int),
         sphere=np.concatenate(spheres) if spheres else np.zeros((0, 4)),
         bound=np.stack([bound.get(link, np.array([0.0, 0.0, 0.0, -1.0])) for link in range(len(parent))]),
-        self_pair=_self_pairs(groups, n_frame),
+        self_pair=_self_pairs(groups, n_frame, overlapping),
         protrusion=protrusion,
     )
     return arrays
@@ -249,14 +268,26 @@ def _joint_motion(amount: float, slide: bool) -> Float[Array, "4 4"]:
     return X
 
 
-def _self_pairs(groups: list[_Group], n_frame: int) -> Int[Array, "pair 2"]:
+def _self_pairs(groups: list[_Group], n_frame: int, overlapping: frozenset[tuple[int, int]]) -> Int[Array, "pair 2"]:
     pairs = [
         (n_frame + a, n_frame + b)
         for a in range(len(groups))
         for b in range(a + 1, len(groups))
-        if groups[a].frame != groups[b].frame and groups[a].partners & set(groups[b].geoms)
+        if groups[a].partners & set(groups[b].geoms)
+        and (groups[a].frame != groups[b].frame or _overlap(groups[a], groups[b].geoms, overlapping))
+    ]
+    # Kernels do not test the base against obstacles; paired with itself, a link is never free.
+    moving = {geom for group in groups for geom in group.geoms}
+    pairs += [
+        (n_frame + a, n_frame + a)
+        for a, group in enumerate(groups)
+        if group.frame == 0 and _overlap(group, group.partners - moving, overlapping)
     ]
     return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _overlap(group: _Group, others: Iterable[int], overlapping: frozenset[tuple[int, int]]) -> bool:
+    return any((a, b) in overlapping for a in group.geoms for b in group.partners.intersection(others))
 
 
 def _cover_group(

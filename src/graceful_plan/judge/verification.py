@@ -1,8 +1,8 @@
-"""The independent judge: is a motion free of collision, within limits, from start to goal, and worth what it says?
+"""The independent judge: is a motion free of collision, within limits, and from start to goal?
 
 It takes arrays and a scene and believes nothing else. Geometry is MuJoCo's own (`exact`), on request with python-fcl
-beside it; a cost by Algorithm 1 is recomputed by a slow implementation that shares nothing with the kernels
-(`reference_cost`).
+beside it. What a motion costs is verified for Algorithm 1 alone, by a slow implementation that shares nothing with the
+kernels (`reference_cost`); no other model, the default one included, has a second implementation here.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def verify(
         scene: Where.
         start: Where it should begin, if that is to be checked.
         goal: Where it should end: a configuration, several to choose from, or a pose.
-        cost: The cost that is claimed of it, if that is to be recomputed; by Algorithm 1, `ImpactCost("aabb")`.
+        cost: The cost that is claimed of it by Algorithm 1, `ImpactCost("aabb")`, if that is to be recomputed. Leave it
+            out for any other model: the claim would be compared with Algorithm 1 all the same.
         cost_path: The path that the cost is claimed of, if not the motion itself.
         components: Components whose impact is in that cost.
         exposure: How that cost integrates impact.
@@ -62,7 +63,8 @@ def verify(
 
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
-        "consistency" and "rest"; and "start", "goal", "cost", "second_opinion" where asked for.
+        "consistency" and "rest"; and "start", "goal", "cost", "second_opinion" where asked for. Without "cost" among
+        them, nothing is said about what the motion costs.
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.
@@ -181,5 +183,5 @@ def _cost(
     parts = max(abs(sum(x.values()) - cost.impact) for x in (cost.impact_by_entity, cost.impact_by_component))
     error = (abs(claimed - expected) + parts) / max(expected, 1e-6)
     own_parts, claimed_parts = f"{own.motion:.6g} + w {own.impact:.6g}", f"{cost.motion:.6g} + w {cost.impact:.6g}"
-    detail = f"relative error of motion + w impact: claimed {claimed_parts}, recomputed {own_parts}"
+    detail = f"relative error of motion + w impact by Algorithm 1: claimed {claimed_parts}, recomputed {own_parts}"
     return Check(passed=bool(error <= COST_TOLERANCE), worst=float(error), limit=COST_TOLERANCE, detail=detail)

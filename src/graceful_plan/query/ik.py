@@ -1,20 +1,24 @@
 """Inverse kinematics: configurations that bring the tool to a pose.
 
-Damped least squares from many seeds at once on MuJoCo's Jacobians; what it cannot finish, for instance because joint
-limits are in the way, mink's quadratic programs retry from the best seeds. Solutions are filtered by a test for
-collisions, and come sorted by their distance from the start.
+Two of them do it. Damped least squares from many seeds at once, on MuJoCo's Jacobians, search: they bring a seed to
+within a millimetre or so of the pose, or give it up. mink's differential inverse kinematics finishes: its quadratic
+programs, which know the joint limits, take each of those to the exact pose. Where the search brings nothing near, for
+instance because limits are in the way, mink tries the best seeds from where they ended. Solutions are filtered by a
+test for collisions, and come sorted by their distance from the start.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import final
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.placement import Placement
@@ -27,10 +31,16 @@ FreeTest = Callable[[Array], Array]
 
 _PRECISION = 1e-3
 """Share of the tolerances that a solution may use up."""
+_NEAR = (1e-3, 1e-2)
+"""Distance [m] and angle [rad] from the pose at which the search is done and mink takes over."""
+_POLISHING = 8
+"""Iterations of mink from there at most; Newton's method needs three where no limit is in the way."""
+_EXACT = 1e-10
+"""Error [m and rad together] below which another iteration would change nothing but the rounding."""
 _LARGEST_STEP = 0.5
-"""Of a joint in one iteration [rad or m]."""
-_POLISHED = 4
-"""How many of the best seeds mink tries again where nothing was reached."""
+"""Of a joint in one iteration of the search [rad or m]."""
+_RETRIED = 4
+"""How many of the best seeds mink takes on where the search brought none near."""
 _PATIENCE, _PROGRESS = 10, 0.7
 """A seed is given up if the error is not below this share of what it was that many iterations before."""
 _SAME = 0.1
@@ -86,28 +96,31 @@ def solve_ik(
         if value < 1:
             raise SettingError(name, value, "at least 1")
     q_start = finite_array("start", start, ndim=1, last=len(scene.joints))
-    solver = _Solver(goal, scene, cancelled)
+    solver = PoseSolver(goal, scene, cancelled)
     rng = np.random.default_rng(seed)
     reached = np.empty((0, len(q_start)))
     colliding, best = 0, (np.inf, np.inf)
     for number in range(rounds):
-        found, best_here = solver.descend(_seeds(scene, q_start, seeds, rng, number), iterations)
-        if not len(found):
-            found, best_here = solver.polish(best_here[:_POLISHED], iterations // 2)
-        best = min(best, solver.errors(best_here), key=solver.badness)
-        if not len(found):
-            break  # not one of so many seeds: out of reach
-        good = np.ones(len(found), dtype=bool) if free is None else np.asarray(free(found), dtype=bool)
-        colliding += int((~good).sum())
-        nearest = np.argsort(np.linalg.norm(found[good] - q_start, axis=1), kind="stable")
-        reached = _distinct(np.concatenate([reached, found[good][nearest]]))
-        if len(reached) >= count or cancelled():
+        near, ended = solver.search(draw_seeds(scene, q_start, seeds, rng, number), iterations)
+        best = min(best, solver.errors(ended[0]), key=solver.badness)
+        near = near[np.argsort(np.linalg.norm(near - q_start, axis=1), kind="stable")]
+        left, longest = (near, _POLISHING) if len(near) else (ended[:_RETRIED], iterations // 2)
+        out_of_reach = True
+        # The nearest first, and no more of them than it takes: most of the time goes into mink.
+        while len(left) and len(reached) < count and not cancelled():
+            found, ended = solver.polish(left[:count], longest)
+            left, out_of_reach = left[count:], out_of_reach and not len(found)
+            best = min(best, solver.errors(ended[0]), key=solver.badness)
+            good = np.ones(len(found), dtype=bool) if free is None else np.asarray(free(found), dtype=bool)
+            colliding += int((~good).sum())
+            reached = _distinct(np.concatenate([reached, found[good]]))
+        if out_of_reach or len(reached) >= count or cancelled():
             break
     order = np.argsort(np.linalg.norm(reached - q_start, axis=1), kind="stable")
     return IKResult(reached[order][:count], *best, colliding)
 
 
-def _seeds(
+def draw_seeds(
     scene: Scene, start: Float[Array, " nq"], n: int, rng: np.random.Generator, number: int
 ) -> Float[Array, "n nq"]:
     """Draw seeds: around the start, farther out from seed to seed, and anywhere; keyframes and the start come first."""
@@ -126,8 +139,9 @@ def _distinct(q: Float[Array, "n nq"]) -> Float[Array, "m nq"]:
     return np.array(kept).reshape(-1, q.shape[1])
 
 
-class _Solver:
-    """Iterations towards one pose."""
+@final
+class PoseSolver:
+    """The two kinds of iterations towards one pose: a search from seeds, and mink's from where that ended."""
 
     def __init__(self, goal: PoseGoal, scene: Scene, cancelled: Callable[[], bool] = lambda: False) -> None:
         self.goal, self.scene, self.placement, self.cancelled = goal, scene, Placement(scene), cancelled
@@ -136,16 +150,14 @@ class _Solver:
         self.dofs = self.model.jnt_dofadr[[self.model.joint(name).id for name in scene.joints]]
         self.lower, self.upper = scene.limits.position.T
 
-    def descend(
-        self, seeds: Float[Array, "n nq"], iterations: int
-    ) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
-        """Iterate from all seeds; return what reached the pose, and where everything ended, the best first."""
+    def search(self, seeds: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
+        """Iterate from all seeds; return what came near the pose, and where everything ended, the best first."""
         q = seeds.copy()
         active = np.arange(len(q))
         past = np.full(len(q), np.inf)
         for iteration in range(iterations):
             error, jacobian = self._linearised(q[active])
-            going = ~self._done(error)
+            going = ~_within(error, *_NEAR)
             if iteration % _PATIENCE == _PATIENCE - 1:
                 size = np.linalg.norm(error, axis=1)
                 going &= size < _PROGRESS * past[active]
@@ -161,11 +173,34 @@ class _Solver:
             again = _damped_step(error, np.where(blocked[:, None, :], 0.0, jacobian))
             q[active] = np.clip(q[active] + again, self.lower, self.upper)
         error, _ = self._linearised(q)
-        order = np.argsort(np.linalg.norm(error, axis=1), kind="stable")
-        return q[self._done(error)], q[order]
+        return q[_within(error, *_NEAR)], q[_best_first(error)]
 
     def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
-        """Do what `descend` does by mink, whose quadratic programs know the joint limits."""
+        """Move configurations to the pose by mink; return what reached it, and where all of them ended, the best first.
+
+        None ends farther from the pose than it was.
+        """
+        ended = q.copy()
+        for i, configuration in enumerate(q):
+            least = sum(self.errors(configuration))
+            for _ in range(iterations):
+                if self.cancelled():
+                    break
+                configuration = self._mink_step(configuration)
+                error = sum(self.errors(configuration))
+                if error < least - _EXACT:
+                    ended[i], least = configuration, error
+                if error <= _EXACT:
+                    break
+        error, _ = self._linearised(ended)
+        reached = _within(
+            error, _PRECISION * self.goal.position_tolerance, _PRECISION * self.goal.orientation_tolerance
+        )
+        return ended[reached], ended[_best_first(error)]
+
+    @cached_property
+    def _mink_step(self) -> Callable[[Float[Array, " nq"]], Float[Array, " nq"]]:
+        """One iteration of mink, as a function; nothing but the planned joints moves the tool."""
         import mink
 
         task = mink.FrameTask(
@@ -176,35 +211,27 @@ class _Solver:
             lm_damping=1e-3,
         )
         task.set_target(mink.SE3.from_matrix(self.goal.X_WT))
-        others = np.setdiff1d(np.arange(self.model.nv), self.dofs)
-        frozen = [mink.DofFreezingTask(self.model, dof_indices=others.tolist())] if len(others) else []
-        limits = [mink.ConfigurationLimit(self.model)]
-        ended = q.copy()
-        for i, seed in enumerate(q):
-            configuration = mink.Configuration(self.model, self.placement.place(seed).qpos.copy())
-            for _ in range(iterations):
-                velocity = mink.solve_ik(
-                    configuration, [task], 1.0, "daqp", damping=1e-6, limits=limits, constraints=frozen
-                )
-                configuration.integrate_inplace(velocity, 1.0)
-                ended[i] = np.clip(configuration.q[self.scene.qpos_adr], self.lower, self.upper)
-                if self._done(self._linearised(ended[i : i + 1])[0])[0] or self.cancelled():
-                    break
-        error, _ = self._linearised(ended)
-        order = np.argsort(np.linalg.norm(error, axis=1), kind="stable")
-        return ended[self._done(error)], ended[order]
+        adr = self.scene.qpos_adr
+        limit = mink.ConfigurationLimit(self.model, gain=1.0)
+        limit.lower[adr], limit.upper[adr] = self.lower, self.upper
+        qpos = self.scene.home_qpos.copy()
+        configuration = mink.Configuration(self.model, qpos)
 
-    def errors(self, q: Float[Array, "n nq"]) -> tuple[float, float]:
-        """Position and orientation error of the first configuration."""
-        return pose_error(self.goal, self._pose(q[0]))
+        def step(q: Float[Array, " nq"]) -> Float[Array, " nq"]:
+            qpos[adr] = q
+            configuration.update(qpos)
+            velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-9, limits=[limit])
+            return np.clip(configuration.integrate(velocity, 1.0)[adr], self.lower, self.upper)
+
+        return step
+
+    def errors(self, q: Float[Array, " nq"]) -> tuple[float, float]:
+        """Position and orientation error of a configuration [m, rad]."""
+        return pose_error(self.goal, self._pose(q))
 
     def badness(self, error: tuple[float, float]) -> float:
         """Put position and orientation errors on one scale."""
         return error[0] / self.goal.position_tolerance + error[1] / self.goal.orientation_tolerance
-
-    def _done(self, error: Float[Array, "n 6"]) -> Bool[Array, " n"]:
-        near = np.linalg.norm(error[:, :3], axis=1) <= _PRECISION * self.goal.position_tolerance
-        return near & (np.linalg.norm(error[:, 3:], axis=1) <= _PRECISION * self.goal.orientation_tolerance)
 
     def _pose(self, q: Float[Array, " nq"]) -> Float[Array, "4 4"]:
         data = self.placement.place(q)
@@ -234,6 +261,14 @@ class _Solver:
             skew = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
             error[:, 3:] = _turn(skew, 0.5 * (np.trace(D, axis1=1, axis2=2) - 1.0), np.array([1.0, 0.0, 0.0]))
         return error, jacobian
+
+
+def _within(error: Float[Array, "n 6"], distance: float, angle: float) -> Bool[Array, " n"]:
+    return (np.linalg.norm(error[:, :3], axis=1) <= distance) & (np.linalg.norm(error[:, 3:], axis=1) <= angle)
+
+
+def _best_first(error: Float[Array, "n 6"]) -> Int[Array, " n"]:
+    return np.argsort(np.linalg.norm(error, axis=1), kind="stable")
 
 
 def _damped_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:

@@ -13,6 +13,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.elements import Limits, Notes
+from graceful_plan.scene.screening import compile_spec
 
 Array = np.ndarray
 
@@ -77,6 +78,19 @@ def colliding_geoms(model: mujoco.MjModel, bodies: Collection[int]) -> tuple[int
     """Return the geoms of some bodies that can collide, ascending."""
     mine = np.isin(model.geom_bodyid, list(bodies))
     return tuple(np.flatnonzero(mine & collides(model)).tolist())
+
+
+def checked_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a model and refuse what a scene cannot have.
+
+    Raises:
+        SceneError: If it cannot be compiled or has numbers that are not finite.
+        UnsupportedError: If it has features that cannot be represented.
+    """
+    model = compile_spec(spec)
+    check_numbers(model)
+    check_supported(model)
+    return model
 
 
 def check_supported(model: mujoco.MjModel) -> None:

@@ -1,7 +1,7 @@
 """A scene: robot, surroundings and what is known about both; the library's door to MuJoCo.
 
 A `Scene` never changes: `attach`, `detach`, `with_severity` and `add_*` return new ones. Frames: W world, T tool,
-O carried object. Batches of configurations are the business of `kernels.py`.
+O carried object. Batches of configurations are the business of `core.kernels`.
 """
 
 from __future__ import annotations
@@ -20,20 +20,14 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError
 from graceful_plan.path import finite_array
-from graceful_plan.scene import roles, screening
+from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
 from graceful_plan.scene.edit import add_hull, add_primitive
-from graceful_plan.scene.elements import (
-    AllowedContact,
-    Contents,
-    EntityNote,
-    Notes,
-)
+from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, Notes
 from graceful_plan.scene.facts import SceneFacts
-from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.harm.severity import SeverityTable, given_severity
 from graceful_plan.scene.model_parts import (
-    check_numbers,
-    check_supported,
+    checked_model,
     find,
     finger_positions,
     joint_limits,
@@ -42,6 +36,7 @@ from graceful_plan.scene.model_parts import (
     robot_bodies,
 )
 from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.screening import load_spec
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
 
@@ -107,8 +102,8 @@ class Scene(SceneFacts):
             UnsupportedError: If it has features that cannot be represented.
             UnknownNameError: If a body, site, joint or class does not exist.
         """
-        spec = screening.load_spec(source)
-        table, overrides = _severity(severity)
+        spec = load_spec(source)
+        table, overrides = given_severity(severity)
         notes = Notes(
             name=name or spec.modelname,
             robot=robot,
@@ -133,7 +128,8 @@ class Scene(SceneFacts):
     @classmethod
     def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:
         """Make a scene of a MjSpec, which must not change any more, and notes. For loaders; users call `from_mjcf`."""
-        model = _compile(spec, notes) if compiled is None else compiled
+        with notes.about("world"):
+            model = checked_model(spec) if compiled is None else compiled
         with notes.about("robot"):
             robot = robot_bodies(model, notes.robot)
         with notes.about("tool"):
@@ -264,7 +260,7 @@ class Scene(SceneFacts):
             UnknownNameError: If a name is neither an entity nor a class.
             SettingError: If a severity is not a finite number of at least 0.
         """
-        table, overrides = _severity(severity)
+        table, overrides = given_severity(severity)
         table = table if isinstance(severity, SeverityTable) else self.notes.severity
         notes = replace(self.notes, severity=table, overrides=dict(self.notes.overrides) | overrides)
         return Scene.build(self.spec, notes, self.model)
@@ -359,19 +355,3 @@ class Task:
         if self.object_name is None:
             return self.world
         return self.world.attach(self.object_name, support=self.support)
-
-
-def _compile(spec: mujoco.MjSpec, notes: Notes) -> mujoco.MjModel:
-    with notes.about("world"):
-        model = screening.compile_spec(spec)
-        check_numbers(model)
-        check_supported(model)
-    return model
-
-
-def _severity(given: SeverityTable | Mapping[str, Any] | str | Path | None) -> tuple[SeverityTable, dict[str, Any]]:
-    if isinstance(given, SeverityTable):
-        return given, {}
-    if isinstance(given, str | Path):
-        return SeverityTable.load(given), {}
-    return SeverityTable.shipped(), dict(given or {})

@@ -111,7 +111,7 @@ class _Screen:
 
     def text(self, text: str) -> None:
         """Screen a model that is not in a file, so that there is no folder to find others in."""
-        _Reader(self, "<text>", 1).read(text.encode())
+        _XmlReader(self, "<text>", 1).read(text.encode())
         for asset in self.assets:
             self.asset(asset)
 
@@ -132,7 +132,7 @@ class _Screen:
             raise SceneError(f"more than {MAX_FILES} files are included", file=str(file))
         self.places.add(resolved.parent)
         self.reading.append(resolved)
-        _Reader(self, str(file), replicas).read(content)
+        _XmlReader(self, str(file), replicas).read(content)
         self.reading.pop()
 
     def found(self, given: str, folders: Iterable[str] = ("",)) -> list[Path] | None:
@@ -174,7 +174,7 @@ class _Asset:
     line: int
 
 
-class _Reader:
+class _XmlReader:
     """Walks through one XML text."""
 
     def __init__(self, screen: _Screen, name: str, replicas: int) -> None:

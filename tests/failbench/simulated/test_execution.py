@@ -8,11 +8,6 @@ from failbench.simulated.execution import CHECKPOINT
 
 
 @pytest.fixture(scope="module")
-def task():
-    return gp.load_scene("tabletop").tasks["green_to_blue"]
-
-
-@pytest.fixture(scope="module")
 def result(task):
     return gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=20, speed=0.5)
 

@@ -312,11 +312,6 @@ def test_a_blocked_path_gives_nothing_to_fall_back_on() -> None:
 
 
 @pytest.fixture(scope="module")
-def task() -> gp.Task:
-    return gp.load_scene("tabletop").tasks["green_to_blue"]
-
-
-@pytest.fixture(scope="module")
 def initial(task: gp.Task) -> Path:
     path = gp.plan(task.start, task.goal, task.scene, planner="rrt_connect", iterations=300, seed=1).path
     assert path is not None

@@ -27,26 +27,21 @@ _ROUNDING = 5e-3
 """The published joint values have four decimals and come from another inverse kinematics with a loose tolerance."""
 
 
-@pytest.fixture(scope="module")
-def tabletop() -> Scene:
-    return load_scene("tabletop")
-
-
 def _published_tool(scene: Scene, q: np.ndarray) -> np.ndarray:
     hand = scene.data_at(q).body("panda/hand")
     return hand.xpos + _TOOL_AHEAD_OF_HAND * hand.xmat.reshape(3, 3)[:, 2]
 
 
-def test_boxes_stand_where_they_were_published(tabletop: Scene) -> None:
-    model = tabletop.model
+def test_boxes_stand_where_they_were_published(scene: Scene) -> None:
+    model = scene.model
     for color, places, severity in (("white", _WHITE, 2.0), ("red", _RED, 10.0)):
-        boxes = [e for e in tabletop.entities.values() if e.name.startswith(color)]
+        boxes = [e for e in scene.entities.values() if e.name.startswith(color)]
         assert {tuple(np.round(model.body(e.name).pos[:2], 6).tolist()) for e in boxes} == places
         assert len(boxes) == len(places)
         assert {severity} == {s for e in boxes for s in e.severity.values()}
     for name, place in (("green", (0.2, -0.25)), ("blue", (-0.2, -0.45))):
         np.testing.assert_allclose(model.body(name).pos[:2], place)
-        assert set(tabletop.entities[name].severity.values()) == {0.0}
+        assert set(scene.entities[name].severity.values()) == {0.0}
     free = [b for b in range(model.nbody) if model.body_dofnum[b] == 6]
     assert len(free) == 15
     for b in free:
@@ -55,39 +50,39 @@ def test_boxes_stand_where_they_were_published(tabletop: Scene) -> None:
         np.testing.assert_allclose(model.geom_size[model.body_geomadr[b]], 0.03)
 
 
-def test_the_table_is_the_published_one(tabletop: Scene) -> None:
-    model = tabletop.model
-    data = tabletop.data_at(tabletop.keyframes["ready"])
+def test_the_table_is_the_published_one(scene: Scene) -> None:
+    model = scene.model
+    data = scene.data_at(scene.keyframes["ready"])
     np.testing.assert_allclose(data.geom("table_top").xpos, [0, -0.35, 0.38])
     np.testing.assert_allclose(model.geom("table_top").size, [0.3, 0.16, 0.02])
     legs = np.array([data.geom(f"table_leg{i}").xpos for i in (1, 2, 3, 4)])
     assert {tuple(p) for p in legs.round(6).tolist()} == {
         (x, round(-0.35 + y, 6), 0.18) for x in (0.28, -0.28) for y in (0.14, -0.14)
     }
-    assert set(tabletop.entities["table"].severity.values()) == {1.0}
-    assert len(tabletop.entities["table"].geoms) == 5
+    assert set(scene.entities["table"].severity.values()) == {1.0}
+    assert len(scene.entities["table"].geoms) == 5
 
 
-def test_the_simulation_is_the_published_one(tabletop: Scene) -> None:
-    option = tabletop.model.opt
+def test_the_simulation_is_the_published_one(scene: Scene) -> None:
+    option = scene.model.opt
     assert option.timestep == 1e-3
     assert option.cone == int(mujoco.mjtCone.mjCONE_ELLIPTIC)
     assert (option.impratio, option.noslip_iterations) == (5.0, 3)
-    green = tabletop.model.geom("green")
+    green = scene.model.geom("green")
     assert green.condim == 6
     np.testing.assert_allclose(green.friction, [2.8, 1.2, 0.1])
     np.testing.assert_allclose(green.solref, [0.005, 1])
     np.testing.assert_allclose(green.solimp[:3], [0.015, 1, 0.02])
-    np.testing.assert_allclose(tabletop.home_qpos[-2:], 0.03)
+    np.testing.assert_allclose(scene.home_qpos[-2:], 0.03)
 
 
 @pytest.mark.parametrize("name", _VIA)
-def test_published_postures_reach_their_points(tabletop: Scene, name: str) -> None:
-    assert np.linalg.norm(_published_tool(tabletop, tabletop.keyframes[name]) - _VIA[name]) < _ROUNDING
+def test_published_postures_reach_their_points(scene: Scene, name: str) -> None:
+    assert np.linalg.norm(_published_tool(scene, scene.keyframes[name]) - _VIA[name]) < _ROUNDING
 
 
-def test_the_object_is_held_as_published(tabletop: Scene) -> None:
-    holding = tabletop.tasks["lift_to_goal"].scene
+def test_the_object_is_held_as_published(scene: Scene) -> None:
+    holding = scene.tasks["lift_to_goal"].scene
     assert holding.carried is not None and holding.carried.object_class == "medium"
     q = holding.keyframes["t1_goal"]
     np.testing.assert_allclose(
@@ -95,11 +90,11 @@ def test_the_object_is_held_as_published(tabletop: Scene) -> None:
     )
 
 
-def test_the_published_task_is_there(tabletop: Scene) -> None:
-    task = tabletop.tasks["lift_to_goal"]
-    np.testing.assert_array_equal(task.start, tabletop.keyframes["lift"])
-    np.testing.assert_array_equal(task.goal, [tabletop.keyframes[f"t{i}_goal"] for i in (1, 2, 3, 4)])
-    assert len(tabletop.tasks) >= 4
+def test_the_published_task_is_there(scene: Scene) -> None:
+    task = scene.tasks["lift_to_goal"]
+    np.testing.assert_array_equal(task.start, scene.keyframes["lift"])
+    np.testing.assert_array_equal(task.goal, [scene.keyframes[f"t{i}_goal"] for i in (1, 2, 3, 4)])
+    assert len(scene.tasks) >= 4
 
 
 @pytest.mark.parametrize("name", _NAMES)

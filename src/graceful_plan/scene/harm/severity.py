@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.yaml_file import Block, read_yaml
@@ -95,6 +96,17 @@ class SeverityTable:
     def _check_component(self, component: str) -> None:
         if component not in self.components:
             raise UnknownNameError("component class", component, self.components)
+
+
+def given_severity(
+    given: SeverityTable | Mapping[str, Any] | str | Path | None,
+) -> tuple[SeverityTable, dict[str, Any]]:
+    """Return the table that was given, itself or by its file, else the shipped one; and replacements in it."""
+    if isinstance(given, SeverityTable):
+        return given, {}
+    if isinstance(given, str | Path):
+        return SeverityTable.load(given), {}
+    return SeverityTable.shipped(), dict(given or {})
 
 
 def check_severity(name: str, value: object) -> float:
