@@ -7,7 +7,6 @@ every pair of link and obstacle is either tested or not.
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
 
 import mujoco
@@ -18,6 +17,7 @@ from graceful_plan.core import sphere_cover
 from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.core.kernels import CAPACITY, Kernels
 from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -49,21 +49,13 @@ class CompiledScene:
     kernels: Kernels
 
 
-_compiled: weakref.WeakKeyDictionary[Scene, CompiledScene] = weakref.WeakKeyDictionary()
-
-
+@per_scene
 def compile_scene(scene: Scene) -> CompiledScene:
     """Return the scene's tables and kernels; a scene is compiled once.
 
     Raises:
         UnsupportedError: If the kernels cannot represent it; names the geom.
     """
-    if scene not in _compiled:
-        _compiled[scene] = _compile(scene)
-    return _compiled[scene]
-
-
-def _compile(scene: Scene) -> CompiledScene:
     data = _reference_data(scene)
     frames = _frames(scene, data)
     groups = _groups(scene, frames)

@@ -1,5 +1,7 @@
 """The drop model in the core against the one in NumPy, which is its specification."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +13,6 @@ import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.drop import kernel as footprint_kernels
 from graceful_plan.costs.models.drop.constants import FootprintSettings
 from graceful_plan.costs.models.drop.kernel import CONSTANTS, FootprintKernel, footprint_kernel
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, footprint_tables
@@ -298,10 +299,13 @@ def test_misuse_names_the_culprit(scene, kernel):
 
 def test_a_fit_that_tries_many_constants_leaves_no_tables_behind(scene):
     shipped = FootprintSettings.shipped()
+    watched = []
     for delay in np.linspace(0.0, 0.02, 12):
         constants = {name: replace(getattr(shipped, name), delay=float(delay)) for name in SHAPE_CLASSES}
-        footprint_kernel(scene, FootprintSettings(**constants))
-    assert 0 < len(footprint_kernels._made[scene]) <= footprint_kernels._KEPT
+        watched.append(weakref.ref(footprint_kernel(scene, FootprintSettings(**constants))))
+    gc.collect()
+    assert 0 < sum(ref() is not None for ref in watched) <= 4
+    assert footprint_kernel(scene, shipped) is footprint_kernel(scene, shipped)
 
 
 def test_impacts_of_one_scene_add_up() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -17,6 +15,7 @@ from graceful_plan.costs.models.spill.constants import USES, SpillSettings
 from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
 from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -131,12 +130,6 @@ class FootprintKernel:
         return flat, _reals(rates.reshape(flat.shape)), batch
 
 
-_KEPT = 4
-"""Sets of constants for which the tables of a scene are kept."""
-_Key = tuple[FootprintConstants, SpillSettings]
-_made: weakref.WeakKeyDictionary[Scene, dict[_Key, FootprintKernel]] = weakref.WeakKeyDictionary()
-
-
 def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSettings | None = None) -> FootprintKernel:
     """Return both models of a scene in which something is carried; they are made once per set of constants.
 
@@ -148,17 +141,20 @@ def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSett
     Raises:
         UnsupportedError: If the core cannot represent it.
     """
-    tables = footprint_tables(scene)
-    constants, spill = settings.of(tables.shape_class), SpillSettings.shipped() if spill is None else spill
-    made, key = _made.setdefault(scene, {}), (constants, spill)
-    if key not in made:
-        if len(made) == _KEPT:  # a fit tries many constants, one after the other
-            made.pop(next(iter(made)))
-        kernels = compile_scene(scene).kernels
-        contents = None if scene.contents is None else (spill_tables(scene), spill)
-        speed, n_entity = scene.limits.velocity, len(scene.entities)
-        made[key] = FootprintKernel(tables, constants, kernels, speed, n_entity, contents)
-    return made[key]
+    constants = settings.of(footprint_tables(scene).shape_class)
+    return _kernel(scene, constants, SpillSettings.shipped() if spill is None else spill)
+
+
+@per_scene(most=4)
+def _kernel(scene: Scene, constants: FootprintConstants, spill: SpillSettings) -> FootprintKernel:
+    return FootprintKernel(
+        footprint_tables(scene),
+        constants,
+        compile_scene(scene).kernels,
+        speed=scene.limits.velocity,
+        n_entity=len(scene.entities),
+        contents=None if scene.contents is None else (spill_tables(scene), spill),
+    )
 
 
 def _targets(tables: FootprintTables) -> Float[Array, "target 11"]:

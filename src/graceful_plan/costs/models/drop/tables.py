@@ -6,7 +6,6 @@ only; everything that can be hit is one, whether somebody minds or not, since ob
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import PLANE_EXTENT, compile_scene
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -83,21 +83,13 @@ class FootprintTables:
     level_start: Int[Array, " level_end"]
 
 
-_made: weakref.WeakKeyDictionary[Scene, FootprintTables] = weakref.WeakKeyDictionary()
-
-
+@per_scene
 def footprint_tables(scene: Scene) -> FootprintTables:
     """Return the tables of a scene in which something is carried; they are made once.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
     """
-    if scene not in _made:
-        _made[scene] = _make(scene)
-    return _made[scene]
-
-
-def _make(scene: Scene) -> FootprintTables:
     assert scene.carried is not None  # the model asks for tables only then
     model = scene.model
     data = scene.data_at(model.qpos0[scene.qpos_adr])

@@ -8,7 +8,6 @@ static: some percent. It only guides the search; costs that are reported are tho
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import fields, replace
 from typing import Any
 
@@ -21,6 +20,7 @@ from graceful_plan.costs.models.drop.constants import FootprintConstants, Footpr
 from graceful_plan.costs.models.drop.kernel import FootprintKernel
 from graceful_plan.costs.models.drop.tables import DISC, FootprintTables, footprint_tables, levels
 from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -30,9 +30,6 @@ MOST_PLACES = 16
 _SPACING = 0.1, 0.25  # least and greatest distance between places [m]
 _ASKED = 512  # states that tell whether an entity can be hit at a place
 _NEGLIGIBLE = 1e-4  # probability there below which it cannot
-
-_made: weakref.WeakKeyDictionary[Scene, dict[tuple[str, FootprintConstants], list[tuple[FootprintKernel, float]]]]
-_made = weakref.WeakKeyDictionary()
 
 
 def moving_kernels(
@@ -53,19 +50,16 @@ def moving_kernels(
         model.with_severity(np.array([[share * weight], [0.0], [0.0]]), paces)  # all falls together
         for entity, weight in zip(scene.moving.values(), severity.tolist(), strict=True)
         if weight > 0.0
-        for model, share in _standing(scene, entity, constants)
+        for model, share in _standing(scene, entity.name, constants)
     ]
 
 
-def _standing(scene: Scene, entity: MovingEntity, constants: FootprintConstants) -> list[tuple[FootprintKernel, float]]:
+@per_scene
+def _standing(scene: Scene, entity: str, constants: FootprintConstants) -> list[tuple[FootprintKernel, float]]:
     """Return a drop model for each place where the entity can be hit, with its share of the time."""
-    made = _made.setdefault(scene, {})
-    key = entity.name, constants
-    if key not in made:
-        places = _places(entity)
-        made[key] = [(model, 1.0 / len(places)) for model in (_model(scene, constants, *p) for p in places)
-                     if _matters(scene, model)]  # fmt: skip
-    return made[key]
+    places = _places(scene.moving[entity])
+    models = [_model(scene, constants, place, spread) for place, spread in places]
+    return [(model, 1.0 / len(places)) for model in models if _matters(scene, model)]
 
 
 def _places(entity: MovingEntity) -> list[tuple[MovingEntity, float]]:

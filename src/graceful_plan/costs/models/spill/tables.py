@@ -5,7 +5,6 @@ Frames: W world, L the link that the tool rides on.
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
 
 import mujoco
@@ -15,6 +14,7 @@ from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
 from graceful_plan.scene.elements import Dry
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -62,21 +62,13 @@ class SpillTables:
     stands: Int[Array, "target 2"]
 
 
-_made: weakref.WeakKeyDictionary[Scene, SpillTables] = weakref.WeakKeyDictionary()
-
-
+@per_scene
 def spill_tables(scene: Scene) -> SpillTables:
     """Return the tables of a scene in which something with contents is carried; they are made once.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
     """
-    if scene not in _made:
-        _made[scene] = _make(scene)
-    return _made[scene]
-
-
-def _make(scene: Scene) -> SpillTables:
     assert scene.carried is not None  # the model asks for tables only then
     assert scene.contents is not None
     tables, contents = footprint_tables(scene), scene.contents
