@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from graceful_plan.analysis.checks import clearance
 from graceful_plan.analysis.gantry import gantry_scene
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.costs.models.drop.drop import release
@@ -45,6 +45,7 @@ _STANDS = 0.01  # a bottom so near to a top stands on it [m]
 _CHUNK = 20_000  # states that are asked about at once
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpactMap:
     """Expected impact of letting the carried object go, over places of its centre of mass seen from above.
@@ -122,7 +123,7 @@ class ImpactMap:
 
 def impact_map(
     scene: Scene,
-    impact: ImpactCost | None = None,
+    impact: Cost | None = None,
     *,
     height: float,
     speed: float = 0.0,
@@ -154,7 +155,7 @@ def impact_map(
     if scene.carried is None:
         raise ShapeError("scene.carried", (), "a scene with a carried object; see Scene.attach")
     impact = ImpactCost(model="footprint") if impact is None else impact
-    if type(impact) is not ImpactCost:
+    if not isinstance(impact, ImpactCost):
         raise SettingError("impact", impact, "an ImpactCost: other costs do not tell who is hit")
     for name, value in (("height", height), ("speed", speed)):
         if not 0.0 <= value < np.inf:

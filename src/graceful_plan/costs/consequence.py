@@ -23,6 +23,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import final
 
 import numpy as np
 
@@ -32,7 +33,8 @@ from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.costs.models.drop.drop import release
 from graceful_plan.costs.models.drop.functions import part_reach
 from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
-from graceful_plan.costs.models.moving.footprint import MovingSettings
+from graceful_plan.costs.models.moving.model import MovingModel
+from graceful_plan.costs.native_model import NativeModel, moving_model
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
 from graceful_plan.scene.scene import Scene
 
@@ -52,8 +54,9 @@ _UP = np.array([[0.0, 0.0, 1.0]])
 _KNOTS = 1000  # of each half of a curve, so close that straight lines are right to 1e-4
 
 
+@final
 @dataclass(frozen=True)
-class Damage(InteractionModel):
+class Damage(NativeModel):
     """P(component damages entity | failure): those of a model of contacts, times P(damage | contact). No native kernel.
 
     Args:
@@ -78,9 +81,9 @@ class Damage(InteractionModel):
         damage = damage_probability(batch, self.fragility)
         return {name: share * damage for name, share in self.contact.sources(batch).items()}
 
-    def moving_settings(self) -> MovingSettings:
-        """Return those of the model of contacts: of those who move, every contact counts."""
-        return self.contact.moving_settings()
+    def moving(self) -> MovingModel:
+        """Return that of the model of contacts: of entities that move, every contact counts."""
+        return moving_model(self.contact)
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wrapped import Wrapped
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
@@ -45,10 +46,6 @@ _ODD_ARM = """
     <geom type="box" size="0.03 0.04 0.05"/><geom type="capsule" size="0.01 0.04" pos="0.05 0 0.02" euler="0.4 0 0"/>
     <geom type="sphere" size="0.02" pos="0 0 0.07"/></body>
 </worldbody></mujoco>"""
-
-
-class Generic(Footprint):
-    """The same model, of which nobody can know that the core has it."""
 
 
 def _states(scene, n, seed, fastest=1.5):
@@ -148,7 +145,7 @@ def test_impact_is_the_sum_over_entities(scene, kernel):
 
 def test_edges_are_charged_at_their_speed(scene):
     native = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene)
-    generic = gp.Objective(impact=gp.ImpactCost(model=Generic())).bind(scene)
+    generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped())).bind(scene)
     assert native.kernel is not None and generic.kernel is None
     q0, q1 = _states(scene, 20, seed=4)[0], _states(scene, 20, seed=5)[0]
     q1[0] = q0[0]
@@ -263,7 +260,7 @@ def test_the_cost_has_the_gradient_of_its_model(scene):
     np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
     np.testing.assert_allclose(cost.gradient(batch), by_q, atol=1e-9)
     assert gp.ImpactCost(model="aabb").gradient(batch) is None
-    assert gp.ImpactCost(model=Generic()).gradient(batch) is None
+    assert gp.ImpactCost(model=Wrapped()).gradient(batch) is None
     free = gp.load_scene("tabletop")
     assert not gp.ImpactCost(model="footprint").gradient(StateBatch(free, _states(free, 3, seed=0)[0])).any()
 

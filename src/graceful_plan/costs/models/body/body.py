@@ -63,6 +63,7 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
@@ -85,6 +86,7 @@ FAR = 8.0
 _MOTION = ("brake_time", "brake_stop", "step", "carry_on")
 
 
+@final
 @dataclass(frozen=True)
 class BodyModel:
     """P that the arm and what it holds hit each entity, by way to fail.
@@ -150,7 +152,7 @@ class BodyModel:
         weights: Float[Array, "generator row"],
         paces: tuple[float, float] = (1.0, 1.0),
     ) -> ImpactKernel:
-        """Return the impact with these severities and weights, for planners; see `InteractionModel.kernel`."""
+        """Return the impact with these severities and weights, for planners; see `NativeModel.kernel`."""
         native = _native_model(scene, self.settings)
         rows = _severity(scene, severity)
         weight = _reals(mode_weights(weights, len(scene.joints))[:, : len(rows)])

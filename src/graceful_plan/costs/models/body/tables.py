@@ -6,6 +6,7 @@ Frames: W world, F a frame of the arm: 0 is the base, k + 1 rides on planned joi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -20,6 +21,7 @@ ROWS = ("body", "carried")
 """Components that the model knows, in this order."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BodyTables:
     """Tables of the body model.

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import final
 
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.exceptions import SettingError
@@ -32,6 +33,7 @@ _POSITIVE = ("position_spread", "velocity_spread", "side_height")
 _NOT_NEGATIVE = ("delay", "height_spread", "carry_spread", "side_spread", "size_spread")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class FootprintConstants:
     """Constants for one class of objects; lengths that scale with the object are in units of its `size`.
@@ -98,6 +100,7 @@ class FootprintConstants:
             raise SettingError("catch", self.catch, "a probability")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class FootprintSettings:
     """Constants of the drop model by class of the carried object, see `footprint_tables.SHAPE_CLASSES`."""

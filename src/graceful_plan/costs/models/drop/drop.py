@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import final
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class Drop:
 # --- the state at release -------------------------------------------------------------------------------------------
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Release:
     """Where the object is and how it moves when the gripper lets go; W frame, parts in the order of the tables.
@@ -88,6 +90,7 @@ def release(batch: StateBatch, tables: FootprintTables, rows: slice = slice(None
 # --- the targets' axes ------------------------------------------------------------------------------------------------
 
 
+@final
 class _Frames:
     """Turns vectors of W into the targets' axes, seen from above."""
 
@@ -111,6 +114,7 @@ class _Frames:
 # --- the four steps -------------------------------------------------------------------------------------------------
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Shape:
     """How far parts reach: per part [n part] or [n part target]."""
@@ -171,6 +175,7 @@ def _overlap(
     return D
 
 
+@final
 class _Levels:
     """Sums and products over the targets of a level, handed to each of them."""
 
@@ -234,6 +239,7 @@ def _support(
     return step(leaves), np.stack([away * Ex, away * Ey], axis=-1)
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Landing:
     """The first impact as a whole, where and how high, and what leaves it again; W frame.
@@ -333,6 +339,7 @@ def _sides(
     return H
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Flight:
     """What leads to a landing."""

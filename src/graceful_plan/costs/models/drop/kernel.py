@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import final
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -29,6 +31,7 @@ ROWS = ("carried", *USES)
 gripper holds."""
 
 
+@final
 class FootprintKernel:
     """The drop model of one scene in which something is carried, and the spill model if it has contents.
 

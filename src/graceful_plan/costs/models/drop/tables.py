@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
 
 import mujoco
 import numpy as np
@@ -35,6 +35,7 @@ _UPRIGHT = 0.9  # cosine above which a round target counts as standing
 _DOME = 0.2  # share of a rounded top that carries
 
 
+@final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FootprintTables:
     """Tables of the drop model, in the order in which they are read.

@@ -91,6 +91,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
+from typing import final
 
 import numpy as np
 
@@ -99,7 +100,6 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import AHEAD, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
-from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.costs.models.body.body import BodyModel
 from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings
 from graceful_plan.costs.models.body.tables import ROWS as HOLDING
@@ -107,8 +107,9 @@ from graceful_plan.costs.models.drop.constants import FootprintSettings
 from graceful_plan.costs.models.drop.drop import Drop, release, simulate
 from graceful_plan.costs.models.drop.kernel import ROWS, footprint_kernel
 from graceful_plan.costs.models.drop.tables import footprint_tables
-from graceful_plan.costs.models.moving.footprint import MovingSettings
+from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.models.spill.constants import SpillSettings
+from graceful_plan.costs.native_model import NativeModel
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
@@ -122,8 +123,9 @@ _SOURCE = {"carried": (("carried", "drop"),), "contents": (("dropped", "drop"), 
 _CHUNK = 200_000  # states times targets that are worked on at once
 
 
+@final
 @dataclass(frozen=True)
-class Footprint(InteractionModel):
+class Footprint(NativeModel):
     """What failures do, by models of drops, spills and failing arms: fast in the native core, details in NumPy.
 
     Args:
@@ -170,17 +172,15 @@ class Footprint(InteractionModel):
         """Return which faults are behind each of the sources, and how much they weigh."""
         return self.prior.fault_shares()
 
-    def moving_settings(self) -> MovingSettings:
-        """Return the constants of this model for those who move."""
+    def moving(self) -> MovingModel:
+        """Return the model for entities that move, with the constants and weights of this one."""
         weights = self.prior.weights()
-        return MovingSettings(constants=self.settings, drop=weights["drop"], collapse=weights["collapse"])
+        return MovingModel(settings=self.settings, drop=weights["drop"], collapse=weights["collapse"])
 
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
-    ) -> ImpactKernel | None:
-        """Return the native kernel; a subclass may compute otherwise."""
-        if type(self) is not Footprint:
-            return None
+    ) -> ImpactKernel:
+        """Return the native kernel."""
         parts: list[ImpactKernel] = []
         rows = self._severities(scene, severity)
         if scene.carried is not None and rows.any():
@@ -193,7 +193,7 @@ class Footprint(InteractionModel):
         return reduce(add, parts)
 
     def gradient(self, batch: StateBatch, severity: Float[Array, "component entity"]) -> Float[Array, "n nq"] | None:
-        """Return the derivative of sums of P S, None where arms may fail; a subclass may compute otherwise."""
+        """Return the derivative of sums of P S, None where arms may fail."""
         found = self.gradients(batch, severity)
         return None if found is None else found[0]
 
@@ -201,7 +201,7 @@ class Footprint(InteractionModel):
         self, batch: StateBatch, severity: Float[Array, "component entity"]
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
         """Return the derivatives with respect to q and to the joint velocities, None where there are none."""
-        if type(self) is not Footprint or self._arm_weights().any():
+        if self._arm_weights().any():
             return None
         if batch.scene.carried is None:
             return np.zeros_like(batch.q), np.zeros_like(batch.q)
@@ -210,7 +210,7 @@ class Footprint(InteractionModel):
 
     def widened(self, metres: float) -> Footprint | None:
         """Return a model whose objects fall from places that are uncertain by so much more, None if arms may fail."""
-        if type(self) is not Footprint or self._arm_weights().any():
+        if self._arm_weights().any():
             return None
         return replace(self, settings=self.settings.widened(metres), spill=self.spill.widened(metres))
 

@@ -32,7 +32,7 @@ Without a time, P is the mean over the predicted path, with equal weights in tim
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -59,21 +59,6 @@ _STANDS_ON = 0.1  # what is less than this above an entity's bottom is what it s
 _FAR = 8.0  # standard deviations beyond which nothing is hit
 _STATES = 20_000  # states times targets that are worked on at once
 _CHUNK = 50_000  # pairs of states and times that are worked on at once
-
-
-@dataclass(frozen=True, kw_only=True)
-class MovingSettings:
-    """How an interaction model treats those who move.
-
-    Args:
-        constants: Of the drop model.
-        drop: P that the gripper lets go, given a failure.
-        collapse: P that the arm collapses, given a failure.
-    """
-
-    constants: FootprintSettings
-    drop: float = 1.0
-    collapse: float = 1.0
 
 
 def moving_probability(
@@ -127,6 +112,7 @@ def _mean(
 # --- the entity, seen from above --------------------------------------------------------------------------------------
 
 
+@final
 class _Outline:
     """Four directions in which an entity's reach is known, at each pair of a state and a time."""
 
@@ -168,12 +154,10 @@ class _Outline:
 
 
 def _drops(batch: StateBatch, settings: FootprintSettings) -> _Drops:
-    key = _Drops, settings
-    if key not in batch.kept:
-        batch.kept[key] = _Drops(batch, settings)
-    return batch.kept[key]
+    return batch.kept.get(_Drops, settings, lambda: _Drops(batch, settings))
 
 
+@final
 class _Drops:
     """Drops from the states of a batch; what does not depend on who moves is computed once, where it is needed."""
 
@@ -214,6 +198,7 @@ class _Drops:
         return np.linalg.norm(release.c[state, :2] - entity.at(time).position[:, :2], axis=1) < reach
 
 
+@final
 class _Fallen:
     """What becomes of drops among what is static, and of those who walk into them."""
 

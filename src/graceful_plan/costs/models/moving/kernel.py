@@ -41,7 +41,7 @@ def moving_kernels(
         scene: The scene; if nothing is carried, there are no kernels.
         settings: Constants of the drop model.
         severity: Of each moving entity, for all that falls.
-        paces: As of `InteractionModel.kernel`.
+        paces: As of `NativeModel.kernel`.
     """
     if scene.carried is None:
         return []

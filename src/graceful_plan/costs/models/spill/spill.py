@@ -52,7 +52,7 @@ References:
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -68,6 +68,7 @@ from graceful_plan.costs.models.spill.tables import SpillTables
 Array = np.ndarray
 
 
+@final
 class Poured(NamedTuple):
     """What a spill depends on besides the constants of its use.
 
@@ -167,6 +168,7 @@ def _standing(
     return np.minimum(U, 1.0) * box(x, a + reach, s) * box(y, b + reach, s)
 
 
+@final
 class _Places:
     """Puts points [n target 2] or [n 1 2], seen from m in W, into the axes of some targets, seen from above."""
 

@@ -6,6 +6,7 @@ Frames: W world, L the link that the tool rides on.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import mujoco
 import numpy as np
@@ -32,6 +33,7 @@ EDGE = 0.02
 _GRID = 7
 
 
+@final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpillTables:
     """Tables of the spill model; targets and levels are those of `FootprintTables`.
