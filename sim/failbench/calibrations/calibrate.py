@@ -93,7 +93,7 @@ class Calibration:
         }
 
     def to_yaml(self) -> str:
-        """Return it as YAML text that `FootprintSettings.load` and its like read."""
+        """Return it as YAML text that `DropSettings.load` and its like read."""
         return to_yaml(self.to_document())
 
     def __str__(self) -> str:

@@ -18,8 +18,8 @@ from failbench.calibrations.failures import DROP
 from failbench.calibrations.fitting import Constant, Family, Fitted, Prior
 from graceful_plan import Scene, StateBatch
 from graceful_plan.array_types import Float
-from graceful_plan.costs.models.drop.constants import SHARED, FootprintConstants, FootprintSettings
-from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, footprint_tables
+from graceful_plan.costs.models.drop.constants import SHARED, DropConstants, DropSettings
+from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.mixture.mixture import Footprint
 
 Array = np.ndarray
@@ -64,7 +64,7 @@ class FootprintFamily(Family):
 
     def shape(self, scene: Scene) -> str:
         """Return the shape class of the carried object."""
-        return SHAPE_CLASSES[footprint_tables(scene).shape_class]
+        return SHAPE_CLASSES[drop_tables(scene).shape_class]
 
     def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> _Prepared:
         """Return the states as a batch wants them."""
@@ -73,8 +73,8 @@ class FootprintFamily(Family):
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
         """Return what `Footprint` predicts for the carried object."""
-        constants = FootprintConstants(**values)
-        model = Footprint(settings=FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
+        constants = DropConstants(**values)
+        model = Footprint(settings=DropSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
         found = model.probability(StateBatch(*prepared))
         return found[:, list(prepared.scene.components).index("carried")]
 
@@ -115,11 +115,11 @@ def calibrate_footprint(
     return calibrate(family, dropped, model="footprint", shapes=SHAPE_CLASSES, seed=seed, about=about)
 
 
-def settings_of(constants: Mapping[str, Mapping[str, Fitted]]) -> FootprintSettings:
+def settings_of(constants: Mapping[str, Mapping[str, Fitted]]) -> DropSettings:
     """Return fitted constants as the model's settings."""
-    return FootprintSettings(
+    return DropSettings(
         **{
-            shape: FootprintConstants(**{name: x.value for name, x in constants[shape].items()})
+            shape: DropConstants(**{name: x.value for name, x in constants[shape].items()})
             for shape in SHAPE_CLASSES
         }
     )

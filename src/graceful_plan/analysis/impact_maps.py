@@ -23,9 +23,8 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interaction import InteractionModel
-from graceful_plan.costs.models.drop.drop import release
-from graceful_plan.costs.models.drop.functions import part_reach
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.drop.release import heights, release
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.exact import Judge
@@ -165,7 +164,7 @@ def impact_map(
             raise SettingError(name, value, f"{unit}, finite, or None")
     rotation = _rotation(scene, q)
     gantry = gantry_scene(scene, rotation)
-    tables = footprint_tables(gantry)
+    tables = drop_tables(gantry)
     base = _surface(tables) if surface is None else float(surface)
     x, y = _cells(_bounds(scene, tables, base) if bounds is None else bounds, resolution)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -211,15 +210,12 @@ def _rotation(scene: Scene, q: ArrayLike | None) -> Float[Array, "3 3"]:
 
 def _lowest(gantry: Scene) -> float:
     """Height of the object's lowest point above its centre of mass [m], negative."""
-    tables = footprint_tables(gantry)
+    tables = drop_tables(gantry)
     state = release(StateBatch(gantry, np.zeros((1, 3))), tables)
-    up = np.array([[0.0, 0.0, 1.0]])
-    each = zip(tables.part_half, tables.part_kind, strict=True)
-    down = [part_reach(state.axes[:, p], half, int(kind), up)[0, 0] for p, (half, kind) in enumerate(each)]
-    return float((state.offset[0, :, 2] - down).min())
+    return float(heights(state, tables)[0].min() - state.c[0, 2])
 
 
-def _surface(tables: FootprintTables) -> float:
+def _surface(tables: DropTables) -> float:
     """Return the height of the top on which most surfaces stand; the higher one of two.
 
     Raises:
@@ -238,13 +234,13 @@ def _surface(tables: FootprintTables) -> float:
     return best
 
 
-def _extent(tables: FootprintTables) -> Float[Array, "target 2"]:
+def _extent(tables: DropTables) -> Float[Array, "target 2"]:
     """Half sizes of the surfaces along x and y of W."""
     (c, s), (a, b) = np.abs(tables.target_axis.T), tables.target_half.T
     return np.stack([c * a + s * b, s * a + c * b], axis=1)
 
 
-def _bounds(scene: Scene, tables: FootprintTables, surface: float) -> tuple[float, float, float, float]:
+def _bounds(scene: Scene, tables: DropTables, surface: float) -> tuple[float, float, float, float]:
     mine = (tables.target_entity >= 0) & (tables.target_height[:, 1] > surface - _FAR_BELOW)
     if not mine.any():
         raise SettingError("bounds", None, "least and greatest x, least and greatest y [m]: no entities are so high")

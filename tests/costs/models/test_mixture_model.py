@@ -17,8 +17,8 @@ from graceful_plan.costs.cost import AHEAD, StateBatch
 from graceful_plan.costs.fault_prior import GENERATORS, FaultPrior, presets
 from graceful_plan.costs.models.body.body import BodyModel
 from graceful_plan.costs.models.body.constants import BodySettings
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import footprint_kernel
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import drop_kernel
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.testing import check_cost
 
@@ -147,7 +147,7 @@ def test_one_fault_alone_acts_like_its_generator(scenes: dict[str, gp.Scene], ge
 def test_drops_and_spills_by_hand(scenes: dict[str, gp.Scene]) -> None:
     scene = scenes["contents"]
     batch = states(scene, 30)
-    alone = footprint_kernel(scene, FootprintSettings.shipped()).probability(batch.q, batch.qd)
+    alone = drop_kernel(scene, DropSettings.shipped()).probability(batch.q, batch.qd)
     # Dropped in 1 of 4 cases; spilled in half of the others.
     P = Footprint(faults=prior_of(drop=0.25, spill=0.5)).probability(batch)
     np.testing.assert_allclose(P[:, row(scene, "carried")], 0.25 * alone[:, 0], rtol=1e-12)

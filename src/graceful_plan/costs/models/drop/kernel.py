@@ -1,4 +1,4 @@
-"""The drop and spill models in the native core: `footprint_drop.py` and `spill.py`, which they are tested against."""
+"""The drop and spill models of one scene in the native core; the docstrings of both packages specify them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
-from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillSettings
 from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
 from graceful_plan.exceptions import ShapeError, UnsupportedError
@@ -32,7 +32,7 @@ gripper holds."""
 
 
 @final
-class FootprintKernel:
+class DropKernel:
     """The drop model of one scene in which something is carried, and the spill model if it has contents.
 
     Probabilities have the rows `ROWS`; without contents, theirs are zero. Rows without severity cost no time.
@@ -51,8 +51,8 @@ class FootprintKernel:
 
     def __init__(
         self,
-        tables: FootprintTables,
-        constants: FootprintConstants,
+        tables: DropTables,
+        constants: DropConstants,
         kernels: Kernels,
         speed: Float[Array, " nq"],
         n_entity: int,
@@ -133,7 +133,7 @@ class FootprintKernel:
         return flat, _reals(rates.reshape(flat.shape)), batch
 
 
-def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSettings | None = None) -> FootprintKernel:
+def drop_kernel(scene: Scene, settings: DropSettings, spill: SpillSettings | None = None) -> DropKernel:
     """Return both models of a scene in which something is carried; they are made once per set of constants.
 
     Args:
@@ -144,14 +144,14 @@ def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSett
     Raises:
         UnsupportedError: If the core cannot represent it.
     """
-    constants = settings.of(footprint_tables(scene).shape_class)
+    constants = settings.of(drop_tables(scene).shape_class)
     return _kernel(scene, constants, SpillSettings.shipped() if spill is None else spill)
 
 
 @per_scene(most=4)
-def _kernel(scene: Scene, constants: FootprintConstants, spill: SpillSettings) -> FootprintKernel:
-    return FootprintKernel(
-        footprint_tables(scene),
+def _kernel(scene: Scene, constants: DropConstants, spill: SpillSettings) -> DropKernel:
+    return DropKernel(
+        drop_tables(scene),
         constants,
         compile_scene(scene).kernels,
         speed=scene.limits.velocity,
@@ -160,7 +160,7 @@ def _kernel(scene: Scene, constants: FootprintConstants, spill: SpillSettings) -
     )
 
 
-def _targets(tables: FootprintTables) -> Float[Array, "target 11"]:
+def _targets(tables: DropTables) -> Float[Array, "target 11"]:
     """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top."""
     columns = (
         tables.target_centre,

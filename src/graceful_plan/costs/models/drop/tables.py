@@ -37,7 +37,7 @@ _DOME = 0.2  # share of a rounded top that carries
 
 @final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class FootprintTables:
+class DropTables:
     """Tables of the drop model, in the order in which they are read.
 
     | field          | meaning                                                          | unit | shape      |
@@ -85,7 +85,7 @@ class FootprintTables:
 
 
 @per_scene
-def footprint_tables(scene: Scene) -> FootprintTables:
+def drop_tables(scene: Scene) -> DropTables:
     """Return the tables of a scene in which something is carried; they are made once.
 
     Raises:
@@ -96,7 +96,7 @@ def footprint_tables(scene: Scene) -> FootprintTables:
     data = scene.data_at(model.qpos0[scene.qpos_adr])
     mujoco.mj_kinematics(model, data)
     held = [g for g in scene.components["carried"].geoms if _collides(model, g)]
-    return FootprintTables(**_object(scene, data, held), **_targets(scene, data))
+    return DropTables(**_object(scene, data, held), **_targets(scene, data))
 
 
 def _collides(model: mujoco.MjModel, geom: int) -> bool:

@@ -11,8 +11,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.moving.footprint import moving_probability
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.moving.drops import moving_probability
 from graceful_plan.costs.models.moving.kernel import moving_kernels
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.scene import Scene
@@ -31,7 +31,7 @@ class MovingModel:
         collapse: P that the arm collapses, given a failure.
     """
 
-    settings: FootprintSettings = field(default_factory=FootprintSettings.shipped)
+    settings: DropSettings = field(default_factory=DropSettings.shipped)
     drop: float = 1.0
     collapse: float = 1.0
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.scene.elements import Dry
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
@@ -36,7 +36,7 @@ _GRID = 7
 @final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpillTables:
-    """Tables of the spill model; targets and levels are those of `FootprintTables`.
+    """Tables of the spill model; targets and levels are those of `DropTables`.
 
     | field   | meaning                                                                     | unit | shape    |
     |---------|-----------------------------------------------------------------------------|------|----------|
@@ -73,7 +73,7 @@ def spill_tables(scene: Scene) -> SpillTables:
     """
     assert scene.carried is not None  # the model asks for tables only then
     assert scene.contents is not None
-    tables, contents = footprint_tables(scene), scene.contents
+    tables, contents = drop_tables(scene), scene.contents
     mouth, axis, rim, depth = _container(scene)
     room, volume = np.pi * rim**2 * depth, 1e-3 * contents.volume
     volume, dry = min(volume, room), isinstance(contents, Dry)
@@ -136,7 +136,7 @@ def _top(
     return along + float(half @ across)
 
 
-def _visible(tables: FootprintTables) -> Float[Array, " target"]:
+def _visible(tables: DropTables) -> Float[Array, " target"]:
     step = (np.arange(_GRID) + 0.5) / _GRID * 2.0 - 1.0
     x, y = (grid.ravel() for grid in np.meshgrid(step, step))
     share = np.ones(len(tables.target_entity))
@@ -151,7 +151,7 @@ def _visible(tables: FootprintTables) -> Float[Array, " target"]:
     return share
 
 
-def _stands(tables: FootprintTables) -> Int[Array, "target 2"]:
+def _stands(tables: DropTables) -> Int[Array, "target 2"]:
     level = tables.target_height[tables.level_start[:-1], 1]  # falls from each level to the next
     bottom, top = tables.target_height.T
     first = (level[None] >= (top - FLAT)[:, None]).sum(axis=1)

@@ -11,9 +11,9 @@ from test_drop import BOX, gantry
 import graceful_plan as gp
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
-from graceful_plan.costs.models.drop.constants import FootprintSettings
+from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
-from graceful_plan.costs.models.moving.footprint import moving_probability
+from graceful_plan.costs.models.moving.drops import moving_probability
 
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the model of what stands still: here the object is followed down the side of
@@ -47,7 +47,7 @@ def probability(scene, entity, q, qd=None, time=None, component="carried"):
     direction = np.divide(qd, speed[:, None], out=np.zeros_like(qd), where=speed[:, None] > 0.0)
     times = None if time is None else np.broadcast_to(np.asarray(time, float), (len(q),))
     batch = StateBatch(scene.with_moving(entity), q, direction, speed, times)
-    P = moving_probability(batch, FootprintSettings.shipped())
+    P = moving_probability(batch, DropSettings.shipped())
     return P[:, list(scene.components).index(component), 0]
 
 
@@ -97,7 +97,7 @@ def test_nobody_is_hit_who_comes_later():
 def test_they_go_on_while_it_falls():
     scene = gantry({})
     height = 0.7 - 0.05 - 0.2  # of the object's bottom above their tops [m]
-    fall = np.sqrt(2.0 * height / 9.81) + FootprintSettings.shipped().box.delay
+    fall = np.sqrt(2.0 * height / 9.81) + DropSettings.shipped().box.delay
     times = np.linspace(-1.0, 1.0, 201)
     P = probability(scene, walker(0.0, 0.0, speed=1.0, size="cylinder"), np.zeros((201, 4)), time=times)
     sure = times[P > 0.9]
@@ -181,7 +181,7 @@ def test_components_that_are_not_asked_for_are_zero():
     place = task.scene.data_at(task.start).site(task.scene.tool).xpos * [1, 1, 0] + [0, 0, 0.8]
     near = task.scene.with_moving(gp.MovingEntity("p", "adult", size=[0.2, 0.05], t=[0.0], position=[place]))
     batch = StateBatch(near, task.start[None])
-    P = moving_probability(batch, FootprintSettings.shipped(), ("contents",))[0, :, 0]
+    P = moving_probability(batch, DropSettings.shipped(), ("contents",))[0, :, 0]
     asked = np.array([name == "contents" for name in near.components])
     assert P[asked] > 0.5
     assert not P[~asked].any()
@@ -249,7 +249,7 @@ def test_moving_entities_are_hit_by_the_shipped_drop_model_whatever_the_model(sc
     batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
     components = ("body", "carried", "contents")
     own, aabb = (gp.ImpactCost(model, components, consequence) for model in (Nothing(), "aabb"))
-    n, shipped = len(scene.entities), moving_probability(batch, FootprintSettings.shipped())
+    n, shipped = len(scene.entities), moving_probability(batch, DropSettings.shipped())
     assert shipped.max() > 0.9
     for cost in (own, aabb):
         np.testing.assert_allclose(cost.probability(batch)[..., n:], shipped)
