@@ -10,8 +10,8 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from graceful_plan.core.kernels import COST_STEP
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import ROWS, footprint_kernel
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import ROWS, drop_kernel
 
 Array = np.ndarray
 
@@ -79,7 +79,7 @@ def _rates(scene: gp.Scene, n: int) -> dict[str, float]:
     every = len(scene.entities)
     severity = np.ones((len(scene.components), every))
     falls = np.array([name == "carried" for name in scene.components])[:, None]
-    drop = footprint_kernel(scene, FootprintSettings.shipped())
+    drop = drop_kernel(scene, DropSettings.shipped())
     only = np.ones((len(ROWS), every)) * (np.arange(len(ROWS)) == 0)[:, None]
     paces = gp.Objective().paces
     alone = gp.Footprint().kernel(scene, severity * falls, paces)

@@ -12,9 +12,9 @@ from benchmarks import report, suite
 from graceful_plan.core.compile import CompiledScene, compile_scene
 from graceful_plan.core.kernels import CHECK_STEP, COST_STEP, Kernels, instruction_sets
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import ROWS, FootprintKernel
-from graceful_plan.costs.models.drop.tables import footprint_tables
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel
+from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.scene import Scene
 
@@ -171,9 +171,9 @@ def _impact_work(scene: Scene, isa: str, heavy: Array, edges: tuple[Array, Array
 
 
 def _drop_work(scene: Scene, isa: str, heavy: Array, edges: tuple[Array, Array]) -> Work:
-    tables, limit = footprint_tables(scene), scene.limits.velocity
-    constants = FootprintSettings.shipped().of(tables.shape_class)
-    drop = FootprintKernel(tables, constants, _kernels(scene, isa), limit, len(scene.entities))
+    tables, limit = drop_tables(scene), scene.limits.velocity
+    constants = DropSettings.shipped().of(tables.shape_class)
+    drop = DropKernel(tables, constants, _kernels(scene, isa), limit, len(scene.entities))
     length = np.linalg.norm(edges[1] - edges[0], axis=1)
     rates = limit * np.random.default_rng(2).uniform(-1.0, 1.0, heavy.shape)
     charged = drop.with_severity(np.ones((len(ROWS), len(scene.entities))))

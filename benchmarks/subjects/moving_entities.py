@@ -11,7 +11,7 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from failbench.calibrations.skill import Figures, brier, figures
-from graceful_plan.costs.models.drop.tables import footprint_tables
+from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.timing.trajectory import State
 
 TITLE = "Moving entities: predicted against simulated hits of those who walk past"
@@ -107,7 +107,7 @@ def drop_all(job: tuple[str, int]) -> list[Event]:
 
 def _table_height(scene: gp.Scene) -> float:
     """Height of the largest surface above the floor [m]."""
-    tables = footprint_tables(scene)
+    tables = drop_tables(scene)
     raised = tables.target_height[:, 1] > 0.2
     return float(tables.target_height[raised, 1][np.argmax(tables.target_half[raised].prod(axis=1))])
 

@@ -73,7 +73,7 @@ class NeverDrops(DropsHalfTheTime):
 
 
 @dataclasses.dataclass(frozen=True)
-class OwnImpact(gp.ImpactCost):
+class OwnImpact(gp.Cost):
     def state(self, batch):
         return np.ones(len(batch))
 

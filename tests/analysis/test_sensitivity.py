@@ -126,8 +126,11 @@ def test_table(task: gp.Task, paths: dict[str, gp.Path]) -> None:
 
 
 @dataclass(frozen=True)
-class Own(gp.ImpactCost):
+class Own(gp.Cost):
     """A cost that may compute anything."""
+
+    def state(self, batch: gp.StateBatch) -> np.ndarray:
+        return np.ones(len(batch))
 
 
 @pytest.mark.parametrize(

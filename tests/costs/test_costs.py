@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from graceful_plan.costs.cost import NonFiniteCostError, checked_state
+from graceful_plan.costs.consequence import Damage
+from graceful_plan.costs.cost import NonFiniteCostError, StateBatch, checked_state
+from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.exceptions import CostError, SettingError, ShapeError, UnknownNameError
 
 
@@ -212,3 +214,34 @@ def test_paces_have_their_mean_and_need_speeds_only(task):
     assert len(found["aabb"]) == 1 and len(found["footprint"]) == 3
     with pytest.raises(SettingError, match=r"pace = 1\.5"):
         gp.Objective(pace=1.5)
+
+
+LEAVES = (gp.ImpactCost, gp.JointLength, gp.Footprint, BoxOverlap, Damage)
+
+
+@pytest.mark.parametrize("leaf", LEAVES, ids=lambda leaf: leaf.__name__)
+def test_final_classes_cannot_be_extended(leaf):
+    with pytest.raises(TypeError, match=f"Mine cannot extend {leaf.__name__}, which is final: write a gp.Cost"):
+        type("Mine", (leaf,), {})
+
+
+def test_contracts_can_be_extended_in_several_steps():
+    class Doubled(Constant):
+        pass
+
+    assert isinstance(Doubled(2.0), gp.Cost) and isinstance(Twin(), gp.InteractionModel)
+
+
+def test_what_is_kept_of_states_is_made_once_whatever_the_time(task):
+    batch = StateBatch(task.scene, task.start[None])
+    made = []
+
+    def make():
+        made.append(None)
+        return [3.0]
+
+    first = batch.kept.get(list, "a", make)
+    assert batch.at(np.ones(1)).kept.get(list, "a", make) is first and len(made) == 1
+    assert batch.kept.get(list, "b", make) is not first and len(made) == 2
+    assert batch.kept.get(tuple, "a", lambda: (1,)) == (1,)
+    assert StateBatch(task.scene, task.start[None]).kept.get(list, "a", make) is not first

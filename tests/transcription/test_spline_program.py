@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from wrapped import Wrapped
 
 import graceful_plan as gp
 from graceful_plan.planners.optimisers.nlp import Pattern
@@ -172,14 +173,12 @@ def test_slopes_of_what_is_charged(scene: Scene, name: str) -> None:
 
 
 def test_impact_without_derivatives_is_differenced(scene: Scene) -> None:
-    """A subclass hides the model's own gradient; what is left are differences."""
-
-    class Plain(gp.ImpactCost):
-        pass
-
+    """A model that holds another one hides its gradient; what is left are differences."""
     layout = SplineLayout(2, 7, 0.08)
     states = samples_at(layout, np.array([0.0, 0.5])).states(_point(layout, scene, 6))
-    exact, differenced = (ImpactCharge(cost, scene, 1.0)(states, False) for cost in (gp.ImpactCost(), Plain()))
+    exact, differenced = (
+        ImpactCharge(cost, scene, 1.0)(states, False) for cost in (gp.ImpactCost(), gp.ImpactCost(Wrapped()))
+    )
     np.testing.assert_allclose(differenced.value, exact.value)
     np.testing.assert_allclose(differenced.slope, exact.slope, atol=1e-5 * np.abs(exact.slope).max())
 

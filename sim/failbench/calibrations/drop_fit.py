@@ -19,8 +19,8 @@ from failbench.calibrations.fitting import Constant, Family, Prior
 from failbench.fault.fault import Fault
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
-from graceful_plan.costs.models.drop.constants import SHARED, FootprintConstants, FootprintSettings
-from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, footprint_tables
+from graceful_plan.costs.models.drop.constants import SHARED, DropConstants, DropSettings
+from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.costs.objective import moving_batch
 
@@ -59,7 +59,7 @@ class FootprintFamily(Family):
 
     def shape(self, scene: Scene) -> str:
         """Return the shape class of the carried object."""
-        return SHAPE_CLASSES[footprint_tables(scene).shape_class]
+        return SHAPE_CLASSES[drop_tables(scene).shape_class]
 
     def prepare(self, scene: Scene, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> States:
         """Return the states with their scene."""
@@ -67,8 +67,8 @@ class FootprintFamily(Family):
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
         """Return what `Footprint` predicts for the carried object."""
-        constants = FootprintConstants(**values)
-        model = Footprint(settings=FootprintSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
+        constants = DropConstants(**values)
+        model = Footprint(settings=DropSettings(**dict.fromkeys(SHAPE_CLASSES, constants)))
         found = model.probability(moving_batch(prepared.scene, prepared.q, prepared.qd))
         return found[:, list(prepared.scene.components).index("carried")]
 

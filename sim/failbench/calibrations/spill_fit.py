@@ -21,9 +21,9 @@ from failbench.fault.registry import faults
 from graceful_plan import Scene, UnknownNameError
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import ROWS, FootprintKernel
-from graceful_plan.costs.models.drop.tables import footprint_tables
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel
+from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
 from graceful_plan.costs.models.spill.tables import spill_tables
 
@@ -74,11 +74,11 @@ class SpillFamily(Family):
 
     components = ("contents",)
 
-    def __init__(self, use: str, settings: FootprintSettings | None = None) -> None:
+    def __init__(self, use: str, settings: DropSettings | None = None) -> None:
         if use not in USES:
             raise UnknownNameError("use of the spill model", use, USES)
         self.use, self.faults = use, FAULTS[use]
-        self._settings = FootprintSettings.shipped() if settings is None else settings
+        self._settings = DropSettings.shipped() if settings is None else settings
         self._fixed = _ALWAYS if use == "held" else {}
         self.constants = tuple(
             Constant(name=name, shared=True, **prior._asdict())
@@ -97,9 +97,9 @@ class SpillFamily(Family):
 
     def probability(self, values: Mapping[str, float], prepared: Any) -> Float[Array, "n entity"]:
         """Return what the spill model predicts for the contents."""
-        scene, tables = prepared.scene, footprint_tables(prepared.scene)
+        scene, tables = prepared.scene, drop_tables(prepared.scene)
         constants = self.of(values)
-        kernel = FootprintKernel(
+        kernel = DropKernel(
             tables,
             self._settings.of(tables.shape_class),
             compile_scene(scene).kernels,

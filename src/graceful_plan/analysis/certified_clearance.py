@@ -12,6 +12,7 @@ where the bound is not good enough yet, so that the effort goes to the tightest 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -34,6 +35,7 @@ _FIRST = 48
 """Stretches to begin with."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class ClearanceBound:
     """What is known of the clearance along a motion.
@@ -82,6 +84,7 @@ def certified_clearance(
     )
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class _Stretches:
     """Stretches of a motion, the clearance in their middles and how far anything moves from there on [m]."""
@@ -113,6 +116,7 @@ class _Stretches:
         return _Stretches(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
 
+@final
 class _Way:
     """A motion by how far the robot has come along it: joint travel weighed with rough levers."""
 
@@ -173,6 +177,7 @@ class _Way:
         return (1.0 - share) * self._travel[index] + share * self._travel[np.minimum(index + 1, len(self._travel) - 1)]
 
 
+@final
 class _Levers:
     """Bounds on how far what rides on the links moves when joints do.
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
@@ -40,6 +40,7 @@ _SHOWN = 12
 _FAULTS_SHOWN = 2
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contribution:
     """One part of the impact: a component of the robot that hits an entity after one kind of failure."""
@@ -71,6 +72,7 @@ class Contribution:
     """Where the carried object (the tool, if nothing is carried) is at the worst place, in W [m]."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explanation:
     """The impact of a motion, along it and by what causes it.
@@ -160,7 +162,7 @@ def explain(
         ShapeError: If the motion does not fit the scene.
     """
     objective = objective or Objective()
-    if type(objective.impact) is not ImpactCost:
+    if not isinstance(objective.impact, ImpactCost):
         raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
     if not np.isfinite(start_time):
         raise SettingError("start_time", start_time, "a finite time [s]")
@@ -197,6 +199,7 @@ def _charged(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Ob
     return found
 
 
+@final
 class _Along:
     """The charged states of a motion with where and when they are."""
 

@@ -7,7 +7,7 @@ an even grid, and what falls between two of its values is split between them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -26,6 +26,7 @@ _IMPOSSIBLE = 1e-9
 _CHUNK = 256  # states that are worked on at once
 
 
+@final
 class _Move(NamedTuple):
     """Part of what adding a severity to a sum does: a share of the mass at some values goes to others, each its own."""
 
@@ -34,6 +35,7 @@ class _Move(NamedTuple):
     share: float
 
 
+@final
 class _Kind(NamedTuple):
     """A kind of failure: its probability, given a failure, and P(L >= s) given this kind, by entity."""
 
@@ -41,6 +43,7 @@ class _Kind(NamedTuple):
     at_least: list[Float[Array, "n level"]]
 
 
+@final
 class HarmLaw:
     """Distributions of the impact at states, in one scene.
 
@@ -56,7 +59,7 @@ class HarmLaw:
     """
 
     def __init__(self, cost: Cost, scene: Scene, most_sums: int | None = None) -> None:
-        if type(cost) is not ImpactCost:  # a subclass may compute otherwise
+        if not isinstance(cost, ImpactCost):
             raise SettingError("impact", cost, "an ImpactCost, which knows whom a failure hits")
         self._cost = cost
         severity = cost.hazard_severity(scene)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,12 +20,11 @@ from graceful_plan.analysis.checks import clearance
 from graceful_plan.analysis.gantry import gantry_scene
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.interaction import InteractionModel
-from graceful_plan.costs.models.drop.drop import release
-from graceful_plan.costs.models.drop.functions import part_reach
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.drop.release import heights, release
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.exact import Judge
@@ -45,6 +44,7 @@ _STANDS = 0.01  # a bottom so near to a top stands on it [m]
 _CHUNK = 20_000  # states that are asked about at once
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpactMap:
     """Expected impact of letting the carried object go, over places of its centre of mass seen from above.
@@ -122,7 +122,7 @@ class ImpactMap:
 
 def impact_map(
     scene: Scene,
-    impact: ImpactCost | None = None,
+    impact: Cost | None = None,
     *,
     height: float,
     speed: float = 0.0,
@@ -154,7 +154,7 @@ def impact_map(
     if scene.carried is None:
         raise ShapeError("scene.carried", (), "a scene with a carried object; see Scene.attach")
     impact = ImpactCost(model="footprint") if impact is None else impact
-    if type(impact) is not ImpactCost:
+    if not isinstance(impact, ImpactCost):
         raise SettingError("impact", impact, "an ImpactCost: other costs do not tell who is hit")
     for name, value in (("height", height), ("speed", speed)):
         if not 0.0 <= value < np.inf:
@@ -164,7 +164,7 @@ def impact_map(
             raise SettingError(name, value, f"{unit}, finite, or None")
     rotation = _rotation(scene, q)
     gantry = gantry_scene(scene, rotation)
-    tables = footprint_tables(gantry)
+    tables = drop_tables(gantry)
     base = _surface(tables) if surface is None else float(surface)
     x, y = _cells(_bounds(scene, tables, base) if bounds is None else bounds, resolution)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -210,15 +210,12 @@ def _rotation(scene: Scene, q: ArrayLike | None) -> Float[Array, "3 3"]:
 
 def _lowest(gantry: Scene) -> float:
     """Height of the object's lowest point above its centre of mass [m], negative."""
-    tables = footprint_tables(gantry)
+    tables = drop_tables(gantry)
     state = release(StateBatch(gantry, np.zeros((1, 3))), tables)
-    up = np.array([[0.0, 0.0, 1.0]])
-    each = zip(tables.part_half, tables.part_kind, strict=True)
-    down = [part_reach(state.axes[:, p], half, int(kind), up)[0, 0] for p, (half, kind) in enumerate(each)]
-    return float((state.offset[0, :, 2] - down).min())
+    return float(heights(state, tables)[0].min() - state.c[0, 2])
 
 
-def _surface(tables: FootprintTables) -> float:
+def _surface(tables: DropTables) -> float:
     """Return the height of the top on which most surfaces stand; the higher one of two.
 
     Raises:
@@ -237,13 +234,13 @@ def _surface(tables: FootprintTables) -> float:
     return best
 
 
-def _extent(tables: FootprintTables) -> Float[Array, "target 2"]:
+def _extent(tables: DropTables) -> Float[Array, "target 2"]:
     """Half sizes of the surfaces along x and y of W."""
     (c, s), (a, b) = np.abs(tables.target_axis.T), tables.target_half.T
     return np.stack([c * a + s * b, s * a + c * b], axis=1)
 
 
-def _bounds(scene: Scene, tables: FootprintTables, surface: float) -> tuple[float, float, float, float]:
+def _bounds(scene: Scene, tables: DropTables, surface: float) -> tuple[float, float, float, float]:
     mine = (tables.target_entity >= 0) & (tables.target_height[:, 1] > surface - _FAR_BELOW)
     if not mine.any():
         raise SettingError("bounds", None, "least and greatest x, least and greatest y [m]: no entities are so high")

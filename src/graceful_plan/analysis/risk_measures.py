@@ -29,7 +29,7 @@ from __future__ import annotations
 import numbers
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,6 +56,7 @@ _MOMENTS = (100, 4000)
 """Least and greatest number of moments at which a trajectory may fail."""
 
 
+@final
 @dataclass(frozen=True)
 class RiskMeasure:
     """One number for a distribution of impact.
@@ -98,6 +99,7 @@ def conditional_value_at_risk(
     return np.asarray(np.diff(above, axis=-1, prepend=0.0) @ value[::-1] / tail)
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Risk:
     """The distribution of the impact of a failure that happens.

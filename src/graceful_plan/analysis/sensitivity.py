@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +36,7 @@ _MOST = 10_000_000  # draws times entities
 _EQUAL = 1e-9  # costs that differ by less than this, relative to the greatest, are equal
 
 
+@final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeveritySensitivity:
     """What happens to costs and ranks of some paths when severities change. Made by `severity_sensitivity`.
@@ -130,7 +132,7 @@ def severity_sensitivity(
         1.0
     """
     goal = Objective() if objective is None else objective
-    if type(goal.impact) is not ImpactCost:
+    if not isinstance(goal.impact, ImpactCost):
         raise SettingError("objective", goal.impact, "one whose impact is an ImpactCost, a sum over severities")
     if not (math.isfinite(spread) and spread >= 0.0):
         raise SettingError("spread", spread, "a finite number of at least 0")

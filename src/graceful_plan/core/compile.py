@@ -11,7 +11,6 @@ the geoms never touch; those that overlap are tested, so that no configuration i
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -23,6 +22,7 @@ from graceful_plan.core import sphere_cover
 from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.core.kernels import CAPACITY, Kernels
 from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -54,21 +54,13 @@ class CompiledScene:
     kernels: Kernels
 
 
-_compiled: weakref.WeakKeyDictionary[Scene, CompiledScene] = weakref.WeakKeyDictionary()
-
-
+@per_scene
 def compile_scene(scene: Scene) -> CompiledScene:
     """Return the scene's tables and kernels; a scene is compiled once.
 
     Raises:
         UnsupportedError: If the kernels cannot represent it; names the geom.
     """
-    if scene not in _compiled:
-        _compiled[scene] = _compile(scene)
-    return _compiled[scene]
-
-
-def _compile(scene: Scene) -> CompiledScene:
     data = _reference_data(scene)
     frames = _frames(scene, data)
     groups = _groups(scene, frames)

@@ -23,16 +23,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import final
 
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interaction import InteractionModel
-from graceful_plan.costs.models.drop.drop import release
-from graceful_plan.costs.models.drop.functions import part_reach
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
-from graceful_plan.costs.models.moving.footprint import MovingSettings
+from graceful_plan.costs.models.drop.release import heights, release
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
+from graceful_plan.costs.models.moving.model import MovingModel
+from graceful_plan.costs.native_model import NativeModel, moving_model
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
 from graceful_plan.scene.scene import Scene
 
@@ -48,12 +49,12 @@ BODY_SPREAD = 2.5
 """Standard deviation of its logarithm, from the same touches."""
 
 _GRAVITY = 9.81
-_UP = np.array([[0.0, 0.0, 1.0]])
 _KNOTS = 1000  # of each half of a curve, so close that straight lines are right to 1e-4
 
 
+@final
 @dataclass(frozen=True)
-class Damage(InteractionModel):
+class Damage(NativeModel):
     """P(component damages entity | failure): those of a model of contacts, times P(damage | contact). No native kernel.
 
     Args:
@@ -78,9 +79,9 @@ class Damage(InteractionModel):
         damage = damage_probability(batch, self.fragility)
         return {name: share * damage for name, share in self.contact.sources(batch).items()}
 
-    def moving_settings(self) -> MovingSettings:
-        """Return those of the model of contacts: of those who move, every contact counts."""
-        return self.contact.moving_settings()
+    def moving(self) -> MovingModel:
+        """Return that of the model of contacts: of entities that move, every contact counts."""
+        return moving_model(self.contact)
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources."""
@@ -112,13 +113,9 @@ def arrival_energy(batch: StateBatch) -> Float[Array, "n entity"]:
         ShapeError: If nothing is carried.
     """
     batch.object_poses  # noqa: B018  refuses a scene without a carried object
-    tables = footprint_tables(batch.scene)
+    tables = drop_tables(batch.scene)
     state = release(batch, tables)
-    reach = [
-        part_reach(state.axes[:, p], half, int(kind), _UP)[:, 0]
-        for p, (half, kind) in enumerate(zip(tables.part_half, tables.part_kind, strict=True))
-    ]
-    low = (state.c[:, 2:] + state.offset[..., 2] - np.stack(reach, axis=1)).min(axis=1)
+    low = heights(state, tables)[0].min(axis=1)
     height = np.maximum(low[:, None] - _tops(batch.scene, tables), 0.0)
     return _mass(batch.scene) * (_GRAVITY * height + 0.5 * (state.v**2).sum(axis=1)[:, None])
 
@@ -152,7 +149,7 @@ def _log_normal(z: float) -> float:
     return math.log(max(_normal(z), 1e-300))
 
 
-def _tops(scene: Scene, tables: FootprintTables) -> Float[Array, " entity"]:
+def _tops(scene: Scene, tables: DropTables) -> Float[Array, " entity"]:
     """Height of the highest point of each entity [m]; of one without geoms that collide, out of reach."""
     top = np.full(len(scene.entities), np.inf)
     for entity in range(len(top)):

@@ -8,8 +8,9 @@ the object as `Objective(motion=...)` or `Objective(impact=...)`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar, final
 
 import numpy as np
 
@@ -19,11 +20,44 @@ from graceful_plan.exceptions import CostError, ShapeError
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
+T = TypeVar("T")
 
 AHEAD = 0.1 * np.arange(1, 11)
 """Times after a state at which the motion to come is told [s]."""
 
 
+class Contract(ABC):  # noqa: B024  what is abstract is up to each contract
+    """Base of what users implement. A class that is `@final` cannot be extended, also where no type checker looks.
+
+    Planners take shortcuts for costs that they know, which would pass by what a subclass overrides.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for base in cls.__mro__[1:]:
+            if base.__dict__.get("__final__", False):
+                raise TypeError(
+                    f"{cls.__name__} cannot extend {base.__name__}, which is final: "
+                    "write a gp.Cost or a gp.InteractionModel of your own that holds one; see docs/extending.md"
+                )
+
+
+@final
+class Kept:
+    """What costs compute once for some states, whatever the time."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[type, Hashable], object] = {}
+
+    def get(self, kind: type[T], key: Hashable, make: Callable[[], T]) -> T:
+        """Return what was made of this kind for this key; it is made the first time."""
+        found = self._made.get((kind, key))
+        if not isinstance(found, kind):
+            found = self._made[kind, key] = make()
+        return found
+
+
+@final
 class StateBatch:
     """States of a moving robot, with everything that costs ask for computed once, when asked.
 
@@ -56,8 +90,7 @@ class StateBatch:
         if ahead is not None and ahead.shape != (len(q), len(AHEAD), q.shape[1]):
             raise ShapeError("ahead", ahead.shape, f"({len(q)}, {len(AHEAD)}, {q.shape[1]})")
         self.time, self.ahead = time, ahead
-        self.kept: dict[Any, Any] = {}
-        """What costs compute once for these states whatever the time, by keys of their own."""
+        self.kept = Kept()
 
     def __len__(self) -> int:
         return len(self.q)
@@ -106,7 +139,7 @@ class StateBatch:
         return self.compiled.kernels.clearance(self.q)
 
 
-class Cost(ABC):
+class Cost(Contract):
     """Base of all costs: a frozen object with `state`, and `gradient` if it can."""
 
     @abstractmethod
@@ -123,6 +156,7 @@ class Cost(ABC):
         return None
 
 
+@final
 class NonFiniteCostError(CostError):
     """A cost returned a NaN or an infinity; planning ends with the status NONFINITE."""
 

@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import final
 
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.yaml_file import Block, read_yaml
@@ -51,6 +52,7 @@ def shipped_effects(degree: str = "severe") -> _Table:
     return _of_degree(_shipped_effects(), degree)
 
 
+@final
 @dataclass(frozen=True)
 class FaultPrior:
     """How often each fault happens, and what comes of it.

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
+from typing import final
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.costs.models.published.box_overlap import BoxOverlap
+from graceful_plan.costs.native_model import NativeModel, moving_model
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.harm.fragility import FragilityTable
@@ -31,6 +33,7 @@ OF_MODEL = ("those of the model",)
 """Stands for components that are not given: none at all is something else."""
 
 
+@final
 @dataclass(frozen=True)
 class ImpactCost(Cost):
     """I(q) = sum over components and entities, also those that move, of P S.
@@ -101,7 +104,7 @@ class ImpactCost(Cost):
         still = self.interaction.probability(batch)
         if not batch.scene.moving:
             return still
-        moving = sum(self.interaction.moving_sources(batch, self.components).values())
+        moving = sum(moving_model(self.interaction).sources(batch, self.components).values())
         return np.concatenate([still, np.asarray(moving)], axis=2)
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component hazard"]]:
@@ -109,7 +112,7 @@ class ImpactCost(Cost):
         still, scene = self.interaction.sources(batch), batch.scene
         if not scene.moving:
             return still
-        moving = self.interaction.moving_sources(batch, self.components)
+        moving = moving_model(self.interaction).sources(batch, self.components)
         rows = len(batch), len(scene.components)
         none, none_moving = np.zeros((*rows, len(scene.entities))), np.zeros((*rows, len(scene.moving)))
         return {
@@ -123,35 +126,36 @@ class ImpactCost(Cost):
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
         """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""
-        if type(self) is not ImpactCost or batch.scene.moving:  # a subclass may compute otherwise
+        if batch.scene.moving:
             return None
         return self.interaction.gradient(batch, self.severity(batch.scene))
 
     def gradients(self, batch: StateBatch) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
         """Derivatives with respect to q and to the joint velocities [s/rad], None if the model has none."""
-        if type(self) is not ImpactCost or batch.scene.moving:  # a subclass may compute otherwise
+        model = self.interaction
+        if batch.scene.moving or not isinstance(model, NativeModel):
             return None
-        return self.interaction.gradients(batch, self.severity(batch.scene))
+        return model.gradients(batch, self.severity(batch.scene))
 
     def widened(self, metres: float) -> ImpactCost | None:
-        """Return a cost that smears hits by so much more, None if there is none; see `InteractionModel.widened`."""
-        wide = self.interaction.widened(metres) if type(self) is ImpactCost else None
+        """Return a cost that smears hits by so much more, None if there is none; see `NativeModel.widened`."""
+        model = self.interaction
+        wide = model.widened(metres) if isinstance(model, NativeModel) else None
         return None if wide is None else replace(self, model=wide)
 
     def kernel(self, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
-        """Return the native kernel that computes the same, None if there is none; see `InteractionModel.kernel`.
+        """Return the native kernel that computes the same, None if there is none; see `NativeModel.kernel`.
 
-        Of entities that move it is only close: see `InteractionModel.moving_kernels`.
+        Of entities that move it is only close: see `MovingModel.kernels`.
         """
-        if type(self) is not ImpactCost:  # a subclass may compute otherwise
-            return None
-        still = self.interaction.kernel(scene, self.severity(scene), paces)
+        model = self.interaction
+        still = model.kernel(scene, self.severity(scene), paces) if isinstance(model, NativeModel) else None
         if still is None or not scene.moving:
             return still
         severity = self.hazard_severity(scene)[:, len(scene.entities) :]
-        moving = self.interaction.moving_kernels(scene, severity, paces)
+        moving = moving_model(model).kernels(scene, severity, paces)
         return None if moving is None else reduce(add, moving, still)
 
     def is_published(self) -> bool:
         """Whether this is the published model, Algorithm 1, which a verdict can recompute on its own."""
-        return type(self) is ImpactCost and type(self.interaction) is BoxOverlap
+        return isinstance(self.interaction, BoxOverlap)

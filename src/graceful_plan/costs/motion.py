@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from graceful_plan.exceptions import SettingError, ShapeError
 Array = np.ndarray
 
 
+@final
 @dataclass(frozen=True)
 class JointLength(Cost):
     """Euclidean length in joint space [rad], optionally with a weight per joint.

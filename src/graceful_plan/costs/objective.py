@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import final
 
 import numpy as np
 
@@ -37,6 +38,7 @@ PACE_SPREAD = 0.42
 """Standard deviation of that share, relative to its mean."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Objective:
     """What to minimise.
@@ -87,6 +89,7 @@ class Objective:
         return SceneObjective(self, scene)
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class ChargedStates:
     """States at which a motion is charged for its impact: the integral is the sum of weight times density."""
@@ -98,6 +101,7 @@ class ChargedStates:
     """Where each is, in numbers of vertices or samples of the motion from its start; fractions lie in between."""
 
 
+@final
 class SceneObjective:
     """An objective in a scene: what planners see (`BoundObjective`), and the breakdown of whole paths."""
 
@@ -209,7 +213,7 @@ class SceneObjective:
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
         impact = self.objective.impact
-        if type(impact) is not ImpactCost:  # also a subclass, whose state() may be its own
+        if not isinstance(impact, ImpactCost):
             total = float(weight @ checked_state(impact, batch))
             return CostBreakdown(motion=motion, impact=total, w=self.w)
         exposure = np.tensordot(weight, impact.probability(batch), axes=1)
@@ -223,6 +227,7 @@ class SceneObjective:
         )
 
 
+@final
 class EdgeSamples:
     """Evenly spaced samples of many edges in one batch, both ends of each included, with trapezoid weights.
 

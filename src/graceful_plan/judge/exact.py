@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import mujoco
@@ -20,6 +19,7 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.judge.motion_samples import motion_samples
 from graceful_plan.path import Path
 from graceful_plan.scene.model_parts import geom_label
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -153,7 +153,7 @@ def first_collision(motion: Path | Trajectory, scene: Scene, step: float = 0.002
     return Collision(samples.q[first.sample], float(samples.at[first.sample]), judge.named(first))
 
 
-@lru_cache(maxsize=16)
+@per_scene
 def _prepared(scene: Scene) -> tuple[mujoco.MjModel, Bool[Array, "geom geom"], Bool[Array, "geom geom"]]:
     """Return a model that tests few pairs needlessly, the pairs to check, and those of them allowed at the ends."""
     model = copy.copy(scene.model)

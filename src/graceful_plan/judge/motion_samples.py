@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.path import Path
 from graceful_plan.scene.model_parts import subtree
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -106,7 +106,7 @@ def _subdivided(moved: Float[Array, " piece"], step: float) -> Float[Array, " sa
     return np.append(piece + (np.arange(begin[-1]) - begin[piece]) / parts[piece], float(len(parts)))
 
 
-@lru_cache(maxsize=16)
+@per_scene
 def reach(scene: Scene) -> Float[Array, " nq"]:
     """Bound how far any moving point is from each planned joint's axis, in every configuration.
 

@@ -40,7 +40,7 @@ class Exposure:
         if objective.exposure == "waypoints":
             raise SettingError("exposure", objective.exposure, "'length' or 'time' for a roadmap")
         self.objective, self.scene, self.step = objective, scene, step
-        self.by_hazard = type(objective.impact) is ImpactCost  # a subclass may compute otherwise
+        self.by_hazard = isinstance(objective.impact, ImpactCost)
         self.columns: tuple[tuple[str, str], ...] = (("", ""),)
         if self.by_hazard:
             counted = [name for name in scene.components if name in objective.impact.components]  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,7 +1,7 @@
 """Entities that move: somebody or something that can be harmed, with a predicted path over time.
 
 They are hazards and not obstacles: planners charge for harm to them, nothing checks for collisions with them. What can
-happen to them is told in `costs/interactions/moving_footprint.py`.
+happen to them is told in `costs/models/moving/drops.py`.
 """
 
 from __future__ import annotations

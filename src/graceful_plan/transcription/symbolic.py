@@ -9,7 +9,6 @@ References:
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
@@ -23,6 +22,7 @@ from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 
@@ -243,18 +243,14 @@ class SymbolicRobot:
         return torque
 
 
-_made: weakref.WeakKeyDictionary[Scene, SymbolicRobot] = weakref.WeakKeyDictionary()
-
-
+@per_scene
 def symbolic_robot(scene: Scene) -> SymbolicRobot:
     """Return the expressions of a scene's robot; they are made once per scene.
 
     Raises:
         UnsupportedError: As for `SymbolicRobot`.
     """
-    if scene not in _made:
-        _made[scene] = SymbolicRobot(scene)
-    return _made[scene]
+    return SymbolicRobot(scene)
 
 
 def _column(values: Array, rows: Any) -> Float[Array, " nq"]:

@@ -1,21 +1,23 @@
-"""The drop model in the core against the one in NumPy, which is its specification."""
+"""The drop model in the core against the one in NumPy."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from drop_twin import dropped
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wrapped import Wrapped
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.drop import kernel as footprint_kernels
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import CONSTANTS, FootprintKernel, footprint_kernel
-from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, footprint_tables
-from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import CONSTANTS, DropKernel, drop_kernel
+from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.spill.constants import SpillSettings
 from graceful_plan.costs.models.spill.tables import spill_tables
 from graceful_plan.exceptions import NonFiniteError, ShapeError
@@ -24,7 +26,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.testing import check_cost
 
 _P = 1e-11  # probabilities: what is left out to save time, and rounding; the bar is 1e-9
-SETTINGS = FootprintSettings.shipped()
+SETTINGS = DropSettings.shipped()
 
 
 _ODD_ARM = """
@@ -46,10 +48,6 @@ _ODD_ARM = """
 </worldbody></mujoco>"""
 
 
-class Generic(Footprint):
-    """The same model, of which nobody can know that the core has it."""
-
-
 def _states(scene, n, seed, fastest=1.5):
     rng = np.random.default_rng(seed)
     q = rng.uniform(*scene.limits.position.T, size=(n, len(scene.joints)))
@@ -57,17 +55,17 @@ def _states(scene, n, seed, fastest=1.5):
 
 
 def _kernel_of(scene, isa):
-    compiled, tables = compile_scene(scene), footprint_tables(scene)
+    compiled, tables = compile_scene(scene), drop_tables(scene)
     kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
     contents = None if scene.contents is None else (spill_tables(scene), SpillSettings.shipped())
     constants = SETTINGS.of(tables.shape_class)
-    return FootprintKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents)
+    return DropKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents)
 
 
 def _numpy(scene, q, qd):
     speed = np.linalg.norm(qd, axis=1)
     direction = qd / np.where(speed > 0.0, speed, 1.0)[:, None]
-    return Footprint().drop(StateBatch(scene, q, direction, speed)).entity
+    return dropped(StateBatch(scene, q, direction, speed)).entity
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +75,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def kernel(scene):
-    return footprint_kernel(scene, SETTINGS)
+    return drop_kernel(scene, SETTINGS)
 
 
 # --- values -----------------------------------------------------------------------------------------------------------
@@ -89,7 +87,7 @@ def test_the_kernel_is_the_specification(name):
         q, qd = _states(task.scene, 150, seed=k)
         q[-50:] = np.linspace(task.start, task.goal[0], 50)
         qd[-25:] = 0.0
-        found = footprint_kernel(task.scene, SETTINGS).probability(q, qd)
+        found = drop_kernel(task.scene, SETTINGS).probability(q, qd)
         np.testing.assert_allclose(found[:, 0], _numpy(task.scene, q, qd), atol=_P)
         assert found[:, 0].max() > 0.5
 
@@ -98,17 +96,17 @@ def test_the_kernel_is_the_specification(name):
 @settings(max_examples=25, deadline=None)
 def test_constants_of_all_sizes(scene, seed, scale, fastest):
     rng = np.random.default_rng(seed)
-    tables = footprint_tables(scene)
+    tables = drop_tables(scene)
     values = {n: getattr(SETTINGS.of(tables.shape_class), n) * scale ** rng.uniform(-1.0, 1.0) for n in CONSTANTS}
     values["catch"] = min(1.0, values["catch"])
     constants = type(SETTINGS.box)(**values)
     compiled = compile_scene(scene)
-    found = FootprintKernel(tables, constants, compiled.kernels, scene.limits.velocity, len(scene.entities))
+    found = DropKernel(tables, constants, compiled.kernels, scene.limits.velocity, len(scene.entities))
     q, qd = _states(scene, 40, seed, fastest)
-    twin = Footprint(settings=FootprintSettings(box=constants, cylinder=constants, plate=constants, ball=constants))
+    same = DropSettings(box=constants, cylinder=constants, plate=constants, ball=constants)
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
-    np.testing.assert_allclose(found.probability(q, qd)[:, 0], twin.drop(batch).entity, atol=1e-9)
+    np.testing.assert_allclose(found.probability(q, qd)[:, 0], dropped(batch, same).entity, atol=1e-9)
 
 
 @pytest.mark.parametrize("isa", instruction_sets())
@@ -147,7 +145,7 @@ def test_impact_is_the_sum_over_entities(scene, kernel):
 
 def test_edges_are_charged_at_their_speed(scene):
     native = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene)
-    generic = gp.Objective(impact=gp.ImpactCost(model=Generic())).bind(scene)
+    generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped())).bind(scene)
     assert native.kernel is not None and generic.kernel is None
     q0, q1 = _states(scene, 20, seed=4)[0], _states(scene, 20, seed=5)[0]
     q1[0] = q0[0]
@@ -188,7 +186,7 @@ def test_little_or_nothing_to_fall_on(vase):
     entities = {"vase": "glass"} if vase else {}
     scene = gp.Scene.from_mjcf(text, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
     q, qd = _states(scene, 9, seed=11)
-    found = footprint_kernel(scene, SETTINGS).probability(q, qd)
+    found = drop_kernel(scene, SETTINGS).probability(q, qd)
     np.testing.assert_allclose(found[:, 0], _numpy(scene, q, qd), atol=_P)
     edges = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene).edges(q[:-1], q[1:])
     assert np.all(np.isfinite(edges)) and (edges[:, 1] > 0.0).all() == bool(vase)
@@ -217,7 +215,7 @@ def _check_gradient(kernel, q, qd, severity):
 @pytest.mark.parametrize("name", gp.scenes())
 def test_gradient_is_the_finite_difference(name):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
-        scene, kernel = task.scene, footprint_kernel(task.scene, SETTINGS)
+        scene, kernel = task.scene, drop_kernel(task.scene, SETTINGS)
         severity = np.random.default_rng(k).uniform(size=(3, len(scene.entities)))
         q, qd = _states(scene, 40, seed=20 + k)
         q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
@@ -243,7 +241,7 @@ def test_in_single_precision_it_is_nearly_the_same(name, isa):
 
 @pytest.mark.parametrize("scale", [0.0, 1.0, 30.0])
 def test_single_precision_bears_extreme_speeds(scene, scale):
-    kernel = footprint_kernel(scene, SETTINGS)
+    kernel = drop_kernel(scene, SETTINGS)
     q, qd = _states(scene, 500, seed=3)
     severity = np.full((3, len(scene.entities)), 50.0)
     for array in kernel.native.gradient(severity, q, scale * qd, rough=True):
@@ -258,11 +256,11 @@ def test_the_cost_has_the_gradient_of_its_model(scene):
     cost = gp.ImpactCost(model="footprint", components=("carried",))
     severity = np.zeros((3, len(scene.entities)))
     severity[0] = cost.severity(scene).sum(axis=0)
-    impact, by_q, _ = footprint_kernel(scene, SETTINGS).gradient(q, severity, qd)
+    impact, by_q, _ = drop_kernel(scene, SETTINGS).gradient(q, severity, qd)
     np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
     np.testing.assert_allclose(cost.gradient(batch), by_q, atol=1e-9)
     assert gp.ImpactCost(model="aabb").gradient(batch) is None
-    assert gp.ImpactCost(model=Generic()).gradient(batch) is None
+    assert gp.ImpactCost(model=Wrapped()).gradient(batch) is None
     free = gp.load_scene("tabletop")
     assert not gp.ImpactCost(model="footprint").gradient(StateBatch(free, _states(free, 3, seed=0)[0])).any()
 
@@ -271,7 +269,7 @@ def test_gradient_of_an_arm_with_slides_and_turns():
     limits = {"velocity": [1.0] * 4, "acceleration": [1.0] * 4}
     entities = {"vase": "glass", "box": "robust"}
     scene = gp.Scene.from_mjcf(_ODD_ARM, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
-    kernel = footprint_kernel(scene, SETTINGS)
+    kernel = drop_kernel(scene, SETTINGS)
     _check_gradient(kernel, *_states(scene, 100, seed=9), np.array([[1.0, 0.3], [0.0, 0.0], [0.0, 0.0]]))
 
 
@@ -291,17 +289,20 @@ def test_misuse_names_the_culprit(scene, kernel):
     with pytest.raises(ShapeError, match="severity"):
         kernel.with_severity(np.ones((3, len(scene.entities) + 1)))
     with pytest.raises(ValueError, match="speed"):
-        compiled, tables = compile_scene(scene), footprint_tables(scene)
+        compiled, tables = compile_scene(scene), drop_tables(scene)
         constants = SETTINGS.of(tables.shape_class)
-        FootprintKernel(tables, constants, compiled.kernels, np.zeros(len(scene.joints)), len(scene.entities))
+        DropKernel(tables, constants, compiled.kernels, np.zeros(len(scene.joints)), len(scene.entities))
 
 
 def test_a_fit_that_tries_many_constants_leaves_no_tables_behind(scene):
-    shipped = FootprintSettings.shipped()
+    shipped = DropSettings.shipped()
+    watched = []
     for delay in np.linspace(0.0, 0.02, 12):
         constants = {name: replace(getattr(shipped, name), delay=float(delay)) for name in SHAPE_CLASSES}
-        footprint_kernel(scene, FootprintSettings(**constants))
-    assert 0 < len(footprint_kernels._made[scene]) <= footprint_kernels._KEPT
+        watched.append(weakref.ref(drop_kernel(scene, DropSettings(**constants))))
+    gc.collect()
+    assert 0 < sum(ref() is not None for ref in watched) <= 4
+    assert drop_kernel(scene, shipped) is drop_kernel(scene, shipped)
 
 
 def test_impacts_of_one_scene_add_up() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wrapped import Wrapped
 
 import graceful_plan as gp
 from graceful_plan.costs.consequence import Damage
@@ -16,8 +17,8 @@ from graceful_plan.costs.cost import AHEAD, StateBatch
 from graceful_plan.costs.fault_prior import GENERATORS, FaultPrior, presets
 from graceful_plan.costs.models.body.body import BodyModel
 from graceful_plan.costs.models.body.constants import BodySettings
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import footprint_kernel
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import drop_kernel
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.testing import check_cost
 
@@ -88,17 +89,13 @@ def test_the_kernel_charges_single_components(scenes: dict[str, gp.Scene], compo
     assert cost.state(batch).any() == bool(components)
 
 
-class Generic(Footprint):
-    """The same model, of which nobody can know that the core has it."""
-
-
 @pytest.mark.parametrize("faults", presets())
 def test_edges_are_charged_at_their_speed(scenes: dict[str, gp.Scene], faults: str) -> None:
     scene, rng = scenes["no contents"], np.random.default_rng(3)
     q0 = rng.uniform(*scene.limits.position.T, size=(6, len(scene.joints)))
     q1 = q0 + rng.uniform(-0.2, 0.2, q0.shape)
     native = gp.Objective(impact=gp.ImpactCost(model=Footprint(faults=faults))).bind(scene)
-    generic = gp.Objective(impact=gp.ImpactCost(model=Generic(faults=faults))).bind(scene)
+    generic = gp.Objective(impact=gp.ImpactCost(model=Wrapped(Footprint(faults=faults)))).bind(scene)
     assert native.kernel is not None and generic.kernel is None
     assert generic.edges(q0, q1)[:, 1].max() > 0.0
     np.testing.assert_allclose(native.edges(q0, q1), generic.edges(q0, q1), rtol=1e-2, atol=1e-6)
@@ -150,7 +147,7 @@ def test_one_fault_alone_acts_like_its_generator(scenes: dict[str, gp.Scene], ge
 def test_drops_and_spills_by_hand(scenes: dict[str, gp.Scene]) -> None:
     scene = scenes["contents"]
     batch = states(scene, 30)
-    alone = footprint_kernel(scene, FootprintSettings.shipped()).probability(batch.q, batch.qd)
+    alone = drop_kernel(scene, DropSettings.shipped()).probability(batch.q, batch.qd)
     # Dropped in 1 of 4 cases; spilled in half of the others.
     P = Footprint(faults=prior_of(drop=0.25, spill=0.5)).probability(batch)
     np.testing.assert_allclose(P[:, row(scene, "carried")], 0.25 * alone[:, 0], rtol=1e-12)
@@ -223,11 +220,11 @@ def test_explanations_name_the_faults(scenes: dict[str, gp.Scene]) -> None:
         assert sum(r.faults.values()) == pytest.approx(1.0)
 
 
-def test_those_who_move_fear_the_same_faults() -> None:
+def test_moving_entities_meet_the_same_faults() -> None:
     model = Footprint(faults=prior_of(drop=0.3, collapse=0.6))
-    moving = model.moving_settings()
+    moving = model.moving()
     assert (moving.drop, moving.collapse) == (0.3, 0.6)
-    assert moving.constants == model.settings
+    assert moving.settings == model.settings
 
 
 def test_it_is_a_value() -> None:

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from slow_spill import slow_spill
+from spill_oracle import slow_spill
+from spill_twin import pour, spread_out
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import ROWS, SPILL_CONSTANTS, FootprintKernel, footprint_kernel
-from graceful_plan.costs.models.drop.tables import footprint_tables
-from graceful_plan.costs.models.spill import spill as spill_model
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import ROWS, SPILL_CONSTANTS, DropKernel, drop_kernel
+from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
 from graceful_plan.costs.models.spill.tables import spill_tables
 from graceful_plan.exceptions import SceneError, SettingError
 
-DROP, SPILL = FootprintSettings.shipped(), SpillSettings.shipped()
+DROP, SPILL = DropSettings.shipped(), SpillSettings.shipped()
 TASKS = [("desk", "bring_coffee"), ("dining_table", "serve_stew"), ("kitchen_counter", "shelve_jar")]
 _CUP = """<geom name="cup" type="cylinder" size="0.04 0.05"/>
   <geom name="object_contents" type="cylinder" size="0.04 0.03" pos="0 0 -0.02" contype="0" conaffinity="0"/>"""
@@ -71,17 +71,17 @@ def reached(scene, q, qd=None, spill=SPILL):
     """P [n, use, entity] from the core."""
     q = np.atleast_2d(np.asarray(q, float))
     qd = np.zeros_like(q) if qd is None else np.atleast_2d(np.asarray(qd, float))
-    return footprint_kernel(scene, DROP, spill).probability(q, qd)[:, 1:]
+    return drop_kernel(scene, DROP, spill).probability(q, qd)[:, 1:]
 
 
 def numpy_reached(scene, q, qd, spill=SPILL):
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
-    tables, more = footprint_tables(scene), spill_tables(scene)
-    poured = spill_model.pour(batch, tables, more, DROP.of(tables.shape_class))
+    tables, more = drop_tables(scene), spill_tables(scene)
+    poured = pour(batch, tables, more, DROP.of(tables.shape_class))
     P = np.zeros((len(q), len(USES), len(scene.entities)))
     for row, use in enumerate(USES):
-        hit = spill_model.spread_out(tables, more, spill.of(use), poured)
+        hit = spread_out(tables, more, spill.of(use), poured)
         for k, owner in enumerate(tables.target_entity):
             if owner >= 0:
                 P[:, row, owner] = np.maximum(P[:, row, owner], hit[:, k])
@@ -151,7 +151,7 @@ def test_constants_are_handed_over_by_name():
 def test_no_contents_reach_nobody():
     scene = gp.load_scene("tabletop").tasks["green_to_blue"].scene
     assert scene.contents is None
-    found = footprint_kernel(scene, DROP).probability(*states(scene, 50, seed=0))
+    found = drop_kernel(scene, DROP).probability(*states(scene, 50, seed=0))
     assert not found[:, 1:].any() and found[:, 0].any()
 
 
@@ -179,7 +179,7 @@ def test_far_away_stays_dry(table):
 def test_an_entity_without_severity_changes_nothing(table):
     q, qd = states(table, 20, seed=3)
     q *= 0.05
-    kernel = footprint_kernel(table, DROP)
+    kernel = drop_kernel(table, DROP)
     severity = np.ones((3, len(TABLE)))
     severity[:, 2] = 0.0
     P = kernel.probability(q, qd)
@@ -194,7 +194,7 @@ def test_an_entity_without_severity_changes_nothing(table):
 def test_more_severity_never_lowers_the_impact(table):
     q, qd = states(table, 20, seed=4)
     q *= 0.05
-    kernel, rng = footprint_kernel(table, DROP), np.random.default_rng(0)
+    kernel, rng = drop_kernel(table, DROP), np.random.default_rng(0)
     low = rng.uniform(size=(3, len(TABLE)))
     assert np.all(kernel.impact(q, low + rng.uniform(size=low.shape), qd) >= kernel.impact(q, low, qd))
 
@@ -280,11 +280,11 @@ def test_broken_files_are_named(tmp_path):
 
 
 def test_tables_that_do_not_fit_are_refused(table):
-    tables, more = footprint_tables(table), spill_tables(table)
+    tables, more = drop_tables(table), spill_tables(table)
     for broken in (dict(stands=more.stands + 99), dict(radius=0.0)):
         fields = {field.name: getattr(more, field.name) for field in dataclasses.fields(more)}
         with pytest.raises(ValueError, match=r"stands|container"):
-            FootprintKernel(
+            DropKernel(
                 tables,
                 DROP.of(tables.shape_class),
                 compile_scene(table).kernels,

@@ -13,7 +13,7 @@ from failbench.calibrations import calibrate, drop_fit, failure_jobs, family_fit
 from failbench.calibrations.drop_fit import FootprintFamily
 from failbench.calibrations.failures import Failures
 from failbench.cli import DONE, MISUSE, main
-from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
+from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.costs.models.mixture.mixture import Footprint
 
@@ -21,12 +21,12 @@ FAMILY = FootprintFamily()
 
 
 def test_every_constant_has_a_prior() -> None:
-    assert {c.name for c in FAMILY.constants} == {field.name for field in dataclasses.fields(FootprintConstants)}
+    assert {c.name for c in FAMILY.constants} == {field.name for field in dataclasses.fields(DropConstants)}
 
 
 def test_priors_and_bounds_are_constants_that_the_model_takes() -> None:
     for end in ("prior", "low", "high"):
-        FootprintConstants(**{c.name: getattr(c, end) for c in FAMILY.constants})
+        DropConstants(**{c.name: getattr(c, end) for c in FAMILY.constants})
 
 
 def test_it_predicts_what_the_model_does() -> None:
@@ -35,7 +35,7 @@ def test_it_predicts_what_the_model_does() -> None:
     u = np.linspace(0.0, 1.0, 7)[:, None]
     q = task.start + u * (task.goal[0] - task.start)
     qd = np.vstack([np.zeros(7), np.tile(0.4 * (task.goal[0] - task.start), (6, 1))])
-    shipped = FootprintSettings.shipped()
+    shipped = DropSettings.shipped()
     shape = FAMILY.shape(scene)
     found = FAMILY.probability(dataclasses.asdict(getattr(shipped, shape)), FAMILY.prepare(scene, q, qd))
     expected = gp.interaction_probability(scene, q, Footprint(), qd)
@@ -53,9 +53,9 @@ def calibrated() -> family_fit.FamilyCalibration:
 
 def test_the_model_reads_what_calibration_writes(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
     calibrate.write(calibrated, tmp_path / "footprint.yaml")
-    read = FootprintSettings.load(tmp_path / "footprint.yaml")
+    read = DropSettings.load(tmp_path / "footprint.yaml")
     for shape in SHAPE_CLASSES:
-        assert set(calibrated.constants[shape]) == {field.name for field in dataclasses.fields(FootprintConstants)}
+        assert set(calibrated.constants[shape]) == {field.name for field in dataclasses.fields(DropConstants)}
         for name, fitted in calibrated.constants[shape].items():
             assert getattr(getattr(read, shape), name) == pytest.approx(fitted.value, rel=1e-4)
 
@@ -73,7 +73,7 @@ def test_the_command_keeps_its_drops_and_takes_them_again(
     assert "tabletop_l1" in capsys.readouterr().out
     assert main(["calibrate", str(second), *options, "--json"]) == DONE
     assert json.loads(capsys.readouterr().out)["provenance"]["failures_from"] == "drops.npz"
-    assert FootprintSettings.load(first) == FootprintSettings.load(second)
+    assert DropSettings.load(first) == DropSettings.load(second)
 
 
 @pytest.mark.parametrize(

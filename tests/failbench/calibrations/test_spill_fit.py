@@ -17,8 +17,8 @@ from failbench.cli import DONE, main
 from failbench.recording.vessel import find_vessel
 from failbench.simulated.world import build_world
 from graceful_plan import UnknownNameError
-from graceful_plan.costs.models.drop.constants import FootprintSettings
-from graceful_plan.costs.models.drop.kernel import ROWS, footprint_kernel
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.kernel import ROWS, drop_kernel
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
 from graceful_plan.costs.models.spill.tables import DEPTH, spill_tables
 
@@ -36,7 +36,7 @@ def test_it_predicts_what_the_model_does() -> None:
     task = gp.load_scene("desk").tasks["bring_coffee"]
     q = task.start + np.linspace(0.0, 1.0, 7)[:, None] * (task.goal[0] - task.start)
     qd = np.full_like(q, 0.1)
-    expected = footprint_kernel(task.scene, FootprintSettings.shipped()).probability(q, qd)
+    expected = drop_kernel(task.scene, DropSettings.shipped()).probability(q, qd)
     for use in USES:
         family = SpillFamily(use)
         found = family.probability(

@@ -62,8 +62,8 @@ References:
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
@@ -73,9 +73,10 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings
-from graceful_plan.costs.models.body.tables import ROWS, BodyTables, body_tables, native_rows
+from graceful_plan.costs.models.body.tables import ROWS, body_tables, native_rows
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -85,6 +86,7 @@ FAR = 8.0
 _MOTION = ("brake_time", "brake_stop", "step", "carry_on")
 
 
+@final
 @dataclass(frozen=True)
 class BodyModel:
     """P that the arm and what it holds hit each entity, by way to fail.
@@ -150,7 +152,7 @@ class BodyModel:
         weights: Float[Array, "generator row"],
         paces: tuple[float, float] = (1.0, 1.0),
     ) -> ImpactKernel:
-        """Return the impact with these severities and weights, for planners; see `InteractionModel.kernel`."""
+        """Return the impact with these severities and weights, for planners; see `NativeModel.kernel`."""
         native = _native_model(scene, self.settings)
         rows = _severity(scene, severity)
         weight = _reals(mode_weights(weights, len(scene.joints))[:, : len(rows)])
@@ -216,22 +218,10 @@ def _severity(scene: Scene, severity: Array) -> Float[Array, "row entity"]:
     return rows
 
 
-_KEPT = 4
-"""Sets of constants for which the tables of a scene are kept."""
-_made: weakref.WeakKeyDictionary[Scene, dict[BodySettings, _native.BodyModel]] = weakref.WeakKeyDictionary()
-
-
+@per_scene(most=4)
 def _native_model(scene: Scene, settings: BodySettings) -> _native.BodyModel:
-    made = _made.setdefault(scene, {})
-    if settings not in made:
-        if len(made) == _KEPT:  # a fit tries many constants, one after the other
-            made.pop(next(iter(made)))
-        made[settings] = _make(scene, body_tables(scene), settings)
-    return made[settings]
-
-
-def _make(scene: Scene, tables: BodyTables, settings: BodySettings) -> _native.BodyModel:
-    compiled, n_frame = compile_scene(scene), len(tables.mass)
+    compiled, tables = compile_scene(scene), body_tables(scene)
+    n_frame = len(tables.mass)
     resistance = np.full(len(tables.lower), settings.resistance)
     drive = [tables.lower, tables.upper, tables.armature, tables.damping, tables.friction, resistance, tables.speed]
     inertia = [tables.mass[:, None], tables.centre, tables.inertia.reshape(n_frame, 9)]

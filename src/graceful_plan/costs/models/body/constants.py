@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
+from typing import final
 
 from graceful_plan.costs.models.body.tables import ROWS
 from graceful_plan.exceptions import SettingError
@@ -31,6 +32,7 @@ _POSITIVE = ("step",)
 _NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Margin:
     """How a distance becomes a probability: 1/(1 + exp((d - offset)/spread)).
@@ -51,6 +53,7 @@ class Margin:
             raise SettingError("spread", self.spread, "a positive number")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class Margins:
     """Margins of the arm itself and of what it holds, and how far things that are met stop it.
@@ -73,6 +76,7 @@ class Margins:
             raise SettingError("stop_tolerance", self.stop_tolerance, "at least 0")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class BodySettings:
     """Constants of the body model.

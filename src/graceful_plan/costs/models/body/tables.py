@@ -5,13 +5,14 @@ Frames: W world, F a frame of the arm: 0 is the base, k + 1 rides on planned joi
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import body_frames, compile_scene, link_geoms
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -20,6 +21,7 @@ ROWS = ("body", "carried")
 """Components that the model knows, in this order."""
 
 
+@final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BodyTables:
     """Tables of the body model.
@@ -54,21 +56,13 @@ class BodyTables:
     n_row: int
 
 
-_made: weakref.WeakKeyDictionary[Scene, BodyTables] = weakref.WeakKeyDictionary()
-
-
+@per_scene
 def body_tables(scene: Scene) -> BodyTables:
     """Return the tables of a scene; they are made once.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
     """
-    if scene not in _made:
-        _made[scene] = _make(scene)
-    return _made[scene]
-
-
-def _make(scene: Scene) -> BodyTables:
     model, compiled = scene.model, compile_scene(scene)
     mass, centre, inertia = _inertias(scene)
     joints = [model.joint(name).id for name in scene.joints]

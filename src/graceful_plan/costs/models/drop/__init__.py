@@ -1,1 +1,84 @@
-"""Where a dropped object comes down."""
+r"""The drop model: whom the carried object hits if the gripper lets go here, at this velocity.
+
+A drop is told in four steps, each with smooth formulas of its own, so that the result has a gradient nearly everywhere:
+
+1. *First contact.* The object flies on: ballistics from the velocity of its centre of mass, each part with the velocity
+   of the turning tool at its place. A part meets a target if, when it is down at the target's top, the two overlap
+   seen from above. Shapes are octagons (a box in the target's axes and one turned by 45 degrees) at uncertain places.
+2. *Support.* Where the first contact carries the object, under or beside its centre of mass, and how wide compared
+   with the height of that centre, tells whether it stays there.
+3. *Falls.* What does not stay moves off, away from its support and along its velocity, and comes down on something
+   lower; wide tops under its path catch it, the rest goes on.
+4. *Side contacts.* On its way to rest it sweeps into what stands beside the place where it comes down.
+
+Specification
+-------------
+Everything is in double precision, z is up, g = 9.81. Tables: `DropTables`. Constants: `DropConstants`; those named
+below carry the symbols given there. The native kernel (native/impact/drop.hpp) follows this text operation by
+operation, and so does `landing.py` as far as entities that move need it.
+
+.. code-block:: text
+
+    Functions
+      S(u)       = 1/(1 + exp(-e(u/beta)))        beta = sqrt(3)/pi: logistic, standard deviation 1; e clamps to +-300
+      box(x,A,s) : A <- max(A, 1e-4);  f = exp(e((x-A)/(s beta)));  h = exp(e(-(x+A)/(s beta)))
+                   (1 - f h)/((1 + f)(1 + h))     = P(|x + noise| < A) for logistic noise of standard deviation s
+      fall(h)    = (vz + sqrt(vz^2 + 2 g k))/g,   k = (h + sqrt(h^2 + 0.01^2))/2
+      pos(x)     = (x + sqrt(x^2 + 0.01^2))/2
+
+    Object (R, p: pose of the link; qd: joint velocities)
+      c = R centre + p;  over the joints that move it: hinges w = sum qd_j z_j, v = sum qd_j (z_j x (c - p_j)),
+      slides add qd_j z_j to v;  z_j, p_j: third axis and place of the joint's link
+      part: o = R offset, axes Q = R rotation (columns); reach(u), u a unit vector:
+        FLAT  sum_i |Q_i . u| h_i
+        ROUND |Q_2 . u| h_2 + h_0 sqrt(max(1e-12, 1 - (Q_2 . u)^2))
+        BALL  h_0
+      bottom_p = c_z + o_z - reach(z);  low = min bottom_p;  high = max (c_z + o_z + reach(z));  hh = c_z - low
+      m = squared z components of the main part's axes; FLAT (m0, m1, m2), ROUND (m0 + m1, m2), BALL (1)
+      tilt = 1 - sum of the squares of these;  sp2 = vx^2 + vy^2;  sp = sqrt(sp2 + 1e-4)
+
+    1. First contact: target k with centre (X, Y), axis (cos, sin), half sizes (a, b), diagonal d, top Z; x is along the
+       axis, y to its left
+      t = fall(bottom_p - Z);  s = sqrt(s0^2 + (sv t)^2)
+      (x, y) = (c + o - (X, Y)) + (v + w x o)(t + delay), turned into the target's axes
+      D_p = box(x, a + rx, s) box(y, b + ry, s) box((x+y)/sqrt2, d + r1, s) box((y-x)/sqrt2, d + r2, s)
+            S((bottom_p - Z)/0.008 + 1)         with the part's reaches rx, ry, r1, r2 in these four directions
+      D = max over parts
+      per level l (targets whose tops are within LEVEL of its highest), from the highest down:
+        A_l = product of (1 - D) over all targets of higher levels;  U_l = 1 - product of (1 - D) over the level
+      C_k = A_l D_k                                    part of the first contact; several targets may be at once
+      F_k = A_l U_l D_k/(sum of D over the level + 1e-6)      first impact, shared; sum over all targets <= 1
+      tc_k = fall(low - Z) + delay
+      total = sum F + 1e-6;  zs = sum F Z/total;  tl = sum F tc/total;  hs = sum F max(low - Z, 0)/total
+
+    2. Support (a', b': what of the top carries), per target and part, in the target's axes relative to c
+      (X', Y') = (c - (X, Y)) + v tc_k;  weight = exp(-((bottom_p - low)/0.012)^2)
+      x from max(ox - rx, -a' - X') to min(ox + rx, a' - X'), y likewise; widths wx, wy >= 0; area = weight wx wy
+      centre (mx, my) of that rectangle; second moments mx^2 + wx^2/12, my^2 + wy^2/12, mx my; all turned into W
+      per level: S0 = sum area + 1e-6;  E = sum area (centre)/S0;  V = sum area (second moments)/S0 - E E^T + 1e-5 I
+      det = max(Vxx Vyy - Vxy^2, 1e-11);  d2 = (Vyy Ex^2 - 2 Vxy Ex Ey + Vxx Ey^2)/det;  off = d2/(3 + d2)
+      narrow = det/(Vxx + Vyy)
+      T_l = S(g0 + 2 gd (off - 1/2) + gt/2 ln((hh^2 + 1e-6)/(3 narrow)) + gv sp + 2 gti tilt)      P(it does not stay)
+      n_l = -off E/sqrt(Ex^2 + Ey^2 + 1e-6)                                     where to
+      M_k = F_k T_l
+
+    3. Falls; L = c + v tl is where it comes down
+      sd = sqrt(s0^2 + (sv tl)^2 + (ch hs)^2 + cv^2 sp2 + (ct size)^2);  B = 0, N = (0, 0)
+      levels from the highest down:
+        (x, y) = L + ks v + drift size N/(B + 1e-6) - (X, Y), turned into the target's axes
+        G_k = B box(x, a + kb size, sd) box(y, b + kb size, sd)
+        keep = product over the level of 1 - catch box(x, pos(a' + kc size), sd) box(y, pos(b' + kc size), sd)
+        B <- B keep + sum of M over the level;  N <- N keep + n_l times that sum
+
+    4. Side contacts
+      Tm = sum M/total;  n = sum M n_l/total
+      from x0 = (c - (X, Y)) + v tc_k to x1 = L - (X, Y) + ksl v + drift size n, both turned into the target's axes
+      sl = sqrt(s0^2 + (sv tl)^2 + (ch hs)^2 + (cl size)^2 + (ct size Tm)^2);  r = (kl + tk Tm) size
+      per axis: box((x0 + x1)/2, a + sqrt((x1 - x0)^2 + 1e-6)/2 + r, sl), y with b
+      H_k = max(0, sum of F over this level and lower ones - C_k) S((zs + high - low - bottom_k)/sh) times these two
+
+    Together: P_k = 1 - (1 - C_k)(1 - G_k)(1 - H_k);  P(entity) = max over its targets, 0 if it has none
+
+References:
+    Own work, fitted to rollouts in MuJoCo; see the head of `drop.yaml`.
+"""

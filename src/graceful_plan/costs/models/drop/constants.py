@@ -1,6 +1,6 @@
 """Constants of the drop model: what they are, and how to read them from YAML.
 
-The shipped ones are `footprint.yaml`; its head says what they were fitted to.
+The shipped ones are `drop.yaml`; its head says what they were fitted to.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import final
 
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
 from graceful_plan.exceptions import SettingError
@@ -32,8 +33,9 @@ _POSITIVE = ("position_spread", "velocity_spread", "side_height")
 _NOT_NEGATIVE = ("delay", "height_spread", "carry_spread", "side_spread", "size_spread")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class FootprintConstants:
+class DropConstants:
     """Constants for one class of objects; lengths that scale with the object are in units of its `size`.
 
     Raises:
@@ -98,22 +100,23 @@ class FootprintConstants:
             raise SettingError("catch", self.catch, "a probability")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class FootprintSettings:
-    """Constants of the drop model by class of the carried object, see `footprint_tables.SHAPE_CLASSES`."""
+class DropSettings:
+    """Constants of the drop model by class of the carried object, see `drop_tables.SHAPE_CLASSES`."""
 
-    box: FootprintConstants
-    cylinder: FootprintConstants
-    plate: FootprintConstants
-    ball: FootprintConstants
+    box: DropConstants
+    cylinder: DropConstants
+    plate: DropConstants
+    ball: DropConstants
 
     @classmethod
-    def shipped(cls) -> FootprintSettings:
+    def shipped(cls) -> DropSettings:
         """Return the constants that come with the library."""
         return _shipped()
 
     @classmethod
-    def load(cls, file: str | Path) -> FootprintSettings:
+    def load(cls, file: str | Path) -> DropSettings:
         """Read constants from a YAML file laid out like the shipped one.
 
         Raises:
@@ -126,20 +129,20 @@ class FootprintSettings:
             raise root["version"].error("only version 1 is known")
         shared, classes = _numbers(root["shared"], SHARED), root["classes"]
         classes.only(*SHAPE_CLASSES)
-        own = tuple(constant.name for constant in fields(FootprintConstants) if constant.name not in SHARED)
-        return cls(**{name: FootprintConstants(**shared, **_numbers(classes[name], own)) for name in SHAPE_CLASSES})
+        own = tuple(constant.name for constant in fields(DropConstants) if constant.name not in SHARED)
+        return cls(**{name: DropConstants(**shared, **_numbers(classes[name], own)) for name in SHAPE_CLASSES})
 
-    def widened(self, metres: float) -> FootprintSettings:
+    def widened(self, metres: float) -> DropSettings:
         """Return constants with the place of release uncertain by so much more: a footprint with softer edges."""
         every = {name: getattr(self, name) for name in SHAPE_CLASSES}
-        return FootprintSettings(
+        return DropSettings(
             **{
                 name: replace(own, position_spread=math.hypot(own.position_spread, metres))
                 for name, own in every.items()
             }
         )
 
-    def of(self, shape_class: int) -> FootprintConstants:
+    def of(self, shape_class: int) -> DropConstants:
         """Return the constants of a class, given as index into `SHAPE_CLASSES`."""
         return getattr(self, SHAPE_CLASSES[shape_class])
 
@@ -150,5 +153,5 @@ def _numbers(block: Block, names: tuple[str, ...]) -> dict[str, float]:
 
 
 @cache
-def _shipped() -> FootprintSettings:
-    return FootprintSettings.load(_SHIPPED)
+def _shipped() -> DropSettings:
+    return DropSettings.load(_SHIPPED)

@@ -1,4 +1,4 @@
-"""Functions that the drop models share, vectorised; `footprint.py` defines them."""
+"""Functions that the drop models share, vectorised; the specification, the docstring of the package, defines them."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The drop and spill models in the native core: `footprint_drop.py` and `spill.py`, which they are tested against."""
+"""The drop and spill models of one scene in the native core; the docstrings of both packages specify them."""
 
 from __future__ import annotations
 
-import weakref
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,12 +11,13 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
-from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillSettings
 from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
 from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -30,7 +31,8 @@ ROWS = ("carried", *USES)
 gripper holds."""
 
 
-class FootprintKernel:
+@final
+class DropKernel:
     """The drop model of one scene in which something is carried, and the spill model if it has contents.
 
     Probabilities have the rows `ROWS`; without contents, theirs are zero. Rows without severity cost no time.
@@ -49,8 +51,8 @@ class FootprintKernel:
 
     def __init__(
         self,
-        tables: FootprintTables,
-        constants: FootprintConstants,
+        tables: DropTables,
+        constants: DropConstants,
         kernels: Kernels,
         speed: Float[Array, " nq"],
         n_entity: int,
@@ -131,13 +133,7 @@ class FootprintKernel:
         return flat, _reals(rates.reshape(flat.shape)), batch
 
 
-_KEPT = 4
-"""Sets of constants for which the tables of a scene are kept."""
-_Key = tuple[FootprintConstants, SpillSettings]
-_made: weakref.WeakKeyDictionary[Scene, dict[_Key, FootprintKernel]] = weakref.WeakKeyDictionary()
-
-
-def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSettings | None = None) -> FootprintKernel:
+def drop_kernel(scene: Scene, settings: DropSettings, spill: SpillSettings | None = None) -> DropKernel:
     """Return both models of a scene in which something is carried; they are made once per set of constants.
 
     Args:
@@ -148,20 +144,23 @@ def footprint_kernel(scene: Scene, settings: FootprintSettings, spill: SpillSett
     Raises:
         UnsupportedError: If the core cannot represent it.
     """
-    tables = footprint_tables(scene)
-    constants, spill = settings.of(tables.shape_class), SpillSettings.shipped() if spill is None else spill
-    made, key = _made.setdefault(scene, {}), (constants, spill)
-    if key not in made:
-        if len(made) == _KEPT:  # a fit tries many constants, one after the other
-            made.pop(next(iter(made)))
-        kernels = compile_scene(scene).kernels
-        contents = None if scene.contents is None else (spill_tables(scene), spill)
-        speed, n_entity = scene.limits.velocity, len(scene.entities)
-        made[key] = FootprintKernel(tables, constants, kernels, speed, n_entity, contents)
-    return made[key]
+    constants = settings.of(drop_tables(scene).shape_class)
+    return _kernel(scene, constants, SpillSettings.shipped() if spill is None else spill)
 
 
-def _targets(tables: FootprintTables) -> Float[Array, "target 11"]:
+@per_scene(most=4)
+def _kernel(scene: Scene, constants: DropConstants, spill: SpillSettings) -> DropKernel:
+    return DropKernel(
+        drop_tables(scene),
+        constants,
+        compile_scene(scene).kernels,
+        speed=scene.limits.velocity,
+        n_entity=len(scene.entities),
+        contents=None if scene.contents is None else (spill_tables(scene), spill),
+    )
+
+
+def _targets(tables: DropTables) -> Float[Array, "target 11"]:
     """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top."""
     columns = (
         tables.target_centre,

@@ -6,16 +6,16 @@ only; everything that can be hit is one, whether somebody minds or not, since ob
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
 
 import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import PLANE_EXTENT, compile_scene
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -35,8 +35,9 @@ _UPRIGHT = 0.9  # cosine above which a round target counts as standing
 _DOME = 0.2  # share of a rounded top that carries
 
 
+@final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class FootprintTables:
+class DropTables:
     """Tables of the drop model, in the order in which they are read.
 
     | field          | meaning                                                          | unit | shape      |
@@ -83,27 +84,19 @@ class FootprintTables:
     level_start: Int[Array, " level_end"]
 
 
-_made: weakref.WeakKeyDictionary[Scene, FootprintTables] = weakref.WeakKeyDictionary()
-
-
-def footprint_tables(scene: Scene) -> FootprintTables:
+@per_scene
+def drop_tables(scene: Scene) -> DropTables:
     """Return the tables of a scene in which something is carried; they are made once.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
     """
-    if scene not in _made:
-        _made[scene] = _make(scene)
-    return _made[scene]
-
-
-def _make(scene: Scene) -> FootprintTables:
     assert scene.carried is not None  # the model asks for tables only then
     model = scene.model
     data = scene.data_at(model.qpos0[scene.qpos_adr])
     mujoco.mj_kinematics(model, data)
     held = [g for g in scene.components["carried"].geoms if _collides(model, g)]
-    return FootprintTables(**_object(scene, data, held), **_targets(scene, data))
+    return DropTables(**_object(scene, data, held), **_targets(scene, data))
 
 
 def _collides(model: mujoco.MjModel, geom: int) -> bool:

@@ -2,13 +2,12 @@
 
 A search knows no times. For every place there is one drop model of the core in which the entity stands there among what
 is static, with the uncertainty of its place added to that of the release; their mean stands for the path. That is the
-mean of `moving_footprint.py` but for what happens while the object falls and for how uncertain places blur what is
-static: some percent. It only guides the search; costs that are reported are those of `moving_footprint.py`.
+mean of `drops.py` but for what happens while the object falls and for how uncertain places blur what is
+static: some percent. It only guides the search; costs that are reported are those of `drops.py`.
 """
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import fields, replace
 from typing import Any
 
@@ -17,10 +16,11 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
-from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
-from graceful_plan.costs.models.drop.kernel import FootprintKernel
-from graceful_plan.costs.models.drop.tables import DISC, FootprintTables, footprint_tables, levels
+from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
+from graceful_plan.costs.models.drop.kernel import DropKernel
+from graceful_plan.costs.models.drop.tables import DISC, DropTables, drop_tables, levels
 from graceful_plan.scene.moving import MovingEntity
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -31,12 +31,9 @@ _SPACING = 0.1, 0.25  # least and greatest distance between places [m]
 _ASKED = 512  # states that tell whether an entity can be hit at a place
 _NEGLIGIBLE = 1e-4  # probability there below which it cannot
 
-_made: weakref.WeakKeyDictionary[Scene, dict[tuple[str, FootprintConstants], list[tuple[FootprintKernel, float]]]]
-_made = weakref.WeakKeyDictionary()
-
 
 def moving_kernels(
-    scene: Scene, settings: FootprintSettings, severity: Float[Array, " moving"], paces: tuple[float, float]
+    scene: Scene, settings: DropSettings, severity: Float[Array, " moving"], paces: tuple[float, float]
 ) -> list[ImpactKernel]:
     """Return the impact of drops on moving entities, for planners: kernels to add up.
 
@@ -44,28 +41,25 @@ def moving_kernels(
         scene: The scene; if nothing is carried, there are no kernels.
         settings: Constants of the drop model.
         severity: Of each moving entity, for all that falls.
-        paces: As of `InteractionModel.kernel`.
+        paces: As of `NativeModel.kernel`.
     """
     if scene.carried is None:
         return []
-    constants = settings.of(footprint_tables(scene).shape_class)
+    constants = settings.of(drop_tables(scene).shape_class)
     return [
         model.with_severity(np.array([[share * weight], [0.0], [0.0]]), paces)  # all falls together
         for entity, weight in zip(scene.moving.values(), severity.tolist(), strict=True)
         if weight > 0.0
-        for model, share in _standing(scene, entity, constants)
+        for model, share in _standing(scene, entity.name, constants)
     ]
 
 
-def _standing(scene: Scene, entity: MovingEntity, constants: FootprintConstants) -> list[tuple[FootprintKernel, float]]:
+@per_scene
+def _standing(scene: Scene, entity: str, constants: DropConstants) -> list[tuple[DropKernel, float]]:
     """Return a drop model for each place where the entity can be hit, with its share of the time."""
-    made = _made.setdefault(scene, {})
-    key = entity.name, constants
-    if key not in made:
-        places = _places(entity)
-        made[key] = [(model, 1.0 / len(places)) for model in (_model(scene, constants, *p) for p in places)
-                     if _matters(scene, model)]  # fmt: skip
-    return made[key]
+    places = _places(scene.moving[entity])
+    models = [_model(scene, constants, place, spread) for place, spread in places]
+    return [(model, 1.0 / len(places)) for model in models if _matters(scene, model)]
 
 
 def _places(entity: MovingEntity) -> list[tuple[MovingEntity, float]]:
@@ -85,13 +79,13 @@ def _places(entity: MovingEntity) -> list[tuple[MovingEntity, float]]:
     return list(zip(still, spread.tolist(), strict=True))
 
 
-def _model(scene: Scene, constants: FootprintConstants, entity: MovingEntity, spread: float) -> FootprintKernel:
+def _model(scene: Scene, constants: DropConstants, entity: MovingEntity, spread: float) -> DropKernel:
     blurred = replace(constants, position_spread=float(np.hypot(constants.position_spread, spread)))
-    tables = _with_target(footprint_tables(scene), entity)
-    return FootprintKernel(tables, blurred, compile_scene(scene).kernels, scene.limits.velocity, 1)
+    tables = _with_target(drop_tables(scene), entity)
+    return DropKernel(tables, blurred, compile_scene(scene).kernels, scene.limits.velocity, 1)
 
 
-def _matters(scene: Scene, model: FootprintKernel) -> bool:
+def _matters(scene: Scene, model: DropKernel) -> bool:
     rng = np.random.default_rng(0)
     lower, upper = scene.limits.position.T
     q = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), size=(_ASKED, len(lower)))
@@ -99,7 +93,7 @@ def _matters(scene: Scene, model: FootprintKernel) -> bool:
     return bool(model.probability(q, qd).max() > _NEGLIGIBLE)
 
 
-def _with_target(tables: FootprintTables, entity: MovingEntity) -> FootprintTables:
+def _with_target(tables: DropTables, entity: MovingEntity) -> DropTables:
     """Return tables with the entity among the targets, as the only one that can be harmed."""
     where, (a, b, h) = entity.at(entity.t[0]), entity.half_size
     yaw = 0.0 if entity.is_round else float(where.yaw)
@@ -119,4 +113,4 @@ def _with_target(tables: FootprintTables, entity: MovingEntity) -> FootprintTabl
     kept: dict[str, Any] = {field.name: getattr(tables, field.name) for field in fields(tables)}
     kept |= found
     kept["level_start"] = levels(found["target_height"][:, 1])
-    return FootprintTables(**kept)
+    return DropTables(**kept)

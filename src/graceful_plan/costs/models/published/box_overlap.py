@@ -13,6 +13,7 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -20,14 +21,15 @@ from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.costs.native_model import NativeModel
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
 
+@final
 @dataclass(frozen=True)
-class BoxOverlap(InteractionModel):
+class BoxOverlap(NativeModel):
     """Algorithm 1, on the native kernel."""
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
@@ -36,7 +38,7 @@ class BoxOverlap(InteractionModel):
 
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
-    ) -> ImpactKernel | None:
-        """Return the native kernel, to which velocities are all the same; a subclass may compute otherwise."""
+    ) -> ImpactKernel:
+        """Return the native kernel, to which velocities are all the same."""
         del paces
-        return compile_scene(scene).kernels.overlap(severity) if type(self) is BoxOverlap else None
+        return compile_scene(scene).kernels.overlap(severity)

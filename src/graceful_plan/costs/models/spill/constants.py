@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import final
 
 from graceful_plan.exceptions import SettingError
 from graceful_plan.yaml_file import Block, read_yaml
@@ -20,6 +21,7 @@ USES = ("dropped", "held")
 _POSITIVE = ("position_spread", "soft_spread")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class SpillConstants:
     """Constants for one of `USES`; lengths in units of the puddle are shares of its radius if all runs out.
@@ -64,6 +66,7 @@ class SpillConstants:
                 raise SettingError(constant.name, value, "at least 0")
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
 class SpillSettings:
     """Constants of the spill model by use, see `USES`."""

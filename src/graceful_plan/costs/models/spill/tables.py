@@ -5,16 +5,17 @@ Frames: W world, L the link that the tool rides on.
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import dataclass
+from typing import final
 
 import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.scene.elements import Dry
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -32,9 +33,10 @@ EDGE = 0.02
 _GRID = 7
 
 
+@final
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SpillTables:
-    """Tables of the spill model; targets and levels are those of `FootprintTables`.
+    """Tables of the spill model; targets and levels are those of `DropTables`.
 
     | field   | meaning                                                                     | unit | shape    |
     |---------|-----------------------------------------------------------------------------|------|----------|
@@ -62,24 +64,16 @@ class SpillTables:
     stands: Int[Array, "target 2"]
 
 
-_made: weakref.WeakKeyDictionary[Scene, SpillTables] = weakref.WeakKeyDictionary()
-
-
+@per_scene
 def spill_tables(scene: Scene) -> SpillTables:
     """Return the tables of a scene in which something with contents is carried; they are made once.
 
     Raises:
         UnsupportedError: If the scene cannot be compiled.
     """
-    if scene not in _made:
-        _made[scene] = _make(scene)
-    return _made[scene]
-
-
-def _make(scene: Scene) -> SpillTables:
     assert scene.carried is not None  # the model asks for tables only then
     assert scene.contents is not None
-    tables, contents = footprint_tables(scene), scene.contents
+    tables, contents = drop_tables(scene), scene.contents
     mouth, axis, rim, depth = _container(scene)
     room, volume = np.pi * rim**2 * depth, 1e-3 * contents.volume
     volume, dry = min(volume, room), isinstance(contents, Dry)
@@ -142,7 +136,7 @@ def _top(
     return along + float(half @ across)
 
 
-def _visible(tables: FootprintTables) -> Float[Array, " target"]:
+def _visible(tables: DropTables) -> Float[Array, " target"]:
     step = (np.arange(_GRID) + 0.5) / _GRID * 2.0 - 1.0
     x, y = (grid.ravel() for grid in np.meshgrid(step, step))
     share = np.ones(len(tables.target_entity))
@@ -157,7 +151,7 @@ def _visible(tables: FootprintTables) -> Float[Array, " target"]:
     return share
 
 
-def _stands(tables: FootprintTables) -> Int[Array, "target 2"]:
+def _stands(tables: DropTables) -> Int[Array, "target 2"]:
     level = tables.target_height[tables.level_start[:-1], 1]  # falls from each level to the next
     bottom, top = tables.target_height.T
     first = (level[None] >= (top - FLAT)[:, None]).sum(axis=1)

@@ -1,6 +1,6 @@
-"""The spill model once more: one state at a time, scalar loops, straight from MuJoCo; the oracle of `spill`.
+"""The spill model once more: one state at a time, scalar loops, straight from MuJoCo; an oracle of `models.spill`.
 
-It reads the specification in `graceful_plan.costs.interactions.spill` and shares no code with it; only the constants.
+It reads the specification in `graceful_plan.costs.models.spill` and shares no code with it; only the constants.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 
 import mujoco
 import numpy as np
-from slow_footprint import G, S, box, into, pos, slow_details
+from drop_oracle import G, S, box, into, pos, slow_details
 
 import graceful_plan as gp
 

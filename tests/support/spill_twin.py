@@ -1,53 +1,6 @@
-r"""The spill model: whom contents reach if their container is dropped here, or if they get out of it in the gripper.
+"""The spill model in NumPy: an oracle of the native kernel that is fast enough for many states.
 
-Contents leave over the rim, come down on something, run out to a puddle as deep as surface tension lets it be (dry
-contents to a heap), reach what stands in it, and run over the edges of what carries it to what is below. What the drop
-model says about where the container comes down serves for both uses, `USES`: contents that get out in the gripper come
-down on the same things, at a less certain place.
-
-"dropped" is P(contents reach the entity | the gripper lets go); a soft landing spills nothing. "held" is P(contents
-reach the entity | contents get out while the gripper holds). How likely that is does not show in the state (fits to
-speed and tilt explain less than 1 % of the variance), so it is left to the prior over faults.
-
-Hot contents: severities have columns for hot contents already, so that nothing here depends on the temperature.
-
-Specification
--------------
-Symbols, functions and the drop model's results as in `footprint.py`; F_l, M_l: sums over a level; tc_l: tc of its
-first target; Z_l: its top. Constants, for each use: `SpillConstants`. Tables: `SpillTables`.
-
-.. code-block:: text
-
-    Contents
-      o = R mouth;  m = c + o;  vm = v + w x o;  sm2 = vmx^2 + vmy^2;  z = (R axis)_z;  p = (z + sqrt(z^2 + 0.01))/2
-      lean = max(0, sqrt(1.0051 - p^2)/p - repose) + kv sqrt(sm2 + 1e-4);  x = r lean/H
-      fill = (1 + x + x^2 + 1.7 x^3)/full        what it could hold at this tilt is 1/fill of what was in it
-      rho = R (1 + fill^4)^(-power/4)            radius of a puddle of what is in it
-      s = sqrt(s0^2 + (cr r)^2 + cv^2 sm2 + (ch hs)^2)
-
-    Down the levels, with O = 0, o = (0, 0): P that something has run over an edge, and that times where it is, from m
-      u = sqrt(vz^2 + 2 g pos(low - Z_l));  q = S((u - u0)/us);  a = F_l q + M_l (1 - q)
-      L = vm (tc_l + kt)
-      A_k = a box(x, a' + km, s) box(y, b' + km, s)                  at m + L - (X, Y);  a', b' half sizes
-      i_k = visible box(x, a' + ko rho, s) box(y, b' + ko rho, s)    at m + o/(O + 1e-6) - (X, Y);  B_k = O i_k
-      g = product over the level of 1 - i_k
-      U_l = a + O (1 - g);  W_l = a L + O (1 - g) o/(O + 1e-6)
-      j_k = box(x, a' - ke R, s) box(y, b' - ke R, s)                at m + W_l/(U_l + 1e-6) - (X, Y); 0 unless
-                                                                     a' and b' exceed ke R
-      h = product over the level of 1 - j_k;  O <- O g + U_l h;  o <- o g + W_l h
-
-    What stands in the puddle
-      U, W = sums of U_l, W_l over the levels that target k stands on or beside
-      D_k = min(1, U) box(x, a' + kr rho, s) box(y, b' + kr rho, s)  at m + W/(U + 1e-6) - (X, Y)
-
-    Together: P_k = 1 - (1 - A_k)(1 - B_k)(1 - D_k);  P(entity) = max over its targets, 0 if it has none
-
-The volume that a tilted cylinder holds is a wedge; 1/(1 + x + x^2 + 1.7 x^3) is within 0.03 of it, in shares of what
-it holds upright.
-
-References:
-    Depth of a puddle: capillary length and contact angle, de Gennes, Brochard-Wyart, Quéré, "Capillarity and Wetting
-    Phenomena", 2004. The rest: own work, fitted to FailBench; see the head of `spill.yaml`.
+It starts from where `landing` says that the container comes down. `spill_oracle` shares no code with it.
 """
 
 from __future__ import annotations
@@ -58,10 +11,11 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.drop.constants import FootprintConstants
-from graceful_plan.costs.models.drop.drop import LEAST_MASS, Landing, Release, land, release
+from graceful_plan.costs.models.drop.constants import DropConstants
 from graceful_plan.costs.models.drop.functions import GRAVITY, box, positive, step
-from graceful_plan.costs.models.drop.tables import FootprintTables
+from graceful_plan.costs.models.drop.landing import LEAST_MASS, Landing, fly
+from graceful_plan.costs.models.drop.release import release
+from graceful_plan.costs.models.drop.tables import DropTables
 from graceful_plan.costs.models.spill.constants import SpillConstants
 from graceful_plan.costs.models.spill.tables import SpillTables
 
@@ -74,6 +28,8 @@ class Poured(NamedTuple):
     | field    | meaning                                                     | unit | shape       |
     |----------|-------------------------------------------------------------|------|-------------|
     | landing  | where the container would come down                         |      |             |
+    | low      | height of its lowest point at release                       | m    | n 1         |
+    | fallen   | hs: height of fall, on average                              | m    | n 1         |
     | mouth    | m: the middle of the contents' top                          | m    | n 3         |
     | velocity | vm: its velocity                                            | m/s  | n 3         |
     | up       | z: cosine of the container's tilt                           |      | n 1         |
@@ -81,19 +37,25 @@ class Poured(NamedTuple):
     """
 
     landing: Landing
+    low: Float[Array, "n 1"]
+    fallen: Float[Array, "n 1"]
     mouth: Float[Array, "n 3"]
     velocity: Float[Array, "n 3"]
     up: Float[Array, "n 1"]
     falling: Float[Array, "n 1"]
 
 
-def pour(batch: StateBatch, tables: FootprintTables, spill: SpillTables, constants: FootprintConstants) -> Poured:
+def pour(batch: StateBatch, tables: DropTables, spill: SpillTables, constants: DropConstants) -> Poured:
     """Return what spills depend on, for a scene with something to land on."""
-    state: Release = release(batch, tables)
+    state = release(batch, tables)
+    flight, landing = fly(tables, constants, state)
+    low = flight.shape.low
     R = batch.link_poses[:, tables.link, :3, :3]
     offset = R @ spill.mouth
     return Poured(
-        landing=land(tables, constants, state),
+        landing=landing,
+        low=low,
+        fallen=(flight.F * np.maximum(low - flight.targets.top, 0.0)).sum(axis=1, keepdims=True) / landing.total,
         mouth=state.c + offset,
         velocity=state.v + np.cross(state.w, offset),
         up=(R @ spill.axis)[:, 2:],
@@ -102,14 +64,14 @@ def pour(batch: StateBatch, tables: FootprintTables, spill: SpillTables, constan
 
 
 def spread_out(
-    tables: FootprintTables, spill: SpillTables, constants: SpillConstants, poured: Poured
+    tables: DropTables, spill: SpillTables, constants: SpillConstants, poured: Poured
 ) -> Float[Array, "n target"]:
     """Return P that contents reach each target."""
     k, place = constants, _Places(tables, poured.mouth)
     speed2 = (poured.velocity[:, :2] ** 2).sum(axis=1, keepdims=True)
     rho = _radius(spill, k, poured.up, speed2)
     s = k.position_spread**2 + (k.rim_spread * spill.rim) ** 2 + k.speed_spread**2 * speed2
-    s = np.sqrt(s + (k.height_spread * poured.landing.fallen) ** 2)
+    s = np.sqrt(s + (k.height_spread * poured.fallen) ** 2)
     arrives, L = _arrivals(tables, k, poured)
     n, (a, b) = len(L), tables.target_half.T
     A, B = np.zeros((n, len(a))), np.zeros((n, len(a)))
@@ -143,11 +105,11 @@ def _radius(spill: SpillTables, k: SpillConstants, up: Array, speed2: Array) -> 
     return spill.radius * (1.0 + fill**4) ** (-0.25 * spill.power)
 
 
-def _arrivals(tables: FootprintTables, k: SpillConstants, poured: Poured) -> tuple[Array, Array]:
+def _arrivals(tables: DropTables, k: SpillConstants, poured: Poured) -> tuple[Array, Array]:
     """Return a [n level] and L [n level 2]."""
     landing = poured.landing
     top = tables.target_height[tables.level_start[:-1], 1]
-    u = np.sqrt(poured.falling**2 + 2.0 * GRAVITY * positive(landing.low - top))
+    u = np.sqrt(poured.falling**2 + 2.0 * GRAVITY * positive(poured.low - top))
     hard = step((u - k.soft_speed) / k.soft_spread)
     time = (landing.times + k.carry)[..., None]
     arrives = landing.mass * hard + landing.leaving * (1.0 - hard)
@@ -155,7 +117,7 @@ def _arrivals(tables: FootprintTables, k: SpillConstants, poured: Poured) -> tup
 
 
 def _standing(
-    tables: FootprintTables, spill: SpillTables, place: _Places, U: Array, W: Array, reach: Array, s: Array
+    tables: DropTables, spill: SpillTables, place: _Places, U: Array, W: Array, reach: Array, s: Array
 ) -> Float[Array, "n target"]:
     """D: P that contents reach what stands where they are."""
     sums = np.cumsum(np.concatenate([np.zeros((len(U), 1)), U], axis=1), axis=1)
@@ -170,7 +132,7 @@ def _standing(
 class _Places:
     """Puts points [n target 2] or [n 1 2], seen from m in W, into the axes of some targets, seen from above."""
 
-    def __init__(self, tables: FootprintTables, mouth: Float[Array, "n 3"]) -> None:
+    def __init__(self, tables: DropTables, mouth: Float[Array, "n 3"]) -> None:
         self._mouth, self._centre, self._axis = mouth[:, None, :2], tables.target_centre, tables.target_axis
 
     def __call__(self, point: Array, here: slice) -> tuple[Array, Array]:

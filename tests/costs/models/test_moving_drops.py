@@ -1,6 +1,6 @@
 """Drops on those who move: laws, the model of what stands still as reference, the core beside NumPy."""
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,9 +10,10 @@ from test_drop import BOX, gantry
 
 import graceful_plan as gp
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.drop.constants import FootprintSettings
+from graceful_plan.costs.fault_prior import FaultPrior
+from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
-from graceful_plan.costs.models.moving.footprint import moving_probability
+from graceful_plan.costs.models.moving.drops import moving_probability
 
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the model of what stands still: here the object is followed down the side of
@@ -46,7 +47,7 @@ def probability(scene, entity, q, qd=None, time=None, component="carried"):
     direction = np.divide(qd, speed[:, None], out=np.zeros_like(qd), where=speed[:, None] > 0.0)
     times = None if time is None else np.broadcast_to(np.asarray(time, float), (len(q),))
     batch = StateBatch(scene.with_moving(entity), q, direction, speed, times)
-    P = moving_probability(batch, FootprintSettings.shipped())
+    P = moving_probability(batch, DropSettings.shipped())
     return P[:, list(scene.components).index(component), 0]
 
 
@@ -96,7 +97,7 @@ def test_nobody_is_hit_who_comes_later():
 def test_they_go_on_while_it_falls():
     scene = gantry({})
     height = 0.7 - 0.05 - 0.2  # of the object's bottom above their tops [m]
-    fall = np.sqrt(2.0 * height / 9.81) + FootprintSettings.shipped().box.delay
+    fall = np.sqrt(2.0 * height / 9.81) + DropSettings.shipped().box.delay
     times = np.linspace(-1.0, 1.0, 201)
     P = probability(scene, walker(0.0, 0.0, speed=1.0, size="cylinder"), np.zeros((201, 4)), time=times)
     sure = times[P > 0.9]
@@ -180,7 +181,7 @@ def test_components_that_are_not_asked_for_are_zero():
     place = task.scene.data_at(task.start).site(task.scene.tool).xpos * [1, 1, 0] + [0, 0, 0.8]
     near = task.scene.with_moving(gp.MovingEntity("p", "adult", size=[0.2, 0.05], t=[0.0], position=[place]))
     batch = StateBatch(near, task.start[None])
-    P = moving_probability(batch, FootprintSettings.shipped(), ("contents",))[0, :, 0]
+    P = moving_probability(batch, DropSettings.shipped(), ("contents",))[0, :, 0]
     asked = np.array([name == "contents" for name in near.components])
     assert P[asked] > 0.5
     assert not P[~asked].any()
@@ -235,31 +236,39 @@ def test_the_core_guides_searches_about_right(scene):
     assert np.corrcoef(core, slow)[0, 1] > 0.9
 
 
-def test_models_that_compute_otherwise_have_no_kernel(scene):
-    class Never(Footprint):
-        def moving_sources(self, batch, components=()):
-            rows = len(batch), len(batch.scene.components), len(batch.scene.moving)
-            return {"drop": np.zeros(rows)}
+@dataclass(frozen=True)
+class Nothing(gp.InteractionModel):
+    """A model of one's own in which nothing that stands still is hit."""
 
-    moving = scene.with_moving(walker())
-    assert Never().moving_kernels(moving, np.ones((len(scene.components), 1)), (1.0, 1.0)) is None
-    batch = StateBatch(moving, np.array([[0.3, 0.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(
-        gp.ImpactCost(model=Never()).state(batch), gp.ImpactCost(model="footprint").state(StateBatch(scene, batch.q))
-    )
+    def probability(self, batch):
+        return np.zeros((len(batch), len(batch.scene.components), len(batch.scene.entities)))
+
+
+@pytest.mark.parametrize("consequence", ["contact", "energy"])
+def test_moving_entities_are_hit_by_the_shipped_drop_model_whatever_the_model(scene, consequence):
+    batch = StateBatch(scene.with_moving(walker()), np.array([[0.3, 0.0, 0.0, 0.0]]), time=np.zeros(1))
+    components = ("body", "carried", "contents")
+    own, aabb = (gp.ImpactCost(model, components, consequence) for model in (Nothing(), "aabb"))
+    n, shipped = len(scene.entities), moving_probability(batch, DropSettings.shipped())
+    assert shipped.max() > 0.9
+    for cost in (own, aabb):
+        np.testing.assert_allclose(cost.probability(batch)[..., n:], shipped)
+        assert set(cost.sources(batch)) >= {"drop", "collapse"}
+    assert not own.probability(batch)[..., :n].any()
+    assert own.kernel(batch.scene, (1.0, 1.0)) is None and own.gradient(batch) is None
 
 
 def test_weights_scale_what_happens(scene):
-    class Rare(Footprint):
-        def moving_settings(self):
-            return replace(super().moving_settings(), drop=0.25)
-
     entity, q = walker(), np.array([[0.3, 0.0, 0.0, 0.0]])
     batch = StateBatch(scene.with_moving(entity), q, time=np.zeros(1))
-    often, rarely = (model.moving_sources(batch)["drop"] for model in (Footprint(), Rare()))
+    prior = FaultPrior({"weak_grip": 1.0}, {"weak_grip": {"drop": 0.25}})
+    models = Footprint().moving(), Footprint(faults=prior).moving()
+    often, rarely = (model.sources(batch)["drop"] for model in models)
     assert often.max() > 0.9
     np.testing.assert_allclose(rarely, 0.25 * often)
     severity = np.ones((len(scene.components), 1)) * [[name != "body"] for name in scene.components]
-    cores = [model.moving_kernels(batch.scene, severity, (1.0, 1.0)) for model in (Footprint(), Rare())]
+    cores = [model.kernels(batch.scene, severity, (1.0, 1.0)) for model in models]
+    severity[0] = 1.0
+    assert next(iter(scene.components)) == "body" and models[0].kernels(batch.scene, severity, (1.0, 1.0)) is None
     impacts = [sum(kernel.states(q)[0] for kernel in kernels) for kernels in cores]
     assert impacts[1] == pytest.approx(0.25 * impacts[0])

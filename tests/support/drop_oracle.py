@@ -1,6 +1,6 @@
-"""The drop model once more: one state at a time, scalar loops, straight from MuJoCo; the oracle of `footprint`.
+"""The drop model once more: one state at a time, scalar loops, straight from MuJoCo; the oracle of `costs.models.drop`.
 
-It reads the specification in `graceful_plan.costs.interactions.footprint` and shares no code with it, neither tables,
+It reads the specification in `graceful_plan.costs.models.drop` and shares no code with it, neither tables,
 kinematics nor velocities; only the constants.
 """
 

@@ -1,8 +1,9 @@
 r"""Whom of those that move the carried object hits if the gripper lets go here, at this velocity, at this time.
 
-The drop model of `footprint.py`, with its constants, applied to a moving entity: an upright box or cylinder with half
-sizes a, b, top Z and bottom B, that is at p(t) in W with standard deviation sigma(t). Four directions u_i, seen from
-above, stand for its shape: its axes and those halfway between them; A_i is how far it reaches in each.
+The drop model (the docstring of `costs.models.drop` specifies it), with its constants, applied to a moving entity: an
+upright box or cylinder with half sizes a, b, top Z and bottom B, that is at p(t) in W with standard deviation sigma(t).
+Four directions u_i, seen from above, stand for its shape: its axes and those halfway between them; A_i is how far it
+reaches in each.
 
 .. code-block:: text
 
@@ -32,16 +33,17 @@ Without a time, P is the mean over the predicted path, with equal weights in tim
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.drop.constants import FootprintConstants, FootprintSettings
-from graceful_plan.costs.models.drop.drop import LEAST_MASS, Landing, Release, land, loose, release
+from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.functions import box, fall_time, part_reach, step
-from graceful_plan.costs.models.drop.tables import FootprintTables, footprint_tables
+from graceful_plan.costs.models.drop.landing import LEAST_MASS, Landing, land, loose
+from graceful_plan.costs.models.drop.release import Release, heights, release
+from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -61,23 +63,8 @@ _STATES = 20_000  # states times targets that are worked on at once
 _CHUNK = 50_000  # pairs of states and times that are worked on at once
 
 
-@dataclass(frozen=True, kw_only=True)
-class MovingSettings:
-    """How an interaction model treats those who move.
-
-    Args:
-        constants: Of the drop model.
-        drop: P that the gripper lets go, given a failure.
-        collapse: P that the arm collapses, given a failure.
-    """
-
-    constants: FootprintSettings
-    drop: float = 1.0
-    collapse: float = 1.0
-
-
 def moving_probability(
-    batch: StateBatch, settings: FootprintSettings, components: Collection[str] = ("carried", "contents", "body")
+    batch: StateBatch, settings: DropSettings, components: Collection[str] = ("carried", "contents", "body")
 ) -> Float[Array, "n component moving"]:
     """Return P(component hits moving entity) given that the gripper lets go, or for the body that the arm collapses.
 
@@ -127,6 +114,7 @@ def _mean(
 # --- the entity, seen from above --------------------------------------------------------------------------------------
 
 
+@final
 class _Outline:
     """Four directions in which an entity's reach is known, at each pair of a state and a time."""
 
@@ -167,18 +155,16 @@ class _Outline:
 # --- the object -------------------------------------------------------------------------------------------------------
 
 
-def _drops(batch: StateBatch, settings: FootprintSettings) -> _Drops:
-    key = _Drops, settings
-    if key not in batch.kept:
-        batch.kept[key] = _Drops(batch, settings)
-    return batch.kept[key]
+def _drops(batch: StateBatch, settings: DropSettings) -> _Drops:
+    return batch.kept.get(_Drops, settings, lambda: _Drops(batch, settings))
 
 
+@final
 class _Drops:
     """Drops from the states of a batch; what does not depend on who moves is computed once, where it is needed."""
 
-    def __init__(self, batch: StateBatch, settings: FootprintSettings) -> None:
-        self.tables = footprint_tables(batch.scene)
+    def __init__(self, batch: StateBatch, settings: DropSettings) -> None:
+        self.tables = drop_tables(batch.scene)
         self.constants = settings.of(self.tables.shape_class)
         self.state = release(batch, self.tables)
         self.size = max(1, _STATES // max(1, len(self.tables.target_entity)))
@@ -214,17 +200,15 @@ class _Drops:
         return np.linalg.norm(release.c[state, :2] - entity.at(time).position[:, :2], axis=1) < reach
 
 
+@final
 class _Fallen:
     """What becomes of drops among what is static, and of those who walk into them."""
 
-    def __init__(self, tables: FootprintTables, constants: FootprintConstants, state: Release) -> None:
+    def __init__(self, tables: DropTables, constants: DropConstants, state: Release) -> None:
         self.tables, self.constants, self.state = tables, constants, state
         self.landing, self.B, self.N = _landing(tables, constants, state)
         self.level = tables.target_height[tables.level_start[:-1], 1]
-        up, centre = np.array([[0.0, 0.0, 1.0]]), state.c[:, None, 2] + state.offset[..., 2]
-        parts = enumerate(zip(tables.part_half, tables.part_kind, strict=True))
-        reach = [part_reach(state.axes[:, p], half, int(kind), up)[:, 0] for p, (half, kind) in parts]
-        self.bottom, self.top = centre - np.stack(reach, axis=1), centre + np.stack(reach, axis=1)
+        self.bottom, self.top = heights(state, tables)
         self.low, self.high = self.bottom.min(axis=1), self.top.max(axis=1)
 
     def hit(
@@ -311,7 +295,7 @@ class _Fallen:
 
 
 def _landing(
-    tables: FootprintTables, constants: FootprintConstants, state: Release
+    tables: DropTables, constants: DropConstants, state: Release
 ) -> tuple[Landing, Float[Array, "n levels"], Float[Array, "n levels 2"]]:
     """Return where the object comes down, with B and N of the drop model; also where there is nothing to land on."""
     if len(tables.target_height):
@@ -322,8 +306,6 @@ def _landing(
     landing = Landing(
         point=state.c[:, :2],
         total=none + LEAST_MASS,
-        low=none,
-        fallen=none,
         height=none,
         time=none,
         blur=spread**2,

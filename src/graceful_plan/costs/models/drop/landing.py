@@ -1,0 +1,279 @@
+"""Where a dropped object comes down first, and what leaves it again: steps 1 to 3 of the drop model, in NumPy.
+
+Entities that move ask for it, since the core knows no times. Symbols as in the specification, the docstring of the
+package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.models.drop.constants import DropConstants
+from graceful_plan.costs.models.drop.functions import box, fall_time, part_reach, positive, step
+from graceful_plan.costs.models.drop.release import Release, heights
+from graceful_plan.costs.models.drop.tables import BALL, ROUND, DropTables
+
+Array = np.ndarray
+
+_TOUCH = 0.008  # how sharply a part passes the height of a top [m]
+_LOWEST = 0.012  # parts whose bottoms are this near to the lowest one stand on the ground with it [m]
+_LEAST_AREA = 1e-6  # [m2]
+_LEAST_MOMENT = 1e-5  # [m2]
+LEAST_MASS = 1e-6
+
+
+# --- the targets ------------------------------------------------------------------------------------------------------
+
+
+@final
+class Targets:
+    """Turns vectors of W into the targets' axes, seen from above, and adds up over the targets of each level."""
+
+    def __init__(self, tables: DropTables) -> None:
+        self.tables = tables
+        self.top, self.axis, start = tables.target_height[:, 1], tables.target_axis, tables.level_start
+        self.x = np.concatenate([self.axis, np.zeros((len(self.axis), 1))], axis=1)
+        self.y = np.concatenate([-self.axis[:, 1:], self.axis[:, :1], np.zeros((len(self.axis), 1))], axis=1)
+        self.first, self.level = start[:-1], np.repeat(np.arange(len(start) - 1), np.diff(start))
+
+    def turn(self, vector: Array) -> tuple[Array, Array]:
+        """Turn vectors [n 2+] or [n target 2+]."""
+        vector = vector[:, None] if vector.ndim == 2 else vector
+        c, s = self.axis[:, 0], self.axis[:, 1]
+        return c * vector[..., 0] + s * vector[..., 1], c * vector[..., 1] - s * vector[..., 0]
+
+    def place(self, point: Array) -> tuple[Array, Array]:
+        """Turn points [n 2+] or [n target 2+] relative to the targets' centres."""
+        point = point[:, None] if point.ndim == 2 else point
+        return self.turn(point[..., :2] - self.tables.target_centre)
+
+    def sum(self, value: Float[Array, "n target"]) -> Float[Array, "n level"]:
+        """Add up over each level."""
+        return np.add.reduceat(value, self.first, axis=1)
+
+    def product(self, value: Float[Array, "n target"]) -> Float[Array, "n level"]:
+        """Multiply over each level."""
+        return np.multiply.reduceat(value, self.first, axis=1)
+
+    def spread(self, value: Float[Array, "n level"]) -> Float[Array, "n target"]:
+        """Hand each target what belongs to its level."""
+        return value[:, self.level]
+
+
+# --- the first contact and the support --------------------------------------------------------------------------------
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shape:
+    """How far parts reach: per part [n part] or [n part target]."""
+
+    bottom: Array
+    x: Array
+    y: Array
+    diagonal: tuple[Array, Array]
+    low: Array
+    tilt: Array
+
+
+def _shape(targets: Targets, state: Release) -> Shape:
+    tables, diagonals = targets.tables, ((targets.x + targets.y) / np.sqrt(2.0), (targets.y - targets.x) / np.sqrt(2.0))
+
+    def reach(u: Array) -> Array:
+        each = zip(tables.part_half, tables.part_kind, strict=True)
+        return np.stack(
+            [part_reach(state.axes[:, p], half, int(kind), u) for p, (half, kind) in enumerate(each)], axis=1
+        )
+
+    bottom, _ = heights(state, tables)
+    m = state.axes[:, tables.main, 2] ** 2
+    kind = tables.part_kind[tables.main]
+    if kind == ROUND:
+        m = np.stack([m[:, 0] + m[:, 1], m[:, 2]], axis=1)
+    tilt = np.zeros(len(m)) if kind == BALL else 1.0 - (m * m).sum(axis=1)
+    return Shape(
+        bottom=bottom,
+        x=reach(targets.x),
+        y=reach(targets.y),
+        diagonal=(reach(diagonals[0]), reach(diagonals[1])),
+        low=bottom.min(axis=1, keepdims=True),
+        tilt=tilt[:, None],
+    )
+
+
+def _overlap(targets: Targets, constants: DropConstants, state: Release, shape: Shape) -> Float[Array, "n target"]:
+    """D: P that the object is over a target when it passes the height of its top."""
+    top, (a, b), d = targets.top, targets.tables.target_half.T, targets.tables.target_diagonal
+    D = np.zeros((len(state.c), len(top)))
+    for p in range(state.offset.shape[1]):
+        h = shape.bottom[:, p, None] - top
+        t = fall_time(state.v[:, 2:], h)
+        s = np.sqrt(constants.position_spread**2 + (constants.velocity_spread * t) ** 2)
+        x, y = targets.place(state.c + state.offset[:, p])
+        vx, vy = targets.turn(state.v + np.cross(state.w, state.offset[:, p]))
+        x, y = x + vx * (t + constants.delay), y + vy * (t + constants.delay)
+        upright = box(x, a + shape.x[:, p], s) * box(y, b + shape.y[:, p], s)
+        turned = box((x + y) / np.sqrt(2.0), d + shape.diagonal[0][:, p], s)
+        turned *= box((y - x) / np.sqrt(2.0), d + shape.diagonal[1][:, p], s)
+        np.maximum(D, upright * turned * step(h / _TOUCH + 1.0), out=D)
+    return D
+
+
+def _first(targets: Targets, D: Float[Array, "n target"]) -> Float[Array, "n target"]:
+    """F: P that a target is what the object hits first."""
+    missed = targets.product(1.0 - D)
+    arrives = np.cumprod(np.concatenate([np.ones((len(D), 1)), missed[:, :-1]], axis=1), axis=1)
+    share = D / (targets.spread(targets.sum(D)) + LEAST_MASS)
+    return targets.spread(arrives * (1.0 - missed)) * share
+
+
+def _support(
+    targets: Targets, constants: DropConstants, state: Release, shape: Shape, place: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Return T [n level], and n [n level 2]: P that it leaves each level if it comes down there, and whereto."""
+    a, b = targets.tables.target_carries.T
+    c, s = targets.axis.T
+    moments = np.zeros((6, len(state.c), len(c)))
+    for p in range(state.offset.shape[1]):
+        ox, oy = targets.turn(state.offset[:, p])
+        weight = np.exp(-(((shape.bottom[:, p, None] - shape.low) / _LOWEST) ** 2))
+        x0, x1 = np.maximum(ox - shape.x[:, p], -a - place[0]), np.minimum(ox + shape.x[:, p], a - place[0])
+        y0, y1 = np.maximum(oy - shape.y[:, p], -b - place[1]), np.minimum(oy + shape.y[:, p], b - place[1])
+        wx, wy, mx, my = np.maximum(x1 - x0, 0.0), np.maximum(y1 - y0, 0.0), 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+        ux, uy = c * mx - s * my, s * mx + c * my
+        qx, qy = wx * wx / 12.0, wy * wy / 12.0
+        area = weight * wx * wy
+        second = (ux * ux + c * c * qx + s * s * qy, uy * uy + s * s * qx + c * c * qy, ux * uy + c * s * (qx - qy))
+        moments += area * np.stack([np.ones_like(area), ux, uy, *second])
+    S0, *rest = (targets.sum(m) for m in moments)
+    Ex, Ey, Vxx, Vyy, Vxy = (m / (S0 + _LEAST_AREA) for m in rest)
+    Vxx, Vyy, Vxy = Vxx - Ex * Ex + _LEAST_MOMENT, Vyy - Ey * Ey + _LEAST_MOMENT, Vxy - Ex * Ey
+    det = np.maximum(Vxx * Vyy - Vxy * Vxy, 1e-11)
+    d2 = (Vyy * Ex * Ex - 2.0 * Vxy * Ex * Ey + Vxx * Ey * Ey) / det
+    off, narrow = d2 / (3.0 + d2), det / (Vxx + Vyy)
+    height = state.c[:, 2:] - shape.low
+    speed = np.sqrt((state.v[:, :2] ** 2).sum(axis=1, keepdims=True) + 1e-4)
+    k = constants
+    leaves = k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * speed + 2.0 * k.leave_tilt * shape.tilt
+    leaves += 0.5 * k.leave_narrow * np.log((height * height + 1e-6) / (3.0 * narrow))
+    away = -off / np.sqrt(Ex * Ex + Ey * Ey + 1e-6)
+    return step(leaves), np.stack([away * Ex, away * Ey], axis=-1)
+
+
+# --- the landing and the falls ----------------------------------------------------------------------------------------
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Landing:
+    """The first impact as a whole, where and how high, and what leaves it again; W frame.
+
+    | field       | meaning                                                              | unit | shape       |
+    |-------------|----------------------------------------------------------------------|------|-------------|
+    | point       | L: where it comes down, on average                                   | m    | n 2         |
+    | total       | probability that it comes down on anything                           |      | n 1         |
+    | height      | of what it comes down on, on average                                 | m    | n 1         |
+    | time        | until it comes down, with the delay, on average                      | s    | n 1         |
+    | blur        | variance of the place                                                | m2   | n 1         |
+    | fall_spread | sd: standard deviation of where it comes down after it has fallen off | m    | n 1         |
+    | velocity    | of its centre of mass at release                                     | m/s  | n 2         |
+    | mass        | probability that it comes down on each level                         |      | n level     |
+    | times       | until it is down at the first top of each level, with the delay      | s    | n level     |
+    | leaving     | M: probability that it comes down on each level and leaves it        |      | n level     |
+    | away        | whereto it leaves each level: direction, times at most 1             |      | n level 2   |
+    """
+
+    point: Float[Array, "n 2"]
+    total: Float[Array, "n 1"]
+    height: Float[Array, "n 1"]
+    time: Float[Array, "n 1"]
+    blur: Float[Array, "n 1"]
+    fall_spread: Float[Array, "n 1"]
+    velocity: Float[Array, "n 2"]
+    mass: Float[Array, "n level"]
+    times: Float[Array, "n level"]
+    leaving: Float[Array, "n level"]
+    away: Float[Array, "n level 2"]
+
+    def falls_to(
+        self, constants: DropConstants, size: float, B: Float[Array, "n *level 1"], N: Float[Array, "n *level 2"]
+    ) -> Float[Array, "n *level 2"]:
+        """Where it comes down if it has left a support: B has, in the directions N."""
+        start = self.point + constants.carry * self.velocity
+        start = start[:, None] if N.ndim == 3 else start
+        return start + constants.drift * size * N / (B + LEAST_MASS)
+
+
+def loose(
+    tables: DropTables, constants: DropConstants, landing: Landing
+) -> tuple[Float[Array, "n levels"], Float[Array, "n levels 2"]]:
+    """Return B [n level+1] and N [n level+1 2]: what has left the levels above each one and was not caught; and all."""
+    k, size, targets = constants, tables.size, Targets(tables)
+    a_top, b_top = tables.target_carries.T
+    B, N = [np.zeros((len(landing.point), 1))], [np.zeros((len(landing.point), 2))]
+    for level, (first, last) in enumerate(zip(tables.level_start[:-1], tables.level_start[1:], strict=True)):
+        here = slice(first, last)
+        x, y = (value[:, here] for value in targets.place(landing.falls_to(k, size, B[-1], N[-1])))
+        inside = box(x, positive(a_top[here] + k.catch_margin * size), landing.fall_spread)
+        inside *= box(y, positive(b_top[here] + k.catch_margin * size), landing.fall_spread)
+        keep = np.prod(1.0 - k.catch * inside, axis=1, keepdims=True)
+        M = landing.leaving[:, level, None]
+        B.append(B[-1] * keep + M)
+        N.append(N[-1] * keep + M * landing.away[:, level])
+    return np.concatenate(B, axis=1), np.stack(N, axis=1)
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flight:
+    """What leads to a landing."""
+
+    targets: Targets
+    shape: Shape
+    D: Float[Array, "n target"]
+    F: Float[Array, "n target"]
+    place: tuple[Array, Array]
+    """c at the first contact, in the targets' axes."""
+
+
+def fly(tables: DropTables, constants: DropConstants, state: Release) -> tuple[Flight, Landing]:
+    """Return where the object comes down in each state, and what led to it; there has to be a target."""
+    targets = Targets(tables)
+    shape = _shape(targets, state)
+    D = _overlap(targets, constants, state, shape)
+    F = _first(targets, D)
+    fallen = shape.low - targets.top
+    times = fall_time(state.v[:, 2:], fallen) + constants.delay
+    x, y = targets.place(state.c)
+    vx, vy = targets.turn(state.v)
+    place = (x + vx * times, y + vy * times)
+    T, away = _support(targets, constants, state, shape, place)
+    total = F.sum(axis=1, keepdims=True) + LEAST_MASS
+    time = (F * times).sum(axis=1, keepdims=True) / total
+    height_fallen = (F * np.maximum(fallen, 0.0)).sum(axis=1, keepdims=True) / total
+    k, mass = constants, targets.sum(F)
+    blur = k.position_spread**2 + (k.velocity_spread * time) ** 2 + (k.height_spread * height_fallen) ** 2
+    speed2 = (state.v[:, :2] ** 2).sum(axis=1, keepdims=True)
+    landing = Landing(
+        point=state.c[:, :2] + state.v[:, :2] * time,
+        total=total,
+        height=(F * targets.top).sum(axis=1, keepdims=True) / total,
+        time=time,
+        blur=blur,
+        fall_spread=np.sqrt(blur + (k.size_spread * tables.size) ** 2 + k.carry_spread**2 * speed2),
+        velocity=state.v[:, :2],
+        mass=mass,
+        times=times[:, tables.level_start[:-1]],
+        leaving=mass * T,
+        away=away,
+    )
+    return Flight(targets=targets, shape=shape, D=D, F=F, place=place), landing
+
+
+def land(tables: DropTables, constants: DropConstants, state: Release) -> Landing:
+    """Return where the object comes down in each state; there has to be a target."""
+    return fly(tables, constants, state)[1]

@@ -1,0 +1,61 @@
+"""The treatment of entities that move, whatever the model of those that stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.kernels import ImpactKernel
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.moving.drops import moving_probability
+from graceful_plan.costs.models.moving.kernel import moving_kernels
+from graceful_plan.scene.elements import COMPONENTS
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MovingModel:
+    """Whom of those in `Scene.moving` failures hit: the shipped drop model, and a rule of thumb for the arm.
+
+    Args:
+        settings: Constants of the drop model.
+        drop: P that the gripper lets go, given a failure.
+        collapse: P that the arm collapses, given a failure.
+    """
+
+    settings: DropSettings = field(default_factory=DropSettings.shipped)
+    drop: float = 1.0
+    collapse: float = 1.0
+
+    def sources(
+        self, batch: StateBatch, components: Collection[str] = COMPONENTS
+    ) -> Mapping[str, Float[Array, "n component moving"]]:
+        """Return P(component hits moving entity | failure) by what goes wrong.
+
+        Args:
+            batch: States; without times, P is the mean over each entity's predicted path.
+            components: Which to compute; the others are 0.
+        """
+        P = moving_probability(batch, self.settings, components)
+        falls = np.array([name != "body" for name in batch.scene.components])[:, None]
+        return {"drop": self.drop * P * falls, "collapse": self.collapse * P * ~falls}
+
+    def kernels(
+        self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
+    ) -> list[ImpactKernel] | None:
+        """Return native kernels that together guide a search, None if the arm counts, of which there are none.
+
+        Law: close to sums of P S from `sources` without times; they need not be the same.
+        """
+        falls = np.array([name != "body" for name in scene.components])
+        if (severity[~falls] > 0.0).any():
+            return None
+        return moving_kernels(scene, self.settings, self.drop * severity[falls].sum(axis=0), paces)

@@ -1,0 +1,57 @@
+"""One way to keep something per scene: made once, freed with the scene."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Hashable
+from functools import wraps
+from threading import Lock
+from typing import Concatenate, ParamSpec, TypeVar, overload
+
+from graceful_plan.scene.scene import Scene
+
+P = ParamSpec("P")
+T = TypeVar("T")
+_Maker = Callable[Concatenate[Scene, P], T]
+
+
+@overload
+def per_scene(make: _Maker[P, T], /) -> _Maker[P, T]: ...
+
+
+@overload
+def per_scene(*, most: int) -> Callable[[_Maker[P, T]], _Maker[P, T]]: ...
+
+
+def per_scene(make: _Maker[P, T] | None = None, /, *, most: int | None = None) -> object:
+    """Keep what a function of a scene, and of hashable arguments besides, returns, for as long as the scene lives.
+
+    What is kept must not refer to the scene, or neither is ever freed. Threads that ask at the same time may each make
+    it; all of them are given the first that was finished. An exception is not kept.
+
+    Args:
+        make: The function.
+        most: Values kept for a scene, the oldest is dropped; all of them by default. Set it where arguments are tried
+            one after the other, as fits do with constants.
+    """
+
+    def keeping(make: _Maker[P, T]) -> _Maker[P, T]:
+        kept: weakref.WeakKeyDictionary[Scene, dict[Hashable, T]] = weakref.WeakKeyDictionary()
+        storing = Lock()
+
+        @wraps(make)
+        def get(scene: Scene, *args: P.args, **kwargs: P.kwargs) -> T:
+            key = args, tuple(sorted(kwargs.items()))
+            own = kept.setdefault(scene, {})
+            try:
+                return own[key]
+            except KeyError:
+                value = make(scene, *args, **kwargs)
+            with storing:
+                if most is not None and key not in own and len(own) >= most:
+                    del own[next(iter(own))]
+                return own.setdefault(key, value)
+
+        return get
+
+    return keeping if make is None else keeping(make)

@@ -1,0 +1,97 @@
+"""The drop model as a whole in NumPy: an oracle of the native kernel that is fast enough for many states.
+
+It goes on from where `landing` ends: who is touched, hit by what falls off, and swept from the side. `drop_oracle`
+shares no code with either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import graceful_plan as gp
+from graceful_plan.array_types import Float
+from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
+from graceful_plan.costs.models.drop.functions import box, step
+from graceful_plan.costs.models.drop.landing import Flight, Landing, fly, loose
+from graceful_plan.costs.models.drop.release import Release, heights, release
+from graceful_plan.costs.models.drop.tables import drop_tables
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dropped:
+    """What becomes of a dropped object.
+
+    | field   | meaning                                                                  | shape    |
+    |---------|--------------------------------------------------------------------------|----------|
+    | first   | F: probability that a target is what it hits first; they sum to at most 1 | n target |
+    | contact | C: probability that a target is touched in the first contact             | n target |
+    | hit     | P: probability that a target is hit at all                               | n target |
+    | entity  | probability that an entity is hit at all                                 | n entity |
+    """
+
+    first: Float[Array, "n target"]
+    contact: Float[Array, "n target"]
+    hit: Float[Array, "n target"]
+    entity: Float[Array, "n entity"]
+
+
+def dropped(batch: gp.StateBatch, settings: DropSettings | None = None) -> Dropped:
+    """Return what becomes of the object that a scene's robot carries, with shipped constants by default."""
+    tables = drop_tables(batch.scene)
+    constants = (settings or DropSettings.shipped()).of(tables.shape_class)
+    entity = np.zeros((len(batch), len(batch.scene.entities)))
+    if not len(tables.target_height):
+        none = np.zeros((len(batch), 0))
+        return Dropped(first=none, contact=none, hit=none, entity=entity)
+    state = release(batch, tables)
+    flight, landing = fly(tables, constants, state)
+    C = _contact(flight)
+    G, H = _falls(flight, constants, landing), _sides(flight, constants, landing, state, C)
+    hit = 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H)
+    for k, owner in enumerate(tables.target_entity):
+        if owner >= 0:
+            np.maximum(entity[:, owner], hit[:, k], out=entity[:, owner])
+    return Dropped(first=flight.F, contact=C, hit=hit, entity=entity)
+
+
+def _contact(flight: Flight) -> Float[Array, "n target"]:
+    """C: P that a target is touched in the first contact."""
+    missed = flight.targets.product(1.0 - flight.D)
+    arrives = np.cumprod(np.concatenate([np.ones((len(missed), 1)), missed[:, :-1]], axis=1), axis=1)
+    return flight.targets.spread(arrives) * flight.D
+
+
+def _falls(flight: Flight, constants: DropConstants, landing: Landing) -> Float[Array, "n target"]:
+    """G: P that a target is hit by what has left something higher."""
+    targets, tables = flight.targets, flight.targets.tables
+    a, b = tables.target_half.T
+    B, N = loose(tables, constants, landing)
+    point = landing.falls_to(constants, tables.size, B[..., None], N)
+    x, y = targets.place(point[:, targets.level])
+    reach = constants.tumble_reach * tables.size
+    return B[:, targets.level] * box(x, a + reach, landing.fall_spread) * box(y, b + reach, landing.fall_spread)
+
+
+def _sides(
+    flight: Flight, constants: DropConstants, landing: Landing, state: Release, C: Float[Array, "n target"]
+) -> Float[Array, "n target"]:
+    """H: P that a target is swept from the side, if the object comes down beside it."""
+    targets, tables = flight.targets, flight.targets.tables
+    k, size, place = constants, tables.size, flight.place
+    below = np.maximum(targets.spread(np.cumsum(landing.mass[:, ::-1], axis=1)[:, ::-1]) - C, 0.0)
+    leaves = landing.leaving.sum(axis=1, keepdims=True) / landing.total
+    drift = np.einsum("nl,nli->ni", landing.leaving, landing.away) / landing.total
+    x, y = targets.place(landing.point + k.slide * state.v[:, :2] + k.drift * size * drift)
+    sd = np.sqrt(landing.blur + (k.side_spread * size) ** 2 + (k.size_spread * size * leaves) ** 2)
+    reach = (k.side_reach + k.topple_reach * leaves) * size
+    (a, b), bottom = tables.target_half.T, tables.target_height[:, 0]
+    low, high = heights(state, tables)
+    tall = high.max(axis=1, keepdims=True) - low.min(axis=1, keepdims=True)
+    H = step((landing.height + tall - bottom) / k.side_height) * below
+    H *= box(0.5 * (place[0] + x), a + 0.5 * np.sqrt((x - place[0]) ** 2 + 1e-6) + reach, sd)
+    H *= box(0.5 * (place[1] + y), b + 0.5 * np.sqrt((y - place[1]) ** 2 + 1e-6) + reach, sd)
+    return H
