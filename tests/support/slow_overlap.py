@@ -15,11 +15,8 @@ Array = np.ndarray
 def corners(scene: gp.Scene, data: mujoco.MjData, geom: int) -> list[Array]:
     """Return the corners in W of a geom's box."""
     centre, half = scene.model.geom_aabb[geom, :3], scene.model.geom_aabb[geom, 3:]
-    turned = data.geom_xmat[geom].reshape(3, 3)
-    return [
-        data.geom_xpos[geom] + turned @ (centre + half * np.array(signs))
-        for signs in itertools.product((-1, 1), repeat=3)
-    ]
+    p, R = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
+    return [p + R @ (centre + half * np.array(signs)) for signs in itertools.product((-1, 1), repeat=3)]
 
 
 def probability(scene: gp.Scene, q: Array, component: str, entity: str) -> float:

@@ -6,7 +6,7 @@ with either.
 References:
     T. Nguyen et al., "Failing Gracefully", Algorithm 1. Differs from it in: P is clipped at 1, since the overlap of
     stacked geoms counts more than once, which would make it more than certain; a body of less than 1e-6 mm^2 seen from
-    above has no P, which would be 0 / 0.
+    above has P = 0, which would be 0 / 0.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def reference_probability(
 ) -> Float[Array, "n component entity"]:
     """Compute Algorithm 1: how likely each entity is hit by each component when it fails in each configuration.
 
-    Every geom is replaced by its axis-aligned box in W. A component's boxes have the ground area A_r in all, an entity's
-    A_e, and all pairs of them overlap by A_overlap, seen from above. P is the larger one of A_overlap / A_r and
-    A_overlap / A_e if the lowest point of the component is above the highest of the entity, or if the heights from
-    lowest to highest point of both overlap; otherwise it is 0.
+    Every geom is replaced by its axis-aligned box in W. A component's boxes have the ground area A_r in all, those of
+    an entity A_e, and all pairs of them overlap by A_overlap, seen from above. P is the larger one of
+    A_overlap / A_r and A_overlap / A_e if the lowest point of the component is above the highest of the entity, or if
+    the heights from lowest to highest point of both overlap; otherwise it is 0.
 
     Args:
         scene: Where.

@@ -9,8 +9,8 @@ from graceful_plan.judge.reference_cost import reference_probability
 
 _SAME = 1e-9  # all three compute in double precision
 
-# A robot of two boxes, 1/8 wide; the second stands 1/4 further along x and 3/8 higher. A stack of two with a gap between
-# them, and a pile of three. All numbers are sums of powers of two, so that bodies can touch exactly.
+# A robot of two boxes, 1/8 wide; the second stands 1/4 further along x and 3/8 higher. A stack of two with a gap
+# between them, and a pile of three. All numbers are sums of powers of two, so that bodies can touch exactly.
 _STACKS = """
 <mujoco><compiler autolimits="true"/>
 <worldbody>
@@ -98,12 +98,7 @@ def test_three_transcriptions_agree(name):
     task = next(iter(gp.load_scene(name).tasks.values()))
     q = np.random.default_rng(5).uniform(*task.scene.limits.position.T, (10, len(task.scene.joints)))
     q = np.concatenate([q, np.linspace(task.start, task.goal[0], 5)])
-    found = np.array(
-        [
-            _by_all(task.scene, q, component, entity)
-            for component in ("body", "carried")
-            for entity in task.scene.entities
-        ]
-    )
+    pairs = [(component, entity) for component in ("body", "carried") for entity in task.scene.entities]
+    found = np.array([_by_all(task.scene, q, *pair) for pair in pairs])
     assert ((found > 0.0) & (found < 1.0)).sum() > 20
     assert (found == 0.0).sum() > 20

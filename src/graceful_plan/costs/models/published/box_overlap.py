@@ -10,8 +10,8 @@ from lowest to highest point, overlap); a component that is wholly below an enti
 what lies between do not enter: see `docs/limitations.md`.
 
 References:
-    Nguyen et al., "Failing Gracefully", Algorithm 1, as printed. Differs from the paper in: P is clipped at 1, which the
-    sum over pairs of stacked geoms can exceed; a body of less than 1e-6 mm^2 seen from above has no P.
+    Nguyen et al., "Failing Gracefully", Algorithm 1, as printed. Differs from the paper in: P is clipped at 1,
+    which the sum over pairs of stacked geoms can exceed; a body of less than 1e-6 mm^2 seen from above has P = 0.
 """
 
 from __future__ import annotations
