@@ -1,7 +1,8 @@
 """Algorithm 1 of the paper, moved to where ballistics takes the object: the least that speed and height can change.
 
-For each geom of an entity, the carried object's boxes are moved by the way that its centre of mass goes until the
-lowest of them is as low as that geom's top. Everything else is as printed: see `graceful_plan.judge.reference_cost`.
+For each geom of an entity, the carried object's boxes are moved as far as its centre of mass flies until the lowest of
+them is as low as that geom's top. Everything else is as printed, the comparison of heights at the release included: see
+`graceful_plan.judge.reference_cost`.
 """
 
 from __future__ import annotations
@@ -32,19 +33,21 @@ def landed_probability(scene: gp.Scene, q: Float[Array, "n nq"], qd: Float[Array
     low, high, velocity = _object(scene, parts, q, qd)
     still = Placement(scene).place(q[0])
     area = np.prod((high - low)[..., :2], axis=-1).sum(axis=1)
+    bottom, peak = low[..., 2].min(axis=1), high[..., 2].max(axis=1)
     P = np.zeros((len(q), len(scene.entities)))
     for column, entity in zip(P.T, scene.entities.values(), strict=True):
-        overlap, whole = np.zeros(len(q)), 0.0
-        for geom in entity.geoms:
-            floor, top = (x[0] for x in _boxes(scene, still.geom_xpos[[geom]], still.geom_xmat[[geom]], [geom]))
-            whole += float(np.prod((top - floor)[:2]))
-            drop = np.maximum(0.0, low[..., 2].min(axis=1) - top[2])
+        geoms = list(entity.geoms)
+        floors, tops = _boxes(scene, still.geom_xpos[geoms], still.geom_xmat[geoms], geoms)
+        overlap, whole = np.zeros(len(q)), float(np.prod((tops - floors)[:, :2], axis=-1).sum())
+        for floor, top in zip(floors, tops, strict=True):
+            drop = np.maximum(0.0, bottom - top[2])
             time = (velocity[:, 2] + np.sqrt(velocity[:, 2] ** 2 + 2.0 * GRAVITY * drop)) / GRAVITY
             shift = (velocity[:, :2] * np.maximum(0.0, time)[:, None])[:, None]
             common = np.minimum(high[..., :2] + shift, top[:2]) - np.maximum(low[..., :2] + shift, floor[:2])
-            above = low[..., 2] > top[2]
-            overlap += np.where(above, np.prod(np.maximum(0.0, common), axis=-1), 0.0).sum(axis=1)
-        column[:] = overlap * np.maximum(1.0 / whole if whole else 0.0, 1.0 / area)
+            overlap += np.prod(np.maximum(0.0, common), axis=-1).sum(axis=1)
+        above = bottom > tops[:, 2].max()
+        beside = np.minimum(peak, tops[:, 2].max()) > np.maximum(bottom, floors[:, 2].min())
+        column[:] = np.where(above | beside, overlap * np.maximum(1.0 / whole if whole else 0.0, 1.0 / area), 0.0)
     return np.minimum(P, 1.0)
 
 

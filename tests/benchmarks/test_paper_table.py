@@ -10,6 +10,8 @@ from benchmarks.paper_cost import SHARPNESS, _soft_max, _soft_min, as_coded
 import graceful_plan as gp
 from benchmarks import paper_table
 from failbench import ContactEvent
+from failbench.basics.statistics import estimate_mean
+from graceful_plan.judge.reference_cost import reference_probability
 
 RECOMPUTED = {"T1": 0.343, "T2": 0.457, "T3": 0.369, "T4": 0.236}
 BOXES_DIFFER = 0.08
@@ -53,9 +55,14 @@ def test_motion_is_the_published_one_where_the_via_point_is_known(scene):
         assert length == pytest.approx(paper_table.PUBLISHED[name].motion, rel=paper_table.MOTION_WITHIN)
 
 
+def _timed(scene, name):
+    stops = np.stack(paper_table.waypoints(scene, name))
+    return gp.retime(gp.Path(stops), scene.limits, scene.joints, deviation=0.0, speed=0.5)
+
+
 def test_failures_are_spread_over_the_phases_as_published(scene):
     stops = paper_table.waypoints(scene, "T1")
-    trajectory = gp.retime(gp.Path(np.stack(stops)), scene.limits, scene.joints, deviation=0.0, speed=0.5)
+    trajectory = _timed(scene, "T1")
     via = paper_table.via_time(trajectory, stops)
     np.testing.assert_allclose(trajectory.at([via]).q[0], stops[1], atol=1e-6)
     onsets = np.array([job.onset for job in paper_table.failures(trajectory, stops, 1000, seed=3)])
@@ -66,6 +73,45 @@ def test_failures_are_spread_over_the_phases_as_published(scene):
     np.testing.assert_array_equal(onsets, again)
     direct = paper_table.onset(np.array([0.0, 0.5]), trajectory, [stops[0], stops[-1]])
     np.testing.assert_allclose(direct, [0.0, 0.5 * trajectory.duration])
+
+
+def test_algorithm_1_is_what_its_column_says(scene):
+    trajectory = _timed(scene, "T2")
+    times = np.linspace(0.0, trajectory.duration, 40)
+    P = reference_probability(scene, trajectory.at(times).q, ["carried"])[:, 0]
+    severity = [entity.severity["carried"] for entity in scene.entities.values()]
+    expected = float((P @ severity).mean())
+    assert expected > 1.0
+    assert paper_table.algorithm_1(trajectory, scene, times) == pytest.approx(expected, rel=1e-6)
+    (row,) = [line for line in _table_of_one(expected).splitlines() if line.startswith("| T3")]
+    assert row.split("|")[4].strip() == f"{expected:.2f}"
+
+
+def _table_of_one(predicted):
+    """Print a table of trajectories of which only the column of Algorithm 1 is of interest."""
+    some = estimate_mean([1.0, 2.0], (0.0, 10.0))
+    rows = [
+        paper_table.Row(
+            name=name, motion=1.0, safety=1.0, hard=1.0, predicted=predicted, expected=1.0, observed=some, first=some,
+            protocol=some, at_stops=1.0, by_phase=(1.0, 1.0), duration=1.0, drops=1, impacts=np.array([1.0, 2.0]),
+        )
+        for name in paper_table.PUBLISHED
+    ]  # fmt: skip
+    table = paper_table.markdown(rows)
+    assert table.splitlines()[0].split("|")[4].strip() == "Algorithm 1"
+    return table
+
+
+def test_the_papers_protocol_is_sixty_runs_with_a_failure_in_a_quarter_of_them(scene):
+    trajectory = _timed(scene, "T4")
+    drawn = [paper_table.paper_failures(trajectory, seed) for seed in range(200)]
+    numbers = np.array([len(jobs) for jobs in drawn])
+    assert numbers.mean() == pytest.approx(15.0, abs=4.0 * np.sqrt(60 * 0.25 * 0.75 / 200))
+    assert numbers.var() == pytest.approx(60 * 0.25 * 0.75, rel=0.4)  # runs fail independently of each other
+    onsets = np.array([job.onset for jobs in drawn for job in jobs]) / trajectory.duration
+    np.testing.assert_allclose(np.quantile(onsets, [0.0, 0.25, 0.5, 0.75, 1.0]), np.linspace(0, 1, 5), atol=0.05)
+    assert paper_table.paper_failures(trajectory, 3) == drawn[3]
+    assert paper_table.over_all_runs([3.0, 9.0]).mean() == pytest.approx(12.0 / 60)
 
 
 def _touch(striker, entity, time):
@@ -99,3 +145,4 @@ def test_the_whole_experiment_runs(capsys):
         assert row["drops"] == 4
         assert row["observed"]["low"] <= row["observed"]["mean"] <= row["observed"]["high"]
         assert row["first"]["mean"] <= row["observed"]["mean"]
+        assert row["protocol"]["n"] == 60

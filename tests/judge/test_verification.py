@@ -331,8 +331,12 @@ def test_probability_of_boxes_above_each_other(scene: Scene) -> None:
     P = reference_probability(scene, q, ["carried"])
     assert P.shape == (1, 1, len(scene.entities))
     assert P[0, 0, bowl] == pytest.approx(1.0)
-    below = reference_probability(scene, np.array([[q[0, 0], -bend]]), ["carried"])
-    assert below[0, 0, bowl] == 0.0
+    # Bent down, the box is as high as the bowl and inside it, and wholly below a plate.
+    plated = scene.add_box("plate", [0.1, 0.1, 0.01], [0.3, -0.6, 0.5], entity="glass")
+    low = np.array([[q[0, 0], -bend]])
+    plate = list(plated.entities).index("plate")
+    assert reference_probability(plated, low, ["carried"])[0, 0, [bowl, plate]] == pytest.approx([1.0, 0.0])
+    assert reference_probability(plated, q, ["carried"])[0, 0, [bowl, plate]] == pytest.approx([1.0, 1.0])
 
 
 def test_partial_overlap_by_hand(scene: Scene) -> None:

@@ -4,13 +4,15 @@ The judge recomputes a planner's cost of that kind with this, and tests compare 
 with either.
 
 References:
-    T. Nguyen et al., "Failing Gracefully", Algorithm 1. P is clipped at 1 here: stacked geoms count their area more
-    than once, which would make it more than certain.
+    T. Nguyen et al., "Failing Gracefully", Algorithm 1. Differs from it in: P is clipped at 1, since the overlap of
+    stacked geoms counts more than once, which would make it more than certain; a body of less than 1e-6 mm^2 seen from
+    above has P = 0, which would be 0 / 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -25,15 +27,19 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 Exposure = Literal["length", "time", "waypoints"]
 
+_LEAST_AREA = 1e-12
+"""Of a body seen from above [m^2]."""
+
 
 def reference_probability(
     scene: Scene, q: Float[Array, "n nq"], components: Sequence[str] | None = None
 ) -> Float[Array, "n component entity"]:
     """Compute Algorithm 1: how likely each entity is hit by each component when it fails in each configuration.
 
-    Every geom is replaced by its axis-aligned box. A robot geom counts against an entity's geom if it is above all of
-    it; the overlap of their ground areas, summed over all pairs of geoms, is divided by the area of the entity and by
-    that of the component, and the larger ratio is P.
+    Every geom is replaced by its axis-aligned box in W. A component's boxes have the ground area A_r in all, those of
+    an entity A_e, and all pairs of them overlap by A_overlap, seen from above. P is the larger one of
+    A_overlap / A_r and A_overlap / A_e if the lowest point of the component is above the highest of the entity, or if
+    the heights from lowest to highest point of both overlap; otherwise it is 0.
 
     Args:
         scene: Where.
@@ -43,21 +49,39 @@ def reference_probability(
     names = list(scene.components) if components is None else list(components)
     P = np.zeros((len(q), len(names), len(scene.entities)))
     # Entities stand still while the robot moves, so one configuration shows them as well as any.
-    lower, upper = _boxes(scene, q[:1], range(scene.model.ngeom))
-    still = [(lower[:, list(e.geoms)], upper[:, list(e.geoms)]) for e in scene.entities.values()]
-    parts = [geom for name in names for geom in scene.components[name].geoms]
-    part_component = np.repeat(np.arange(len(names)), [len(scene.components[name].geoms) for name in names])
-    lower_parts, upper_parts = _boxes(scene, q, parts)
-    for j in range(len(names)):
-        lower_r, upper_r = lower_parts[:, part_component == j], upper_parts[:, part_component == j]
-        for i, (lower_e, upper_e) in enumerate(still):
-            high = np.minimum(upper_r[:, :, None, :2], upper_e[:, None, :, :2])
-            low = np.maximum(lower_r[:, :, None, :2], lower_e[:, None, :, :2])
-            overlap = np.prod(np.maximum(0.0, high - low), axis=-1)
-            above = lower_r[:, :, None, 2] > upper_e[:, None, :, 2]
-            total = np.where(above, overlap, 0.0).sum(axis=(1, 2))
-            P[:, j, i] = np.maximum(_ratio(total, _area(lower_e, upper_e)), _ratio(total, _area(lower_r, upper_r)))
+    entities = [_boxes(scene, q[:1], entity.geoms) for entity in scene.entities.values()]
+    for j, name in enumerate(names):
+        component = _boxes(scene, q, scene.components[name].geoms)
+        for i, entity in enumerate(entities):
+            P[:, j, i] = _probability(component, entity)
     return np.minimum(P, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Boxes:
+    """Axis-aligned boxes in W of a body's geoms: lower and upper corners [m]."""
+
+    lower: Float[Array, "n geom 3"]
+    upper: Float[Array, "n geom 3"]
+
+    @property
+    def area(self) -> Float[Array, " n"]:
+        """Ground area of all of them [m^2]."""
+        return np.prod((self.upper - self.lower)[..., :2], axis=-1).sum(axis=1)
+
+
+def _probability(r: _Boxes, e: _Boxes) -> Float[Array, " n"]:
+    """Return P of component r and entity e, not clipped."""
+    if not (r.lower.size and e.lower.size):
+        return np.zeros(len(r.lower))
+    highest = np.minimum(r.upper[:, :, None, :2], e.upper[:, None, :, :2])
+    lowest = np.maximum(r.lower[:, :, None, :2], e.lower[:, None, :, :2])
+    overlap = np.prod(np.maximum(highest - lowest, 0.0), axis=-1).sum(axis=(1, 2))
+    P = np.maximum(_ratio(overlap, r.area), _ratio(overlap, e.area))
+    min_r, max_r = r.lower[..., 2].min(axis=1), r.upper[..., 2].max(axis=1)
+    min_e, max_e = e.lower[..., 2].min(axis=1), e.upper[..., 2].max(axis=1)
+    beside = np.minimum(max_r, max_e) - np.maximum(min_r, min_e) > 0.0
+    return np.where((min_r > max_e) | beside, P, 0.0)
 
 
 def reference_cost(
@@ -115,10 +139,8 @@ def _points(
     return motion.at(t).q, t
 
 
-def _boxes(
-    scene: Scene, q: Float[Array, "n nq"], geoms: Sequence[int]
-) -> tuple[Float[Array, "n geom 3"], Float[Array, "n geom 3"]]:
-    """Axis-aligned boxes of some geoms in W: lower and upper corners [m]."""
+def _boxes(scene: Scene, q: Float[Array, "n nq"], geoms: Sequence[int]) -> _Boxes:
+    """Place the boxes of some geoms."""
     placement, model, chosen = Placement(scene), scene.model, np.array(geoms, dtype=int)
     xpos, xmat = np.empty((len(q), len(chosen), 3)), np.empty((len(q), len(chosen), 3, 3))
     for n, configuration in enumerate(q):
@@ -126,14 +148,9 @@ def _boxes(
         xpos[n], xmat[n] = data.geom_xpos[chosen], data.geom_xmat[chosen].reshape(-1, 3, 3)
     centre = xpos + np.einsum("ngij,gj->ngi", xmat, model.geom_aabb[chosen, :3])
     half = np.einsum("ngij,gj->ngi", np.abs(xmat), model.geom_aabb[chosen, 3:])
-    return centre - half, centre + half
-
-
-def _area(lower: Float[Array, "n geom 3"], upper: Float[Array, "n geom 3"]) -> Float[Array, " n"]:
-    """Total ground area of some boxes [m^2]."""
-    return np.prod((upper - lower)[..., :2], axis=-1).sum(axis=1)
+    return _Boxes(centre - half, centre + half)
 
 
 def _ratio(total: Float[Array, " n"], area: Float[Array, " m"]) -> Float[Array, " n"]:
     area = np.broadcast_to(area, total.shape)
-    return np.divide(total, area, out=np.zeros_like(total), where=area > 0.0)
+    return np.divide(total, area, out=np.zeros_like(total), where=area > _LEAST_AREA)

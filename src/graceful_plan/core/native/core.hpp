@@ -336,7 +336,7 @@ class Core {
       for (int i = 0; i < 3; ++i) part.p[i] = b[9 + i], part.half[i] = b[12 + i];
       part_.push_back(part);
     }
-    harmed_.assign(size_t(n_entity), Harmed{0, 0, 0.0, {0, {1e9, 1e9, 1e9}, {-1e9, -1e9, 1e9}}});
+    harmed_.assign(size_t(n_entity), Harmed{0, 0, 0.0, {0, {1e9, 1e9, 1e9}, {-1e9, -1e9, -1e9}}});
     for (size_t k = 0; k < entity.shape(0); ++k) {
       Target t{};
       t.entity = entity.data()[k];
@@ -346,11 +346,10 @@ class Core {
       if (harmed.first == harmed.last) harmed.first = int(k);
       harmed.last = int(k) + 1;
       harmed.area += (t.upper[0] - t.lower[0]) * (t.upper[1] - t.lower[1]);
-      for (int i = 0; i < 2; ++i) {
+      for (int i = 0; i < 3; ++i) {
         harmed.bound.lower[i] = std::min(harmed.bound.lower[i], t.lower[i]);
         harmed.bound.upper[i] = std::max(harmed.bound.upper[i], t.upper[i]);
       }
-      harmed.bound.upper[2] = std::min(harmed.bound.upper[2], t.upper[2]);
       target_.push_back(t);
     }
     tables_.n_part = int(part_.size()), tables_.n_target = int(target_.size());

@@ -54,7 +54,7 @@ struct Target {  // an axis-aligned box of an entity
   double lower[3], upper[3];
 };
 
-struct Harmed {  // an entity: its targets, and a box around them of which upper[2] is the lowest top
+struct Harmed {  // an entity: its targets, and the box around them
   int32_t first, last;
   double area;  // in xy, over all boxes
   Target bound;
@@ -71,8 +71,7 @@ struct Tables {
   const int32_t* pair;  // pairs of groups
   const Part* part;
   const Target* target;
-  const Harmed* harmed;         // per entity; without targets first == last
-  const uint32_t* moved_by;   // per link: bit j set if joint j moves it
+  const Harmed* harmed;  // per entity; without targets first == last
 };
 
 // --- the drop model: costs/interactions/footprint.py has its specification and the names of what stands here ---------

@@ -2,14 +2,16 @@
 
 constexpr double kLeastArea = 1e-12;  // of a body seen from above [m2]; what is thinner cannot be hit from above
 
-// Where boxes are over all lanes: the rectangle that they stay in and how high the highest bottom is. Most targets are out
-// of that, which a few scalar comparisons tell.
+// Where boxes are over all lanes: the rectangle that they stay in and how high they reach. Most targets are out of that,
+// which a few scalar comparisons tell.
 struct Range {
   double least[2], most[2], highest;
 
-  bool may_hit(const Target& t) const {
-    return highest > t.upper[2] && least[0] < t.upper[0] && most[0] > t.lower[0] && least[1] < t.upper[1] && most[1] > t.lower[1];
+  bool overlaps(const Target& t) const {
+    return least[0] < t.upper[0] && most[0] > t.lower[0] && least[1] < t.upper[1] && most[1] > t.lower[1];
   }
+  // What is above or beside an entity reaches higher than its lowest point.
+  bool may_hit(const Target& whole) const { return highest > whole.lower[2] && overlaps(whole); }
   void include(const Range& other) {
     for (int i = 0; i < 2; ++i) {
       least[i] = other.least[i] < least[i] ? other.least[i] : least[i];
@@ -19,10 +21,10 @@ struct Range {
   }
 };
 
-// The parts' boxes in W.
+// The parts' boxes in W, seen from above, and from where to where each component reaches in height.
 struct PartBoxes {
-  D lower[kMaxParts][2], upper[kMaxParts][2], bottom[kMaxParts];
-  D area[kMaxComponents];
+  D lower[kMaxParts][2], upper[kMaxParts][2];
+  D area[kMaxComponents], bottom[kMaxComponents], top[kMaxComponents];
   Range range[kMaxParts], all[kMaxComponents];
 };
 
@@ -54,7 +56,7 @@ struct Hazard {
 
 static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const Hazard& hazard, PartBoxes& boxes) {
   for (int r = 0; r < tables.n_component; ++r) {
-    boxes.area[r] = D{};
+    boxes.area[r] = D{}, boxes.bottom[r] = D{} + 1e9, boxes.top[r] = D{} - 1e9;
     boxes.all[r] = {{1e9, 1e9}, {-1e9, -1e9}, -1e9};
   }
   for (int k = 0; k < tables.n_part; ++k) {
@@ -73,35 +75,41 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
       boxes.lower[k][i] = c[i] - half[i], boxes.upper[k][i] = c[i] + half[i];
       boxes.range[k].least[i] = least_lane(boxes.lower[k][i]), boxes.range[k].most[i] = greatest_lane(boxes.upper[k][i]);
     }
-    boxes.bottom[k] = c[2] - half[2];
-    boxes.range[k].highest = greatest_lane(boxes.bottom[k]);
-    boxes.all[part.component].include(boxes.range[k]);
-    boxes.area[part.component] += 4.0 * half[0] * half[1];
+    const int r = part.component;
+    boxes.bottom[r] = minimum(boxes.bottom[r], c[2] - half[2]), boxes.top[r] = maximum(boxes.top[r], c[2] + half[2]);
+    boxes.range[k].highest = greatest_lane(c[2] + half[2]);
+    boxes.all[r].include(boxes.range[k]);
+    boxes.area[r] += 4.0 * half[0] * half[1];
   }
 }
 
-// P(entity, component) = max(sum I / sum A_entity, sum I / sum A_component), I the overlap in xy of a pair of boxes of
-// which the component's is entirely above; sums over all pairs, respectively all boxes; at most 1.
-// False, with P = 0, if no box comes near.
+// P(entity, component) = max(sum I / sum A_entity, sum I / sum A_component), I the overlap in xy of a pair of boxes, A a box's
+// area in xy; sums over all pairs, respectively all boxes; at most 1. It counts if the component as a whole is above the
+// entity as a whole, or if their heights overlap; else P is 0. False, with P = 0, if no box comes near.
 static inline bool interactions(const Tables& tables, const Hazard& hazard, const PartBoxes& boxes, int component, const Harmed& entity,
                                 D& P) {
   P = D{};
-  if (!boxes.all[component].may_hit(entity.bound)) return false;
+  const Target& whole = entity.bound;
+  if (!boxes.all[component].may_hit(whole)) return false;
+  const D bottom = boxes.bottom[component], top = boxes.top[component];
+  const auto above = bottom > D{} + whole.upper[2];
+  const auto beside = minimum(top, D{} + whole.upper[2]) - maximum(bottom, D{} + whole.lower[2]) > 0.0;
+  if (!any(above | beside)) return false;
   D overlap = {};
   bool near = false;
   for (int k = hazard.first_part[component]; k < hazard.first_part[component + 1]; ++k) {
     for (int t = entity.first; t < entity.last; ++t) {
       const Target& target = tables.target[t];
-      if (!boxes.range[k].may_hit(target)) continue;
+      if (!boxes.range[k].overlaps(target)) continue;
       near = true;
-      D x = relu(minimum(boxes.upper[k][0], D{} + target.upper[0]) - maximum(boxes.lower[k][0], D{} + target.lower[0]));
-      D y = relu(minimum(boxes.upper[k][1], D{} + target.upper[1]) - maximum(boxes.lower[k][1], D{} + target.lower[1]));
-      overlap += boxes.bottom[k] > target.upper[2] ? x * y : D{};
+      const D x = relu(minimum(boxes.upper[k][0], D{} + target.upper[0]) - maximum(boxes.lower[k][0], D{} + target.lower[0]));
+      const D y = relu(minimum(boxes.upper[k][1], D{} + target.upper[1]) - maximum(boxes.lower[k][1], D{} + target.lower[1]));
+      overlap += x * y;
     }
   }
   if (!near) return false;
   const D area = minimum(boxes.area[component], D{} + entity.area);
-  P = area > kLeastArea ? minimum(overlap / area, D{} + 1.0) : D{};
+  P = ((above | beside) & (area > kLeastArea)) ? minimum(overlap / area, D{} + 1.0) : D{};
   return true;
 }
 

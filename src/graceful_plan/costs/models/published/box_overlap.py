@@ -1,13 +1,17 @@
 """Algorithm 1 of the paper: overlap, seen from above, of axis-aligned boxes.
 
-P(e, r) = max(sum I / sum A_e, sum I / sum A_r), at most 1. I is the overlap in xy of a box of component r with a box of
-entity e, counted if the component's box is entirely above the entity's; A are the boxes' areas in xy; every sum runs
-over all boxes of a body. One box per geom, aligned with the world's axes. Speed, height, bounce and what lies between
-do not enter: see `docs/limitations.md`.
+Every geom is replaced by one box, aligned with the world's axes. A_r is the ground area of all boxes of component r,
+A_e that of all boxes of entity e, A_overlap the overlap in xy summed over all pairs of them:
+
+    P(e, r) = max(A_overlap / A_r, A_overlap / A_e)
+
+if r as a whole is above e as a whole (the lowest point of r above the highest of e) or beside it (the heights of both,
+from lowest to highest point, overlap); a component that is wholly below an entity has P = 0. Speed, height, bounce and
+what lies between do not enter: see `docs/limitations.md`.
 
 References:
-    Nguyen et al., "Failing Gracefully", Algorithm 1. Differs from the paper in: P is clipped at 1, which sums over
-    stacked geoms can exceed.
+    Nguyen et al., "Failing Gracefully", Algorithm 1, as printed. Differs from the paper in: P is clipped at 1,
+    which the sum over pairs of stacked geoms can exceed; a body of less than 1e-6 mm^2 seen from above has P = 0.
 """
 
 from __future__ import annotations
