@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 import graceful_plan as gp
+from graceful_plan.exceptions import SceneError, UnknownNameError
 from graceful_plan.scene.elements import ObjectNote, TaskNote
 
 Array = np.ndarray
@@ -180,7 +181,7 @@ def load(name: str) -> gp.Scene:
         UnknownNameError: If there is none of that name.
     """
     if name not in VARIANTS:
-        raise gp.UnknownNameError("variant", name, VARIANTS)
+        raise UnknownNameError("variant", name, VARIANTS)
     variant = VARIANTS[name]
     base = gp.load_scene(variant.base)
     rng = np.random.default_rng(variant.seed)
@@ -264,7 +265,7 @@ def _place(scene: gp.Scene, spec: mujoco.MjSpec, variant: Variant, rng: np.rando
             if name in variant.keep or _stands(scene, data, bodies[name], others, supports):
                 break
         else:
-            raise gp.SceneError(f"there is no room for {name!r}")
+            raise SceneError(f"there is no room for {name!r}")
         placed.append(name)
         body = spec.body(name)
         body.pos, body.quat = data.qpos[address : address + 3].copy(), data.qpos[address + 3 : address + 7].copy()
@@ -383,4 +384,4 @@ def _end(scene: gp.Scene, q: Array, task: gp.Task, rng: np.random.Generator) -> 
             return tuple(near.round(4).tolist())
         if room <= 0.0 and gp.clearance(scene, near) >= _ROOM:  # a thing that stood is held in the air here
             return tuple(near.round(4).tolist())
-    raise gp.SceneError(f"an end of {task.name!r} is not free")
+    raise SceneError(f"an end of {task.name!r} is not free")

@@ -22,6 +22,7 @@ from graceful_plan.costs.consequence import (
     damaged_by_body,
     damaged_by_carried,
 )
+from graceful_plan.scene.harm.fragility import FragilityTable
 
 TITLE = "Damage: predicted and observed energies of contacts"
 MEASURED = """\
@@ -108,7 +109,7 @@ def measure(job: tuple[str, int, int]) -> TouchEnergies:
 def _add_carried(
     touches: TouchEnergies, scene: gp.Scene, execution: failbench.Execution, rollouts: Sequence[failbench.Rollout]
 ) -> None:
-    table, names = gp.FragilityTable.shipped(), list(scene.entities)
+    table, names = FragilityTable.shipped(), list(scene.entities)
     state = execution.trajectory.at(execution.trajectory.t[0] + np.array([rollout.onset for rollout in rollouts]))
     speed = np.linalg.norm(state.qd, axis=1)
     direction = state.qd / np.where(speed > 0.0, speed, 1.0)[:, None]
@@ -122,7 +123,7 @@ def _add_carried(
 
 
 def _add_body(touches: TouchEnergies, scene: gp.Scene, rollouts: Sequence[failbench.Rollout]) -> None:
-    table = gp.FragilityTable.shipped()
+    table = FragilityTable.shipped()
     for _, event in _events(rollouts, scene, "body"):
         fragility = table.of(scene.entities[event.entity].category)
         touches.body_energy.append(event.energy)

@@ -14,6 +14,7 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.motion_problems import KINDS, make, write
+from graceful_plan.compare.problems.problem_files import ProblemFile
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.planner import Budget
@@ -90,7 +91,7 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{origin} {seeds} seeds; medians.\n\n{targets}\n{report.table(header, rows)}{failed}"
 
 
-def _own(count: int, options: suite.Options) -> Sequence[gp.ProblemFile]:
+def _own(count: int, options: suite.Options) -> Sequence[ProblemFile]:
     """Make our own problems, and read them back as anybody's are read."""
     made = suite.spread(_make, [(kind, count) for kind in KINDS], options.processes, "making problems")
     by_kind = {problems[0].group: problems for problems in made}
@@ -100,16 +101,16 @@ def _own(count: int, options: suite.Options) -> Sequence[gp.ProblemFile]:
         return gp.load_problems(file)
 
 
-def _make(job: tuple[str, int]) -> list[gp.ProblemFile]:
+def _make(job: tuple[str, int]) -> list[ProblemFile]:
     return [_without_scene(problem) for problem in make(*job, SEED)]
 
 
-def _without_scene(problem: gp.ProblemFile) -> gp.ProblemFile:
+def _without_scene(problem: ProblemFile) -> ProblemFile:
     """Copy a problem without what it has made meanwhile, so that it can cross processes."""
-    return gp.ProblemFile(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
+    return ProblemFile(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
 
 
-def examine(job: tuple[gp.ProblemFile, int, bool]) -> ProblemFigures:
+def examine(job: tuple[ProblemFile, int, bool]) -> ProblemFigures:
     """Measure one problem."""
     problem, seeds, long = job
     asked = _asked(problem)
@@ -137,7 +138,7 @@ def examine(job: tuple[gp.ProblemFile, int, bool]) -> ProblemFigures:
     )
 
 
-def _asked(problem: gp.ProblemFile) -> SceneProblem | None:
+def _asked(problem: ProblemFile) -> SceneProblem | None:
     """Make the problem that planners see, as `plan` does; None if start or goals cannot be used."""
     scene, compiled = problem.scene, compile_scene(problem.scene)
     start = resolve_start(problem.start, scene).q

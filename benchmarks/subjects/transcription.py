@@ -14,6 +14,7 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from graceful_plan.timing.retiming import slowed
 from graceful_plan.transcription.symbolic import SymbolicRobot, symbolic_robot
+from graceful_plan.transcription.trajectory_optimisation import OptimisationStatus, OptimisedTrajectory
 
 Array = np.ndarray
 
@@ -72,7 +73,7 @@ class Transcribed:
     torque: tuple[float, float] = (math.nan, math.nan)
     plain: float = math.nan
     """F of the motion to begin with [s]."""
-    found: dict[str, gp.OptimisedTrajectory] = field(default_factory=dict)
+    found: dict[str, OptimisedTrajectory] = field(default_factory=dict)
     observed: ObservedHarm = ObservedHarm()
 
 
@@ -242,10 +243,10 @@ def _harm_cells(found: ObservedHarm) -> Sequence[str]:
     return (f"{found.speed:g}", *each, f"{after / before:.2f}" if before > 0.0 else "none")
 
 
-def _told(result: gp.OptimisedTrajectory, before: bool = False) -> str:
+def _told(result: OptimisedTrajectory, before: bool = False) -> str:
     if result.trajectory is None:
         return f"none: {result.detail}"
-    same = " (-)" if result.status is gp.OptimisationStatus.UNCHANGED else ""
+    same = " (-)" if result.status is OptimisationStatus.UNCHANGED else ""
     begun = f"{result.initial_cost:.3f} to " if before else ""
     return f"{begun}{result.cost:.3f}{same} ({result.stats['seconds']:.1f})"
 

@@ -13,7 +13,8 @@ from failbench.basics.errors import ExecutionRefused
 from failbench.report import ValidationReport
 from failbench.simulated.world import SimSettings
 from failbench.validation import Scenarios, validate
-from graceful_plan import ParetoFront, Scene, SettingError, documents
+from graceful_plan import ParetoFront, Scene, documents
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 

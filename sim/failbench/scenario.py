@@ -12,7 +12,7 @@ from typing import NamedTuple
 import graceful_plan as gp
 from failbench.fault.fault import DEGREES, Fault
 from failbench.fault.registry import faults
-from graceful_plan import UnknownNameError
+from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.yaml_file import Block, read_yaml
 
 _FILE = Path(__file__).parent / "scenarios.yaml"

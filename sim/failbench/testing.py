@@ -27,7 +27,8 @@ from failbench.recording.records import Job
 from failbench.rollouts.injection import Injection
 from failbench.simulated.execution import STATE, Execution, execute
 from failbench.simulated.world import build_world
-from graceful_plan import GracefulPlanError, UnknownNameError, load_scene
+from graceful_plan import GracefulPlanError, load_scene
+from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.testing import ContractError
 
 Array = np.ndarray

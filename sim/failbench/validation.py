@@ -31,9 +31,10 @@ from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_g
 from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.execution import execute
 from failbench.simulated.world import SimSettings, build_world
-from graceful_plan import ImpactCost, Path, PlanResult, Scene, SettingError, Trajectory
+from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import trajectory_batch
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 

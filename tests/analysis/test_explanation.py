@@ -12,6 +12,7 @@ from places import ROOT
 
 import graceful_plan as gp
 from graceful_plan.analysis.explanation import STRETCH, shortest_stretch
+from graceful_plan.exceptions import CostError, SettingError, ShapeError
 from graceful_plan.viz.explanation import draw_explanation
 
 _ROUNDING = 1e-12
@@ -204,7 +205,7 @@ def test_who_moves_is_met_where_it_is_then(task, result):
     assert max(row.end_time for row in mine) < 0.6
     later = gp.explain(trajectory, scene, _OBJECTIVES["footprint-time"], start_time=1.0)
     assert later.cost.impact_by_entity["tom"] < 1e-3 * found.cost.impact_by_entity["tom"]
-    with pytest.raises(gp.SettingError, match="start_time = nan"):
+    with pytest.raises(SettingError, match="start_time = nan"):
         gp.explain(trajectory, scene, start_time=np.nan)
 
 
@@ -257,12 +258,12 @@ def test_standing_still_costs_nothing_but_a_waypoint_does(task):
 
 
 def test_other_costs_do_not_tell_who_is_hit(task, result):
-    with pytest.raises(gp.SettingError, match=r"objective.impact = Own\(\).* who is hit"):
+    with pytest.raises(SettingError, match=r"objective.impact = Own\(\).* who is hit"):
         gp.explain(result, task.scene, gp.Objective(impact=Own()))
 
 
 def test_sources_that_do_not_add_up(task, result):
-    with pytest.raises(gp.CostError, match=r"HalfTold: sources\(\) add up to .*, probability\(\) to"):
+    with pytest.raises(CostError, match=r"HalfTold: sources\(\) add up to .*, probability\(\) to"):
         gp.explain(result, task.scene, gp.Objective(impact=gp.ImpactCost(model=HalfTold())))
 
 
@@ -273,5 +274,5 @@ def test_no_path_no_explanation(task):
 
 
 def test_a_path_of_another_robot(task):
-    with pytest.raises(gp.ShapeError, match=r"path has shape \(2, 3\), expected \(n, 7\)"):
+    with pytest.raises(ShapeError, match=r"path has shape \(2, 3\), expected \(n, 7\)"):
         gp.explain(gp.Path(np.zeros((2, 3))), task.scene)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from graceful_plan.analysis.gantry import centre_of_mass, gantry_scene
 from graceful_plan.analysis.impact_maps import DIRECTIONS
+from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 from graceful_plan.viz.impact_maps import draw_impact_map
 
 _ROUNDING = 1e-9
@@ -207,7 +208,7 @@ def test_other_failures_are_left_out():
     scene, settings = boxes((0.0, 0.0)), {"height": 0.3, "resolution": 0.1}
     mixed = gp.impact_map(scene, gp.ImpactCost(model=DropsHalfTheTime()), **settings)
     np.testing.assert_allclose(mixed.impact, gp.impact_map(scene, **settings).impact, rtol=1e-12)
-    with pytest.raises(gp.SettingError, match="gripper can let go"):
+    with pytest.raises(SettingError, match="gripper can let go"):
         gp.impact_map(scene, gp.ImpactCost(model=NeverDrops()), **settings)
 
 
@@ -276,7 +277,7 @@ def test_a_gantry_keeps_everything_but_the_robot(name):
 
 
 def test_a_gantry_of_nothing():
-    with pytest.raises(gp.ShapeError, match="with a carried object"):
+    with pytest.raises(ShapeError, match="with a carried object"):
         gantry_scene(gp.load_scene("desk"), np.eye(3))
 
 
@@ -334,17 +335,17 @@ def test_a_picture_is_drawn(bounds, tmp_path):
     ],
 )
 def test_settings_outside_of_their_range(settings, message):
-    with pytest.raises(gp.SettingError, match=message):
+    with pytest.raises(SettingError, match=message):
         gp.impact_map(boxes((0.0, 0.0)), **({"height": 0.3} | settings))
 
 
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"q": [0.0]}, gp.ShapeError, "q has shape"),
-        ({"q": [0.0, math.nan, 0.0]}, gp.NonFiniteError, r"q is not finite at index \(1,\)"),
-        ({"bounds": (0.0, 1.0)}, gp.ShapeError, "bounds has shape"),
-        ({"bounds": (0.0, 1.0, 0.0, math.nan)}, gp.NonFiniteError, "bounds is not finite"),
+        ({"q": [0.0]}, ShapeError, "q has shape"),
+        ({"q": [0.0, math.nan, 0.0]}, NonFiniteError, r"q is not finite at index \(1,\)"),
+        ({"bounds": (0.0, 1.0)}, ShapeError, "bounds has shape"),
+        ({"bounds": (0.0, 1.0, 0.0, math.nan)}, NonFiniteError, "bounds is not finite"),
     ],
 )
 def test_arrays_of_the_wrong_kind(settings, error, message):
@@ -353,14 +354,14 @@ def test_arrays_of_the_wrong_kind(settings, error, message):
 
 
 def test_nothing_is_carried():
-    with pytest.raises(gp.ShapeError, match="with a carried object"):
+    with pytest.raises(ShapeError, match="with a carried object"):
         gp.impact_map(gp.load_scene("desk"), height=0.3)
 
 
 def test_nothing_stands_on_anything():
     scene = boxes()
-    with pytest.raises(gp.SettingError, match=r"surface = None, .*nothing in the scene stands on anything"):
+    with pytest.raises(SettingError, match=r"surface = None, .*nothing in the scene stands on anything"):
         gp.impact_map(scene, height=0.3)
-    with pytest.raises(gp.SettingError, match=r"bounds = None, .*no entities are so high"):
+    with pytest.raises(SettingError, match=r"bounds = None, .*no entities are so high"):
         gp.impact_map(scene, height=0.3, surface=0.0)
     assert not gp.impact_map(scene, height=0.3, surface=0.0, bounds=one_cell((0.0, 0.0))).impact.any()

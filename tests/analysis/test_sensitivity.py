@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import kendalltau, rankdata
 
 import graceful_plan as gp
-from graceful_plan.analysis.sensitivity import sensitivity_to
+from graceful_plan.analysis.sensitivity import sensitivity_to, severity_sensitivity
 from graceful_plan.exceptions import SettingError, ShapeError
 
 
@@ -27,7 +27,7 @@ OBJECTIVE = gp.Objective(impact=gp.ImpactCost(model="footprint"), w=2.0)
 
 
 def test_without_spread_nothing_changes(task: gp.Task, paths: dict[str, gp.Path]) -> None:
-    report = gp.severity_sensitivity(paths, task.scene, OBJECTIVE, spread=0.0, n=20)
+    report = severity_sensitivity(paths, task.scene, OBJECTIVE, spread=0.0, n=20)
     costs = [gp.evaluate(path, task.scene, OBJECTIVE) for path in paths.values()]
     assert report.names == tuple(paths)
     np.testing.assert_allclose(report.motion, [cost.motion for cost in costs])
@@ -45,7 +45,7 @@ def test_without_spread_nothing_changes(task: gp.Task, paths: dict[str, gp.Path]
 
 def test_spread_widens_and_seeds_decide(task: gp.Task, paths: dict[str, gp.Path]) -> None:
     little, much, again, other = (
-        gp.severity_sensitivity(paths, task.scene, OBJECTIVE, spread=spread, n=300, seed=seed)
+        severity_sensitivity(paths, task.scene, OBJECTIVE, spread=spread, n=300, seed=seed)
         for spread, seed in ((0.1, 0), (1.0, 0), (1.0, 0), (1.0, 1))
     )
     width = [np.ptp(report.impact_interval, axis=1) for report in (little, much)]
@@ -62,7 +62,7 @@ def test_spread_widens_and_seeds_decide(task: gp.Task, paths: dict[str, gp.Path]
 
 def test_identical_paths_share_everything(task: gp.Task, paths: dict[str, gp.Path]) -> None:
     path = paths["via 0"]
-    report = gp.severity_sensitivity([path, gp.Path(path.q.copy())], task.scene, OBJECTIVE, spread=1.0, n=200)
+    report = severity_sensitivity([path, gp.Path(path.q.copy())], task.scene, OBJECTIVE, spread=1.0, n=200)
     assert report.names == ("path 0", "path 1")
     assert report.best.tolist() == [0.5, 0.5] and report.least_impact.tolist() == [0.5, 0.5]
     assert report.rank.tolist() == [1.5, 1.5] and report.rank_interval.tolist() == [[1.5, 1.5]] * 2
@@ -71,7 +71,7 @@ def test_identical_paths_share_everything(task: gp.Task, paths: dict[str, gp.Pat
 
 def test_no_severity_no_sensitivity(task: gp.Task, paths: dict[str, gp.Path]) -> None:
     harmless = task.scene.with_severity(dict.fromkeys(task.scene.entities, 0.0))
-    report = gp.severity_sensitivity(paths, harmless, OBJECTIVE, spread=2.0, n=50)
+    report = severity_sensitivity(paths, harmless, OBJECTIVE, spread=2.0, n=50)
     assert not report.impact.any() and not report.impact_interval.any()
     assert report.best[np.argmin(report.motion)] == 1.0 and (report.tau == 1.0).all()
     assert report.least_impact.tolist() == pytest.approx([1.0 / len(paths)] * len(paths))
@@ -113,12 +113,12 @@ def test_tau_and_ranks_are_the_usual_ones() -> None:
 def test_motions_of_every_kind(task: gp.Task, paths: dict[str, gp.Path]) -> None:
     path = paths["via 1"]
     motions = [path, path.q, gp.retime(path, task.scene.limits)]
-    report = gp.severity_sensitivity(motions, task.scene, OBJECTIVE, n=10)
+    report = severity_sensitivity(motions, task.scene, OBJECTIVE, n=10)
     assert report.impact[0] == report.impact[1] > 0.0
 
 
 def test_table(task: gp.Task, paths: dict[str, gp.Path]) -> None:
-    text = str(gp.severity_sensitivity(paths, task.scene, OBJECTIVE, n=10))
+    text = str(severity_sensitivity(paths, task.scene, OBJECTIVE, n=10))
     lines = text.splitlines()
     assert lines[0].split()[:3] == ["path", "motion", "impact"]
     assert [line[:5] for line in lines[2:-1]] == list(paths)
@@ -148,9 +148,9 @@ class Own(gp.Cost):
 def test_misuse(task: gp.Task, paths: dict[str, gp.Path], change: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"paths": paths, "scene": task.scene} | change
     with pytest.raises(SettingError, match=message):
-        gp.severity_sensitivity(**given)
+        severity_sensitivity(**given)
 
 
 def test_a_path_of_another_robot(task: gp.Task) -> None:
     with pytest.raises(ShapeError):
-        gp.severity_sensitivity([np.zeros((2, 3))], task.scene)
+        severity_sensitivity([np.zeros((2, 3))], task.scene)

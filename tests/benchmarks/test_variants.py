@@ -10,6 +10,7 @@ import failbench as fb
 import graceful_plan as gp
 from benchmarks import landing, suite, variants
 from failbench.fault.end_effector import StuckGripper
+from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.judge.reference_cost import reference_probability
 
 NAMES = list(variants.VARIANTS)
@@ -23,7 +24,7 @@ def test_every_bundled_scene_has_a_variant() -> None:
 
 
 def test_unknown_variants_are_refused() -> None:
-    with pytest.raises(gp.UnknownNameError, match="tabletop_turned"):
+    with pytest.raises(UnknownNameError, match="tabletop_turned"):
         variants.load("no_such_variant")
 
 

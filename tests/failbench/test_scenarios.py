@@ -9,7 +9,7 @@ import graceful_plan as gp
 from failbench import Job, SimSettings, build_world, execute, run
 from failbench.fault.registry import CATEGORIES, DEGREES, faults
 from failbench.scenario import Scenario, _file, read_file, scenarios
-from graceful_plan import SceneError, UnknownNameError
+from graceful_plan.exceptions import SceneError, UnknownNameError
 
 _ALL = scenarios()
 _TASKS = [(name, task) for name in gp.scenes() for task in gp.load_scene(name).tasks]

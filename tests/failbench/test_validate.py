@@ -18,7 +18,8 @@ from failbench.fault.registry import GripperFailure, Noise, PowerLoss
 from failbench.report import ValidationReport
 from failbench.scenario import scenarios
 from failbench.validation import chosen_faults, compare, predicted_impact, validate
-from graceful_plan import ImpactCost, Objective, PlanningFailed, PlanResult, PlanStatus, SettingError, UnknownNameError
+from graceful_plan import ImpactCost, Objective, PlanningFailed, PlanResult, PlanStatus
+from graceful_plan.exceptions import SettingError, UnknownNameError
 
 _EXACT = 1e-9
 """Sums agree but for rounding."""
@@ -297,5 +298,5 @@ def test_the_field_table_lists_the_fields() -> None:
 def test_drops_without_anything_in_the_gripper_are_refused():
     scene = gp.load_scene("tabletop")
     still = np.stack([scene.tasks["green_to_blue"].start] * 2)
-    with pytest.raises(gp.SettingError, match="scene = 'tabletop', expected one with an object in the gripper"):
+    with pytest.raises(SettingError, match="scene = 'tabletop', expected one with an object in the gripper"):
         validate(still, scene, "drop/*/severe", n=3)

@@ -16,6 +16,7 @@ from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.planners.roadmaps.edge_prices import Edges
+from graceful_plan.roadmap import QueryStatus
 from graceful_plan.roadmap.exposure import Exposure
 from graceful_plan.roadmap.ground import MARGIN
 
@@ -136,14 +137,14 @@ def test_a_build_without_time_can_still_be_asked(task):
     roadmap = gp.Roadmap.build(task.scene, time_limit=0.0)
     assert len(roadmap.edges) == 0
     result = roadmap.query(task.start, task.goal)
-    assert result.status in (gp.QueryStatus.FOUND, gp.QueryStatus.NOT_CONNECTED)
+    assert result.status in (QueryStatus.FOUND, QueryStatus.NOT_CONNECTED)
 
 
 # --- queries ----------------------------------------------------------------------------------------------------------
 
 
 def test_an_answer_is_a_free_path_at_its_price(task, roadmap, answer):
-    assert answer.status is gp.QueryStatus.FOUND
+    assert answer.status is QueryStatus.FOUND
     q = answer.path.q
     np.testing.assert_array_equal(q[0], task.start)
     np.testing.assert_array_equal(q[-1], task.goal[answer.goal_index])
@@ -208,7 +209,7 @@ def test_severities_of_nobody_change_nothing(task):
 
 def test_a_motion_to_where_the_robot_is_costs_nothing(task, roadmap):
     result = roadmap.query(task.start, task.start)
-    assert result.status is gp.QueryStatus.FOUND
+    assert result.status is QueryStatus.FOUND
     assert (len(result.path), result.cost.total) == (1, 0.0)
 
 
@@ -223,7 +224,7 @@ def test_a_pose_is_a_goal(task, roadmap):
     X_WT = np.eye(4)
     X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
     result = roadmap.query(task.start, gp.PoseGoal(X_WT))
-    assert result.status is gp.QueryStatus.FOUND
+    assert result.status is QueryStatus.FOUND
     reached = task.scene.data_at(result.path.q[-1]).site(task.scene.tool).xpos
     np.testing.assert_allclose(reached, site.xpos, atol=2e-3)
 
@@ -235,25 +236,25 @@ def test_motions_that_cannot_be_used_are_skipped(task, motions):
         motions = [(task.start, task.start) if "start to" in motions else (blocked, task.goal)]
     roadmap = gp.Roadmap.build(task.scene, motions=motions, nodes=40)
     assert len(roadmap) == 40
-    assert roadmap.query(task.start, task.goal).status is gp.QueryStatus.FOUND
+    assert roadmap.query(task.start, task.goal).status is QueryStatus.FOUND
 
 
 def test_any_two_configurations_can_be_asked_for(roadmap):
     rng = np.random.default_rng(5)
     pairs = roadmap.q[rng.integers(len(roadmap), size=(12, 2))]
     found = [roadmap.query(*pair).status for pair in pairs if np.any(pair[0] != pair[1])]
-    assert found.count(gp.QueryStatus.FOUND) == len(found)
+    assert found.count(QueryStatus.FOUND) == len(found)
 
 
 def test_ends_that_cannot_be_used(task, roadmap):
     inside_table = task.start.copy()
     for joint in (1, 3):
         inside_table[joint] = task.scene.limits.position[joint, 1]
-    assert roadmap.query(inside_table, task.goal).status is gp.QueryStatus.INVALID_START
-    assert roadmap.query(task.start, inside_table).status is gp.QueryStatus.INVALID_GOAL
+    assert roadmap.query(inside_table, task.goal).status is QueryStatus.INVALID_START
+    assert roadmap.query(task.start, inside_table).status is QueryStatus.INVALID_GOAL
     beyond = task.start + 10.0
     result = roadmap.query(beyond, task.goal)
-    assert result.status is gp.QueryStatus.INVALID_START and "limit" in result.detail
+    assert result.status is QueryStatus.INVALID_START and "limit" in result.detail
     assert roadmap.front(inside_table, task.goal) == roadmap.front(task.start, beyond) == []
 
 
@@ -261,10 +262,10 @@ def test_a_wall_without_a_way_around():
     roadmap = gp.Roadmap.build(gantry(wall=1.2), nodes=80, motions=[([-0.8, 0.0], [0.8, 0.0])])
     assert len(roadmap) == 80
     result = roadmap.query([-0.8, 0.0], [0.8, 0.0])
-    assert result.status is gp.QueryStatus.NOT_CONNECTED
+    assert result.status is QueryStatus.NOT_CONNECTED
     assert result.path is None and result.cost.total == np.inf
     assert roadmap.front([-0.8, 0.0], [0.8, 0.0]) == []
-    assert roadmap.query([-0.8, 0.0], [-0.3, 0.5]).status is gp.QueryStatus.FOUND
+    assert roadmap.query([-0.8, 0.0], [-0.3, 0.5]).status is QueryStatus.FOUND
 
 
 def test_a_wall_with_a_way_around_and_a_vase_beside_it():
@@ -390,5 +391,5 @@ def test_without_those_who_move_they_do_not_count(task):
 def test_nothing_carried_means_no_impact(task):
     roadmap = gp.Roadmap.build(task.world, nodes=40)
     result = roadmap.query(task.start, task.goal[0])
-    assert result.status in (gp.QueryStatus.FOUND, gp.QueryStatus.INVALID_START, gp.QueryStatus.INVALID_GOAL)
+    assert result.status in (QueryStatus.FOUND, QueryStatus.INVALID_START, QueryStatus.INVALID_GOAL)
     assert len(roadmap.edges) > 0 and roadmap.edges.prices.impact(roadmap.severity()).max() == 0.0

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, SceneError, SettingError, ShapeError, UnknownNameError
+from graceful_plan.scene.elements import Limits
 
-_LIMITS = gp.Limits(
+_LIMITS = Limits(
     position=np.array([[-3.0, 3.0]] * 2), velocity=np.ones(2), acceleration=np.ones(2) * 4.0, torque=np.full(2, np.inf)
 )
 PERSON = {"size": [0.25, 0.85], "t": [0.0, 2.0], "position": [[1.0, -1.0, 0.85], [1.0, 1.0, 0.85]]}

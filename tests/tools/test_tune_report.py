@@ -10,6 +10,7 @@ import pytest
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
 from graceful_plan.tools import cli, tune_report
+from graceful_plan.tuning.fronts import ChoiceStatus
 from graceful_plan.viz.front import draw_front
 from graceful_plan.viz.front_page import write_front_page
 
@@ -63,7 +64,7 @@ def test_tune_json_is_one_document(run, tmp_path):
 def test_targets_out_of_reach_fail(run, tmp_path):
     code, out, _ = run(*QUICK, "--target-impact", "1e-9", "--max-detour", "0.01", "--out", str(tmp_path))
     assert code == cli.FAILED
-    assert gp.ChoiceStatus.UNREACHABLE.value in out
+    assert ChoiceStatus.UNREACHABLE.value in out
     assert not (tmp_path / "chosen.json").exists()
     assert (tmp_path / "front.html").exists()
 

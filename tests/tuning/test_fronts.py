@@ -5,7 +5,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.tuning.fronts import FrontProgress
+from graceful_plan.tuning.fronts import ChoiceStatus, FrontProgress
 from graceful_plan.tuning.points import dominated_area
 
 _ITERATIONS = 1200
@@ -56,7 +56,7 @@ def test_front_comes_back_from_its_file(front, tmp_path):
 
 def test_choice_of_a_front(front):
     choice = front.choose(target_impact=0.5 * front.points[0].impact)
-    assert choice.status is gp.ChoiceStatus.MET
+    assert choice.status is ChoiceStatus.MET
     assert choice.point.impact <= 0.5 * front.points[0].impact
 
 
@@ -80,7 +80,7 @@ def test_no_time_is_a_timeout(task):
         front = gp.pareto(task.start, task.goal, task.scene, **budget)
         assert (front.status, len(front)) == (gp.PlanStatus.TIMEOUT, 0)
         assert "no path" in front.detail
-        assert front.choose(target_impact=1.0).status is gp.ChoiceStatus.NO_FRONT
+        assert front.choose(target_impact=1.0).status is ChoiceStatus.NO_FRONT
 
 
 def test_start_at_the_goal_is_one_point_without_cost(task):

@@ -6,19 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graceful_plan import (
-    Check,
-    ChoiceStatus,
-    CostBreakdown,
-    ParetoFront,
-    ParetoPoint,
-    Path,
-    PlanStatus,
-    Trajectory,
-    Verdict,
-)
+from graceful_plan import CostBreakdown, ParetoFront, Path, PlanStatus, Trajectory, Verdict
 from graceful_plan.exceptions import FormatError, SettingError
 from graceful_plan.planners.roadmaps.graph import non_dominated
+from graceful_plan.result import Check
+from graceful_plan.tuning.fronts import ChoiceStatus, ParetoPoint
 from graceful_plan.tuning.points import dominated_area, front_of, hull_weights
 
 numbers = st.floats(0.0, 10.0, allow_nan=False).map(lambda x: round(x, 3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 
 @dataclass(frozen=True)

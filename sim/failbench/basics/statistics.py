@@ -17,8 +17,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan import SettingError, ShapeError
 from graceful_plan.array_types import Float, Int
+from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
 
 Array = np.ndarray

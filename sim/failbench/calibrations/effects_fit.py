@@ -27,9 +27,10 @@ from failbench.calibrations.mixture import likely, log_likelihood, most_likely
 from failbench.calibrations.skill import Figures, figures
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
-from graceful_plan import Scene, SettingError
+from graceful_plan import Scene
 from graceful_plan.array_types import Float
 from graceful_plan.costs.fault_prior import ARM, GENERATORS
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 

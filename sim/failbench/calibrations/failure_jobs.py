@@ -15,8 +15,9 @@ from failbench.basics.errors import ExecutionRefused
 from failbench.calibrations.failures import DROP, Failures, fail_along, read_failures, write_failures
 from failbench.fault.fault import Fault
 from failbench.rollouts.sampling import MOST, check_whole
-from graceful_plan import GracefulPlanError, Path, Scene, Task, Trajectory, UnknownNameError
+from graceful_plan import GracefulPlanError, Path, Scene, Task, Trajectory
 from graceful_plan.array_types import Float
+from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
 

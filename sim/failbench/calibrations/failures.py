@@ -24,11 +24,11 @@ from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import make_jobs
 from failbench.simulated.execution import Execution, execute
 from failbench.simulated.world import SimSettings, build_world
-from graceful_plan import Scene, SettingError, StateBatch, Trajectory
+from graceful_plan import Scene, StateBatch, Trajectory
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import AHEAD
 from graceful_plan.costs.objective import moving_batch
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, SettingError
 
 Array = np.ndarray
 

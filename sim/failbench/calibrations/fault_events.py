@@ -9,9 +9,10 @@ import numpy as np
 
 import graceful_plan as gp
 from failbench.calibrations.failures import Failures
-from graceful_plan import Scene, SettingError, ShapeError
+from graceful_plan import Scene
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.fault_prior import GENERATORS
+from graceful_plan.exceptions import SettingError, ShapeError
 
 Array = np.ndarray
 

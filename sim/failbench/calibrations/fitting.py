@@ -17,8 +17,9 @@ import numpy as np
 from failbench.basics.statistics import check_confidence
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.skill import SMALLEST
-from graceful_plan import Scene, SettingError
+from graceful_plan import Scene
 from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 

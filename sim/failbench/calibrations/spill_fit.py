@@ -18,7 +18,7 @@ from failbench.calibrations.family_fit import FamilyCalibration, States, fit_fam
 from failbench.calibrations.fitting import Constant, Family, Prior
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
-from graceful_plan import Scene, UnknownNameError
+from graceful_plan import Scene
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.models.drop.constants import DropSettings
@@ -26,6 +26,7 @@ from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel
 from graceful_plan.costs.models.drop.tables import drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
 from graceful_plan.costs.models.spill.tables import spill_tables
+from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
 

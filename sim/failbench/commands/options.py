@@ -13,7 +13,8 @@ from failbench.fault.registry import to_document
 from failbench.scenario import scenarios, usual_grasp
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, scene_of
-from graceful_plan import SettingError, documents
+from graceful_plan import documents
+from graceful_plan.exceptions import SettingError
 
 
 def add_command(

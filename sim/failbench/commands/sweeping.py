@@ -12,7 +12,7 @@ from failbench.commands.output import Answer, Bar
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.sweep import Generated, generate, resume, sweep_of
 from failbench.sweeps.work import Sweep
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 
 def add(commands: Any) -> None:

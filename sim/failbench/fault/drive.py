@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from failbench.simulated.plant import Plant
-from graceful_plan import UnsupportedError
+from graceful_plan.exceptions import UnsupportedError
 
 Array = np.ndarray
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from failbench.basics.onset import Onset, Uniform
 from failbench.simulated.plant import Plant
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 DEGREES = ("minor", "moderate", "severe", "critical")
 

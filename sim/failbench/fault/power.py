@@ -18,7 +18,7 @@ from failbench.fault.drive import (
 )
 from failbench.fault.fault import Fault
 from failbench.simulated.plant import Plant
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 _BRAKE_TORQUE = 1.5
 """Torque up to which a brake holds, as a multiple of what the joint's motor can give."""

@@ -24,8 +24,7 @@ from failbench.fault.end_effector import GripperFailure, StuckGripper, WeakGrip
 from failbench.fault.fault import CATEGORIES, DEGREES, Fault
 from failbench.fault.power import BatteryDegradation, PowerLoss, VoltageDrop
 from failbench.fault.sensor import BiasDrift, ControlDelay, DeadZone, Dropout, Noise, ScaleError
-from graceful_plan import SettingError, UnknownNameError
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 __all__ = [
     "CATEGORIES",

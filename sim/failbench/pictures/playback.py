@@ -25,7 +25,7 @@ from failbench.pictures.offscreen import Offscreen, find_camera, has_display
 from failbench.recording.records import Job, Rollout
 from failbench.rollouts import single
 from failbench.simulated.execution import CHECKPOINT, STATE, Execution, warnings_counted_only
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from failbench.fault.fault import Fault
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 
 from failbench.recording.records import ContactEvent, Rollout
-from graceful_plan import FragilityTable, Scene
+from graceful_plan import Scene
+from graceful_plan.scene.harm.fragility import FragilityTable
 
 
 def observed_impact(rollout: Rollout, scene: Scene) -> float:

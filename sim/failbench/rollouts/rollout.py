@@ -21,7 +21,7 @@ from failbench.rollouts.injection import CTRL, Injection
 from failbench.simulated.execution import CHECKPOINT, Execution, put, warnings_counted_only
 from failbench.simulated.rest import PERIOD, let_sleep
 from failbench.simulated.world import World
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 

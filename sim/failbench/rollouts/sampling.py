@@ -14,8 +14,8 @@ import numpy as np
 from failbench.basics.onset import Onset
 from failbench.fault.fault import Fault
 from failbench.recording.records import Job
-from graceful_plan import SettingError
 from graceful_plan.array_types import Float, Int
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 

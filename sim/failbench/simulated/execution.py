@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike
 
 from failbench.basics.errors import ExecutionRefused
 from failbench.simulated.world import World
-from graceful_plan import Path, PlanResult, RobotDynamics, SettingError, Trajectory, retime
+from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
+from graceful_plan.timing.dynamics import RobotDynamics
 
 Array = np.ndarray
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from failbench.simulated.robot import Robot
-from graceful_plan import UnknownNameError
+from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
 

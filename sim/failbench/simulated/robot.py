@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan import UnknownNameError
+from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
 

@@ -14,8 +14,9 @@ import numpy as np
 
 from failbench.simulated.gripper import Gripper, find_gripper
 from failbench.simulated.robot import Robot
-from graceful_plan import Scene, SettingError, UnsupportedError
+from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
+from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.scene.roles import free_joint
 
 Array = np.ndarray

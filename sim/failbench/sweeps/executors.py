@@ -15,7 +15,7 @@ from typing import Protocol, cast, runtime_checkable
 
 from failbench.basics.chunks import Chunk, ChunkOutcome, Work, attempt
 from failbench.basics.errors import WorkerError
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 MAX_KILLS = 3
 """How many workers a chunk may take down with it before it counts as failed."""

@@ -28,8 +28,7 @@ from failbench.sweeps.dataset import check_arrow, write_dataset
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, execution_of, fault_of, own_file, run_chunk
-from graceful_plan import SettingError
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, SettingError
 
 JOURNAL = "journal.sqlite"
 

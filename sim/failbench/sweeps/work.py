@@ -18,8 +18,8 @@ from failbench.rollouts.sampling import MOST, check_whole, make_jobs
 from failbench.simulated.execution import LONGEST, Execution, execute
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.sweeps.rows import contact_rows, rollout_row
-from graceful_plan import Scene, SettingError, Trajectory, UnknownNameError
-from graceful_plan.exceptions import FormatError
+from graceful_plan import Scene, Trajectory
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 _SCHEMA = "failbench.sweep"
 _VERSION = 1

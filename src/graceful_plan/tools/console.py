@@ -10,6 +10,7 @@ from typing import Any
 import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.result import TracePoint
 from graceful_plan.scene.scene import Scene
 
 DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -147,7 +148,7 @@ class ProgressLine:
     def show(self, point: Any) -> None:
         """Overwrite the line with the newest improvement, or with how far a search for a front has come."""
         text = f"{point.time:6.2f} s  "
-        if isinstance(point, gp.TracePoint):
+        if isinstance(point, TracePoint):
             text += f"total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
         else:
             text += f"{point.stage}, {point.candidates} candidates"

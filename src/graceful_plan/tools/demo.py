@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import graceful_plan as gp
+from graceful_plan.result import TracePoint
 
 SCENE = "tabletop"
 WEIGHTS = {"w = 0 (shortest)": 0.0, "w = 1 (fails gracefully)": 1.0}
@@ -46,7 +47,7 @@ def _change(before: float, after: float, what: str, unit: str = "") -> str:
     return f"{100.0 * abs(after / before - 1.0):.0f} % {'more' if after > before else 'less'} {what} {figures}"
 
 
-def run(output: Path, *, callback: Callable[[gp.TracePoint], None] | None = None, **budget: Any) -> DemoResults:
+def run(output: Path, *, callback: Callable[[TracePoint], None] | None = None, **budget: Any) -> DemoResults:
     """Plan the first task of `tabletop` with w = 0 and w = 1; write trajectories and pictures into `output`.
 
     Args:

@@ -22,6 +22,7 @@ from graceful_plan.tools.console import (
     sentence,
     show,
 )
+from graceful_plan.tuning.fronts import ChoiceStatus
 
 
 def add_to(commands: Any) -> None:
@@ -145,5 +146,5 @@ def _tune(args: argparse.Namespace) -> int:
             **planner,
         )
     show(args, outcome.to_document(), str(outcome))
-    chosen = outcome.choice.status is gp.ChoiceStatus.MET
+    chosen = outcome.choice.status is ChoiceStatus.MET
     return DONE if chosen and outcome.front.status is gp.PlanStatus.SOLVED else FAILED

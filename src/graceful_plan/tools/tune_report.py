@@ -14,7 +14,7 @@ from typing import Any
 import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.exceptions import GracefulPlanError, SettingError
-from graceful_plan.tuning.fronts import FrontProgress
+from graceful_plan.tuning.fronts import Choice, ChoiceStatus, FrontProgress
 
 
 class ValidationError(GracefulPlanError, RuntimeError):
@@ -33,7 +33,7 @@ class TuneReport:
     """
 
     front: gp.ParetoFront
-    choice: gp.Choice
+    choice: Choice
     validation: Mapping[str, Any] | None = None
     files: tuple[Path, ...] = ()
 
@@ -146,7 +146,7 @@ def run(
     from graceful_plan.viz.front import draw_front
     from graceful_plan.viz.front_page import write_front_page
 
-    if choice.status is gp.ChoiceStatus.MET and choice.point is not None:
+    if choice.status is ChoiceStatus.MET and choice.point is not None:
         files.append(output / "chosen.json")
         choice.point.trajectory.to_json(files[-1])
     validation = validated(files[0], scene_name, task.name, failures) if failures else None

@@ -3,10 +3,10 @@ from bench_cases import suite_file
 from places import LIBRARY
 
 import graceful_plan as gp
-from graceful_plan import SceneError, SettingError, UnknownNameError
 from graceful_plan import compare as bench
 from graceful_plan.compare.runs.comparison import settle
 from graceful_plan.compare.runs.runner import run
+from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 
 
 def written(folder, text):

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from graceful_plan import SettingError, ShapeError
 from graceful_plan.compare.reports.statistics import compare_all, compare_pair, holm, signed_rank
+from graceful_plan.exceptions import SettingError, ShapeError
 
 costs = st.lists(
     st.one_of(st.floats(0.1, 10.0), st.just(math.inf)).flatmap(

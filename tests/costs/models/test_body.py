@@ -18,6 +18,7 @@ from graceful_plan.costs.models.body.body import BodyModel, chance, mode_margins
 from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings, Margin, Margins
 from graceful_plan.costs.models.body.tables import BodyTables, body_tables
 from graceful_plan.exceptions import NonFiniteError, SceneError, SettingError, ShapeError
+from graceful_plan.timing.dynamics import RobotDynamics
 
 _SAME = 1e-9  # metres; the core and the twin differ by rounding, and by Newton's method stopped a step apart
 _TORQUE = 1e-8  # N m and rad/s^2, MuJoCo's own rounding
@@ -132,7 +133,7 @@ def test_accelerations_are_those_of_mujoco():
 @pytest.mark.parametrize("name", ["tabletop", "dining_table"])
 def test_torques_are_those_of_inverse_dynamics(name):
     scene = next(iter(gp.load_scene(name).tasks.values())).scene
-    inverse = gp.RobotDynamics(scene)
+    inverse = RobotDynamics(scene)
     q, _ = _states(scene, 4, seed=2)
     M, G = body_module._native_model(scene, SETTINGS).dynamics(q)
     still, axes = np.zeros(len(scene.joints)), np.eye(len(scene.joints))

@@ -20,6 +20,8 @@ from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import drop_kernel
 from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
 
 _SAME = 1e-9  # relative: the same numbers, added in another order
@@ -195,7 +197,7 @@ def test_no_components_are_not_those_of_the_model(scenes: dict[str, gp.Scene]) -
 
 
 def test_damage_by_a_model_strikes_with_its_components() -> None:
-    damage = Damage(Footprint(faults="arm"), gp.FragilityTable.shipped())
+    damage = Damage(Footprint(faults="arm"), FragilityTable.shipped())
     assert gp.ImpactCost(model=damage).components == ("body", "carried", "contents")
 
 
@@ -236,7 +238,7 @@ def test_it_is_a_value() -> None:
 
 
 def test_misuse_names_the_culprit() -> None:
-    with pytest.raises(gp.UnknownNameError, match="fault prior 'nonsense'; valid: arm, drop_only, service_robot"):
+    with pytest.raises(UnknownNameError, match="fault prior 'nonsense'; valid: arm, drop_only, service_robot"):
         Footprint(faults="nonsense")
 
 
@@ -246,5 +248,5 @@ class NotAPrior:
 
 
 def test_faults_that_are_no_prior() -> None:
-    with pytest.raises((gp.SettingError, TypeError), match="faults"):
+    with pytest.raises((SettingError, TypeError), match="faults"):
         Footprint(faults=NotAPrior())  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ from failbench.basics.statistics import (
     estimate_probability,
     wilson,
 )
-from graceful_plan import NonFiniteError, SettingError, ShapeError
+from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 _EXACT = 1e-9
 """Closed forms agree but for rounding."""

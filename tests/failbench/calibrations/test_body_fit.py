@@ -12,10 +12,9 @@ from failbench.calibrations.body_margins import fit_margin, predicted
 from failbench.calibrations.calibrate import scenes_of
 from failbench.calibrations.failures import fault_label
 from failbench.cli import DONE, main
-from graceful_plan import SettingError
 from graceful_plan.costs.models.body.body import FAR, BodyModel, mode_names
 from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings, Margin
-from graceful_plan.exceptions import ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError
 
 
 @pytest.mark.parametrize("ways", [1, 3])

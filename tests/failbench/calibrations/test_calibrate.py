@@ -10,6 +10,7 @@ from gaussian_family import GaussianFamily
 import graceful_plan as gp
 from failbench.calibrations import calibrate, failure_jobs, family_fit
 from failbench.calibrations.failures import DROP, Failures
+from graceful_plan.exceptions import SettingError
 from graceful_plan.yaml_file import read_yaml
 
 SCENES = ("tabletop", "tabletop_l1")
@@ -66,7 +67,7 @@ def test_the_document_says_where_it_comes_from(calibrated: family_fit.FamilyCali
 
 
 def test_one_scene_is_not_enough(dropped: list[Failures]) -> None:
-    with pytest.raises(gp.SettingError, match="at least two"):
+    with pytest.raises(SettingError, match="at least two"):
         family_fit.fit_family(GaussianFamily(), dropped[:2], model="gaussian")
 
 

@@ -14,10 +14,10 @@ from failbench.calibrations.fault_events import FaultEvents, fault_events
 from failbench.calibrations.mixture import log_likelihood
 from failbench.cli import DONE, main
 from failbench.fault.registry import DEGREES, faults
-from graceful_plan import SettingError, load_scene
+from graceful_plan import load_scene
 from graceful_plan.costs import fault_prior
 from graceful_plan.costs.fault_prior import GENERATORS, FaultPrior, presets, shipped_effects
-from graceful_plan.exceptions import ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError
 
 
 def test_the_shipped_effects_are_those_of_the_faults_that_there_are():

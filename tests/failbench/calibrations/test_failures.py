@@ -15,6 +15,7 @@ from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import make_jobs
 from failbench.simulated.execution import execute
 from failbench.simulated.world import build_world
+from graceful_plan.exceptions import SettingError
 
 SCENE, TASK = "tabletop_l1", "green_to_blue"
 
@@ -90,5 +91,5 @@ def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
 
 
 def test_without_an_object_nothing_is_dropped(motion: gp.Trajectory) -> None:
-    with pytest.raises(gp.SettingError, match="object in the gripper"):
+    with pytest.raises(SettingError, match="object in the gripper"):
         failures.fail_along(motion, gp.load_scene(SCENE), n=1)

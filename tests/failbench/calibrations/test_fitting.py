@@ -12,6 +12,7 @@ import graceful_plan as gp
 from failbench.calibrations import fitting
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.fitting import Constant, Sample
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 
@@ -201,10 +202,10 @@ def test_drops_of_a_task_are_put_together() -> None:
     ("prior", "spread", "text"), [(2.0, 1.0, r"prior of x = 2\.0"), (0.0, 0.0, r"spread of x = 0\.0")]
 )
 def test_constants_that_make_no_sense_are_refused(prior: float, spread: float, text: str) -> None:
-    with pytest.raises(gp.SettingError, match=text):
+    with pytest.raises(SettingError, match=text):
         Constant(name="x", prior=prior, spread=spread, high=1.0)
 
 
 def test_nothing_to_fit_is_refused() -> None:
-    with pytest.raises(gp.SettingError, match="samples"):
+    with pytest.raises(SettingError, match="samples"):
         fitting.fit(GaussianFamily(), [])

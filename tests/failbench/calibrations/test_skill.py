@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from failbench.calibrations import skill
-from graceful_plan import NonFiniteError, SettingError, ShapeError
+from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 _EXACT = 1e-9
 """Closed forms agree but for rounding."""

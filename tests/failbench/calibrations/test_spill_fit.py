@@ -16,11 +16,11 @@ from failbench.calibrations.spill_fit import FAULTS, SPILT, SpillFamily
 from failbench.cli import DONE, main
 from failbench.recording.vessel import find_vessel
 from failbench.simulated.world import build_world
-from graceful_plan import UnknownNameError
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, drop_kernel
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
 from graceful_plan.costs.models.spill.tables import DEPTH, spill_tables
+from graceful_plan.exceptions import UnknownNameError
 
 
 @pytest.mark.parametrize("use", USES)

@@ -14,8 +14,7 @@ from mujoco.batch import MODEL_FIELDS
 import failbench
 from failbench import AtFraction, AtTime, Fault, Job, Uniform, run, steps
 from failbench.fault.registry import DEGREES, PowerLoss, StuckGripper, faults, from_document, load_class, to_document
-from graceful_plan import SettingError, UnknownNameError
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 NAMES = {
     "actuator": "complete_shutdown loose_joint limited_range partial_degradation gradual_degradation stuck_position"

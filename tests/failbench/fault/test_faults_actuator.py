@@ -22,6 +22,7 @@ from failbench.fault.registry import (
     StuckPosition,
     faults,
 )
+from graceful_plan.exceptions import UnsupportedError
 
 
 def test_shutdown_gives_no_torque_and_leaves_the_arm_to_forward_dynamics():
@@ -170,7 +171,7 @@ def test_a_stuck_joint_stays_where_it_is_whatever_the_model_calls_zero():
 @pytest.mark.parametrize("fault", [IncreasedFriction(), StuckPosition(), PowerLoss()])
 def test_friction_and_brakes_need_to_know_the_greatest_torque(fault):
     job = Job(fault=fault, onset=0.1, seed=0)
-    with pytest.raises(gp.UnsupportedError, match="greatest torque of the joint 'shoulder' is not known"):
+    with pytest.raises(UnsupportedError, match="greatest torque of the joint 'shoulder' is not known"):
         run(execute([[0.0], [0.6]], build_world(arm())), [job])
     done = execute([[0.0], [0.6]], build_world(arm(torque=[80.0])))
     *_, (_, data) = steps(done, job, horizon=0.6)

@@ -8,7 +8,7 @@ import pytest
 from breaking import WELD, Nothing, Record, healthy_run
 
 from failbench.fault.registry import DEGREES, BatteryDegradation, PowerLoss, VoltageDrop, faults
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 
 def test_battery_takes_the_torque_of_all_drives_along_its_ramp():

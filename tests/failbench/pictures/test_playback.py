@@ -16,7 +16,6 @@ from motions import EVERY_DEGREE, Drop, Shake, Weaken, arm, execution
 from PIL import Image
 from places import ROOT
 
-import graceful_plan as gp
 from failbench import Fault, Job, SimSettings, build_world, faults, run
 from failbench.basics.errors import NoPicture
 from failbench.pictures import contact_sheet, film, offscreen
@@ -24,7 +23,7 @@ from failbench.pictures.drawing import TouchPaint, outlined
 from failbench.pictures.playback import film as moments_of
 from failbench.pictures.playback import replay
 from failbench.simulated.execution import STATE
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 SIZE = (96, 72)
 LATE = Job(fault=Drop(), onset=0.4, seed=0)
@@ -271,26 +270,26 @@ def test_frames_do_not_go_where_something_is(done, tmp_path):
     [("horizon", 0.0), ("lead", -1.0), ("fps", 0.0), ("fps", float("nan")), ("slow", 0.0), ("size", (8, 8))],
 )
 def test_settings_out_of_range_are_refused(done, tmp_path, setting, value):
-    with pytest.raises(gp.SettingError, match=f"^{setting} = "):
+    with pytest.raises(SettingError, match=f"^{setting} = "):
         replay(done, LATE, output=tmp_path / "x", **{setting: value})
     assert not (tmp_path / "x").exists()
 
 
 def test_more_frames_than_steps_are_refused(done, tmp_path):
-    with pytest.raises(gp.SettingError, match=r"at most one frame for each time step of 0\.002 s"):
+    with pytest.raises(SettingError, match=r"at most one frame for each time step of 0\.002 s"):
         replay(done, LATE, output=tmp_path / "x", fps=60.0, slow=10.0)
 
 
 def test_unknown_cameras_and_targets_are_refused(done, tmp_path):
-    with pytest.raises(gp.UnknownNameError, match=r"unknown camera 'above'; valid: .*overview"):
+    with pytest.raises(UnknownNameError, match=r"unknown camera 'above'; valid: .*overview"):
         replay(done, LATE, output=tmp_path / "x", camera="above")
-    with pytest.raises(gp.UnknownNameError, match="unknown target 'elbow'"):
+    with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
         replay(done, replace(LATE, fault=Drop(targets=("elbow",))), output=tmp_path / "x")
 
 
 def test_a_rollout_of_another_execution_is_refused(done, tmp_path):
     [rollout] = run(done, [Job(fault=Explode(), onset=0.4, seed=0)], horizon=0.1)
-    with pytest.raises(gp.SettingError, match="a rollout of this execution"):
+    with pytest.raises(SettingError, match="a rollout of this execution"):
         replay(done, replace(rollout, state=rollout.state + 1.0), output=tmp_path / "x")
 
 

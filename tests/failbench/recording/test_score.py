@@ -8,7 +8,7 @@ import graceful_plan as gp
 from failbench.fault.registry import faults
 from failbench.recording.records import ContactEvent, Job, Rollout
 from failbench.recording.score import energy_impact, observed_impact, secondary_impact
-from graceful_plan import FragilityTable
+from graceful_plan.scene.harm.fragility import FragilityTable
 
 _JOB = Job(fault=faults()["complete_shutdown"](), onset=0.0, seed=0)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from motions import Drop, Shake, Weaken, execution
 
-import graceful_plan as gp
 from failbench import Job, SimSettings, run, steps
 from failbench.rollouts.rollout import _run_group
 from failbench.simulated.execution import CHECKPOINT
 from failbench.sweeps.rows import rollout_row
+from graceful_plan.exceptions import SettingError, UnknownNameError
 
 FAULTS = (
     Drop(),
@@ -136,12 +136,12 @@ def test_no_log_is_left_in_the_working_directory(done, tmp_path, monkeypatch):
 
 
 def test_misuse_is_refused(done):
-    with pytest.raises(gp.SettingError, match=r"horizon = 0\.0, expected between the time step"):
+    with pytest.raises(SettingError, match=r"horizon = 0\.0, expected between the time step"):
         run(done, [Job(fault=Drop(), onset=0.1, seed=0)], horizon=0.0)
-    with pytest.raises(gp.UnknownNameError, match="unknown target 'elbow'"):
+    with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
         run(done, [Job(fault=Drop(targets=("elbow",)), onset=0.1, seed=0)])
     for setting in ("threads", "batch"):
-        with pytest.raises(gp.SettingError, match=f"{setting} = 0, expected at least 1"):
+        with pytest.raises(SettingError, match=f"{setting} = 0, expected at least 1"):
             run(done, [Job(fault=Drop(), onset=0.1, seed=0)], **{setting: 0})
     assert run(done, []) == []
 
@@ -186,7 +186,7 @@ def test_a_weld_lets_go_without_a_push():
 def test_horizons_are_checked(done, horizon):
     job = Job(fault=Drop(), onset=0.1, seed=0)
     for ask in (lambda: run(done, [job], horizon=horizon), lambda: list(steps(done, job, horizon=horizon))):
-        with pytest.raises(gp.SettingError, match=r"horizon = .*between the time step of 0\.002 s and 200 s"):
+        with pytest.raises(SettingError, match=r"horizon = .*between the time step of 0\.002 s and 200 s"):
             ask()
 
 
@@ -200,7 +200,7 @@ def test_horizons_are_checked(done, horizon):
     ],
 )
 def test_jobs_are_checked(wrong, message):
-    with pytest.raises(gp.SettingError, match=message):
+    with pytest.raises(SettingError, match=message):
         Job(**({"fault": Drop(), "onset": 0.1, "seed": 0} | wrong))
 
 

@@ -13,7 +13,7 @@ from failbench.basics.onset import AtFraction, AtTime, Uniform
 from failbench.fault.fault import Fault
 from failbench.rollouts.sampling import draw, make_jobs
 from failbench.simulated.plant import Plant
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ from motions import ARM, SERVO, arm, execution, world
 import graceful_plan as gp
 from failbench import ExecutionRefused, SimSettings, build_world, execute
 from failbench.simulated.execution import CHECKPOINT
+from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +87,7 @@ def test_a_healthy_run_that_blows_up_is_refused_and_leaves_no_log(tmp_path, monk
 
 def test_a_motion_that_takes_too_long_is_refused(task):
     q = np.stack([task.start, task.start])
-    with pytest.raises(gp.SettingError, match=r"duration of the trajectory = 1000000\.0, expected at most"):
+    with pytest.raises(SettingError, match=r"duration of the trajectory = 1000000\.0, expected at most"):
         execute(
             gp.Trajectory(np.array([0.0, 1e6]), q, 0.0 * q, 0.0 * q, task.scene.joints),
             world("tabletop", "green_to_blue"),
@@ -136,13 +137,13 @@ def test_a_motion_that_stands_still():
 
 def test_other_joints_and_failed_plans_are_refused(task):
     made = world("tabletop", "green_to_blue")
-    with pytest.raises(gp.ShapeError):
+    with pytest.raises(ShapeError):
         execute(np.zeros((3, 5)), made)
     q = np.stack([task.start, task.start])
     turned = gp.Trajectory(np.array([0.0, 1.0]), q, 0.0 * q, 0.0 * q, tuple(reversed(task.scene.joints)))
-    with pytest.raises(gp.SettingError, match=r"joints of the trajectory = .*joint7.* expected those of the scene"):
+    with pytest.raises(SettingError, match=r"joints of the trajectory = .*joint7.* expected those of the scene"):
         execute(turned, made)
-    with pytest.raises(gp.NonFiniteError):
+    with pytest.raises(NonFiniteError):
         execute(np.full((3, 7), np.nan), made)
     failed = gp.plan(task.scene.limits.position[:, 1] + 1.0, task.goal, task.scene, w=0.0)
     with pytest.raises(gp.PlanningFailed):

@@ -6,6 +6,7 @@ from motions import ARM, FINGERS, SERVO, arm, world
 import graceful_plan as gp
 from failbench import SimSettings, build_world, execute
 from failbench.simulated.world import SENSOR_SIZE
+from graceful_plan.exceptions import SettingError, UnsupportedError
 
 TASKS = [(name, task) for name in gp.scenes() for task in gp.load_scene(name).tasks]
 
@@ -56,9 +57,9 @@ def test_bodies_may_be_without_names():
 
 
 def test_a_joint_without_a_servo_is_refused():
-    with pytest.raises(gp.UnsupportedError, match="'shoulder' has 0 actuators"):
+    with pytest.raises(UnsupportedError, match="'shoulder' has 0 actuators"):
         build_world(arm(actuators=""))
-    with pytest.raises(gp.UnsupportedError, match="'shoulder' is no position servo; use SimSettings"):
+    with pytest.raises(UnsupportedError, match="'shoulder' is no position servo; use SimSettings"):
         build_world(arm(actuators='<motor joint="shoulder"/>'))
     torque = build_world(arm(actuators='<motor joint="shoulder"/>'), SimSettings(control="torque"))
     assert torque.robot.kp > 0.0
@@ -66,7 +67,7 @@ def test_a_joint_without_a_servo_is_refused():
 
 def test_without_fingers_only_a_weld_holds():
     scene = arm(carried="block")
-    with pytest.raises(gp.UnsupportedError, match="no position servo to hold with; use SimSettings"):
+    with pytest.raises(UnsupportedError, match="no position servo to hold with; use SimSettings"):
         build_world(scene)
     made = build_world(scene, SimSettings(grasp="weld"))
     assert made.robot.weld == made.hold >= 0
@@ -92,7 +93,7 @@ def test_the_gripper_opens_the_way_the_fingers_part(axes):
     ],
 )
 def test_settings_are_checked(settings, message):
-    with pytest.raises(gp.SettingError, match=message):
+    with pytest.raises(SettingError, match=message):
         SimSettings(**settings)
 
 
@@ -114,7 +115,7 @@ def test_gears_and_constant_forces_of_drives_are_made_up_for(servo, control):
 
 
 def test_a_drive_with_dynamics_of_its_own_is_refused():
-    with pytest.raises(gp.UnsupportedError, match="the actuator of 'shoulder' has dynamics of its own"):
+    with pytest.raises(UnsupportedError, match="the actuator of 'shoulder' has dynamics of its own"):
         build_world(arm(actuators='<position joint="shoulder" kp="500" kv="50" timeconst="0.05"/>'))
 
 

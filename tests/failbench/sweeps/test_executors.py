@@ -14,7 +14,7 @@ from processes import all_end, children_of
 from failbench.basics.chunks import attempt
 from failbench.basics.errors import WorkerError
 from failbench.sweeps.executors import MAX_KILLS, LocalExecutor
-from graceful_plan import SettingError
+from graceful_plan.exceptions import SettingError
 
 CHUNKS = fake_work.chunks(6)
 

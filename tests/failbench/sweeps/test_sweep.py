@@ -18,8 +18,7 @@ from failbench.sweeps.executors import LocalExecutor
 from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.sweep import JOURNAL, generate, read_sweep, resume, sweep_of, versions
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
-from graceful_plan import SettingError, UnknownNameError
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 DROP, LOOSE, NOISE = (to_document(faults()[name]()) for name in ("gripper_failure", "loose_joint", "noise"))
 

@@ -16,8 +16,7 @@ from failbench.simulated.world import SimSettings
 from failbench.sweeps import summary, work
 from failbench.sweeps.rows import contact_rows, rollout_row
 from failbench.sweeps.work import CHUNK, PlanSettings, Sweep, SweepMotion, execution_of, fault_of, jobs_of, run_chunk
-from graceful_plan import SettingError, UnknownNameError
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 DROP, LOOSE = (to_document(faults()[name]()) for name in ("gripper_failure", "loose_joint"))
 PLANNED = SweepMotion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from graceful_plan import FragilityTable, SceneError, SettingError, SeverityTable
+from graceful_plan import SeverityTable
+from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.scene.harm import fragility
-from graceful_plan.scene.harm.fragility import Fragility
+from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
 
 
 @given(st.floats(1e-3, 1e3), st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))
