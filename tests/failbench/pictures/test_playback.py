@@ -374,7 +374,7 @@ def test_importing_is_light_and_has_no_effects():
     code = """
 import os, sys
 before = dict(os.environ)
-import failbench.replay, failbench.contact_sheet
+import failbench.pictures.playback, failbench.pictures.contact_sheet
 assert dict(os.environ) == before, "environment changed"
 print(*[name for name in ("PIL", "OpenGL", "imageio_ffmpeg", "mujoco.viewer") if name in sys.modules])
 """
