@@ -277,7 +277,7 @@ def guide_snippets(guide: str) -> list[str]:
 
 
 GUIDES = (
-    "auto.md", "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md", "faults-prior.md",
+    "auto.md", "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md", "extending.md", "faults-prior.md",
     "impact-models.md", "moving.md", "optimisers.md", "planners.md", "roadmap.md", "tuning.md",
 )  # fmt: skip
 

@@ -6,9 +6,11 @@ Values keep their text until somebody asks for a type, so that every complaint c
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar, TypeVar, final
 
 import yaml
 
@@ -24,6 +26,7 @@ _STRING = "tag:yaml.org,2002:str"
 _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in "str int float bool null map seq timestamp".split()}
 
 
+@final
 @dataclass(frozen=True)
 class Block:
     """A value in a YAML file: a mapping, a list or a scalar's text, and where it stands."""
@@ -63,6 +66,16 @@ class Block:
         if child is None:
             raise self.error(f"{self.name} needs the key {key!r}")
         return child
+
+    def check_version(self, kind: str) -> None:
+        """Refuse versions of a kind of file that are not known."""
+        if self["version"].number() != 1:
+            raise self["version"].error(f"only version 1 of {kind} is known")
+
+    def numbers_by_name(self, *names: str) -> dict[str, float]:
+        """Return a mapping of just these names to finite numbers."""
+        self.only(*names)
+        return {name: self[name].number() for name in names}
 
     # --- lists and scalars --------------------------------------------------------------------------------------------
 
@@ -122,6 +135,48 @@ class Block:
         if count is not None and len(children) != count:
             raise self.error(f"{self.name} has {len(children)} numbers, expected {count}")
         return tuple(child.number() for child in children)
+
+
+T = TypeVar("T", bound="YamlTable")
+
+
+class YamlTable(ABC):
+    """Base of tables and constants that come with the library in a YAML file, and may be read from one like it."""
+
+    shipped_file: ClassVar[Path]
+    kind: ClassVar[str]
+    """What such files are called in messages."""
+    keys: ClassVar[tuple[str, ...]]
+    """What they hold besides "version"."""
+
+    @classmethod
+    def shipped(cls: type[T]) -> T:
+        """Return what comes with the library."""
+        found = _shipped.get(cls)
+        if not isinstance(found, cls):
+            found = _shipped[cls] = cls.load(cls.shipped_file)
+        return found
+
+    @classmethod
+    def load(cls: type[T], file: str | Path) -> T:
+        """Read a YAML file laid out like the shipped one.
+
+        Raises:
+            SceneError: If the file is broken, with the line.
+            SettingError: If a value is out of its range.
+        """
+        root = read_yaml(Path(file))
+        root.only("version", *cls.keys)
+        root.check_version(cls.kind)
+        return cls.parsed(root)
+
+    @classmethod
+    @abstractmethod
+    def parsed(cls: type[T], root: Block) -> T:
+        """Make it of the values in a file."""
+
+
+_shipped: dict[type, object] = {}
 
 
 def read_yaml(file: Path) -> Block:

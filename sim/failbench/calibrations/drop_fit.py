@@ -1,4 +1,4 @@
-"""The drop model `Footprint` as something whose constants can be fitted.
+"""The drop model as something whose constants can be fitted.
 
 Priors are what the constants would be taken to be without any drops: a gripper needs some hundredths of a second to let
 go and does not do it quite evenly; what falls off something moves by about its own size. Their spreads say how far off

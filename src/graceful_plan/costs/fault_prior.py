@@ -229,8 +229,7 @@ def _shipped_effects() -> Mapping[str, _Table]:
 
 def _versioned(root: Block, *keys: str) -> Block:
     root.only("version", *keys)
-    if root["version"].number() != 1:
-        raise root["version"].error("only version 1 of fault priors is known")
+    root.check_version("fault priors")
     return root
 
 

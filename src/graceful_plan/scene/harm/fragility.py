@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import final
 
 from graceful_plan.exceptions import SettingError
-from graceful_plan.yaml_file import Block, read_yaml
-
-_SHIPPED = Path(__file__).parent / "fragility.yaml"
+from graceful_plan.yaml_file import Block, YamlTable
 
 
+@final
 @dataclass(frozen=True)
 class Fragility:
     """How easily an entity of some class is damaged.
@@ -48,9 +47,14 @@ class Fragility:
         return 0.5 * math.erfc((math.log(self.median) - math.log(energy)) / (self.spread * math.sqrt(2.0)))
 
 
+@final
 @dataclass(frozen=True)
-class FragilityTable:
+class FragilityTable(YamlTable):
     """The fragility of each entity class, and that of all classes that are not listed."""
+
+    shipped_file = Path(__file__).parent / "fragility.yaml"
+    kind = "fragility tables"
+    keys = ("spread", "entities", "other")
 
     rows: Mapping[str, Fragility]
     other: Fragility
@@ -65,24 +69,11 @@ class FragilityTable:
         return FragilityTable, (dict(self.rows), self.other)  # a read-only mapping cannot be pickled
 
     @classmethod
-    def load(cls, file: str | Path) -> FragilityTable:
-        """Read a table laid out like the shipped one.
-
-        Raises:
-            SceneError: If the file is broken, with the line.
-        """
-        root = read_yaml(Path(file))
-        root.only("version", "spread", "entities", "other")
-        if root["version"].number() != 1:
-            raise root["version"].error("only version 1 of fragility tables is known")
+    def parsed(cls, root: Block) -> FragilityTable:
+        """Make it of the values in a file."""
         spread = root["spread"].number()
         rows = {category: _fragility(row, spread) for category, row in root["entities"].items()}
         return cls(rows, _fragility(root["other"], spread))
-
-    @classmethod
-    def shipped(cls) -> FragilityTable:
-        """Return the table that comes with the library."""
-        return _shipped()
 
     def of(self, category: str) -> Fragility:
         """Return the fragility of an entity class."""
@@ -106,8 +97,3 @@ def _fragility(row: Block, spread: float) -> Fragility:
         return Fragility(row["median"].number(), row["wetted"].number(), spread)
     except SettingError as error:
         raise row.error(str(error)) from None
-
-
-@cache
-def _shipped() -> FragilityTable:
-    return FragilityTable.load(_SHIPPED)

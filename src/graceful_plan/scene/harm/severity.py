@@ -8,25 +8,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, final
 
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
-from graceful_plan.yaml_file import Block, read_yaml
-
-_SHIPPED = Path(__file__).parent / "severity.yaml"
+from graceful_plan.yaml_file import Block, YamlTable
 
 
+@final
 @dataclass(frozen=True)
-class SeverityTable:
+class SeverityTable(YamlTable):
     """Severity of each component class against each entity class.
 
     Args:
         rows: Severity by entity class, then component class; at least 0. A pair that is left out is not defined.
         components: Names of the component classes.
     """
+
+    shipped_file = Path(__file__).parent / "severity.yaml"
+    kind = "severity tables"
+    keys = ("components", "entities")
 
     rows: Mapping[str, Mapping[str, float]]
     components: tuple[str, ...]
@@ -40,18 +42,18 @@ class SeverityTable:
         object.__setattr__(self, "rows", MappingProxyType(frozen))
 
     @classmethod
-    def shipped(cls) -> SeverityTable:
-        """Return the table that comes with the library."""
-        return _shipped()
-
-    @classmethod
-    def load(cls, file: str | Path) -> SeverityTable:
-        """Read a table from a YAML file laid out like the shipped one.
-
-        Raises:
-            SceneError: If the file is broken, with the line.
-        """
-        return _parse(read_yaml(Path(file)))
+    def parsed(cls, root: Block) -> SeverityTable:
+        """Make it of the values in a file."""
+        components = root["components"].strings()
+        rows: dict[str, dict[str, float]] = {}
+        for category, row in root["entities"].items():
+            values = row.entries()
+            if len(values) != len(components):
+                raise row.error(f"{category} has {len(values)} severities for {len(components)} component classes")
+            rows[category] = {c: v.number() for c, v in zip(components, values, strict=True) if not v.is_null}
+            if min(rows[category].values(), default=0.0) < 0.0:
+                raise row.error(f"a severity of {category} is below 0")
+        return cls(rows, components)
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -118,24 +120,3 @@ def check_severity(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
         raise SettingError(name, value, "a finite number of at least 0")
     return float(value)
-
-
-@cache
-def _shipped() -> SeverityTable:
-    return SeverityTable.load(_SHIPPED)
-
-
-def _parse(root: Block) -> SeverityTable:
-    root.only("version", "components", "entities")
-    if root["version"].number() != 1:
-        raise root["version"].error("only version 1 of severity tables is known")
-    components = root["components"].strings()
-    rows: dict[str, dict[str, float]] = {}
-    for category, row in root["entities"].items():
-        values = row.entries()
-        if len(values) != len(components):
-            raise row.error(f"{category} has {len(values)} severities for {len(components)} component classes")
-        rows[category] = {c: v.number() for c, v in zip(components, values, strict=True) if not v.is_null}
-        if min(rows[category].values(), default=0.0) < 0.0:
-            raise row.error(f"a severity of {category} is below 0")
-    return SeverityTable(rows, components)

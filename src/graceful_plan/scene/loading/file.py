@@ -85,8 +85,7 @@ def read_scene(file: Path) -> Scene:
     """
     root = read_yaml(file)
     root.only(*_KEYS)
-    if root["version"].number() != 1:
-        raise root["version"].error("only version 1 of scene files is known")
+    root.check_version("scene files")
     notes = _notes(root, file)
     scene = Scene.build(_spec(root, file, notes.robot), notes)
     _check_promises(scene)

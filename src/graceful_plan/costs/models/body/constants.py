@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from functools import cache
 from pathlib import Path
 from typing import final
 
 from graceful_plan.costs.models.body.tables import ROWS
+from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.exceptions import SettingError
-from graceful_plan.yaml_file import Block, read_yaml
-
-_SHIPPED = Path(__file__).parent / "body.yaml"
+from graceful_plan.yaml_file import Block, YamlTable
 
 GENERATORS = ("collapse", "joint", "stuck", "stray")
 """What may happen to the arm, in this order: no joint has power; one has none; one is frozen; it goes astray."""
@@ -78,12 +76,16 @@ class Margins:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class BodySettings:
+class BodySettings(YamlTable):
     """Constants of the body model.
 
     Raises:
         SettingError: If one is not finite or out of its range.
     """
+
+    shipped_file = Path(__file__).parent / "body.yaml"
+    kind = "body models"
+    keys = ("provenance", "motion", "margins")
 
     brake_time: float
     """Time after which brakes hold all joints when the power fails [s]; how long the arm falls if there are none."""
@@ -103,34 +105,14 @@ class BodySettings:
     stray: Margins
 
     def __post_init__(self) -> None:
-        for name in MOTION:
-            value = getattr(self, name)
-            if not math.isfinite(value):
-                raise SettingError(name, value, "a finite number")
-            if name in _POSITIVE and value <= 0.0:
-                raise SettingError(name, value, "a positive number")
-            if name in _NOT_NEGATIVE and value < 0.0:
-                raise SettingError(name, value, "at least 0")
+        values = {name: getattr(self, name) for name in MOTION}
+        check_ranges(values, positive=_POSITIVE, not_negative=_NOT_NEGATIVE)
         if not (self.steps == int(self.steps) and 0 <= self.steps <= 64):
             raise SettingError("steps", self.steps, "a whole number, at most 64")
 
     @classmethod
-    def shipped(cls) -> BodySettings:
-        """Return the constants that come with the library."""
-        return _shipped()
-
-    @classmethod
-    def load(cls, file: str | Path) -> BodySettings:
-        """Read constants from a YAML file laid out like the shipped one.
-
-        Raises:
-            SceneError: If the file is broken, with the line.
-            SettingError: If a constant is out of its range.
-        """
-        root = read_yaml(Path(file))
-        root.only("version", "provenance", "motion", "margins")
-        if root["version"].number() != 1:
-            raise root["version"].error("only version 1 is known")
+    def parsed(cls, root: Block) -> BodySettings:
+        """Make them of the values in a file."""
         motion, margins = root["motion"], root["margins"]
         motion.only(*MOTION)
         margins.only(*GENERATORS)
@@ -170,11 +152,4 @@ def _whole(block: Block) -> int:
 
 
 def _margin(block: Block) -> Margin:
-    names = tuple(constant.name for constant in fields(Margin))
-    block.only(*names)
-    return Margin(**{name: block[name].number() for name in names})
-
-
-@cache
-def _shipped() -> BodySettings:
-    return BodySettings.load(_SHIPPED)
+    return Margin(**block.numbers_by_name(*(constant.name for constant in fields(Margin))))

@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from pathlib import Path
 from typing import final
 
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES
+from graceful_plan.costs.models.ranges import check_ranges
 from graceful_plan.exceptions import SettingError
-from graceful_plan.yaml_file import Block, read_yaml
-
-_SHIPPED = Path(__file__).parent / "drop.yaml"
+from graceful_plan.yaml_file import Block, YamlTable
 
 SHARED = (
     "delay",
@@ -86,24 +84,20 @@ class DropConstants:
     """tk: how much farther it reaches to the side if it does not stay where it comes down [size]."""
 
     def __post_init__(self) -> None:
-        for constant in fields(self):
-            value = getattr(self, constant.name)
-            if not math.isfinite(value):
-                raise SettingError(constant.name, value, "a finite number")
-        for name in _POSITIVE:
-            if getattr(self, name) <= 0.0:
-                raise SettingError(name, getattr(self, name), "a positive number")
-        for name in _NOT_NEGATIVE:
-            if getattr(self, name) < 0.0:
-                raise SettingError(name, getattr(self, name), "at least 0")
+        values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
+        check_ranges(values, positive=_POSITIVE, not_negative=_NOT_NEGATIVE)
         if not 0.0 <= self.catch <= 1.0:
             raise SettingError("catch", self.catch, "a probability")
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class DropSettings:
+class DropSettings(YamlTable):
     """Constants of the drop model by class of the carried object, see `drop_tables.SHAPE_CLASSES`."""
+
+    shipped_file = Path(__file__).parent / "drop.yaml"
+    kind = "drop models"
+    keys = ("provenance", "shared", "classes")
 
     box: DropConstants
     cylinder: DropConstants
@@ -111,26 +105,12 @@ class DropSettings:
     ball: DropConstants
 
     @classmethod
-    def shipped(cls) -> DropSettings:
-        """Return the constants that come with the library."""
-        return _shipped()
-
-    @classmethod
-    def load(cls, file: str | Path) -> DropSettings:
-        """Read constants from a YAML file laid out like the shipped one.
-
-        Raises:
-            SceneError: If the file is broken, with the line.
-            SettingError: If a constant is out of its range.
-        """
-        root = read_yaml(Path(file))
-        root.only("version", "provenance", "shared", "classes")
-        if root["version"].number() != 1:
-            raise root["version"].error("only version 1 is known")
-        shared, classes = _numbers(root["shared"], SHARED), root["classes"]
+    def parsed(cls, root: Block) -> DropSettings:
+        """Make them of the values in a file."""
+        shared, classes = root["shared"].numbers_by_name(*SHARED), root["classes"]
         classes.only(*SHAPE_CLASSES)
         own = tuple(constant.name for constant in fields(DropConstants) if constant.name not in SHARED)
-        return cls(**{name: DropConstants(**shared, **_numbers(classes[name], own)) for name in SHAPE_CLASSES})
+        return cls(**{name: DropConstants(**shared, **classes[name].numbers_by_name(*own)) for name in SHAPE_CLASSES})
 
     def widened(self, metres: float) -> DropSettings:
         """Return constants with the place of release uncertain by so much more: a footprint with softer edges."""
@@ -145,13 +125,3 @@ class DropSettings:
     def of(self, shape_class: int) -> DropConstants:
         """Return the constants of a class, given as index into `SHAPE_CLASSES`."""
         return getattr(self, SHAPE_CLASSES[shape_class])
-
-
-def _numbers(block: Block, names: tuple[str, ...]) -> dict[str, float]:
-    block.only(*names)
-    return {name: block[name].number() for name in names}
-
-
-@cache
-def _shipped() -> DropSettings:
-    return DropSettings.load(_SHIPPED)

@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from pathlib import Path
 from typing import final
 
-from graceful_plan.exceptions import SettingError
-from graceful_plan.yaml_file import Block, read_yaml
-
-_SHIPPED = Path(__file__).parent / "spill.yaml"
+from graceful_plan.costs.models.ranges import check_ranges
+from graceful_plan.yaml_file import Block, YamlTable
 
 USES = ("dropped", "held")
 """How contents get out: their container falls and lands; it is jolted or tipped in the gripper."""
@@ -56,42 +53,27 @@ class SpillConstants:
     """us: how uncertain that is [m/s]."""
 
     def __post_init__(self) -> None:
-        for constant in fields(self):
-            value = getattr(self, constant.name)
-            if not math.isfinite(value):
-                raise SettingError(constant.name, value, "a finite number")
-            if constant.name in _POSITIVE and value <= 0.0:
-                raise SettingError(constant.name, value, "a positive number")
-            if constant.name != "soft_speed" and value < 0.0:
-                raise SettingError(constant.name, value, "at least 0")
+        values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
+        check_ranges(values, positive=_POSITIVE, not_negative=values.keys() - {"soft_speed"})
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class SpillSettings:
+class SpillSettings(YamlTable):
     """Constants of the spill model by use, see `USES`."""
+
+    shipped_file = Path(__file__).parent / "spill.yaml"
+    kind = "spill models"
+    keys = ("provenance", *USES)
 
     dropped: SpillConstants
     held: SpillConstants
 
     @classmethod
-    def shipped(cls) -> SpillSettings:
-        """Return the constants that come with the library."""
-        return _shipped()
-
-    @classmethod
-    def load(cls, file: str | Path) -> SpillSettings:
-        """Read constants from a YAML file laid out like the shipped one.
-
-        Raises:
-            SceneError: If the file is broken, with the line.
-            SettingError: If a constant is out of its range.
-        """
-        root = read_yaml(Path(file))
-        root.only("version", "provenance", *USES)
-        if root["version"].number() != 1:
-            raise root["version"].error("only version 1 is known")
-        return cls(**{use: _constants(root[use]) for use in USES})
+    def parsed(cls, root: Block) -> SpillSettings:
+        """Make them of the values in a file."""
+        names = tuple(constant.name for constant in fields(SpillConstants))
+        return cls(**{use: SpillConstants(**root[use].numbers_by_name(*names)) for use in USES})
 
     def widened(self, metres: float) -> SpillSettings:
         """Return constants with the place where contents land uncertain by so much more."""
@@ -103,14 +85,3 @@ class SpillSettings:
     def of(self, use: str) -> SpillConstants:
         """Return the constants of one of `USES`."""
         return getattr(self, use)
-
-
-def _constants(block: Block) -> SpillConstants:
-    names = tuple(constant.name for constant in fields(SpillConstants))
-    block.only(*names)
-    return SpillConstants(**{name: block[name].number() for name in names})
-
-
-@cache
-def _shipped() -> SpillSettings:
-    return SpillSettings.load(_SHIPPED)
