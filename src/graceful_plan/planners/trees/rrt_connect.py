@@ -55,7 +55,12 @@ class RRTConnect(Planner):
             return
         space = native_space(problem, objective)
         core = _native.Connect(
-            space, problem.start, problem.goals, self.range * problem.extent, self.max_nodes, seed_from(rng)
+            space,
+            start=problem.start,
+            goals=problem.goals,
+            range=self.range * problem.extent,
+            max_nodes=self.max_nodes,
+            seed=seed_from(rng),
         )
         solved = False
         while not solved and not budget.exhausted:
