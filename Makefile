@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Wheels only: a source distribution would run its own, unpinned build.
 PINNED := $(PIP) install -q --require-hashes --only-binary :all:
-NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(shell find src/graceful_plan/core/native -type f)
+CXX_FILES := $(shell find src/graceful_plan/core/native -type f)
+NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILES)
 
 unexport PYTHONPATH
 
@@ -42,6 +43,7 @@ lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
+	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 
 bench: $(VENV)/.package
 	$(BIN)/python benchmarks/run.py $(ARGS)

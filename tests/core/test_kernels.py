@@ -1,14 +1,17 @@
 """The kernels against MuJoCo, closed forms and slow NumPy."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.core.kernels import COST_STEP, Kernels, instruction_sets
+from graceful_plan.core.kernels import CAPACITY, COST_STEP, Kernels, instruction_sets
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.reference_cost import reference_probability
@@ -256,6 +259,26 @@ def test_instruction_sets_agree(table, isa):
     np.testing.assert_allclose(other.link_poses(q), best.link_poses(q), atol=1e-12)
     certain = np.abs(best.clearance(q)) > _FLOAT32
     assert np.array_equal(other.free(q)[certain], best.free(q)[certain])
+
+
+def test_the_name_of_an_instruction_set_asks_for_it(table):
+    compiled = compile_scene(table)
+    tables = compiled.robot, compiled.world, compiled.hazards
+    assert compiled.kernels.isa == instruction_sets()[0]
+    for name in instruction_sets():
+        assert Kernels(*tables, isa=Kernels(*tables, isa=name).isa).isa == name
+
+
+def test_the_documents_know_what_the_core_holds():
+    text = (ROOT / "docs" / "limitations.md").read_text()
+    stated = re.search(
+        r"room for (\d+) joints, (\d+) links .*?, (\d+) covering spheres.*?, (\d+) geoms .*? and (\d+) entities",
+        text,
+        re.DOTALL,
+    )
+    assert stated is not None
+    holds = [CAPACITY[name] for name in ("joints", "links", "spheres", "parts", "entities")]
+    assert [int(number) for number in stated.groups()] == holds
 
 
 @given(st.sampled_from([(), (1,), (2, 3), (0,), (17,)]), st.integers(0, 99))

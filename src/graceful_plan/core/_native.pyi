@@ -1,5 +1,222 @@
-"""The native core; `kernels.py` and the native planners are its typed faces."""
+"""The native core; `kernels.py` and the native planners are its typed faces.
 
-from typing import Any
+Arrays of other types or layouts than those that stand here are copied; those that come out belong to the caller.
+"""
 
-def __getattr__(name: str) -> Any: ...
+from collections.abc import Callable
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Reals = NDArray[np.float64]
+Integers = NDArray[np.int32]
+
+def instruction_sets() -> list[str]: ...
+def capacity() -> dict[str, int]: ...
+def drop_constants() -> list[str]: ...
+def spill_constants() -> list[str]: ...
+def body_constants() -> list[str]: ...
+
+@final
+class Core:
+    """The tables of a scene, see `arrays.py`; row by row, q is [n, nq]."""
+
+    def __init__(
+        self,
+        *,
+        parent: Integers,
+        joint: Integers,
+        slide: Integers,
+        X_PL: Reals,
+        n_joint: int,
+        sphere_link: Integers,
+        sphere: Reals,
+        bound: Reals,
+        self_pair: Integers,
+        obstacle_kind: Integers,
+        obstacle_pose: Reals,
+        obstacle_size: Reals,
+        obstacle_bound: Reals,
+        ignores: NDArray[np.uint64],
+        hull_start: Integers,
+        triangles: Reals,
+        part_component: Integers,
+        part_link: Integers,
+        part_box: Reals,
+        target_entity: Integers,
+        target_box: Reals,
+        n_component: int,
+        n_entity: int,
+        tool_link: int,
+        tool_position: Reals,
+        isa: str,
+    ) -> None: ...
+    @property
+    def isa(self) -> str: ...
+    @property
+    def lanes(self) -> int: ...
+    def link_poses(self, q: Reals) -> Reals: ...
+    def free_states(self, q: Reals, margin: float) -> NDArray[np.bool_]: ...
+    def free_edges(self, q0: Reals, q1: Reals, step: float, margin: float) -> NDArray[np.bool_]: ...
+    def clearance(self, q: Reals) -> Reals: ...
+    def clearance_gradient(self, q: Reals) -> tuple[Reals, Reals]: ...
+    def interaction(self, q: Reals) -> Reals: ...
+    def elementary(self, x: Reals) -> tuple[Reals, Reals]: ...
+
+@final
+class DropModel:
+    def __init__(
+        self,
+        *,
+        core: Core,
+        link: int,
+        centre: Reals,
+        part_shape: Integers,
+        part_offset: Reals,
+        part_rotation: Reals,
+        part_half: Reals,
+        main: int,
+        size: float,
+        target_entity: Integers,
+        target: Reals,
+        level_start: Integers,
+        n_entity: int,
+        speed: Reals,
+        constants: Reals,
+    ) -> None: ...
+    def add_contents(self, container: Reals, stands: Integers, visible: Reals, constants: Reals) -> None: ...
+    def probability(self, q: Reals, qd: Reals) -> Reals: ...
+    def impact(self, severity: Reals, q: Reals, qd: Reals) -> Reals: ...
+    def gradient(self, severity: Reals, q: Reals, qd: Reals, rough: bool = False) -> tuple[Reals, Reals, Reals]: ...
+
+@final
+class BodyModel:
+    def __init__(
+        self,
+        *,
+        core: Core,
+        inertia: Reals,
+        drive: Reals,
+        row: Integers,
+        entity: Integers,
+        n_row: int,
+        n_entity: int,
+        n_step: int,
+        constants: Reals,
+    ) -> None: ...
+    def distances(self, q: Reals, qd: Reals, ahead: Reals | None = None) -> Reals: ...
+    def impact(self, weight: Reals, severity: Reals, q: Reals, qd: Reals) -> Reals: ...
+    def dynamics(self, q: Reals) -> tuple[Reals, Reals]: ...
+
+class Impact:
+    """A model of the impact with severities; has no constructor of its own."""
+
+    def states(self, q: Reals) -> Reals: ...
+    def edges(self, q0: Reals, q1: Reals, step: float) -> Reals: ...
+    def edge_gradients(self, q0: Reals, q1: Reals, step: float) -> tuple[Reals, Reals, Reals] | None: ...
+
+@final
+class OverlapImpact(Impact):
+    def __init__(self, core: Core, severity: Reals) -> None: ...
+
+@final
+class DropImpact(Impact):
+    def __init__(self, model: DropModel, severity: Reals, slow: float, fast: float) -> None: ...
+
+@final
+class SumImpact(Impact):
+    def __init__(self, first: Impact, second: Impact) -> None: ...
+
+@final
+class BodyImpact(Impact):
+    def __init__(self, model: BodyModel, weight: Reals, severity: Reals, slow: float, fast: float) -> None: ...
+
+@final
+class GraphSearch:
+    def __init__(self, n: int, tail: Integers, head: Integers) -> None: ...
+    def cheapest(self, cost: Reals, start: int, goals: Integers) -> tuple[Integers, float]: ...
+    def front(
+        self, cost: Reals, start: int, goals: Integers, epsilon: float, seconds: float
+    ) -> tuple[list[Integers], Reals, bool]: ...
+
+class Space:
+    """What a planner plans in; has no constructor of its own."""
+
+@final
+class SceneSpace(Space):
+    def __init__(
+        self,
+        *,
+        core: Core,
+        impact: Impact,
+        lower: Reals,
+        upper: Reals,
+        w: float,
+        check_step: float,
+        fine_step: float,
+        cost_step: float,
+        margin: float,
+    ) -> None: ...
+
+@final
+class CallbackSpace(Space):
+    def __init__(
+        self,
+        *,
+        edges_free: Callable[[Reals, Reals], NDArray[np.bool_]],
+        edge_costs: Callable[[Reals, Reals], Reals],
+        state_costs: Callable[[Reals], Reals],
+        lower: Reals,
+        upper: Reals,
+        w: float,
+        motion_is_length: bool,
+    ) -> None: ...
+
+@final
+class Connect:
+    def __init__(
+        self, space: Space, *, start: Reals, goals: Reals, range: float, max_nodes: int, seed: int
+    ) -> None: ...
+    def run(self, iterations: int, seconds: float) -> tuple[bool, int]: ...
+    @property
+    def path(self) -> Reals: ...
+
+@final
+class Descent:
+    def __init__(self, space: Space, path: Reals, pieces: int, step: float) -> None: ...
+    def run(self, steps: int) -> int: ...
+    def harden(self) -> None: ...
+    @property
+    def path(self) -> Reals: ...
+    @property
+    def value(self) -> float: ...
+    @property
+    def energy(self) -> float: ...
+
+@final
+class Anytime:
+    def __init__(
+        self,
+        space: Space,
+        *,
+        start: Reals,
+        goals: Reals,
+        range: float,
+        max_nodes: int,
+        spacing: float,
+        challengers: int,
+        seed: int,
+        descents: bool,
+        scouts: bool,
+    ) -> None: ...
+    def admits(self, path: Reals) -> bool: ...
+    def adopt(self, path: Reals) -> None: ...
+    def suggest(self, path: Reals) -> None: ...
+    @property
+    def total(self) -> float: ...
+    def run(self, iterations: int, seconds: float) -> tuple[bool, int]: ...
+    @property
+    def path(self) -> Reals: ...
+    @property
+    def optimal(self) -> bool: ...

@@ -1,4 +1,4 @@
-// The tables of a scene as Python hands them over, and the kernels that read them. Part of bindings.cpp.
+// The tables of a scene as Python hands them over, and the kernels that read them.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -14,10 +14,10 @@
 namespace nb = nanobind;
 
 namespace gp {
-namespace {
 
 using Reals = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Integers = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
+using Bits = nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>;
 template <class T> using Out = nb::ndarray<nb::numpy, T, nb::c_contig>;
 
 struct Isa {
@@ -26,7 +26,7 @@ struct Isa {
 };
 
 // Every instruction set that this machine can run, best first.
-std::vector<Isa> available() {
+inline std::vector<Isa> available() {
   std::vector<Isa> found;
 #if defined(__x86_64__)
   __builtin_cpu_init();
@@ -39,13 +39,13 @@ std::vector<Isa> available() {
   return found;
 }
 
-const Kernels& choose(const std::string& isa) {
+inline Isa choose(const std::string& isa) {
   for (const Isa& candidate : available())
-    if (isa == "auto" || isa == candidate.name) return *candidate.kernels;
+    if (isa == "auto" || isa == candidate.name) return candidate;
   throw std::invalid_argument("this machine cannot run instruction set " + isa);
 }
 
-void require(bool ok, const char* what) {
+inline void require(bool ok, const char* what) {
   if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
 }
 
@@ -60,7 +60,7 @@ template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
 constexpr int kClusterSize = 12;
 
 // Solve A y = b by Cramer's rule; A is positive definite.
-void solve3(const double A[3][3], const double b[3], double y[3]) {
+inline void solve3(const double A[3][3], const double b[3], double y[3]) {
   const auto det = [](const double M[3][3]) {
     return M[0][0] * (M[1][1] * M[2][2] - M[1][2] * M[2][1]) - M[0][1] * (M[1][0] * M[2][2] - M[1][2] * M[2][0]) +
            M[0][2] * (M[1][0] * M[2][1] - M[1][1] * M[2][0]);
@@ -73,69 +73,106 @@ void solve3(const double A[3][3], const double b[3], double y[3]) {
   }
 }
 
+// The tables of a scene as Python hands them over; core/arrays.py says what they hold.
+struct RobotArrays {
+  Integers parent, joint, slide;
+  Reals X_PL;
+  int n_joint;
+  Integers sphere_link;
+  Reals sphere, bound;
+  Integers self_pair;
+  int tool_link;
+  Reals tool_position;
+};
+
+struct WorldArrays {
+  Integers kind;
+  Reals pose, size, bound;
+  Bits ignores;
+  Integers hull_start;
+  Reals triangles;
+};
+
+struct HazardArrays {
+  Integers part_component, part_link;
+  Reals part_box;
+  Integers target_entity;
+  Reals target_box;
+  int n_component, n_entity;
+};
+
 class Core {
  public:
-  Core(Integers parent, Integers joint, Integers slide, Reals X_PL, int n_joint, Integers sphere_link, Reals sphere, Reals bound,
-       Integers self_pair, Integers obstacle_kind, Reals obstacle_pose, Reals obstacle_size, Reals obstacle_bound,
-       nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu> ignores, Integers hull_start, Reals triangles, Integers part_component,
-       Integers part_link, Reals part_box, Integers target_entity, Reals target_box, int n_component, int n_entity,
-       int tool_link, Reals tool_position, const std::string& isa)
-      : kernels_(choose(isa)), tool_link_(tool_link) {
-    require(tool_link >= 0 && size_t(tool_link) < parent.shape(0) && tool_position.size() == 3, "tool");
+  Core(const RobotArrays& robot, const WorldArrays& world, const HazardArrays& hazards, const std::string& isa)
+      : isa_(choose(isa)), tool_link_(robot.tool_link) {
+    const Reals& tool_position = robot.tool_position;
+    const Integers& self_pair = robot.self_pair;
+    require(tool_link_ >= 0 && size_t(tool_link_) < robot.parent.shape(0) && tool_position.size() == 3, "tool");
     std::copy(tool_position.data(), tool_position.data() + 3, tool_position_);
-    add_links(parent, joint, slide, X_PL, n_joint);
-    add_groups(sphere_link, sphere, bound);
+    add_links(robot);
+    add_groups(robot.sphere_link, robot.sphere, robot.bound);
     for (size_t p = 0; p < self_pair.shape(0); ++p) {
       const int a = group_of_[size_t(self_pair.data()[2 * p])], b = group_of_[size_t(self_pair.data()[2 * p + 1])];
       if (a >= 0 && b >= 0) pair_.insert(pair_.end(), {a, b});
     }
-    add_triangles(triangles);
-    add_obstacles(obstacle_kind, obstacle_pose, obstacle_size, obstacle_bound, ignores, hull_start);
-    add_hazards(part_component, part_link, part_box, target_entity, target_box, n_component, n_entity);
-    tables_.n_joint = n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
+    add_triangles(world.triangles);
+    add_obstacles(world);
+    add_hazards(hazards);
+    tables_.n_joint = robot.n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
     tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
-    tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data(), tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
-    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(), tables_.target = target_.data();
+    tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data();
+    tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
+    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(),
+    tables_.target = target_.data();
     tables_.harmed = harmed_.data();
   }
 
   const Tables& tables() const { return tables_; }
-  const Kernels& kernels() const { return kernels_; }
-  std::string isa() const { return kernels_.isa; }
-  int lanes() const { return kernels_.lanes; }
+  const Kernels& kernels() const { return *isa_.kernels; }
+  std::string isa() const { return isa_.name; }
+  int lanes() const { return isa_.kernels->lanes; }
 
   size_t rows(const Reals& q) const {
     require(q.ndim() == 2 && q.shape(1) == size_t(tables_.n_joint), "q is not [n, nq]");
     return q.shape(0);
+  }
+  States states(const Reals& q) const { return {q.data(), nullptr, rows(q)}; }
+  States states(const Reals& q, const Reals& qd) const {
+    require(rows(qd) == rows(q), "q and qd differ in length");
+    return {q.data(), qd.data(), rows(q)};
+  }
+  Edges edges(const Reals& q0, const Reals& q1, double step) const {
+    require(rows(q1) == rows(q0), "q0 and q1 differ in length");
+    return {q0.data(), q1.data(), rows(q0), step};
   }
 
   auto link_poses(Reals q) const {
     double* out;
     auto array = make<double>({rows(q), size_t(tables_.n_link), 4, 4}, out);
     nb::gil_scoped_release release;
-    kernels_.link_poses(tables_, q.data(), q.shape(0), out);
+    kernels().link_poses(tables_, states(q), out);
     return array;
   }
   auto free_states(Reals q, double margin) const {
     bool* out;
     auto array = make<bool>({rows(q)}, out);
     nb::gil_scoped_release release;
-    kernels_.free_states(tables_, q.data(), q.shape(0), margin, reinterpret_cast<uint8_t*>(out));
+    kernels().free_states(tables_, states(q), margin, reinterpret_cast<uint8_t*>(out));
     return array;
   }
   auto free_edges(Reals q0, Reals q1, double step, double margin) const {
     bool* out;
     auto array = make<bool>({rows(q0)}, out);
-    require(rows(q1) == rows(q0), "q0 and q1 differ in length");
+    const Edges all = edges(q0, q1, step);
     nb::gil_scoped_release release;
-    kernels_.free_edges(tables_, q0.data(), q1.data(), q0.shape(0), step, margin, reinterpret_cast<uint8_t*>(out));
+    kernels().free_edges(tables_, all, margin, reinterpret_cast<uint8_t*>(out));
     return array;
   }
   auto clearance(Reals q) const {
     double* out;
     auto array = make<double>({rows(q)}, out);
     nb::gil_scoped_release release;
-    kernels_.clearance(tables_, q.data(), q.shape(0), out, nullptr);
+    kernels().clearance(tables_, states(q), out, nullptr);
     return array;
   }
   auto clearance_gradient(Reals q) const {
@@ -144,7 +181,7 @@ class Core {
     auto gradients = make<double>({q.shape(0), size_t(tables_.n_joint)}, gradient);
     {
       nb::gil_scoped_release release;
-      kernels_.clearance(tables_, q.data(), q.shape(0), out, gradient);
+      kernels().clearance(tables_, states(q), out, gradient);
     }
     return nb::make_tuple(values, gradients);
   }
@@ -152,7 +189,7 @@ class Core {
     double* out;
     auto array = make<double>({rows(q), size_t(tables_.n_component), size_t(tables_.n_entity)}, out);
     nb::gil_scoped_release release;
-    kernels_.interaction(tables_, q.data(), q.shape(0), out);
+    kernels().interaction(tables_, states(q), out);
     return array;
   }
   // e^x and ln e^x as the drop model computes them.
@@ -160,7 +197,7 @@ class Core {
     double *exponential, *logarithm;
     auto first = make<double>({x.size()}, exponential);
     auto second = make<double>({x.size()}, logarithm);
-    kernels_.elementary(x.data(), x.size(), exponential, logarithm);
+    kernels().elementary(x.data(), x.size(), exponential, logarithm);
     return nb::make_tuple(first, second);
   }
 
@@ -180,7 +217,7 @@ class Core {
   ToolMotion tool_motion(const double* q) const {
     ToolMotion motion;
     double X[kMaxLinks * 16], tool[3];
-    kernels_.link_poses(tables_, q, 1, X);
+    kernels().link_poses(tables_, {q, nullptr, 1}, X);
     const double* T = X + 16 * tool_link_;
     for (int r = 0; r < 3; ++r) {
       tool[r] = T[4 * r + 3];
@@ -222,7 +259,10 @@ class Core {
   }
 
  private:
-  void add_links(const Integers& parent, const Integers& joint, const Integers& slide, const Reals& X_PL, int n_joint) {
+  void add_links(const RobotArrays& robot) {
+    const Integers &parent = robot.parent, &joint = robot.joint, &slide = robot.slide;
+    const Reals& X_PL = robot.X_PL;
+    const int n_joint = robot.n_joint;
     const int n = int(parent.shape(0));
     require(n >= 1 && n <= kMaxLinks, "number of links");
     require(n_joint >= 1 && n_joint <= kMaxJoints, "number of joints");
@@ -267,7 +307,8 @@ class Core {
       int axis = 0;
       for (int i = 0; i < 3; ++i) {
         low[i] = high[i] = balls[0].v[i];
-        for (int k = 0; k < count; ++k) low[i] = std::min(low[i], balls[k].v[i]), high[i] = std::max(high[i], balls[k].v[i]);
+        for (int k = 0; k < count; ++k)
+          low[i] = std::min(low[i], balls[k].v[i]), high[i] = std::max(high[i], balls[k].v[i]);
         if (high[i] - low[i] > high[axis] - low[axis]) axis = i;
       }
       std::stable_sort(balls, balls + count, [axis](const Ball& a, const Ball& b) { return a.v[axis] < b.v[axis]; });
@@ -304,23 +345,25 @@ class Core {
       triangle_.push_back(t);
     }
   }
-  void add_obstacles(const Integers& kind, const Reals& pose, const Reals& size, const Reals& bound,
-                     const nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>& ignores, const Integers& hull_start) {
+  void add_obstacles(const WorldArrays& world) {
+    const auto& [kind, pose, size, bound, ignores, hull_start, triangles] = world;
     for (size_t j = 0; j < kind.shape(0); ++j) {
       Obstacle o{};
       o.kind = kind.data()[j], o.ignores = ignores.data()[j];
       require(o.kind >= kPlane && o.kind <= kMesh, "obstacle kind");
       for (int k = 0; k < 9; ++k) o.R[k] = float(pose.data()[12 * j + size_t(k)]);
-      for (int k = 0; k < 3; ++k) o.p[k] = float(pose.data()[12 * j + 9 + size_t(k)]), o.size[k] = float(size.data()[3 * j + size_t(k)]);
+      for (int k = 0; k < 3; ++k)
+        o.p[k] = float(pose.data()[12 * j + 9 + size_t(k)]), o.size[k] = float(size.data()[3 * j + size_t(k)]);
       for (int k = 0; k < 4; ++k) o.bound[k] = float(bound.data()[4 * j + size_t(k)]);
       o.first_triangle = hull_start.data()[j], o.n_triangle = hull_start.data()[j + 1] - o.first_triangle;
-      require(o.first_triangle >= 0 && o.n_triangle >= 0 && size_t(o.first_triangle + o.n_triangle) <= triangle_.size(), "hull range");
+      require(o.first_triangle >= 0 && o.n_triangle >= 0 && size_t(o.first_triangle + o.n_triangle) <= triangle_.size(),
+              "hull range");
       require(o.kind != kMesh || o.n_triangle > 0, "mesh without triangles");
       obstacle_.push_back(o);
     }
   }
-  void add_hazards(const Integers& component, const Integers& link, const Reals& box, const Integers& entity, const Reals& target_box,
-                   int n_component, int n_entity) {
+  void add_hazards(const HazardArrays& hazards) {
+    const auto& [component, link, box, entity, target_box, n_component, n_entity] = hazards;
     require(n_component >= 0 && n_component <= kMaxComponents, "number of components");
     require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
     require(component.shape(0) <= size_t(kMaxParts), "number of parts");
@@ -340,8 +383,10 @@ class Core {
     for (size_t k = 0; k < entity.shape(0); ++k) {
       Target t{};
       t.entity = entity.data()[k];
-      require(t.entity >= 0 && t.entity < n_entity && (k == 0 || entity.data()[k - 1] <= t.entity), "targets ordered by entity");
-      for (int i = 0; i < 3; ++i) t.lower[i] = target_box.data()[6 * k + size_t(i)], t.upper[i] = target_box.data()[6 * k + 3 + size_t(i)];
+      require(t.entity >= 0 && t.entity < n_entity && (k == 0 || entity.data()[k - 1] <= t.entity),
+              "targets ordered by entity");
+      for (int i = 0; i < 3; ++i)
+        t.lower[i] = target_box.data()[6 * k + size_t(i)], t.upper[i] = target_box.data()[6 * k + 3 + size_t(i)];
       Harmed& harmed = harmed_[size_t(t.entity)];
       if (harmed.first == harmed.last) harmed.first = int(k);
       harmed.last = int(k) + 1;
@@ -356,7 +401,7 @@ class Core {
     tables_.n_component = n_component, tables_.n_entity = n_entity;
   }
 
-  const Kernels& kernels_;
+  Isa isa_;
   int tool_link_;
   double tool_position_[3];
   Tables tables_{};
@@ -373,13 +418,12 @@ class Core {
   std::vector<Harmed> harmed_;
 };
 
-Point point(const Reals& q) { return Point(q.data(), q.data() + q.size()); }
+inline Point point(const Reals& q) { return Point(q.data(), q.data() + q.size()); }
 
-std::vector<Point> points(const Reals& q) {
+inline std::vector<Point> points(const Reals& q) {
   std::vector<Point> rows;
   for (size_t i = 0; i < q.shape(0); ++i) rows.emplace_back(q.data() + i * q.shape(1), q.data() + (i + 1) * q.shape(1));
   return rows;
 }
 
-}  // namespace
 }  // namespace gp

@@ -1,36 +1,48 @@
-// The states at which the impact along straight edges is sampled, and the way back from derivatives there to the edges' ends.
-// Part of bindings.cpp.
+// The states at which the impact along straight edges is sampled, and the way back from derivatives there to the edges'
+// ends.
 #pragma once
 #include "core.hpp"
 
 namespace gp {
-namespace {
 
-// Of edges: as edges() does, or at midpoints of pieces of at most a step, at both paces or at their mean. By turns the paces would
-// not do there: a descent shortens the edges whose pace is the worse one.
+// Of edges: as edges() does, or at midpoints of pieces of at most a step, at both paces or at their mean. By turns the
+// paces would not do there: a descent shortens the edges whose pace is the worse one.
 enum class Sampling { kExact, kBoth, kMean };
 
-// Fill in impact, d_q and d_qd of every state, then integrate. An edge is travelled at shares of the velocity at which its
-// slowest joint is at its speed: qd = pace (q1 - q0) / T, T = max_j |q1_j - q0_j| / speed_j.
+struct EdgeSlopes {  // per edge V and S, and the derivatives of S with respect to its ends
+  double *cost, *d_q0, *d_q1;
+};
+
+// Fill in impact, d_q and d_qd of every state, then integrate. An edge is travelled at shares of the velocity at which
+// its slowest joint is at its speed: qd = pace (q1 - q0) / T, T = max_j |q1_j - q0_j| / speed_j.
 class EdgeStates {
  public:
   Point q, qd, impact, d_q, d_qd;  // row by row
 
-  EdgeStates(const Core& core, const double* speed, const double* pace, const double* q0, const double* q1, size_t n, double step, Sampling sampling)
-      : dim_(size_t(core.tables().n_joint)), lanes_(core.lanes() / 2), speed_(speed), pace_(pace), q0_(q0), q1_(q1), sampling_(sampling) {
-    for (size_t e = 0; e < n; ++e) add_edge(q0 + e * dim_, q1 + e * dim_, step);
+  EdgeStates(const Core& core, const double* speed, const double* pace, const Edges& edges, Sampling sampling)
+      : dim_(size_t(core.tables().n_joint)),
+        lanes_(core.lanes() / 2),
+        speed_(speed),
+        pace_(pace),
+        q0_(edges.q0),
+        q1_(edges.q1),
+        sampling_(sampling) {
+    for (size_t e = 0; e < edges.n; ++e) add_edge(q0_ + e * dim_, q1_ + e * dim_, edges.step);
     impact.resize(size()), d_q.resize(q.size()), d_qd.resize(q.size());
   }
   size_t size() const { return place_.size(); }
 
-  void integrate(double* cost, double* d_q0, double* d_q1) const {
+  States states() const { return {q.data(), qd.data(), size()}; }
+  Slopes slopes() { return {impact.data(), d_q.data(), d_qd.data()}; }
+
+  void integrate(const EdgeSlopes& out) const {
     size_t k = 0;
     for (size_t e = 0; e < edge_.size(); ++e) {
       const Edge& edge = edge_[e];
-      double *by_a = d_q0 + e * dim_, *by_b = d_q1 + e * dim_, mean = 0;
+      double *by_a = out.d_q0 + e * dim_, *by_b = out.d_q1 + e * dim_, mean = 0;
       std::fill(by_a, by_a + dim_, 0.0), std::fill(by_b, by_b + dim_, 0.0);
       for (; k < edge.end; ++k) add_slopes(edge, k, by_a, by_b, mean);
-      cost[2 * e] = edge.length, cost[2 * e + 1] = edge.length * mean;
+      out.cost[2 * e] = edge.length, out.cost[2 * e + 1] = edge.length * mean;
       for (size_t j = 0; j < dim_; ++j) {
         const double along = edge.length > 0 ? (q1_[e * dim_ + j] - q0_[e * dim_ + j]) / edge.length * mean : 0.0;
         by_a[j] = edge.length * by_a[j] - along, by_b[j] = edge.length * by_b[j] + along;
@@ -55,13 +67,15 @@ class EdgeStates {
       if (seconds > edge.duration) edge.duration = seconds, edge.slowest = j;
     }
     edge.length = std::sqrt(edge.length);
-    if (edge.length > 0) sampling_ == Sampling::kExact ? add_trapezoid(edge, a, b, step) : add_midpoints(edge, a, b, step);
+    if (edge.length > 0)
+      sampling_ == Sampling::kExact ? add_trapezoid(edge, a, b, step) : add_midpoints(edge, a, b, step);
     edge.end = place_.size();
     edge_.push_back(edge);
   }
   void add_trapezoid(const Edge& edge, const double* a, const double* b, double step) {
     const int last = (int((edge.length / step + 1.0) / lanes_) + 1) * lanes_ - 1;  // as edge_cost in kernels.cpp
-    for (int k = 0; k <= last; ++k) add_state(edge, a, b, double(k) / last, (k == 0 || k == last ? 0.5 : 1.0) / last, pace_[k % 2]);
+    for (int k = 0; k <= last; ++k)
+      add_state(edge, a, b, double(k) / last, (k == 0 || k == last ? 0.5 : 1.0) / last, pace_[k % 2]);
   }
   void add_midpoints(const Edge& edge, const double* a, const double* b, double step) {
     const int pieces = int(std::ceil(edge.length / step));
@@ -103,5 +117,4 @@ class EdgeStates {
   std::vector<Place> place_;
 };
 
-}  // namespace
 }  // namespace gp

@@ -17,9 +17,9 @@ namespace GP_ISA {
 #include "geometry/gradient.hpp"
 #include "impact/interaction.hpp"
 
-constexpr double kTail = 29.0;        // scales of noise beyond which nothing happens: e^-29 is 3e-13
-constexpr double kHeld = 60.0;        // exponents are held within
-constexpr double kNothing = 1e-13;    // a probability that does not matter
+constexpr double kTail = 29.0;      // scales of noise beyond which nothing happens: e^-29 is 3e-13
+constexpr double kHeld = 60.0;      // exponents are held within
+constexpr double kNothing = 1e-13;  // a probability that does not matter
 constexpr double kTiny = 1e-300;
 #include "impact/drop.hpp"
 #include "impact/drop_gradient.hpp"
@@ -39,13 +39,22 @@ constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kTiny = 1e-30;  //
 #include "impact/impact_of_drop.hpp"
 }  // namespace rough
 
-static void link_poses(const Tables& tables, const double* q, size_t n, double* X_WL) {
-  D qs[kMaxJoints];
-  Frame<D> X_W[kMaxLinks];
-  for (size_t first = 0; first < n; first += kLanes<double>) {
-    load(tables, q, first, n, qs);
+// Calls visit(first, count, poses) for every block of lanes: so many rows of q from `first` on, and the frames there.
+template <class V, class Visit>
+static inline void for_each_block(const Tables& tables, const States& states, Visit visit) {
+  V qs[kMaxJoints];
+  Frame<V> X_W[kMaxLinks];
+  for (size_t first = 0; first < states.n; first += kAbreast<V>) {
+    load(tables, states.q, first, states.n, qs);
     forward_kinematics(tables, qs, X_W);
-    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
+    const size_t left = states.n - first;
+    visit(first, left < size_t(kAbreast<V>) ? int(left) : kAbreast<V>, X_W);
+  }
+}
+
+static void link_poses(const Tables& tables, const States& states, double* X_WL) {
+  for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
+    for (int i = 0; i < count; ++i)
       for (int l = 0; l < tables.n_link; ++l) {
         const Frame<D>& X = X_W[tables.link[l].frame];
         double* out = X_WL + ((first + size_t(i)) * size_t(tables.n_link) + size_t(l)) * 16;
@@ -57,18 +66,14 @@ static void link_poses(const Tables& tables, const double* q, size_t n, double* 
         out[12] = out[13] = out[14] = 0.0;
         out[15] = 1.0;
       }
-  }
+  });
 }
 
-static void free_states(const Tables& tables, const double* q, size_t n, double margin, uint8_t* free) {
-  F qs[kMaxJoints];
-  Frame<F> X_W[kMaxLinks];
-  for (size_t first = 0; first < n; first += kLanes<float>) {
-    load(tables, q, first, n, qs);
-    forward_kinematics(tables, qs, X_W);
-    MaskF hit = collides<false>(tables, X_W, float(margin));
-    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) free[first + size_t(i)] = !hit[i];
-  }
+static void free_states(const Tables& tables, const States& states, double margin, uint8_t* free) {
+  for_each_block<F>(tables, states, [&](size_t first, int count, const Frame<F>* X_W) {
+    const MaskF hit = collides<false>(tables, X_W, float(margin));
+    for (int i = 0; i < count; ++i) free[first + size_t(i)] = !hit[i];
+  });
 }
 
 // Blocks are spread over the whole edge and shifted between each other, so that a bad edge fails in the first ones.
@@ -87,55 +92,48 @@ static bool edge_is_free(const Tables& tables, const double* q0, const double* q
   return true;
 }
 
-static void free_edges(const Tables& tables, const double* q0, const double* q1, size_t n, double step, double margin, uint8_t* free) {
-  for (size_t k = 0; k < n; ++k)
-    free[k] = edge_is_free(tables, q0 + k * size_t(tables.n_joint), q1 + k * size_t(tables.n_joint), step, float(margin));
+static void free_edges(const Tables& tables, const Edges& edges, double margin, uint8_t* free) {
+  const size_t nq = size_t(tables.n_joint);
+  for (size_t k = 0; k < edges.n; ++k)
+    free[k] = edge_is_free(tables, edges.q0 + k * nq, edges.q1 + k * nq, edges.step, float(margin));
 }
 
-// Those of one block of lanes of `clearance`, whose pairs are known; between near spheres single precision is too coarse.
-static void clearance_gradients(const Tables& tables, const Nearest& pair, const double* q, size_t first, size_t n, double* gradient) {
-  D qs[kMaxJoints];
-  Frame<D> X_W[kMaxLinks];
-  for (int done = 0; done < kLanes<float> && first + size_t(done) < n; done += kLanes<double>) {
-    load(tables, q, first + size_t(done), n, qs);
-    forward_kinematics(tables, qs, X_W);
-    for (int i = 0; i < kLanes<double> && first + size_t(done + i) < n; ++i)
-      clearance_gradient(tables, X_W, pair.a[done + i], pair.b[done + i], i, gradient + (first + size_t(done + i)) * size_t(tables.n_joint));
-  }
+// Those of states whose nearest pairs are known; between near spheres single precision is too coarse.
+static void clearance_gradients(const Tables& tables, const Nearest& pair, const States& states, double* gradient) {
+  for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
+    for (size_t k = first; k < first + size_t(count); ++k) {
+      double* out = gradient + k * size_t(tables.n_joint);
+      clearance_gradient(tables, X_W, pair.a[k], pair.b[k], int(k - first), out);
+    }
+  });
 }
 
-static void clearance(const Tables& tables, const double* q, size_t n, double* out, double* gradient) {
-  F qs[kMaxJoints];
-  Frame<F> X_W[kMaxLinks];
-  for (size_t first = 0; first < n; first += kLanes<float>) {
-    load(tables, q, first, n, qs);
-    forward_kinematics(tables, qs, X_W);
+static void clearance(const Tables& tables, const States& states, double* out, double* gradient) {
+  const size_t nq = size_t(tables.n_joint);
+  for_each_block<F>(tables, states, [&](size_t first, int count, const Frame<F>* X_W) {
     const Nearest pair = nearest(tables, X_W);
-    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i)
-      out[first + size_t(i)] = pair.a[i] < 0 ? __builtin_inf() : double(pair.distance[i]);
-    if (gradient) clearance_gradients(tables, pair, q, first, n, gradient);
-  }
+    for (int i = 0; i < count; ++i) out[first + size_t(i)] = pair.a[i] < 0 ? __builtin_inf() : double(pair.distance[i]);
+    const States block{states.q + first * nq, nullptr, size_t(count)};
+    if (gradient) clearance_gradients(tables, pair, block, gradient + first * nq);
+  });
 }
 
-static void interaction(const Tables& tables, const double* q, size_t n, double* probability) {
-  D qs[kMaxJoints];
-  Frame<D> X_W[kMaxLinks];
+static void interaction(const Tables& tables, const States& states, double* probability) {
   const size_t stride = size_t(tables.n_component) * size_t(tables.n_entity);
-  for (size_t first = 0; first < n; first += kLanes<double>) {
-    load(tables, q, first, n, qs);
-    forward_kinematics(tables, qs, X_W);
+  for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
     for_each_interaction(tables, X_W, Hazard(tables, nullptr), [&](int r, int e, D P) {
-      for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
+      for (int i = 0; i < count; ++i)
         probability[(first + size_t(i)) * stride + size_t(r * tables.n_entity + e)] = P[i];
     });
-  }
+  });
 }
 
-static void impact(const Tables& tables, const double* severity, const double* q, size_t n, double* out) {
+static void impact(const Tables& tables, const double* severity, const States& states, double* out) {
+  const size_t n = states.n;
   D qs[kMaxJoints];
   const Hazard hazard(tables, severity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load(tables, q, first, n, qs);
+    load(tables, states.q, first, n, qs);
     const D value = impact_of(tables, hazard, qs);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
   }
@@ -143,7 +141,8 @@ static void impact(const Tables& tables, const double* severity, const double* q
 
 // V = length, S = integral of the impact over length by the trapezoid rule, at least every `step`.
 template <class Value>
-static inline void edge_cost(const Tables& tables, const double* a, const double* b, double step, Value impact_at, double* cost) {
+static inline void edge_cost(const Tables& tables, const double* a, const double* b, double step, Value impact_at,
+                             double* cost) {
   constexpr int W = kLanes<double>;
   D qs[kMaxJoints], lane;
   for (int i = 0; i < W; ++i) lane[i] = double(i);
@@ -162,41 +161,50 @@ static inline void edge_cost(const Tables& tables, const double* a, const double
   cost[1] = length * sum / last;
 }
 
-static void edge_costs(const Tables& tables, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost) {
+static void edge_costs(const Tables& tables, const double* severity, const Edges& edges, double* cost) {
   const Hazard hazard(tables, severity);
   const size_t nq = size_t(tables.n_joint);
-  for (size_t k = 0; k < n; ++k)
-    edge_cost(tables, q0 + k * nq, q1 + k * nq, step, [&](const D* q) { return impact_of(tables, hazard, q); }, cost + 2 * k);
+  const auto impact_at = [&](const D* q) { return impact_of(tables, hazard, q); };
+  for (size_t k = 0; k < edges.n; ++k)
+    edge_cost(tables, edges.q0 + k * nq, edges.q1 + k * nq, edges.step, impact_at, cost + 2 * k);
+}
+
+// Edges that are travelled at shares of the velocity at which their slowest joint is at its speed, by turns the first
+// and the second share. speed(j) is that of a joint, impact_at(q, qd) what is integrated.
+template <class Speed, class Value>
+static inline void paced_edge_costs(const Tables& tables, const double* pace, const Edges& edges, Speed speed,
+                                    Value impact_at, double* cost) {
+  D rates[kMaxJoints], share;
+  for (int i = 0; i < kLanes<double>; ++i) share[i] = pace[i % 2];
+  const size_t nq = size_t(tables.n_joint);
+  for (size_t k = 0; k < edges.n; ++k) {
+    const double *a = edges.q0 + k * nq, *b = edges.q1 + k * nq;
+    double duration = 0;
+    for (size_t j = 0; j < nq; ++j) {
+      const double seconds = __builtin_fabs(b[j] - a[j]) / speed(j);
+      duration = seconds > duration ? seconds : duration;
+    }
+    for (size_t j = 0; j < nq; ++j) rates[j] = share * (duration > 0 ? (b[j] - a[j]) / duration : 0.0);
+    edge_cost(tables, a, b, edges.step, [&](const D* q) { return impact_at(q, rates); }, cost + 2 * k);
+  }
 }
 
 // --- the drop model -------------------------------------------------------------------------------------------------
 
-static void drop(const Tables& tables, const DropTables& drop, const double* q, const double* qd, size_t n, double* probability) {
+static void drop(const Tables& tables, const DropTables& drop, const States& states, double* probability) {
   D P[kDropRows * kMaxEntities];
   const size_t count = size_t(kDropRows * drop.n_entity);
-  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+  for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
     drop_probability(tables, drop, nullptr, qs, rates, P);
-    for (int i = 0; i < kAbreast<D> && first + size_t(i) < n; ++i)
+    for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i)
       for (size_t e = 0; e < count; ++e) probability[(first + size_t(i)) * count + e] = P[e][i];
   });
 }
 
-// The velocity is that of the edge: its slowest joint at a share of its speed, by turns the first and the second one.
-static void drop_edge_costs(const Tables& tables, const DropTables& drop, const double* severity, const double* pace, const double* q0,
-                            const double* q1, size_t n, double step, double* cost) {
-  D rates[kMaxJoints], share;
-  for (int i = 0; i < kLanes<double>; ++i) share[i] = pace[i % 2];
-  const size_t nq = size_t(tables.n_joint);
-  for (size_t k = 0; k < n; ++k) {
-    const double *a = q0 + k * nq, *b = q1 + k * nq;
-    double duration = 0;
-    for (size_t j = 0; j < nq; ++j) {
-      const double seconds = __builtin_fabs(b[j] - a[j]) / drop.speed[j];
-      duration = seconds > duration ? seconds : duration;
-    }
-    for (size_t j = 0; j < nq; ++j) rates[j] = share * (duration > 0 ? (b[j] - a[j]) / duration : 0.0);
-    edge_cost(tables, a, b, step, [&](const D* q) { return drop_impact_of(tables, drop, severity, q, rates); }, cost + 2 * k);
-  }
+static void drop_edge_costs(const Tables& tables, const DropTables& drop, const double* severity, const double* pace,
+                            const Edges& edges, double* cost) {
+  const auto impact_at = [&](const D* q, const D* qd) { return drop_impact_of(tables, drop, severity, q, qd); };
+  paced_edge_costs(tables, pace, edges, [&](size_t j) { return drop.speed[j]; }, impact_at, cost);
 }
 
 // --- the body model -------------------------------------------------------------------------------------------------
@@ -205,7 +213,8 @@ static void drop_edge_costs(const Tables& tables, const DropTables& drop, const 
 struct ArmRoom {
   Arm arm;
 
-  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity) : arm{tables, body, severity, {}, {}, {}, {}, {}, {}, {}, 0, 0, 0} {
+  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity)
+      : arm{tables, body, severity, {}, {}, {}, {}, {}, {}, {}, 0, 0, 0} {
     const size_t room = size_t(tables.n_group) * size_t(tables.n_obstacle) + 1;
     arm.around.near = new Near[room + size_t(tables.n_obstacle)];
     arm.around.scratch = arm.around.near + room;
@@ -217,14 +226,16 @@ struct ArmRoom {
   ~ArmRoom() { delete[] arm.around.near, delete[] arm.around.distance, delete[] arm.around.known; }
 };
 
-static void body(const Tables& tables, const BodyTables& body, const double* q, const double* qd, const double* ahead, size_t n,
+static void body(const Tables& tables, const BodyTables& body, const States& states, const double* ahead,
                  double* distance) {
+  const size_t n = states.n;
   D qs[kMaxJoints], rates[kMaxJoints];
   ArmRoom* room = new ArmRoom(tables, body, nullptr);
-  const size_t row = size_t(body.n_entity), mode_size = size_t(body.n_row) * row, state = size_t(2 * tables.n_joint + 2) * mode_size;
+  const size_t row = size_t(body.n_entity), mode_size = size_t(body.n_row) * row,
+               state = size_t(2 * tables.n_joint + 2) * mode_size;
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load(tables, q, first, n, qs);
-    load(tables, qd, first, n, rates);
+    load(tables, states.q, first, n, qs);
+    load(tables, states.qd, first, n, rates);
     room->arm.begin(qs, rates, ahead, first, n);
     room->arm.fail(rates, nullptr, [&](int mode, int) {
       for (int r = 0; r < body.n_row; ++r)
@@ -238,54 +249,41 @@ static void body(const Tables& tables, const BodyTables& body, const double* q, 
   delete room;
 }
 
-static void body_impact(const Tables& tables, const BodyTables& body, const double* weight, const double* severity, const double* q,
-                        const double* qd, size_t n, double* out) {
+static void body_impact(const Tables& tables, const BodyTables& body, const BodyHarm& harm, const States& states,
+                        double* out) {
+  const size_t n = states.n;
   D qs[kMaxJoints], rates[kMaxJoints] = {};
-  ArmRoom* room = new ArmRoom(tables, body, severity);
+  ArmRoom* room = new ArmRoom(tables, body, harm.severity);
   for (size_t first = 0; first < n; first += kLanes<double>) {
-    load(tables, q, first, n, qs);
-    if (qd) load(tables, qd, first, n, rates);
-    const D value = body_impact_of(room->arm, weight, qs, rates);
+    load(tables, states.q, first, n, qs);
+    if (states.qd) load(tables, states.qd, first, n, rates);
+    const D value = body_impact_of(room->arm, harm.weight, qs, rates);
     for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
   }
   delete room;
 }
 
-// The velocity is that of the edge, as in the drop model.
-static void body_edge_costs(const Tables& tables, const BodyTables& body, const double* weight, const double* severity, const double* pace,
-                            const double* q0, const double* q1, size_t n, double step, double* cost) {
-  D rates[kMaxJoints], share;
-  for (int i = 0; i < kLanes<double>; ++i) share[i] = pace[i % 2];
-  const size_t nq = size_t(tables.n_joint);
-  ArmRoom* room = new ArmRoom(tables, body, severity);
-  for (size_t k = 0; k < n; ++k) {
-    const double *a = q0 + k * nq, *b = q1 + k * nq;
-    double duration = 0;
-    for (size_t j = 0; j < nq; ++j) {
-      const double seconds = __builtin_fabs(b[j] - a[j]) / body.drive[j].speed;
-      duration = seconds > duration ? seconds : duration;
-    }
-    for (size_t j = 0; j < nq; ++j) rates[j] = share * (duration > 0 ? (b[j] - a[j]) / duration : 0.0);
-    edge_cost(tables, a, b, step, [&](const D* q) { return body_impact_of(room->arm, weight, q, rates); }, cost + 2 * k);
-  }
+static void body_edge_costs(const Tables& tables, const BodyTables& body, const BodyHarm& harm, const double* pace,
+                            const Edges& edges, double* cost) {
+  ArmRoom* room = new ArmRoom(tables, body, harm.severity);
+  const auto impact_at = [&](const D* q, const D* qd) { return body_impact_of(room->arm, harm.weight, q, qd); };
+  paced_edge_costs(tables, pace, edges, [&](size_t j) { return body.drive[j].speed; }, impact_at, cost);
   delete room;
 }
 
 // Mass matrix and torques of the weight, for tests.
-static void body_dynamics(const Tables& tables, const BodyTables& body, const double* q, size_t n, double* mass_matrix, double* gravity) {
-  D qs[kMaxJoints], M[kMaxJoints][kMaxJoints], g[kMaxJoints];
-  Frame<D> X_W[kMaxLinks];
+static void body_dynamics(const Tables& tables, const BodyTables& body, const States& states, double* mass_matrix,
+                          double* gravity) {
+  D M[kMaxJoints][kMaxJoints], g[kMaxJoints];
   const size_t nq = size_t(tables.n_joint);
-  for (size_t first = 0; first < n; first += kLanes<double>) {
-    load(tables, q, first, n, qs);
-    forward_kinematics(tables, qs, X_W);
+  for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
     mass_and_weight(tables, body, X_W, M, g);
-    for (size_t i = 0; i < size_t(kLanes<double>) && first + i < n; ++i)
-      for (size_t a = 0; a < nq; ++a) {
-        gravity[(first + i) * nq + a] = g[a][int(i)];
-        for (size_t b = 0; b < nq; ++b) mass_matrix[((first + i) * nq + a) * nq + b] = M[a][b][int(i)];
+    for (int i = 0; i < count; ++i)
+      for (size_t a = 0, row = first + size_t(i); a < nq; ++a) {
+        gravity[row * nq + a] = g[a][i];
+        for (size_t b = 0; b < nq; ++b) mass_matrix[(row * nq + a) * nq + b] = M[a][b][i];
       }
-  }
+  });
 }
 
 // e^x and ln e^x, for tests of what the drop model computes itself.
@@ -299,17 +297,30 @@ static void elementary(const double* x, size_t n, double* exponentials, double* 
   }
 }
 
-#define GP_TEXT_(x) #x
-#define GP_TEXT(x) GP_TEXT_(x)
 }  // namespace GP_ISA
 
 #define GP_JOIN_(a, b) a##b
 #define GP_JOIN(a, b) GP_JOIN_(a, b)
-extern const Kernels GP_JOIN(kernels_, GP_ISA) = {GP_TEXT(GP_ISA),   GP_ISA::kLanes<float>, GP_ISA::link_poses,
-                                                 GP_ISA::free_states, GP_ISA::free_edges,   GP_ISA::clearance,
-                                                 GP_ISA::interaction, GP_ISA::impact,       GP_ISA::edge_costs,
-                                                 GP_ISA::drop,        GP_ISA::drop_impact,  GP_ISA::drop_gradient,
-                                                 GP_ISA::drop_edge_costs, GP_ISA::rough::drop_impact, GP_ISA::rough::drop_gradient, GP_ISA::body,      GP_ISA::body_impact,
-                                                 GP_ISA::body_edge_costs, GP_ISA::body_dynamics, GP_ISA::elementary};
+extern const Kernels GP_JOIN(kernels_, GP_ISA) = {
+    .lanes = GP_ISA::kLanes<float>,
+    .link_poses = GP_ISA::link_poses,
+    .free_states = GP_ISA::free_states,
+    .free_edges = GP_ISA::free_edges,
+    .clearance = GP_ISA::clearance,
+    .interaction = GP_ISA::interaction,
+    .impact = GP_ISA::impact,
+    .edge_costs = GP_ISA::edge_costs,
+    .drop = GP_ISA::drop,
+    .drop_impact = GP_ISA::drop_impact,
+    .drop_gradient = GP_ISA::drop_gradient,
+    .drop_edge_costs = GP_ISA::drop_edge_costs,
+    .rough_drop_impact = GP_ISA::rough::drop_impact,
+    .rough_drop_gradient = GP_ISA::rough::drop_gradient,
+    .body = GP_ISA::body,
+    .body_impact = GP_ISA::body_impact,
+    .body_edge_costs = GP_ISA::body_edge_costs,
+    .body_dynamics = GP_ISA::body_dynamics,
+    .elementary = GP_ISA::elementary,
+};
 
 }  // namespace gp

@@ -28,38 +28,35 @@ using MaskF = Mask<float>;
 
 // Of a type that holds W numbers: what they are, and W.
 template <class V> struct Content;
-template <> struct Content<F> { using type = float; };
-template <> struct Content<D> { using type = double; };
+template <> struct Content<F> {
+  using type = float;
+};
+template <> struct Content<D> {
+  using type = double;
+};
 template <class V> using Scalar = typename Content<V>::type;
 template <class V> constexpr int kAbreast = kLanes<Scalar<V>>;
 
-static inline bool any(MaskF m) {
+// Not 0 if any lane is set.
 #if defined(__AVX512F__)
-  return _mm512_movepi32_mask((__m512i)m) != 0;
+static inline int lanes_set(MaskF m) { return _mm512_movepi32_mask((__m512i)m); }
+static inline int lanes_set(Mask<double> m) { return _mm512_movepi64_mask((__m512i)m); }
 #elif defined(__AVX2__)
-  return _mm256_movemask_ps((__m256)m) != 0;
+static inline int lanes_set(MaskF m) { return _mm256_movemask_ps((__m256)m); }
+static inline int lanes_set(Mask<double> m) { return _mm256_movemask_pd((__m256d)m); }
 #elif defined(__SSE2__)
-  return _mm_movemask_ps((__m128)m) != 0;
+static inline int lanes_set(MaskF m) { return _mm_movemask_ps((__m128)m); }
+static inline int lanes_set(Mask<double> m) { return _mm_movemask_pd((__m128d)m); }
 #else
-  int32_t all = 0;
-  for (int i = 0; i < kLanes<float>; ++i) all |= m[i];
-  return all != 0;
-#endif
+template <class M> static inline int lanes_set(M m) {
+  int set = 0;
+  for (size_t i = 0; i < sizeof(m) / sizeof(m[0]); ++i) set |= m[i] != 0;
+  return set;
 }
+#endif
+static inline bool any(MaskF m) { return lanes_set(m) != 0; }
+static inline bool any(Mask<double> m) { return lanes_set(m) != 0; }
 static inline bool all(MaskF m) { return !any(~m); }
-static inline bool any(Mask<double> m) {
-#if defined(__AVX512F__)
-  return _mm512_movepi64_mask((__m512i)m) != 0;
-#elif defined(__AVX2__)
-  return _mm256_movemask_pd((__m256d)m) != 0;
-#elif defined(__SSE2__)
-  return _mm_movemask_pd((__m128d)m) != 0;
-#else
-  int64_t all = 0;
-  for (int i = 0; i < kLanes<double>; ++i) all |= m[i];
-  return all != 0;
-#endif
-}
 
 static inline D where(Mask<double> m, D a, D b) { return m ? a : b; }
 template <class V> static inline V relu(V a) { return a > 0 ? a : V{}; }
@@ -92,8 +89,8 @@ static inline F square_root(F a) {
 #endif
 }
 
-// 1/x and 1/sqrt(x) for normal x > 0, good to 1e-15. With AVX-512, two steps of Newton's method from the machine's estimate
-// take a quarter of the time of a division or of a square root.
+// 1/x and 1/sqrt(x) for normal x > 0, good to 1e-15. With AVX-512, two steps of Newton's method from the machine's
+// estimate take a quarter of the time of a division or of a square root.
 static inline Lanes<double> reciprocal(Lanes<double> x) {
 #if defined(__AVX512F__)
   Lanes<double> y = (Lanes<double>)_mm512_maskz_rcp14_pd(__mmask8(0xff), (__m512d)x);
@@ -133,8 +130,15 @@ static inline Lanes<double> square_root(Lanes<double> x) {
 #endif
 }
 
-// e^x for |x| <= 700, good to 1e-15: x = k ln 2 + r, a polynomial in r that is best in the sense of Chebyshev, and k put
-// into the exponent of a double. The rounding trick leaves k + 1023 in the low bits of the sum.
+// c0 + x (c1 + x (c2 + ..)).
+template <class V, class C> [[gnu::always_inline]] static inline V horner(V x, C c0, C c1) { return c0 + x * c1; }
+template <class V, class C, class... Rest>
+[[gnu::always_inline]] static inline V horner(V x, C c0, C c1, Rest... rest) {
+  return c0 + x * horner(x, c1, rest...);
+}
+
+// e^x for |x| <= 700, good to 1e-15: x = k ln 2 + r, a polynomial in r that is best in the sense of Chebyshev, and k
+// put into the exponent of a double. The rounding trick leaves k + 1023 in the low bits of the sum.
 [[gnu::always_inline]] static inline Lanes<double> exponential(Lanes<double> x) {
   using D = Lanes<double>;
   const double magic = 6755399441055744.0 + 1023.0;  // 1.5 * 2^52 and the bias of exponents
@@ -143,7 +147,8 @@ static inline Lanes<double> square_root(Lanes<double> x) {
   const D r = (x - k * 6.93147180369123816490e-01) - k * 1.90821492927058770002e-10;
   const D r2 = r * r, r4 = r2 * r2;
   const D low = (1.0 + r * 1.0000000000000075) + r2 * (0.49999999999998795 + r * 0.16666666666543611);
-  const D middle = (0.041666666667569435 + r * 0.00833333338943906) + r2 * (0.001388888866441864 + r * 0.00019841165489612028);
+  const D middle =
+      (0.041666666667569435 + r * 0.00833333338943906) + r2 * (0.001388888866441864 + r * 0.00019841165489612028);
   const D high = (2.4801793454767542e-05 + r * 2.764216950992623e-06) + r2 * 2.7518754445605016e-07;
   return (low + r4 * (middle + r4 * high)) * (D)((Mask<double>)shifted << 52);
 }
@@ -152,48 +157,43 @@ static inline Lanes<double> square_root(Lanes<double> x) {
 static inline Lanes<double> logarithm(Lanes<double> x) {
   using D = Lanes<double>;
   const Mask<double> bits = (Mask<double>)x;
-  const D exponent = (D)((bits >> 52) | 0x4330000000000000) - (4503599627370496.0 + 1023.0);  // integer in the low bits of 2^52
-  const D m = (D)((bits & 0x000fffffffffffff) | 0x3ff0000000000000);  // [1, 2)
+  const D exponent =
+      (D)((bits >> 52) | 0x4330000000000000) - (4503599627370496.0 + 1023.0);  // integer in the low bits of 2^52
+  const D m = (D)((bits & 0x000fffffffffffff) | 0x3ff0000000000000);           // [1, 2)
   const auto upper = m > 1.4142135623730951;
   const D y = upper ? 0.5 * m : m, e = upper ? exponent + 1.0 : exponent;
   const D s = (y - 1.0) * reciprocal(y + 1.0), z = s * s;
-  const D series = 1.0 + z * (1.0 / 3 + z * (1.0 / 5 + z * (1.0 / 7 + z * (1.0 / 9 + z * (1.0 / 11 + z * (1.0 / 13 + z * (1.0 / 15 +
-                   z * (1.0 / 17 + z * (1.0 / 19 + z * (1.0 / 21))))))))));
+  const D series =
+      horner(z, 1.0, 1.0 / 3, 1.0 / 5, 1.0 / 7, 1.0 / 9, 1.0 / 11, 1.0 / 13, 1.0 / 15, 1.0 / 17, 1.0 / 19, 1.0 / 21);
   return e * 6.93147180559945286227e-01 + 2.0 * s * series;
 }
 
 // Sine and cosine by reduction to [-pi/4, pi/4] in two or three steps (Cody and Waite) and Cephes' polynomials.
 // The rounding trick leaves the quadrant in the low bits of the sum. Good to 1e-7 and 1e-15 for |x| < 1000.
+template <class V, class M> static inline void turn_back(M quadrant, V sine, V cosine, V& s, V& c) {
+  const M swap = (quadrant & 1) != 0;
+  const V first = swap ? cosine : sine, second = swap ? sine : cosine;
+  s = (quadrant & 2) != 0 ? -first : first;
+  c = ((quadrant + 1) & 2) != 0 ? -second : second;
+}
 static inline void sine_cosine(F x, F& s, F& c) {
   const float magic = 12582912.f;  // 1.5 * 2^23
-  F shifted = x * 0.6366197723675814f + magic;
-  MaskF quadrant = (MaskF)shifted;
-  F k = shifted - magic;
-  F r = ((x - k * 1.5703125f) - k * 4.837512969970703e-4f) - k * 7.549789954891882e-8f;
-  F z = r * r;
-  F sp = r + r * z * (-1.6666654611e-1f + z * (8.3321608736e-3f + z * -1.9515295891e-4f));
-  F cp = 1.f - 0.5f * z + z * z * (4.166664568298827e-2f + z * (-1.388731625493765e-3f + z * 2.443315711809948e-5f));
-  MaskF swap = (quadrant & 1) != 0;
-  F sv = swap ? cp : sp, cv = swap ? sp : cp;
-  s = (quadrant & 2) != 0 ? -sv : sv;
-  c = ((quadrant + 1) & 2) != 0 ? -cv : cv;
+  const F shifted = x * 0.6366197723675814f + magic, k = shifted - magic;
+  const F r = ((x - k * 1.5703125f) - k * 4.837512969970703e-4f) - k * 7.549789954891882e-8f, z = r * r;
+  const F sine = horner(z, -1.6666654611e-1f, 8.3321608736e-3f, -1.9515295891e-4f);
+  const F cosine = horner(z, 4.166664568298827e-2f, -1.388731625493765e-3f, 2.443315711809948e-5f);
+  turn_back((MaskF)shifted, r + r * z * sine, 1.f - 0.5f * z + z * z * cosine, s, c);
 }
 static inline void sine_cosine(Lanes<double> x, Lanes<double>& s, Lanes<double>& c) {
   using D = Lanes<double>;
   const double magic = 6755399441055744.0;  // 1.5 * 2^52
-  D shifted = x * 0.63661977236758134308 + magic;
-  Mask<double> quadrant = (Mask<double>)shifted;
-  D k = shifted - magic;
-  D r = (x - k * 1.57079632673412561417e+00) - k * 6.07710050650619224932e-11;
-  D z = r * r;
-  D sp = r + r * z * (-1.66666666666666307295e-1 + z * (8.33333333332211858878e-3 + z * (-1.98412698295895385996e-4 +
-         z * (2.75573136213857245213e-6 + z * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10)))));
-  D cp = 1.0 - 0.5 * z + z * z * (4.16666666666665929218e-2 + z * (-1.38888888888730564116e-3 + z * (2.48015872888517045348e-5 +
-         z * (-2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 + z * -1.13585365213876817300e-11)))));
-  Mask<double> swap = (quadrant & 1) != 0;
-  D sv = swap ? cp : sp, cv = swap ? sp : cp;
-  s = (quadrant & 2) != 0 ? -sv : sv;
-  c = ((quadrant + 1) & 2) != 0 ? -cv : cv;
+  const D shifted = x * 0.63661977236758134308 + magic, k = shifted - magic;
+  const D r = (x - k * 1.57079632673412561417e+00) - k * 6.07710050650619224932e-11, z = r * r;
+  const D sine = horner(z, -1.66666666666666307295e-1, 8.33333333332211858878e-3, -1.98412698295895385996e-4,
+                        2.75573136213857245213e-6, -2.50507477628578072866e-8, 1.58962301576546568060e-10);
+  const D cosine = horner(z, 4.16666666666665929218e-2, -1.38888888888730564116e-3, 2.48015872888517045348e-5,
+                          -2.75573141792967388112e-7, 2.08757008419747316778e-9, -1.13585365213876817300e-11);
+  turn_back((Mask<double>)shifted, r + r * z * sine, 1.0 - 0.5 * z + z * z * cosine, s, c);
 }
 
 template <class V> struct Vec {

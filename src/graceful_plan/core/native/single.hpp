@@ -1,5 +1,5 @@
-// Numbers in single precision, twice as many side by side, for the models that are written for `D`: a D whose arithmetic also
-// takes doubles. Descents that a path of exact cost is chosen from afterwards use it.
+// Numbers in single precision, twice as many side by side, for the models that are written for `D`: a D whose
+// arithmetic also takes doubles. Descents that a path of exact cost is chosen from afterwards use it.
 
 struct Single {
   F v;
@@ -21,7 +21,9 @@ struct Single {
   friend MaskF operator!=(Single a, Single b) { return a.v != b.v; }
 };
 
-template <> struct Content<Single> { using type = float; };
+template <> struct Content<Single> {
+  using type = float;
+};
 
 static inline Single where(MaskF m, Single a, Single b) { return Single(m ? a.v : b.v); }
 static inline Single minimum(Single a, Single b) { return Single(minimum(a.v, b.v)); }
@@ -65,7 +67,7 @@ static inline Single logarithm(Single x) {
   const MaskF upper = m > 1.41421356f;
   const F y = upper ? 0.5f * m : m, e = upper ? exponent + 1.f : exponent;
   const F s = (y - 1.f) * reciprocal(Single(y + 1.f)).v, z = s * s;
-  return Single(e * 0.69314718f + 2.f * s * (1.f + z * (0.33333333f + z * (0.2f + z * (0.14285714f + z * 0.11111111f)))));
+  return Single(e * 0.69314718f + 2.f * s * horner(z, 1.f, 0.33333333f, 0.2f, 0.14285714f, 0.11111111f));
 }
 
 static inline void sine_cosine(Single x, Single& s, Single& c) { sine_cosine(x.v, s.v, c.v); }

@@ -1,4 +1,4 @@
-// The read-only tables of a scene, as the kernels see them. Owned by `Scene` in bindings.cpp; made by compile.py.
+// The read-only tables of a scene, as the kernels see them. Owned by `Core` (core.hpp); made by compile.py.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -74,7 +74,7 @@ struct Tables {
   const Harmed* harmed;  // per entity; without targets first == last
 };
 
-// --- the drop model: costs/interactions/footprint.py has its specification and the names of what stands here ---------
+// --- the drop model: costs/models/drop has its specification and the names of what stands here ---------
 
 enum DropShape : int32_t { kFlat, kRound, kBall };
 
@@ -83,7 +83,7 @@ struct DropPart {
   double offset[3], R[9], half[3];  // in the axes of the link; offset from the centre of mass
 };
 
-struct Surface {  // a target: a box turned about the vertical
+struct Surface {         // a target: a box turned about the vertical
   int32_t entity, turn;  // turn: equal for equal axes
   double centre[2], axis[2], half[2], diagonal, carries[2], bottom, top;
   double bound[2];               // half sizes of the box around it in W
@@ -91,19 +91,21 @@ struct Surface {  // a target: a box turned about the vertical
   double near[2];                // the larger of these
 };
 
-// Constants of the model; the order is that of `footprint_constants()` in bindings.cpp.
+// Constants of the model; the order is that of kDropConstants in impact.hpp.
 struct DropConstants {
   double delay, velocity_spread, height_spread, carry_spread, side_spread, side_reach, side_height, catches, leave_tilt;
   double position_spread, size_spread, tumble_reach, catch_margin, leave, leave_offset, leave_narrow, leave_speed;
   double drift, carry, slide, topple_reach;
 };
 
-// --- the spill model: costs/interactions/spill.py ---------------------------------------------------------------------
+// --- the spill model: costs/models/spill ---------------------------------------------------------------------
 
-constexpr int kDropRows = 3;  // of severities: carried object; contents after a drop; contents that get out in the gripper
+constexpr int kDropRows =
+    3;  // of severities: carried object; contents after a drop; contents that get out in the gripper
 
 struct SpillConstants {
-  double position_spread, rim_spread, speed_spread, height_spread, carry, margin, reach, run_off, edge, slosh, soft_speed, soft_spread;
+  double position_spread, rim_spread, speed_spread, height_spread, carry, margin, reach, run_off, edge, slosh,
+      soft_speed, soft_spread;
 };
 
 struct SpillSurface {
@@ -122,16 +124,16 @@ struct DropTables {
   int32_t n_part, n_surface, n_level, n_entity, link, frame, main;
   double centre[3], size, radius;  // radius: of a ball around the centre of mass that holds all parts
   const DropPart* part;
-  const Surface* surface;       // by top, highest first
-  const int32_t* level_start;   // first surface of each level, and their number at the end
-  const double* speed;          // per joint: how fast it is along an edge whose slowest joint it is
+  const Surface* surface;      // by top, highest first
+  const int32_t* level_start;  // first surface of each level, and their number at the end
+  const double* speed;         // per joint: how fast it is along an edge whose slowest joint it is
   DropConstants constants;
   SpillTables spill;
 };
 
-// --- the body model: costs/interactions/body.py has its specification and the names of what stands here -------------
+// --- the body model: costs/models/body has its specification and the names of what stands here -------------
 
-struct Inertia {  // of all that rides on a frame
+struct Inertia {                       // of all that rides on a frame
   double mass, centre[3], inertia[9];  // inertia about the centre, in the frame's axes
 };
 
@@ -142,7 +144,7 @@ struct JointDrive {
 
 enum BodyGenerator : int32_t { kCollapse, kJoint, kStuck, kStray, kGenerators };
 
-// Constants of the model; the order is that of `body_constants()` in bindings.cpp.
+// Constants of the model; the order is that of kBodyConstants in body_impact.hpp.
 struct BodyConstants {
   double brake_time, brake_stop, step, carry_on;
   double stop_gain[kGenerators], stop_tolerance[kGenerators];
@@ -151,43 +153,60 @@ struct BodyConstants {
 
 struct BodyTables {
   int32_t n_frame, n_row, n_entity, n_step, n_reference;
-  const Inertia* inertia;         // per frame
-  const JointDrive* drive;        // per joint
-  const int32_t* row;             // per group: 0 body, 1 carried, -1 neither
-  const int32_t* entity;          // per obstacle, -1 for none
+  const Inertia* inertia;   // per frame
+  const JointDrive* drive;  // per joint
+  const int32_t* row;       // per group: 0 body, 1 carried, -1 neither
+  const int32_t* entity;    // per obstacle, -1 for none
   BodyConstants constants;
 };
 
-// One instruction set's kernels. q is row-major [n, n_joint]; severity is [n_component, n_entity].
+// --- what kernels are asked -----------------------------------------------------------------------------------------
+
+struct States {  // row by row [n, n_joint]; qd null at rest
+  const double *q, *qd;
+  size_t n;
+};
+
+struct Edges {  // straight ones between rows of q0 and q1, looked at every `step` or more often
+  const double *q0, *q1;
+  size_t n;
+  double step;
+};
+
+struct Slopes {  // a value per state, and its derivatives [n, n_joint]
+  double *value, *d_q, *d_qd;
+};
+
+struct BodyHarm {  // how much each way to fail counts [mode, row], and whom it hits [row, entity]
+  const double *weight, *severity;
+};
+
+// One instruction set's kernels. severity is [n_component, n_entity]; of edges, cost is [n, 2]: length and integral of
+// the impact over it.
 struct Kernels {
-  const char* isa;
   int lanes;
-  void (*link_poses)(const Tables&, const double* q, size_t n, double* X_WL);
-  void (*free_states)(const Tables&, const double* q, size_t n, double margin, uint8_t* free);
-  void (*free_edges)(const Tables&, const double* q0, const double* q1, size_t n, double step, double margin, uint8_t* free);
-  void (*clearance)(const Tables&, const double* q, size_t n, double* clearance, double* gradient);
-  void (*interaction)(const Tables&, const double* q, size_t n, double* probability);
-  void (*impact)(const Tables&, const double* severity, const double* q, size_t n, double* impact);
-  void (*edge_costs)(const Tables&, const double* severity, const double* q0, const double* q1, size_t n, double step, double* cost);
-  // The drop and spill models; severity and probability are [kDropRows, n_entity], qd null at rest.
-  void (*drop)(const Tables&, const DropTables&, const double* q, const double* qd, size_t n, double* probability);
-  void (*drop_impact)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n, double* impact);
-  void (*drop_gradient)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n, double* impact,
-                        double* d_q, double* d_qd);
-  void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const double* q0, const double* q1,
-                          size_t n, double step, double* cost);
+  void (*link_poses)(const Tables&, const States&, double* X_WL);
+  void (*free_states)(const Tables&, const States&, double margin, uint8_t* free);
+  void (*free_edges)(const Tables&, const Edges&, double margin, uint8_t* free);
+  void (*clearance)(const Tables&, const States&, double* clearance, double* gradient);
+  void (*interaction)(const Tables&, const States&, double* probability);
+  void (*impact)(const Tables&, const double* severity, const States&, double* impact);
+  void (*edge_costs)(const Tables&, const double* severity, const Edges&, double* cost);
+  // The drop and spill models; severity and probability are [kDropRows, n_entity].
+  void (*drop)(const Tables&, const DropTables&, const States&, double* probability);
+  void (*drop_impact)(const Tables&, const DropTables&, const double* severity, const States&, double* impact);
+  void (*drop_gradient)(const Tables&, const DropTables&, const double* severity, const States&, const Slopes&);
+  void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const Edges&,
+                          double* cost);
   // The same in single precision, and with shorter tails: good to some 1e-5 of the greatest severity.
-  void (*rough_drop_impact)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n,
-                            double* impact);
-  void (*rough_drop_gradient)(const Tables&, const DropTables&, const double* severity, const double* q, const double* qd, size_t n,
-                              double* impact, double* d_q, double* d_qd);
-  // The body model; weight is [mode, row], severity [row, entity], ahead null or [n, n_reference, n_joint].
-  void (*body)(const Tables&, const BodyTables&, const double* q, const double* qd, const double* ahead, size_t n, double* distance);
-  void (*body_impact)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* q, const double* qd, size_t n,
-                      double* impact);
-  void (*body_edge_costs)(const Tables&, const BodyTables&, const double* weight, const double* severity, const double* pace, const double* q0,
-                          const double* q1, size_t n, double step, double* cost);
-  void (*body_dynamics)(const Tables&, const BodyTables&, const double* q, size_t n, double* mass_matrix, double* gravity);
+  void (*rough_drop_impact)(const Tables&, const DropTables&, const double* severity, const States&, double* impact);
+  void (*rough_drop_gradient)(const Tables&, const DropTables&, const double* severity, const States&, const Slopes&);
+  // The body model; ahead null or [n, n_reference, n_joint].
+  void (*body)(const Tables&, const BodyTables&, const States&, const double* ahead, double* distance);
+  void (*body_impact)(const Tables&, const BodyTables&, const BodyHarm&, const States&, double* impact);
+  void (*body_edge_costs)(const Tables&, const BodyTables&, const BodyHarm&, const double* pace, const Edges&,
+                          double* cost);
+  void (*body_dynamics)(const Tables&, const BodyTables&, const States&, double* mass_matrix, double* gravity);
   void (*elementary)(const double* x, size_t n, double* exponential, double* logarithm);
 };
 

@@ -78,13 +78,13 @@ class Anytime(Planner):
         """Return the search in the core, not begun."""
         return _native.Anytime(
             space,
-            problem.start,
-            problem.goals,
-            self.range * problem.extent,
-            self.max_nodes,
-            self.spacing * problem.extent,
-            self.challengers,
-            seed_from(rng),
-            self.descents,
-            self.scouts,
+            start=problem.start,
+            goals=problem.goals,
+            range=self.range * problem.extent,
+            max_nodes=self.max_nodes,
+            spacing=self.spacing * problem.extent,
+            challengers=self.challengers,
+            seed=seed_from(rng),
+            descents=self.descents,
+            scouts=self.scouts,
         )

@@ -58,7 +58,12 @@ class RRTConnect(Planner):
         problem = questions.problem
         space = native_space(problem, questions.objective)
         core = _native.Connect(
-            space, problem.start, problem.goals, self.range * problem.extent, self.max_nodes, seed_from(rng)
+            space,
+            start=problem.start,
+            goals=problem.goals,
+            range=self.range * problem.extent,
+            max_nodes=self.max_nodes,
+            seed=seed_from(rng),
         )
         while not questions.budget.exhausted:
             if run_slice(core.run, questions.budget):

@@ -5,7 +5,9 @@
 static inline F root(F a) { return square_root(a); }
 static inline Lanes<double> root(Lanes<double> a) { return square_root(maximum(a, Lanes<double>{} + 1e-60)); }
 
-template <class V> static inline V dot(const Vec<V>& a, const float b[3]) { return a.x * b[0] + a.y * b[1] + a.z * b[2]; }
+template <class V> static inline V dot(const Vec<V>& a, const float b[3]) {
+  return a.x * b[0] + a.y * b[1] + a.z * b[2];
+}
 
 template <class V> static inline Vec<V> local(const Obstacle& o, const Vec<V>& point) {
   Vec<V> d = {point.x - o.p[0], point.y - o.p[1], point.z - o.p[2]};
@@ -90,20 +92,28 @@ template <class V> static inline V mesh_distance(const Tables& tables, const Obs
     const Triangle& t = tables.triangle[o.first_triangle + k];
     V height = dot(p, t.normal) - t.offset;
     deepest = maximum(deepest, height);
-    if (any(height > 0.f)) nearest = minimum(nearest, triangle_squared(p, t, height));  // the nearest face is one that p sees
+    if (any(height > 0.f))
+      nearest = minimum(nearest, triangle_squared(p, t, height));  // the nearest face is one that p sees
   }
   return deepest > 0.f ? root(nearest) : deepest;
 }
 
 template <class V> static inline V signed_distance(const Tables& tables, const Obstacle& o, const Vec<V>& point) {
   switch (o.kind) {
-    case kPlane: return local(o, point).z;
-    case kSphere: return root(squared_distance(point, {V{} + o.p[0], V{} + o.p[1], V{} + o.p[2]})) - o.size[0];
-    case kCapsule: return capsule_distance(o.size[0], o.size[1], local(o, point));
-    case kEllipsoid: return ellipsoid_distance(o.size, local(o, point));
-    case kCylinder: return cylinder_distance(o.size[0], o.size[1], local(o, point));
-    case kBox: return box_distance(o.size, local(o, point));
-    default: return mesh_distance(tables, o, point);
+    case kPlane:
+      return local(o, point).z;
+    case kSphere:
+      return root(squared_distance(point, {V{} + o.p[0], V{} + o.p[1], V{} + o.p[2]})) - o.size[0];
+    case kCapsule:
+      return capsule_distance(o.size[0], o.size[1], local(o, point));
+    case kEllipsoid:
+      return ellipsoid_distance(o.size, local(o, point));
+    case kCylinder:
+      return cylinder_distance(o.size[0], o.size[1], local(o, point));
+    case kBox:
+      return box_distance(o.size, local(o, point));
+    default:
+      return mesh_distance(tables, o, point);
   }
 }
 
@@ -114,7 +124,8 @@ template <class V> static inline auto near_bound(const Obstacle& o, const Vec<V>
   return dx * dx + dy * dy + dz * dz < r * r;
 }
 
-// A plane of a face that separates the sphere from the hull settles it; distances to triangles are for the few that are left.
+// A plane of a face that separates the sphere from the hull settles it; distances to triangles are for the few that are
+// left.
 static inline MaskF touches_mesh(const Tables& tables, const Obstacle& o, const Vec<F>& centre, float radius) {
   if (!any(near_bound(o, centre, F{} + radius))) return MaskF{};
   F deepest = F{} - 1e30f;
@@ -152,7 +163,8 @@ struct Placed {
   const Vec<F>* spheres(int g) {
     const Group& group = tables.group[g];
     if (!ready[g])
-      for (int k = group.first; k < group.first + group.count; ++k) sphere[k] = transform(X_W[group.frame], tables.sphere + 4 * k);
+      for (int k = group.first; k < group.first + group.count; ++k)
+        sphere[k] = transform(X_W[group.frame], tables.sphere + 4 * k);
     ready[g] = true;
     return sphere;
   }
@@ -174,7 +186,9 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
       const Vec<F>* sphere = placed.spheres(g);
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
-        if (group.n_cluster > 1 && !any(touches(tables, o, transform(X_W[group.frame], cluster.bound), cluster.bound[3] + margin))) continue;
+        if (group.n_cluster > 1 &&
+            !any(touches(tables, o, transform(X_W[group.frame], cluster.bound), cluster.bound[3] + margin)))
+          continue;
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
           hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + margin);
         if (first_hit ? any(hit) : all(hit)) return hit;
@@ -193,7 +207,8 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
       for (int c = gb.first_cluster; c < gb.first_cluster + gb.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
         const float rc = ra + cluster.bound[3];
-        if (gb.n_cluster > 1 && !any(squared_distance(sa[k], transform(X_W[gb.frame], cluster.bound)) < rc * rc)) continue;
+        if (gb.n_cluster > 1 && !any(squared_distance(sa[k], transform(X_W[gb.frame], cluster.bound)) < rc * rc))
+          continue;
         for (int m = cluster.first; m < cluster.first + cluster.count; ++m) {
           const float r = ra + tables.sphere[4 * m + 3];
           hit |= squared_distance(sa[k], sb[m]) < r * r;
@@ -233,7 +248,8 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
         const Vec<F> centre = transform(X_W[group.frame], cluster.bound);
-        if (group.n_cluster > 1 && !any(signed_distance(tables, o, centre) - cluster.bound[3] < best.distance)) continue;
+        if (group.n_cluster > 1 && !any(signed_distance(tables, o, centre) - cluster.bound[3] < best.distance))
+          continue;
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
           best.update(signed_distance(tables, o, sphere[k]) - tables.sphere[4 * k + 3], k, j);
       }
@@ -247,7 +263,8 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
     const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
     for (int k = ga.first; k < ga.first + ga.count; ++k)
       for (int m = gb.first; m < gb.first + gb.count; ++m)
-        best.update(square_root(squared_distance(sa[k], sb[m])) - (tables.sphere[4 * k + 3] + tables.sphere[4 * m + 3]), k, -1 - m);
+        best.update(square_root(squared_distance(sa[k], sb[m])) - (tables.sphere[4 * k + 3] + tables.sphere[4 * m + 3]),
+                    k, -1 - m);
   }
   return best;
 }

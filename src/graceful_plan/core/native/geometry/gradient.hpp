@@ -43,7 +43,8 @@ static inline void ellipsoid_normal(const float* r, const double* p, double* n) 
 
 static inline void segment_normal(const float* a, const float* b, const double* p, double* n) {
   double e[3], d[3], along = 0, length = 1e-30;
-  for (int k = 0; k < 3; ++k) e[k] = double(b[k]) - a[k], d[k] = p[k] - a[k], along += e[k] * d[k], length += e[k] * e[k];
+  for (int k = 0; k < 3; ++k)
+    e[k] = double(b[k]) - a[k], d[k] = p[k] - a[k], along += e[k] * d[k], length += e[k] * e[k];
   double s = clamp(along / length, 0, 1);
   for (int k = 0; k < 3; ++k) n[k] = d[k] - s * e[k];
 }
@@ -68,8 +69,10 @@ static inline void mesh_normal(const Tables& tables, const Obstacle& o, const do
     for (int i = 0; i < 3; ++i) {
       const float *a = corner[i], *b = corner[i + 1];
       double e[3] = {double(b[0]) - a[0], double(b[1]) - a[1], double(b[2]) - a[2]}, m[3];
-      over &= (p[0] - a[0]) * (t.normal[1] * e[2] - t.normal[2] * e[1]) + (p[1] - a[1]) * (t.normal[2] * e[0] - t.normal[0] * e[2]) +
-              (p[2] - a[2]) * (t.normal[0] * e[1] - t.normal[1] * e[0]) >= 0;
+      over &= (p[0] - a[0]) * (t.normal[1] * e[2] - t.normal[2] * e[1]) +
+                  (p[1] - a[1]) * (t.normal[2] * e[0] - t.normal[0] * e[2]) +
+                  (p[2] - a[2]) * (t.normal[0] * e[1] - t.normal[1] * e[0]) >=
+              0;
       segment_normal(a, b, p, m);
       if (norm3(m) < nearest) {
         nearest = norm3(m);
@@ -86,7 +89,8 @@ static inline void mesh_normal(const Tables& tables, const Obstacle& o, const do
 // Unit direction in which the distance from `point` to the obstacle grows fastest, in W.
 static inline void outward_normal(const Tables& tables, const Obstacle& o, const double* point, double* normal) {
   double p[3], n[3] = {0, 0, 1};
-  for (int k = 0; k < 3; ++k) p[k] = (point[0] - o.p[0]) * o.R[k] + (point[1] - o.p[1]) * o.R[3 + k] + (point[2] - o.p[2]) * o.R[6 + k];
+  for (int k = 0; k < 3; ++k)
+    p[k] = (point[0] - o.p[0]) * o.R[k] + (point[1] - o.p[1]) * o.R[3 + k] + (point[2] - o.p[2]) * o.R[6 + k];
   const double half[3] = {o.size[0], o.size[1], o.size[2]};
   if (o.kind == kSphere)
     for (int k = 0; k < 3; ++k) n[k] = p[k];
@@ -105,7 +109,8 @@ static inline void outward_normal(const Tables& tables, const Obstacle& o, const
   if (o.kind == kMesh)  // triangles are in W already
     for (int k = 0; k < 3; ++k) normal[k] = n[k] / length;
   else
-    for (int k = 0; k < 3; ++k) normal[k] = (o.R[3 * k] * n[0] + o.R[3 * k + 1] * n[1] + o.R[3 * k + 2] * n[2]) / length;
+    for (int k = 0; k < 3; ++k)
+      normal[k] = (o.R[3 * k] * n[0] + o.R[3 * k + 1] * n[1] + o.R[3 * k + 2] * n[2]) / length;
 }
 
 static inline int group_of(const Tables& tables, int sphere) {
@@ -115,8 +120,8 @@ static inline int group_of(const Tables& tables, int sphere) {
 }
 
 // Add sign * normal . J to the gradient, J the Jacobian of a point that rides on a link.
-static inline void add_jacobian(const Tables& tables, const Frame<D>* X_W, int lane, int link, const double* point, const double* normal,
-                                double sign, double* gradient) {
+static inline void add_jacobian(const Tables& tables, const Frame<D>* X_W, int lane, int link, const double* point,
+                                const double* normal, double sign, double* gradient) {
   for (int l = link; l >= 0; l = tables.link[l].parent) {
     const Link& joint = tables.link[l];
     if (joint.joint < 0) continue;
@@ -133,7 +138,8 @@ static inline void add_jacobian(const Tables& tables, const Frame<D>* X_W, int l
   }
 }
 
-static inline void sphere_position(const Tables& tables, const Frame<D>* X_W, int lane, int sphere, const Group& group, double* out) {
+static inline void sphere_position(const Tables& tables, const Frame<D>* X_W, int lane, int sphere, const Group& group,
+                                   double* out) {
   const Frame<D>& X = X_W[group.frame];
   const float* c = tables.sphere + 4 * sphere;
   out[0] = X.p.x[lane] + X.R[0][lane] * c[0] + X.R[1][lane] * c[1] + X.R[2][lane] * c[2];
@@ -142,7 +148,8 @@ static inline void sphere_position(const Tables& tables, const Frame<D>* X_W, in
 }
 
 // `a` and `b` name the pair, as in `Nearest`.
-static inline void clearance_gradient(const Tables& tables, const Frame<D>* X_W, int a, int b, int lane, double* gradient) {
+static inline void clearance_gradient(const Tables& tables, const Frame<D>* X_W, int a, int b, int lane,
+                                      double* gradient) {
   for (int j = 0; j < tables.n_joint; ++j) gradient[j] = 0;
   if (a < 0) return;
   const Group& group = tables.group[group_of(tables, a)];

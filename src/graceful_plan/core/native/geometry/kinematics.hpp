@@ -2,7 +2,8 @@
 
 // Poses of all links that own a frame: the base and every link with a joint, whose axis is its local z. Those before
 // `first` are known.
-template <class V> static inline void forward_kinematics(const Tables& tables, const V* q, Frame<V>* X_W, int first = 0) {
+template <class V>
+static inline void forward_kinematics(const Tables& tables, const V* q, Frame<V>* X_W, int first = 0) {
   using T = Scalar<V>;
   for (int l = first; l < tables.n_link; ++l) {
     const Link& link = tables.link[l];
@@ -19,7 +20,8 @@ template <class V> static inline void forward_kinematics(const Tables& tables, c
     for (int k = 0; k < 3; ++k) t[k] = T(link.p[k]);
     V M[9];
     for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) M[3 * i + j] = P.R[3 * i] * C[j] + P.R[3 * i + 1] * C[3 + j] + P.R[3 * i + 2] * C[6 + j];
+      for (int j = 0; j < 3; ++j)
+        M[3 * i + j] = P.R[3 * i] * C[j] + P.R[3 * i + 1] * C[3 + j] + P.R[3 * i + 2] * C[6 + j];
     X.p = transform(P, t);
     if (link.slide) {
       for (int k = 0; k < 9; ++k) X.R[k] = M[k];
@@ -47,7 +49,8 @@ template <class V> static inline void load(const Tables& tables, const double* q
   for (int j = 0; j < tables.n_joint; ++j) out[j] = V(values[j]);
 }
 
-template <class T> static inline void interpolate(const Tables& tables, const double* q0, const double* q1, Lanes<T> s, Lanes<T>* out) {
+template <class T>
+static inline void interpolate(const Tables& tables, const double* q0, const double* q1, Lanes<T> s, Lanes<T>* out) {
   for (int j = 0; j < tables.n_joint; ++j) out[j] = T(q0[j]) + s * T(q1[j] - q0[j]);
 }
 

@@ -1,8 +1,8 @@
 // The body model: what the arm and what it holds hit if the drives fail here. The specification, with the letters used
-// here, is in costs/interactions/body.py. W states side by side. What is left out to save time changes nothing.
+// here, is in costs/models/body. W states side by side. What is left out to save time changes nothing.
 
-constexpr double kFar = 8.0;   // U: scales beyond which nothing is hit
-constexpr int kBins = 64;      // of lists of what is near, 2 cm each
+constexpr double kFar = 8.0;  // U: scales beyond which nothing is hit
+constexpr int kBins = 64;     // of lists of what is near, 2 cm each
 constexpr double kBin = 0.02;
 constexpr double kDetail = 0.3;  // from where a ball around an obstacle will do
 constexpr double kSpare = 0.1;   // distances are kept as far as this above those that count
@@ -25,7 +25,8 @@ static inline Composite placed_inertia(const Inertia& rigid, const Frame<D>& X) 
   const double* I = rigid.inertia;
   D A[9], R[6];
   for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) A[3 * i + j] = X.R[3 * i] * I[j] + X.R[3 * i + 1] * I[3 + j] + X.R[3 * i + 2] * I[6 + j];
+    for (int j = 0; j < 3; ++j)
+      A[3 * i + j] = X.R[3 * i] * I[j] + X.R[3 * i + 1] * I[3 + j] + X.R[3 * i + 2] * I[6 + j];
   constexpr int row[6] = {0, 1, 2, 0, 0, 1}, column[6] = {0, 1, 2, 1, 2, 2};
   for (int k = 0; k < 6; ++k) {
     const D *a = A + 3 * row[k], *b = X.R + 3 * column[k];
@@ -34,8 +35,8 @@ static inline Composite placed_inertia(const Inertia& rigid, const Frame<D>& X) 
   const double m = rigid.mass;
   return {D{} + m,
           {m * c.x, m * c.y, m * c.z},
-          {R[0] + m * (c.y * c.y + c.z * c.z), R[1] + m * (c.x * c.x + c.z * c.z), R[2] + m * (c.x * c.x + c.y * c.y), R[3] - m * c.x * c.y,
-           R[4] - m * c.x * c.z, R[5] - m * c.y * c.z}};
+          {R[0] + m * (c.y * c.y + c.z * c.z), R[1] + m * (c.x * c.x + c.z * c.z), R[2] + m * (c.x * c.x + c.y * c.y),
+           R[3] - m * c.x * c.y, R[4] - m * c.x * c.z, R[5] - m * c.y * c.z}};
 }
 
 // How the origin of W would move if a joint did: angular and linear velocity.
@@ -58,7 +59,8 @@ static inline Twist momentum(const Composite& c, const Twist& t) {
 }
 
 static inline D power(const Twist& t, const Twist& momentum) {
-  return t.w.x * momentum.w.x + t.w.y * momentum.w.y + t.w.z * momentum.w.z + t.v.x * momentum.v.x + t.v.y * momentum.v.y + t.v.z * momentum.v.z;
+  return t.w.x * momentum.w.x + t.w.y * momentum.w.y + t.w.z * momentum.w.z + t.v.x * momentum.v.x +
+         t.v.y * momentum.v.y + t.v.z * momentum.v.z;
 }
 
 static inline D weight_torque(const Composite& c, const Twist& t) {
@@ -66,14 +68,16 @@ static inline D weight_torque(const Composite& c, const Twist& t) {
 }
 
 // Composites of all frames at least as far out as `first`.
-static inline void gather(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int first, Composite* all) {
+static inline void gather(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int first,
+                          Composite* all) {
   for (int l = first; l < body.n_frame; ++l) all[l] = placed_inertia(body.inertia[l], X_W[l]);
   for (int l = body.n_frame - 1; l > first; --l)
     if (tables.link[l].parent >= first) all[tables.link[l].parent].add(all[l]);
 }
 
 // M, lower half, and the torques that hold the arm.
-static inline void mass_and_weight(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, D M[][kMaxJoints], D* g) {
+static inline void mass_and_weight(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, D M[][kMaxJoints],
+                                   D* g) {
   Composite all[kMaxLinks];
   Twist twist[kMaxLinks];
   gather(tables, body, X_W, 0, all);
@@ -125,7 +129,8 @@ static inline void move_joint(const JointDrive& drive, D& x, D& v, D next, doubl
   x = minimum(maximum(to, D{} + drive.lower), D{} + drive.upper);
 }
 
-static inline void fall_together(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, double h, D* x, D* v) {
+static inline void fall_together(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, double h, D* x,
+                                 D* v) {
   const int n = tables.n_joint;
   D M[kMaxJoints][kMaxJoints], g[kMaxJoints], next[kMaxJoints], slip[kMaxJoints];
   mass_and_weight(tables, body, X_W, M, g);
@@ -158,7 +163,8 @@ static inline D weight_on(const Tables& tables, const BodyTables& body, const Fr
   return kGravity * (t.w.x * h[first].y - t.w.y * h[first].x + mass[first] * t.v.z);
 }
 
-static inline void fall_alone(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int joint, D inertia, double h, D& x, D& v) {
+static inline void fall_alone(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int joint, D inertia,
+                              double h, D& x, D& v) {
   const JointDrive& drive = body.drive[joint];
   const D share = reciprocal(inertia + h * (drive.damping + drive.resistance));
   const D next = (inertia * v - h * weight_on(tables, body, X_W, drive.link)) * share;
@@ -188,7 +194,8 @@ struct Surroundings {
   Vec<D> centre[kMaxLinks];
   size_t count[kMaxLinks];
   Near *near, *scratch;  // [group, obstacle], [obstacle]
-  // Distances of pairs as the arm is expected to be, as far as they are below `far` and somebody asked: [step, group, obstacle].
+  // Distances of pairs as the arm is expected to be, as far as they are below `far` and somebody asked: [step, group,
+  // obstacle].
   D* distance;
   uint8_t* known;
   double far;
@@ -264,9 +271,12 @@ static inline D group_distance(const Tables& tables, const Obstacle& o, const Gr
   D least = need;
   for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
     const Cluster& cluster = tables.cluster[c];
-    if (group.n_cluster > 1 && !any(signed_distance(tables, o, transform(X, cluster.bound)) - cluster.bound[3] < least + 1e-6)) continue;
+    if (group.n_cluster > 1 &&
+        !any(signed_distance(tables, o, transform(X, cluster.bound)) - cluster.bound[3] < least + 1e-6))
+      continue;
     for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
-      least = minimum(least, signed_distance(tables, o, transform(X, tables.sphere + 4 * k)) - tables.sphere[4 * k + 3]);
+      least =
+          minimum(least, signed_distance(tables, o, transform(X, tables.sphere + 4 * k)) - tables.sphere[4 * k + 3]);
   }
   return least;
 }
@@ -280,7 +290,8 @@ static inline D displacement(const Group& group, const Frame<D>& X, const Frame<
 }
 
 // Distance of a group to an obstacle where it is expected to be, as far as it is below `far`.
-static inline D expected_distance(const Tables& tables, const Surroundings& around, int step, int g, int j, const Frame<D>& expected) {
+static inline D expected_distance(const Tables& tables, const Surroundings& around, int step, int g, int j,
+                                  const Frame<D>& expected) {
   const size_t at = Surroundings::row(tables, step, g) + size_t(j);
   if (!around.known[at]) {
     const Group& group = tables.group[g];
@@ -295,9 +306,10 @@ static inline D expected_distance(const Tables& tables, const Surroundings& arou
   return around.distance[at];
 }
 
-// One failed configuration. `expected`: those of a step of the motion to come that it differs from in frames from `first` on.
-static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W, const Frame<D>* expected,
-                        int step, int first, const double* severity, Way& way) {
+// One failed configuration. `expected`: those of a step of the motion to come that it differs from in frames from
+// `first` on.
+static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W,
+                        const Frame<D>* expected, int step, int first, const double* severity, Way& way) {
   const D penalty = way.gain * relu(way.blocked - way.tolerance);
   D depth = way.blocked;
   for (int g = 0; g < tables.n_group; ++g) {
@@ -353,7 +365,9 @@ struct Arm {
   int reference_steps, known_ahead, inertia_known;
 
   // As expected at a step, but for frames from `first` on.
-  void meet_at(const Frame<D>* poses, int s, int first) { meet(tables, body, around, poses, expected[s], s, first, severity, way); }
+  void meet_at(const Frame<D>* poses, int s, int first) {
+    meet(tables, body, around, poses, expected[s], s, first, severity, way);
+  }
   // As expected but for one joint.
   void place(int s, int joint, D at) {
     D x[kMaxJoints];
@@ -373,10 +387,13 @@ struct Arm {
       const double T = body.constants.carry_on, t = s * body.constants.step;
       const double share = T > 0 ? T * (1.0 - scalar_exponential(-t / T)) : 0.0;
       for (int j = 0; j < nq; ++j)
-        if (!ahead) reference[s][j] = minimum(maximum(q[j] + share * qd[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
+        if (!ahead)
+          reference[s][j] =
+              minimum(maximum(q[j] + share * qd[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
       for (int i = 0; ahead && i < kLanes<double>; ++i) {
         const size_t state = first + size_t(i) < n ? first + size_t(i) : n - 1;
-        for (int j = 0; j < nq; ++j) reference[s][j][i] = ahead[(state * size_t(reference_steps) + size_t(s - 1)) * size_t(nq) + size_t(j)];
+        for (int j = 0; j < nq; ++j)
+          reference[s][j][i] = ahead[(state * size_t(reference_steps) + size_t(s - 1)) * size_t(nq) + size_t(j)];
       }
     }
     for (int s = 0; s <= reference_steps; ++s) forward_kinematics(tables, reference[s], expected[s]);
@@ -399,7 +416,8 @@ struct Arm {
       meet_at(X_W, 0, 0);
     }
     for (int j = 0; j < tables.n_joint; ++j)
-      x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
+      x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower),
+                     D{} + body.drive[j].upper);
     forward_kinematics(tables, x, X_W);
     meet_at(X_W, 0, 0);
   }
@@ -432,7 +450,8 @@ struct Arm {
   D probability(int generator, int row, int entity) const {
     const BodyConstants& k = body.constants;
     const double least = 1.0 / (1.0 + scalar_exponential(kFar));
-    const D P = reciprocal(1.0 + odds((way.best[row][entity] - k.offset[generator][row]) * (1.0 / k.spread[generator][row])));
+    const D P =
+        reciprocal(1.0 + odds((way.best[row][entity] - k.offset[generator][row]) * (1.0 / k.spread[generator][row])));
     return relu(P - least) * (1.0 / (1.0 - least));
   }
 
@@ -451,7 +470,9 @@ struct Arm {
   }
 
  private:
-  bool counts(const double* weight) const { return std::any_of(weight, weight + body.n_row, [](double w) { return w != 0.0; }); }
+  bool counts(const double* weight) const {
+    return std::any_of(weight, weight + body.n_row, [](double w) { return w != 0.0; });
+  }
   static double scalar_exponential(double x) { return exponential(D{} + x)[0]; }
 };
 

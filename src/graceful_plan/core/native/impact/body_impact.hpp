@@ -1,29 +1,60 @@
-// The body model as Python hands it over, and what native planners charge edges with. Part of bindings.cpp.
+// The body model as Python hands it over, and what native planners charge edges with.
 #pragma once
 #include <nanobind/stl/optional.h>
 
 #include "impact/impact.hpp"
 
 namespace gp {
-namespace {
 
 constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
-    "brake_time", "brake_stop", "step", "carry_on",
-    "collapse.stop_gain", "joint.stop_gain", "stuck.stop_gain", "stray.stop_gain",
-    "collapse.stop_tolerance", "joint.stop_tolerance", "stuck.stop_tolerance", "stray.stop_tolerance",
-    "collapse.body.offset", "collapse.carried.offset", "joint.body.offset", "joint.carried.offset", "stuck.body.offset",
-    "stuck.carried.offset", "stray.body.offset", "stray.carried.offset", "collapse.body.spread", "collapse.carried.spread",
-    "joint.body.spread", "joint.carried.spread", "stuck.body.spread", "stuck.carried.spread", "stray.body.spread", "stray.carried.spread"};
+    "brake_time",
+    "brake_stop",
+    "step",
+    "carry_on",
+    "collapse.stop_gain",
+    "joint.stop_gain",
+    "stuck.stop_gain",
+    "stray.stop_gain",
+    "collapse.stop_tolerance",
+    "joint.stop_tolerance",
+    "stuck.stop_tolerance",
+    "stray.stop_tolerance",
+    "collapse.body.offset",
+    "collapse.carried.offset",
+    "joint.body.offset",
+    "joint.carried.offset",
+    "stuck.body.offset",
+    "stuck.carried.offset",
+    "stray.body.offset",
+    "stray.carried.offset",
+    "collapse.body.spread",
+    "collapse.carried.spread",
+    "joint.body.spread",
+    "joint.carried.spread",
+    "stuck.body.spread",
+    "stuck.carried.spread",
+    "stray.body.spread",
+    "stray.carried.spread"};
 static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyConstants[0]) * sizeof(double));
+
+// The tables of the body model as Python hands them over.
+struct BodyArrays {
+  Reals inertia;  // per frame mass, centre (3), inertia about it (9)
+  Reals drive;    // per joint limits (2), armature, damping, friction, resistance, speed
+  Integers row, entity;
+  int n_row, n_entity, n_step;
+  Reals constants;
+};
 
 // What links and held objects hit.
 class BodyModel {
  public:
-  // inertia: per frame mass, centre (3), inertia about it (9); drive: per joint limits (2), armature, damping, friction, resistance, speed
-  BodyModel(const Core& core, Reals inertia, Reals drive, Integers row, Integers entity, int n_row, int n_entity, int n_step,
-            Reals constants)
-      : core_(core), row_(row.data(), row.data() + row.size()), entity_(entity.data(), entity.data() + entity.size()) {
+  BodyModel(const Core& core, const BodyArrays& of)
+      : core_(core),
+        row_(of.row.data(), of.row.data() + of.row.size()),
+        entity_(of.entity.data(), of.entity.data() + of.entity.size()) {
     const Tables& t = core.tables();
+    const auto& [inertia, drive, row, entity, n_row, n_entity, n_step, constants] = of;
     require(constants.size() * sizeof(double) == sizeof(BodyConstants), "constants of the body model");
     std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.brake_time);
     for (size_t g = 0; g < 2 * kGenerators; ++g) require((&tables_.constants.spread[0][0])[g] > 0, "spread");
@@ -36,7 +67,8 @@ class BodyModel {
     add_inertia(inertia);
     add_drives(drive);
     tables_.n_frame = int(inertia_.size()), tables_.n_row = n_row, tables_.n_entity = n_entity, tables_.n_step = n_step;
-    tables_.inertia = inertia_.data(), tables_.drive = drive_.data(), tables_.row = row_.data(), tables_.entity = entity_.data();
+    tables_.inertia = inertia_.data(), tables_.drive = drive_.data(), tables_.row = row_.data(),
+    tables_.entity = entity_.data();
   }
   BodyModel(const BodyModel&) = delete;
 
@@ -49,29 +81,31 @@ class BodyModel {
     require(severity.size() == size_t(tables_.n_row) * size_t(tables_.n_entity), "severity is not [row, entity]");
   }
 
-  // Least distances of each way to fail. ahead: configurations after 1, 2, .. steps, or None where only the velocity is known.
+  // Least distances of each way to fail. ahead: configurations after 1, 2, .. steps, or None where only the velocity is
+  // known.
   auto distances(Reals q, Reals qd, std::optional<Reals> ahead) const {
     double* out;
     auto array = make<double>({core_.rows(q), modes(), size_t(tables_.n_row), size_t(tables_.n_entity)}, out);
-    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    const States states = core_.states(q, qd);
     BodyTables tables = tables_;
     if (ahead) {
-      require(ahead->ndim() == 3 && ahead->shape(0) == q.shape(0) && ahead->shape(2) == q.shape(1) && ahead->shape(1) <= kMaxSteps,
+      require(ahead->ndim() == 3 && ahead->shape(0) == q.shape(0) && ahead->shape(2) == q.shape(1) &&
+                  ahead->shape(1) <= kMaxSteps,
               "ahead is not [n, step, nq]");
       tables.n_reference = int(ahead->shape(1));
     }
     const double* known = ahead ? ahead->data() : nullptr;
     nb::gil_scoped_release release;
-    core_.kernels().body(core_.tables(), tables, q.data(), qd.data(), known, q.shape(0), out);
+    core_.kernels().body(core_.tables(), tables, states, known, out);
     return array;
   }
   auto impact(Reals weight, Reals severity, Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
     check(weight, severity);
-    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
-    core_.kernels().body_impact(core_.tables(), tables_, weight.data(), severity.data(), q.data(), qd.data(), q.shape(0), out);
+    core_.kernels().body_impact(core_.tables(), tables_, {weight.data(), severity.data()}, states, out);
     return array;
   }
   // Mass matrix and torques of the weight.
@@ -79,7 +113,7 @@ class BodyModel {
     double *mass_matrix, *gravity;
     auto first = make<double>({core_.rows(q), q.shape(1), q.shape(1)}, mass_matrix);
     auto second = make<double>({q.shape(0), q.shape(1)}, gravity);
-    core_.kernels().body_dynamics(core_.tables(), tables_, q.data(), q.shape(0), mass_matrix, gravity);
+    core_.kernels().body_dynamics(core_.tables(), tables_, core_.states(q), mass_matrix, gravity);
     return nb::make_tuple(first, second);
   }
 
@@ -125,17 +159,18 @@ class BodyImpact final : public Impact {
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
   }
   void states(const double* q, size_t n, double* impact) const override {
-    core_.kernels().body_impact(core_.tables(), model_.tables(), weight_.data(), severity_.data(), q, nullptr, n, impact);
+    core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), {q, nullptr, n}, impact);
   }
-  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
-    core_.kernels().body_edge_costs(core_.tables(), model_.tables(), weight_.data(), severity_.data(), pace_, q0, q1, n, step, cost);
+  void edges(const Edges& edges, double* cost) const override {
+    core_.kernels().body_edge_costs(core_.tables(), model_.tables(), harm(), pace_, edges, cost);
   }
 
  private:
+  BodyHarm harm() const { return {weight_.data(), severity_.data()}; }
+
   const BodyModel& model_;
   const Point weight_;
   const double pace_[2];  // shares of the joints' speeds
 };
 
-}  // namespace
 }  // namespace gp

@@ -1,12 +1,13 @@
-// The drop model: whom the carried object hits if it is let go here, at this velocity. The specification, with the letters
-// used here, is in costs/interactions/footprint.py. It is compiled for two precisions: D, and what is left out to save time (kTail,
-// kHeld, kNothing), stand in kernels.cpp.
+// The drop model: whom the carried object hits if it is let go here, at this velocity. The specification, with the
+// letters used here, is in costs/models/drop. It is compiled for two precisions: D, and what is left out
+// to save time (kTail, kHeld, kNothing), stand in kernels.cpp.
 
 constexpr double kGravity = 9.81;
 constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
 constexpr double kHalfRoot = 0.70710678118654752440;
-constexpr double kTouch = 0.008;    // how sharply a part passes the height of a top [m]
-constexpr double kAbove = -kTouch * (1.0 + kTail * kBeta);  // lower above a top than that, a part does not come down on it
+constexpr double kTouch = 0.008;  // how sharply a part passes the height of a top [m]
+constexpr double kAbove =
+    -kTouch * (1.0 + kTail * kBeta);  // lower above a top than that, a part does not come down on it
 constexpr double kLeastMass = 1e-6;
 
 // --- functions ------------------------------------------------------------------------------------------------------
@@ -15,7 +16,9 @@ struct Point2 {
   D x, y;
 };
 
-static inline Point2 turned(const Surface& s, D x, D y) { return {s.axis[0] * x + s.axis[1] * y, s.axis[0] * y - s.axis[1] * x}; }
+static inline Point2 turned(const Surface& s, D x, D y) {
+  return {s.axis[0] * x + s.axis[1] * y, s.axis[0] * y - s.axis[1] * x};
+}
 static inline Point2 placed(const Surface& s, D x, D y) { return turned(s, x - s.centre[0], y - s.centre[1]); }
 
 static inline Vec<D> cross(const Vec<D>& a, const Vec<D>& b) {
@@ -59,7 +62,7 @@ static inline D fall(D vz, D h) {
 struct FlyingPart {
   Vec<D> o, u;  // centre from c, velocity of it
   D axis[9], bottom;
-  D stands;     // how much of the ground contact is its
+  D stands;  // how much of the ground contact is its
 };
 
 struct Flight {
@@ -72,7 +75,8 @@ struct Flight {
 // How far a part reaches in a direction whose components in its axes are d.
 static inline D reach(const DropPart& part, const D d[3]) {
   if (part.shape == kBall) return D{} + part.half[0];
-  if (part.shape == kFlat) return absolute(d[0]) * part.half[0] + absolute(d[1]) * part.half[1] + absolute(d[2]) * part.half[2];
+  if (part.shape == kFlat)
+    return absolute(d[0]) * part.half[0] + absolute(d[1]) * part.half[1] + absolute(d[2]) * part.half[2];
   return absolute(d[2]) * part.half[2] + part.half[0] * square_root(maximum(1.0 - d[2] * d[2], D{} + 1e-12));
 }
 
@@ -82,7 +86,8 @@ static inline D tilt_of(int shape, const D axis[9]) {
   return 1.0 - (shape == kRound ? (a + b) * (a + b) + c * c : a * a + b * b + c * c);
 }
 
-static inline void add_joint_velocities(const Tables& tables, int link, const Frame<D>* X_W, const D* qd, Flight& flight) {
+static inline void add_joint_velocities(const Tables& tables, int link, const Frame<D>* X_W, const D* qd,
+                                        Flight& flight) {
   for (int l = link; l >= 0; l = tables.link[l].parent) {
     const Link& joint = tables.link[l];
     if (joint.joint < 0) continue;
@@ -103,10 +108,12 @@ static inline void place_part(const DropPart& part, const Frame<D>& X, const Fli
   const Vec<D> swing = cross(flight.w, flying.o);
   flying.u = {flight.v.x + swing.x, flight.v.y + swing.y, flight.v.z + swing.z};
   for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) flying.axis[3 * i + j] = X.R[3 * i] * part.R[j] + X.R[3 * i + 1] * part.R[3 + j] + X.R[3 * i + 2] * part.R[6 + j];
+    for (int j = 0; j < 3; ++j)
+      flying.axis[3 * i + j] = X.R[3 * i] * part.R[j] + X.R[3 * i + 1] * part.R[3 + j] + X.R[3 * i + 2] * part.R[6 + j];
 }
 
-static inline void release(const Tables& tables, const DropTables& drop, const Frame<D>* X_W, const D* qd, Flight& flight) {
+static inline void release(const Tables& tables, const DropTables& drop, const Frame<D>* X_W, const D* qd,
+                           Flight& flight) {
   const Frame<D>& X = X_W[drop.frame];
   flight.c = transform(X, drop.centre);
   flight.v = flight.w = {D{}, D{}, D{}};
@@ -158,17 +165,15 @@ struct Reaches {
 // The object when it passes the height of a top.
 struct Passage {
   double top = __builtin_inf();
-  D time = {};                     // of the lowest part, with the delay
-  D x = {}, y = {}, near = {};     // of the centre of mass then, and how far from it anything may happen
+  D time = {};                  // of the lowest part, with the delay
+  D x = {}, y = {}, near = {};  // of the centre of mass then, and how far from it anything may happen
   bool detailed = false;
   struct {
     D x, y, inverse_scale, passes;  // of each part when it is down there; 1 + e^.. of the gate that it has to be above
     decltype(D{} > D{}) above;
 
     // Whether anything may happen to it at a place in a surface's axes, given half sizes.
-    bool may_meet(const Point2& at, D a, D b) const {
-      return any(may_be_within(at, a, b, inverse_scale) & above);
-    }
+    bool may_meet(const Point2& at, D a, D b) const { return any(may_be_within(at, a, b, inverse_scale) & above); }
   } part[kMaxDropParts];
 
   void move_to(const DropTables& drop, const Flight& flight, double height) {
@@ -203,11 +208,13 @@ struct Passage {
 };
 
 static inline bool may_meet(const Surface& s, const Passage& passage) {
-  return any((absolute(passage.x - s.centre[0]) < s.bound[0] + passage.near) & (absolute(passage.y - s.centre[1]) < s.bound[1] + passage.near));
+  return any((absolute(passage.x - s.centre[0]) < s.bound[0] + passage.near) &
+             (absolute(passage.y - s.centre[1]) < s.bound[1] + passage.near));
 }
 
 // D: P that the object is over a surface when it passes the height of its top; `foremost` is the part that decides it.
-static inline D overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage, Reaches& reaches, D& foremost) {
+static inline D overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage,
+                        Reaches& reaches, D& foremost) {
   D best = {};
   foremost = D{} - 1.0;
   if (!may_meet(s, passage)) return best;
@@ -272,7 +279,8 @@ static inline D leaves(const DropTables& drop, const Flight& flight, const Momen
   const D d2 = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) * reciprocal(det), off = d2 * reciprocal(3.0 + d2);
   const D height = flight.c.z - flight.low, distance = -off * inverse_root(ex * ex + ey * ey + 1e-6);
   away = {distance * ex, distance * ey};
-  const D u = k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * flight.speed + 2.0 * k.leave_tilt * flight.tilt +
+  const D u = k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * flight.speed +
+              2.0 * k.leave_tilt * flight.tilt +
               0.5 * k.leave_narrow * logarithm((height * height + 1e-6) * (xx + yy) * reciprocal(3.0 * det));
   Chance chance;
   chance.below(u);
@@ -282,18 +290,18 @@ static inline D leaves(const DropTables& drop, const Flight& flight, const Momen
 // --- steps 1 and 2 for all levels -----------------------------------------------------------------------------------
 
 struct Landing {
-  D overlap[kMaxSurfaces], contact[kMaxSurfaces], time[kMaxSurfaces];  // D, C, tc
-  D foremost[kMaxSurfaces];                                            // which part it is whose overlap D is
+  D overlap[kMaxSurfaces], contact[kMaxSurfaces], time[kMaxSurfaces];   // D, C, tc
+  D foremost[kMaxSurfaces];                                             // which part it is whose overlap D is
   D arrives[kMaxSurfaces], first[kMaxSurfaces], leaving[kMaxSurfaces];  // per level: A, sum of F, M
-  Point2 away[kMaxSurfaces];                                        // per level: n
-  D landed, total, mean_time, height, fallen;                       // sum of F, that + 1e-6, tl, zs, hs
-  D x, y;                                                           // L
-  D blur;                                                           // variance of the place
+  Point2 away[kMaxSurfaces];                                            // per level: n
+  D landed, total, mean_time, height, fallen;                           // sum of F, that + 1e-6, tl, zs, hs
+  D x, y;                                                               // L
+  D blur;                                                               // variance of the place
 };
 
 // D of a level's surfaces, their sum, and the product of 1 - D.
-static inline void meet_level(const DropTables& drop, const Flight& flight, int level, bool arrives, Passage& passage, Reaches& reaches,
-                              Landing& landing, D& sum, D& missed) {
+static inline void meet_level(const DropTables& drop, const Flight& flight, int level, bool arrives, Passage& passage,
+                              Reaches& reaches, Landing& landing, D& sum, D& missed) {
   sum = D{}, missed = D{} + 1.0;
   for (int k = drop.level_start[level]; k < drop.level_start[level + 1]; ++k) {
     const Surface& s = drop.surface[k];
@@ -325,7 +333,9 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
       const D F = share * landing.contact[k], time = landing.time[k];
       landing.contact[k] *= arrives;
       landing.first[l] += F, sum_time += F * time, sum_height += F * s.top, sum_fallen += F * relu(flight.low - s.top);
-      if (lands) moments.add(drop, flight, s, placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time), reaches);
+      if (lands)
+        moments.add(drop, flight, s, placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time),
+                    reaches);
     }
     arrives *= missed;
     landing.landed += landing.first[l];
@@ -342,18 +352,19 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
 // --- 3. falls on to something lower ---------------------------------------------------------------------------------
 
 struct Tumble {
-  D mass = {};            // B
+  D mass = {};                // B
   Point2 drift = {D{}, D{}};  // N
   D inverse_scale;
-  Point2 start;           // L + ks v
-  D x, y;                 // where it is on the present level
+  Point2 start;  // L + ks v
+  D x, y;        // where it is on the present level
   D keep;
 
   Tumble(const DropTables& drop, const Flight& flight, const Landing& landing) {
     const DropConstants& k = drop.constants;
     const double tumbling = k.size_spread * drop.size;
     const D v2 = flight.v.x * flight.v.x + flight.v.y * flight.v.y;
-    inverse_scale = (1.0 / kBeta) * inverse_root(landing.blur + tumbling * tumbling + k.carry_spread * k.carry_spread * v2);
+    inverse_scale =
+        (1.0 / kBeta) * inverse_root(landing.blur + tumbling * tumbling + k.carry_spread * k.carry_spread * v2);
     start = {landing.x + k.carry * flight.v.x, landing.y + k.carry * flight.v.y};
   }
   bool enter(const DropTables& drop) {
@@ -387,24 +398,31 @@ struct Tumble {
 
 // --- 4. side contacts -----------------------------------------------------------------------------------------------
 
+// P that the object leaves what it came down on, given that it did come down, and its mean direction.
+struct Leaving {
+  D probability = {}, x = {}, y = {}, share;
+
+  Leaving(const DropTables& drop, const Landing& landing) : share(reciprocal(landing.total)) {
+    for (int l = 0; l < drop.n_level; ++l) {
+      probability += landing.leaving[l];
+      x += landing.leaving[l] * landing.away[l].x, y += landing.leaving[l] * landing.away[l].y;
+    }
+    probability *= share, x *= share, y *= share;
+  }
+};
+
 struct Sweep {
   D x, y, reach, inverse_scale, top;
 
   Sweep(const DropTables& drop, const Flight& flight, const Landing& landing) {
     const DropConstants& k = drop.constants;
-    D leaves = {}, nx = {}, ny = {};
-    for (int l = 0; l < drop.n_level; ++l) {
-      leaves += landing.leaving[l];
-      nx += landing.leaving[l] * landing.away[l].x, ny += landing.leaving[l] * landing.away[l].y;
-    }
-    const D share = reciprocal(landing.total);
-    leaves *= share;
-    x = landing.x + k.slide * flight.v.x + k.drift * drop.size * (nx * share);
-    y = landing.y + k.slide * flight.v.y + k.drift * drop.size * (ny * share);
+    const Leaving leaving(drop, landing);
+    x = landing.x + k.slide * flight.v.x + k.drift * drop.size * leaving.x;
+    y = landing.y + k.slide * flight.v.y + k.drift * drop.size * leaving.y;
     const double resting = k.side_spread * drop.size;
-    const D toppling = k.size_spread * drop.size * leaves;
+    const D toppling = k.size_spread * drop.size * leaving.probability;
     inverse_scale = (1.0 / kBeta) * inverse_root(landing.blur + resting * resting + toppling * toppling);
-    reach = (k.side_reach + k.topple_reach * leaves) * drop.size;
+    reach = (k.side_reach + k.topple_reach * leaving.probability) * drop.size;
     top = landing.height + flight.high - flight.low;
   }
   // H, given P that the object comes down beside the surface.

@@ -1,5 +1,6 @@
 // The gradient of the drop model's impact with respect to q and qd: drop.hpp backwards. d_x is the derivative of the
-// impact with respect to x; every function takes those of what its namesake returns and adds to those of what that takes.
+// impact with respect to x; every function takes those of what its namesake returns and adds to those of what that
+// takes.
 
 struct FlightSlope {
   Vec<D> c = {D{}, D{}, D{}}, v = {D{}, D{}, D{}}, w = {D{}, D{}, D{}};
@@ -39,7 +40,8 @@ struct Within {
 
   [[gnu::always_inline]] Within(D at, D half, D scale) {
     const D a = maximum(half, D{} + 1e-4), r = absolute(at);
-    const D upper = reciprocal(1.0 + odds((r - a) * scale)), h = tail(-(r + a) * scale), lower = h * reciprocal(1.0 + h);
+    const D upper = reciprocal(1.0 + odds((r - a) * scale)), h = tail(-(r + a) * scale),
+            lower = h * reciprocal(1.0 + h);
     const D up = upper * (1.0 - upper), low = lower * (1.0 - lower);
     value = upper - lower;
     x = where(at < 0.0, up - low, low - up) * scale;
@@ -73,7 +75,8 @@ static inline void back_reach(const DropPart& part, const D d[3], D d_reach, D d
 }
 
 // How far a part reaches in a horizontal direction.
-static inline void back_reach_along(const DropTables& drop, const Flight& flight, int p, double ux, double uy, D d_reach, FlightSlope& slope) {
+static inline void back_reach_along(const DropTables& drop, const Flight& flight, int p, double ux, double uy,
+                                    D d_reach, FlightSlope& slope) {
   const D* Q = flight.part[p].axis;
   D d[3], d_d[3];
   for (int i = 0; i < 3; ++i) d[i] = Q[i] * ux + Q[3 + i] * uy;
@@ -113,7 +116,8 @@ struct ReachSlope {
 };
 
 // Where the centre of mass is at a time, in the axes of a surface.
-static inline void back_passing(const Flight& flight, const Surface& s, D time, const Point2& d, FlightSlope& slope, D& d_time) {
+static inline void back_passing(const Flight& flight, const Surface& s, D time, const Point2& d, FlightSlope& slope,
+                                D& d_time) {
   D x = {}, y = {};
   back_turned(s, d, x, y);
   slope.c.x += x, slope.c.y += y;
@@ -127,20 +131,25 @@ struct SweepSlope {
   D x = {}, y = {}, reach = {}, inverse_scale = {}, top = {};
 };
 
-static inline void back_sweep_hit(const DropTables& drop, const Flight& flight, const Sweep& sweep, const Surface& s, D time, D beside, D d_H,
-                                  SweepSlope& slope, FlightSlope& d_flight, D& d_time, D& d_beside) {
+static inline void back_sweep_hit(const DropTables& drop, const Flight& flight, const Sweep& sweep, const Surface& s,
+                                  D time, D beside, D d_H, SweepSlope& slope, FlightSlope& d_flight, D& d_time,
+                                  D& d_beside) {
   const Below over((sweep.top - s.bottom) * (1.0 / drop.constants.side_height));
-  const Point2 from = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time), to = placed(s, sweep.x, sweep.y);
+  const Point2 from = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time),
+               to = placed(s, sweep.x, sweep.y);
   const D dx = to.x - from.x, dy = to.y - from.y;
   const D inverse_x = inverse_root(dx * dx + 1e-6), inverse_y = inverse_root(dy * dy + 1e-6);
-  const Within x(0.5 * (from.x + to.x), s.half[0] + sweep.reach + 0.5 * (dx * dx + 1e-6) * inverse_x, sweep.inverse_scale);
-  const Within y(0.5 * (from.y + to.y), s.half[1] + sweep.reach + 0.5 * (dy * dy + 1e-6) * inverse_y, sweep.inverse_scale);
+  const Within x(0.5 * (from.x + to.x), s.half[0] + sweep.reach + 0.5 * (dx * dx + 1e-6) * inverse_x,
+                 sweep.inverse_scale);
+  const Within y(0.5 * (from.y + to.y), s.half[1] + sweep.reach + 0.5 * (dy * dy + 1e-6) * inverse_y,
+                 sweep.inverse_scale);
   d_beside += d_H * over.value * x.value * y.value;
   slope.top += d_H * beside * over.u * x.value * y.value * (1.0 / drop.constants.side_height);
   const D d_x = d_H * beside * over.value * y.value, d_y = d_H * beside * over.value * x.value;
   slope.inverse_scale += d_x * x.inverse_scale + d_y * y.inverse_scale;
   slope.reach += d_x * x.A + d_y * y.A;
-  const Point2 middle = {0.5 * d_x * x.x, 0.5 * d_y * y.x}, length = {0.5 * d_x * x.A * dx * inverse_x, 0.5 * d_y * y.A * dy * inverse_y};
+  const Point2 middle = {0.5 * d_x * x.x, 0.5 * d_y * y.x},
+               length = {0.5 * d_x * x.A * dx * inverse_x, 0.5 * d_y * y.A * dy * inverse_y};
   back_turned(s, {middle.x + length.x, middle.y + length.y}, slope.x, slope.y);
   back_passing(flight, s, time, {middle.x - length.x, middle.y - length.y}, d_flight, d_time);
 }
@@ -148,28 +157,24 @@ static inline void back_sweep_hit(const DropTables& drop, const Flight& flight, 
 static inline void back_sweep(const DropTables& drop, const Landing& landing, const Sweep& sweep, const SweepSlope& d,
                               FlightSlope& d_flight, LandingSlope& d_landing) {
   const DropConstants& k = drop.constants;
-  D leaves = {}, nx = {}, ny = {};
-  for (int l = 0; l < drop.n_level; ++l) {
-    leaves += landing.leaving[l];
-    nx += landing.leaving[l] * landing.away[l].x, ny += landing.leaving[l] * landing.away[l].y;
-  }
-  const D share = reciprocal(landing.total);
-  leaves *= share, nx *= share, ny *= share;
+  const Leaving leaving(drop, landing);
   // 1/sqrt(V) has the derivative -V^-3/2 /2, and inverse_scale is 1/(beta sqrt(V)).
-  const D d_variance = -0.5 * kBeta * kBeta * sweep.inverse_scale * sweep.inverse_scale * sweep.inverse_scale * d.inverse_scale;
+  const D d_variance =
+      -0.5 * kBeta * kBeta * sweep.inverse_scale * sweep.inverse_scale * sweep.inverse_scale * d.inverse_scale;
   const double toppling = k.size_spread * drop.size, drift = k.drift * drop.size;
-  const D d_leaves = d.reach * k.topple_reach * drop.size + d_variance * 2.0 * toppling * toppling * leaves;
+  const D d_leaves =
+      d.reach * k.topple_reach * drop.size + d_variance * 2.0 * toppling * toppling * leaving.probability;
   d_landing.blur += d_variance;
   d_landing.x += d.x, d_landing.y += d.y, d_landing.height += d.top;
   d_flight.high += d.top, d_flight.low -= d.top;
   d_flight.v.x += k.slide * d.x, d_flight.v.y += k.slide * d.y;
   for (int l = 0; l < drop.n_level; ++l) {
     const Point2& n = landing.away[l];
-    const D M = landing.leaving[l] * share;
-    d_landing.leaving[l] += share * (d_leaves + drift * (d.x * n.x + d.y * n.y));
+    const D M = landing.leaving[l] * leaving.share;
+    d_landing.leaving[l] += leaving.share * (d_leaves + drift * (d.x * n.x + d.y * n.y));
     d_landing.away[l].x += drift * d.x * M, d_landing.away[l].y += drift * d.y * M;
   }
-  d_landing.total -= share * (d_leaves * leaves + drift * (d.x * nx + d.y * ny));
+  d_landing.total -= leaving.share * (d_leaves * leaving.probability + drift * (d.x * leaving.x + d.y * leaving.y));
 }
 
 // --- 3. falls on to something lower ---------------------------------------------------------------------------------
@@ -180,8 +185,8 @@ struct TumbleSlope {
 };
 
 // One level: `tumble` is at its state before it, d holds the derivatives with respect to the state after it.
-static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int level, const D* d_G, const Landing& landing, TumbleSlope& d,
-                                     LandingSlope& d_landing) {
+static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int level, const D* d_G,
+                                     const Landing& landing, TumbleSlope& d, LandingSlope& d_landing) {
   const Point2& n = landing.away[level];
   const D M = landing.leaving[level];
   d_landing.leaving[level] += d.mass + d.drift.x * n.x + d.drift.y * n.y;
@@ -193,7 +198,8 @@ static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int
     before[k] = keep;
     const Point2 at = placed(drop.surface[k], tumble.x, tumble.y);
     if (!tumble.may_meet(drop.surface[k], at)) continue;
-    const Within x(at.x, D{} + drop.surface[k].inside[0], tumble.inverse_scale), y(at.y, D{} + drop.surface[k].inside[1], tumble.inverse_scale);
+    const Within x(at.x, D{} + drop.surface[k].inside[0], tumble.inverse_scale),
+        y(at.y, D{} + drop.surface[k].inside[1], tumble.inverse_scale);
     keep *= 1.0 - drop.constants.catches * x.value * y.value;
   }
   const D d_keep = d.mass * tumble.mass + d.drift.x * tumble.drift.x + d.drift.y * tumble.drift.y;
@@ -203,12 +209,16 @@ static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int
     const Surface& s = drop.surface[k];
     const Point2 at = placed(s, tumble.x, tumble.y);
     if (!tumble.may_meet(s, at)) continue;
-    const Within in_x(at.x, D{} + s.inside[0], tumble.inverse_scale), in_y(at.y, D{} + s.inside[1], tumble.inverse_scale);
-    const Within hit_x(at.x, D{} + s.reached[0], tumble.inverse_scale), hit_y(at.y, D{} + s.reached[1], tumble.inverse_scale);
+    const Within in_x(at.x, D{} + s.inside[0], tumble.inverse_scale),
+        in_y(at.y, D{} + s.inside[1], tumble.inverse_scale);
+    const Within hit_x(at.x, D{} + s.reached[0], tumble.inverse_scale),
+        hit_y(at.y, D{} + s.reached[1], tumble.inverse_scale);
     const D d_caught = -drop.constants.catches * d_keep * before[k] * after, d_hit = d_G[k] * tumble.mass;
     after *= 1.0 - drop.constants.catches * in_x.value * in_y.value;
     d.mass += d_G[k] * hit_x.value * hit_y.value;
-    back_turned(s, {d_caught * in_x.x * in_y.value + d_hit * hit_x.x * hit_y.value, d_caught * in_x.value * in_y.x + d_hit * hit_x.value * hit_y.x},
+    back_turned(s,
+                {d_caught * in_x.x * in_y.value + d_hit * hit_x.x * hit_y.value,
+                 d_caught * in_x.value * in_y.x + d_hit * hit_x.value * hit_y.x},
                 d_x, d_y);
     d.inverse_scale += d_caught * (in_x.inverse_scale * in_y.value + in_x.value * in_y.inverse_scale) +
                        d_hit * (hit_x.inverse_scale * hit_y.value + hit_x.value * hit_y.inverse_scale);
@@ -219,38 +229,46 @@ static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int
   d.mass -= (d_x * tumble.drift.x + d_y * tumble.drift.y) * moved * share;
 }
 
-static inline void back_tumble(const DropTables& drop, const Flight& flight, const Tumble& tumble, const TumbleSlope& d, FlightSlope& d_flight,
-                               LandingSlope& d_landing) {
+static inline void back_tumble(const DropTables& drop, const Flight& flight, const Tumble& tumble, const TumbleSlope& d,
+                               FlightSlope& d_flight, LandingSlope& d_landing) {
   const DropConstants& k = drop.constants;
-  const D d_variance = -0.5 * kBeta * kBeta * tumble.inverse_scale * tumble.inverse_scale * tumble.inverse_scale * d.inverse_scale;
+  const D d_variance =
+      -0.5 * kBeta * kBeta * tumble.inverse_scale * tumble.inverse_scale * tumble.inverse_scale * d.inverse_scale;
   const D per_speed = 2.0 * k.carry_spread * k.carry_spread * d_variance;
   d_landing.blur += d_variance;
   d_landing.x += d.start.x, d_landing.y += d.start.y;
-  d_flight.v.x += k.carry * d.start.x + per_speed * flight.v.x, d_flight.v.y += k.carry * d.start.y + per_speed * flight.v.y;
+  d_flight.v.x += k.carry * d.start.x + per_speed * flight.v.x,
+      d_flight.v.y += k.carry * d.start.y + per_speed * flight.v.y;
 }
 
 // --- 2. support -----------------------------------------------------------------------------------------------------
 
-static inline void back_leaves(const DropTables& drop, const Flight& flight, const Moments& m, D d_T, const Point2& d_away, Moments& d,
-                               FlightSlope& d_flight) {
+static inline void back_leaves(const DropTables& drop, const Flight& flight, const Moments& m, D d_T,
+                               const Point2& d_away, Moments& d, FlightSlope& d_flight) {
   const DropConstants& k = drop.constants;
   const D share = reciprocal(m.area + 1e-6), ex = m.x * share, ey = m.y * share;
   const D xx = m.xx * share - ex * ex + 1e-5, yy = m.yy * share - ey * ey + 1e-5, xy = m.xy * share - ex * ey;
-  const D plain = xx * yy - xy * xy, det = maximum(plain, D{} + 1e-11), inverse_det = reciprocal(det), inverse_trace = reciprocal(xx + yy);
-  const D d2 = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) * inverse_det, part = reciprocal(3.0 + d2), off = d2 * part;
-  const D height = flight.c.z - flight.low, inverse = inverse_root(ex * ex + ey * ey + 1e-6), soft = height * height + 1e-6;
-  const Below T(k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * flight.speed + 2.0 * k.leave_tilt * flight.tilt +
+  const D plain = xx * yy - xy * xy, det = maximum(plain, D{} + 1e-11), inverse_det = reciprocal(det),
+          inverse_trace = reciprocal(xx + yy);
+  const D d2 = (yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey) * inverse_det, part = reciprocal(3.0 + d2),
+          off = d2 * part;
+  const D height = flight.c.z - flight.low, inverse = inverse_root(ex * ex + ey * ey + 1e-6),
+          soft = height * height + 1e-6;
+  const Below T(k.leave + 2.0 * k.leave_offset * (off - 0.5) + k.leave_speed * flight.speed +
+                2.0 * k.leave_tilt * flight.tilt +
                 0.5 * k.leave_narrow * logarithm(soft * (xx + yy) * reciprocal(3.0 * det)));
   const D d_u = d_T * T.u, d_log = 0.5 * k.leave_narrow * d_u, d_height = d_log * 2.0 * height * reciprocal(soft);
   d_flight.speed += k.leave_speed * d_u, d_flight.tilt += 2.0 * k.leave_tilt * d_u;
   d_flight.c.z += d_height, d_flight.low -= d_height;
   const D along = d_away.x * ex + d_away.y * ey;
-  const D d_off = 2.0 * k.leave_offset * d_u - along * inverse, d_d2 = d_off * 3.0 * part * part, d_quadric = d_d2 * inverse_det;
+  const D d_off = 2.0 * k.leave_offset * d_u - along * inverse, d_d2 = d_off * 3.0 * part * part,
+          d_quadric = d_d2 * inverse_det;
   const D d_det = where(plain > 1e-11, -d_log * inverse_det - d_d2 * d2 * inverse_det, D{});
   const D cube = off * along * inverse * inverse * inverse;
   D d_ex = -off * inverse * d_away.x + cube * ex + 2.0 * d_quadric * (yy * ex - xy * ey);
   D d_ey = -off * inverse * d_away.y + cube * ey + 2.0 * d_quadric * (xx * ey - xy * ex);
-  const D d_xx = d_log * inverse_trace + d_quadric * ey * ey + d_det * yy, d_yy = d_log * inverse_trace + d_quadric * ex * ex + d_det * xx;
+  const D d_xx = d_log * inverse_trace + d_quadric * ey * ey + d_det * yy,
+          d_yy = d_log * inverse_trace + d_quadric * ex * ex + d_det * xx;
   const D d_xy = -2.0 * (d_quadric * ex * ey + d_det * xy);
   d_ex -= 2.0 * ex * d_xx + ey * d_xy, d_ey -= 2.0 * ey * d_yy + ex * d_xy;
   d.x = d_ex * share, d.y = d_ey * share, d.xx = d_xx * share, d.yy = d_yy * share, d.xy = d_xy * share;
@@ -266,8 +284,9 @@ static inline void back_interval(D o, D r, double carries, D at, D d_middle, D d
   d_at -= where(own0, D{}, d0) + where(own1, D{}, d1);
 }
 
-static inline void back_moments(const DropTables& drop, const Flight& flight, const Surface& s, D time, Reaches& reaches, ReachSlope& d_reaches,
-                                const Moments& d, FlightSlope& d_flight, D& d_time) {
+static inline void back_moments(const DropTables& drop, const Flight& flight, const Surface& s, D time,
+                                Reaches& reaches, ReachSlope& d_reaches, const Moments& d, FlightSlope& d_flight,
+                                D& d_time) {
   const Point2 at = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time);
   if (!any((absolute(at.x) < s.carries[0] + drop.radius) & (absolute(at.y) < s.carries[1] + drop.radius))) return;
   reaches.turn_to(drop, flight, s);
@@ -280,13 +299,15 @@ static inline void back_moments(const DropTables& drop, const Flight& flight, co
     const Point2 o = turned(s, part.o.x, part.o.y);
     const D x0 = maximum(o.x - r.x, -s.carries[0] - at.x), x1 = minimum(o.x + r.x, s.carries[0] - at.x);
     const D y0 = maximum(o.y - r.y, -s.carries[1] - at.y), y1 = minimum(o.y + r.y, s.carries[1] - at.y);
-    const D wx = relu(x1 - x0), wy = relu(y1 - y0), patch = part.stands * wx * wy, mx = 0.5 * (x0 + x1), my = 0.5 * (y0 + y1);
+    const D wx = relu(x1 - x0), wy = relu(y1 - y0), patch = part.stands * wx * wy, mx = 0.5 * (x0 + x1),
+            my = 0.5 * (y0 + y1);
     if (!any(patch > 0.0)) continue;
     const D ux = c * mx - n * my, uy = n * mx + c * my, qx = wx * wx * (1.0 / 12), qy = wy * wy * (1.0 / 12);
     const D d_patch = d.area + d.x * ux + d.y * uy + d.xx * (ux * ux + c * c * qx + n * n * qy) +
                       d.yy * (uy * uy + n * n * qx + c * c * qy) + d.xy * (ux * uy + c * n * (qx - qy));
     const D d_ux = patch * (d.x + 2.0 * d.xx * ux + d.xy * uy), d_uy = patch * (d.y + 2.0 * d.yy * uy + d.xy * ux);
-    const D d_qx = patch * (d.xx * c * c + d.yy * n * n + d.xy * c * n), d_qy = patch * (d.xx * n * n + d.yy * c * c - d.xy * c * n);
+    const D d_qx = patch * (d.xx * c * c + d.yy * n * n + d.xy * c * n),
+            d_qy = patch * (d.xx * n * n + d.yy * c * c - d.xy * c * n);
     const D d_wx = where(x1 > x0, d_patch * part.stands * wy + d_qx * wx * (1.0 / 6), D{});
     const D d_wy = where(y1 > y0, d_patch * part.stands * wx + d_qy * wy * (1.0 / 6), D{});
     d_flight.part[p].stands += d_patch * wx * wy;
@@ -302,8 +323,8 @@ static inline void back_moments(const DropTables& drop, const Flight& flight, co
 
 // --- 1. first contact -----------------------------------------------------------------------------------------------
 
-static inline void back_overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage, Reaches& reaches,
-                                ReachSlope& d_reaches, D foremost, D d_D, FlightSlope& d_flight) {
+static inline void back_overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage,
+                                Reaches& reaches, ReachSlope& d_reaches, D foremost, D d_D, FlightSlope& d_flight) {
   const DropConstants& k = drop.constants;
   passage.move_to(drop, flight, s.top);
   passage.detail(drop, flight);
@@ -327,13 +348,16 @@ static inline void back_overlap(const DropTables& drop, const Flight& flight, co
     auto& d_reach = d_reaches.part[p];
     d_reach.x += d_x * x.A, d_reach.y += d_y * y.A, d_reach.left += d_left * left.A, d_reach.right += d_right * right.A;
     D wx = {}, wy = {};
-    back_turned(s, {d_x * x.x + (d_left * left.x - d_right * right.x) * kHalfRoot, d_y * y.x + (d_left * left.x + d_right * right.x) * kHalfRoot}, wx,
-                wy);
+    back_turned(s,
+                {d_x * x.x + (d_left * left.x - d_right * right.x) * kHalfRoot,
+                 d_y * y.x + (d_left * left.x + d_right * right.x) * kHalfRoot},
+                wx, wy);
     const D t = fall(flight.v.z, h), time = t + k.delay;
     d_flight.c.x += wx, d_flight.c.y += wy;
     auto& d_part = d_flight.part[p];
     d_part.o.x += wx, d_part.o.y += wy, d_part.u.x += wx * time, d_part.u.y += wy * time;
-    const D d_scale = d_x * x.inverse_scale + d_y * y.inverse_scale + d_left * left.inverse_scale + d_right * right.inverse_scale;
+    const D d_scale =
+        d_x * x.inverse_scale + d_y * y.inverse_scale + d_left * left.inverse_scale + d_right * right.inverse_scale;
     const D cube = part.inverse_scale * part.inverse_scale * part.inverse_scale * (kBeta * kBeta);
     const D d_t = wx * flying.u.x + wy * flying.u.y - d_scale * cube * (k.velocity_spread * k.velocity_spread) * t;
     back_fall(flight.v.z, h, d_t, d_flight.v.z, d_part.bottom);
@@ -343,8 +367,10 @@ static inline void back_overlap(const DropTables& drop, const Flight& flight, co
 
 // --- steps 1 and 2 for all levels -----------------------------------------------------------------------------------
 
-// From derivatives with respect to C and F (of each surface) to those with respect to D; returns that with respect to A.
-static inline D back_level(const DropTables& drop, const Landing& landing, int level, D d_next, const D* d_contact, const D* d_F, D* d_overlap) {
+// From derivatives with respect to C and F (of each surface) to those with respect to D; returns that with respect to
+// A.
+static inline D back_level(const DropTables& drop, const Landing& landing, int level, D d_next, const D* d_contact,
+                           const D* d_F, D* d_overlap) {
   const int first = drop.level_start[level], last = drop.level_start[level + 1];
   const D A = landing.arrives[level];
   D before[kMaxSurfaces], sum = {}, missed = D{} + 1.0, weighed = {}, d_A = {};
@@ -363,14 +389,17 @@ static inline D back_level(const DropTables& drop, const Landing& landing, int l
   return d_A + weighed * share + d_next * missed;
 }
 
-static inline void back_land(const DropTables& drop, const Flight& flight, const Landing& landing, LandingSlope& d, FlightSlope& d_flight) {
+static inline void back_land(const DropTables& drop, const Flight& flight, const Landing& landing, LandingSlope& d,
+                             FlightSlope& d_flight) {
   const DropConstants& k = drop.constants;
-  d.mean_time += d.x * flight.v.x + d.y * flight.v.y + 2.0 * k.velocity_spread * k.velocity_spread * landing.mean_time * d.blur;
+  d.mean_time +=
+      d.x * flight.v.x + d.y * flight.v.y + 2.0 * k.velocity_spread * k.velocity_spread * landing.mean_time * d.blur;
   d.fallen += 2.0 * k.height_spread * k.height_spread * landing.fallen * d.blur;
   d_flight.c.x += d.x, d_flight.c.y += d.y;
   d_flight.v.x += d.x * landing.mean_time, d_flight.v.y += d.y * landing.mean_time;
   const D share = reciprocal(landing.total);
-  const D d_total = d.total - share * (d.mean_time * landing.mean_time + d.height * landing.height + d.fallen * landing.fallen);
+  const D d_total =
+      d.total - share * (d.mean_time * landing.mean_time + d.height * landing.height + d.fallen * landing.fallen);
   Passage passage;
   Reaches reaches;
   ReachSlope d_reaches(drop);
@@ -385,13 +414,16 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
       Moments moments, d_moments;
       for (int i = first; i < last; ++i) {
         const Surface& s = drop.surface[i];
-        moments.add(drop, flight, s, placed(s, flight.c.x + flight.v.x * landing.time[i], flight.c.y + flight.v.y * landing.time[i]), reaches);
+        moments.add(drop, flight, s,
+                    placed(s, flight.c.x + flight.v.x * landing.time[i], flight.c.y + flight.v.y * landing.time[i]),
+                    reaches);
       }
       Point2 away;
       d_first += d.leaving[l] * leaves(drop, flight, moments, away);
       back_leaves(drop, flight, moments, d.leaving[l] * landing.first[l], d.away[l], d_moments, d_flight);
       for (int i = first; i < last; ++i)
-        back_moments(drop, flight, drop.surface[i], landing.time[i], reaches, d_reaches, d_moments, d_flight, d.time[i]);
+        back_moments(drop, flight, drop.surface[i], landing.time[i], reaches, d_reaches, d_moments, d_flight,
+                     d.time[i]);
     }
     for (int i = first; i < last; ++i) {
       const Surface& s = drop.surface[i];
@@ -404,7 +436,8 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
     d_arrives = back_level(drop, landing, l, d_arrives, d.contact, d_F, d_overlap);
     for (int i = first; i < last; ++i)
       if (any(landing.overlap[i] > 0.0))
-        back_overlap(drop, flight, drop.surface[i], passage, reaches, d_reaches, landing.foremost[i], d_overlap[i], d_flight);
+        back_overlap(drop, flight, drop.surface[i], passage, reaches, d_reaches, landing.foremost[i], d_overlap[i],
+                     d_flight);
   }
   d_reaches.flush(drop, flight, d_flight);
 }
@@ -414,7 +447,8 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
 static inline void back_tilt(int shape, const D axis[9], D d_tilt, D d_axis[9]) {
   if (shape == kBall) return;
   const D side = axis[6] * axis[6] + axis[7] * axis[7];
-  for (int i = 6; i < 9; ++i) d_axis[i] -= 4.0 * d_tilt * axis[i] * (shape == kRound && i < 8 ? side : axis[i] * axis[i]);
+  for (int i = 6; i < 9; ++i)
+    d_axis[i] -= 4.0 * d_tilt * axis[i] * (shape == kRound && i < 8 ? side : axis[i] * axis[i]);
 }
 
 // Leaves the derivatives with respect to c, v and w in d, and returns that with respect to a small turn of the object.
@@ -423,7 +457,8 @@ static inline Vec<D> back_release(const DropTables& drop, const Flight& flight, 
   d.v.x += d.speed * flight.v.x * inverse_speed, d.v.y += d.speed * flight.v.y * inverse_speed;
   back_tilt(drop.part[drop.main].shape, flight.part[drop.main].axis, d.tilt, d.part[drop.main].axis);
   for (int p = 0; p < drop.n_part; ++p) {
-    const D above = flight.part[p].bottom - flight.low, slope = d.part[p].stands * flight.part[p].stands * above * (-2.0 / (0.012 * 0.012));
+    const D above = flight.part[p].bottom - flight.low,
+            slope = d.part[p].stands * flight.part[p].stands * above * (-2.0 / (0.012 * 0.012));
     d.part[p].bottom += slope, d.low -= slope;
   }
   Vec<D> turn = {D{}, D{}, D{}};
@@ -435,7 +470,8 @@ static inline Vec<D> back_release(const DropTables& drop, const Flight& flight, 
     const FlyingPart& part = flight.part[p];
     auto& slope = d.part[p];
     const D up = reach(drop.part[p], part.axis + 6), top = flight.c.z + part.o.z + up;
-    const D d_bottom = slope.bottom + where(part.bottom == flight.low, d.low, D{}), d_top = where(top == flight.high, d.high, D{});
+    const D d_bottom = slope.bottom + where(part.bottom == flight.low, d.low, D{}),
+            d_top = where(top == flight.high, d.high, D{});
     d.low = where(part.bottom == flight.low, D{}, d.low), d.high = where(top == flight.high, D{}, d.high);
     d.c.z += d_bottom + d_top, slope.o.z += d_bottom + d_top;
     D d_up[3];
@@ -446,19 +482,21 @@ static inline Vec<D> back_release(const DropTables& drop, const Flight& flight, 
     d.w.x += swing.x, d.w.y += swing.y, d.w.z += swing.z;
     add_turn(part.o, {slope.o.x + pull.x, slope.o.y + pull.y, slope.o.z + pull.z});
     for (int i = 0; i < 3; ++i)
-      add_turn({part.axis[i], part.axis[3 + i], part.axis[6 + i]}, {slope.axis[i], slope.axis[3 + i], slope.axis[6 + i]});
+      add_turn({part.axis[i], part.axis[3 + i], part.axis[6 + i]},
+               {slope.axis[i], slope.axis[3 + i], slope.axis[6 + i]});
   }
   return turn;
 }
 
 static inline D dot(const Vec<D>& a, const Vec<D>& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
-// From the object's pose and velocity to the joints', from its link inwards. A joint turns (or shifts) the velocities that
-// those further out give the object, and moves it within what those further in do.
-static inline void back_joints(const Tables& tables, int link, const Frame<D>* X_W, const D* qd, const Flight& flight, const FlightSlope& d,
-                               const Vec<D>& d_turn, D* d_q, D* d_qd) {
+// From the object's pose and velocity to the joints', from its link inwards. A joint turns (or shifts) the velocities
+// that those further out give the object, and moves it within what those further in do.
+static inline void back_joints(const Tables& tables, int link, const Frame<D>* X_W, const D* qd, const Flight& flight,
+                               const FlightSlope& d, const Vec<D>& d_turn, D* d_q, D* d_qd) {
   for (int j = 0; j < tables.n_joint; ++j) d_q[j] = d_qd[j] = D{};
-  Vec<D> inner = flight.w, v_outer = {D{}, D{}, D{}}, w_outer = {D{}, D{}, D{}};  // w of the joints up to this one; v, w beyond it
+  Vec<D> inner = flight.w, v_outer = {D{}, D{}, D{}},
+         w_outer = {D{}, D{}, D{}};  // w of the joints up to this one; v, w beyond it
   for (int l = link; l >= 0; l = tables.link[l].parent) {
     const Link& joint = tables.link[l];
     if (joint.joint < 0) continue;

@@ -1,4 +1,4 @@
-// Models of the impact, with severities: what native planners charge edges with. Part of bindings.cpp.
+// Models of the impact, with severities: what native planners charge edges with.
 #pragma once
 #include <cmath>
 
@@ -6,7 +6,6 @@
 #include "edge_states.hpp"
 
 namespace gp {
-namespace {
 
 // I of configurations at rest and integrals over straight edges; one scene, fixed severities.
 class Impact {
@@ -15,9 +14,11 @@ class Impact {
   virtual void states(const double* q, size_t n, double* impact) const = 0;
   // The same, good enough to choose what to look at.
   virtual void rough_states(const double* q, size_t n, double* impact) const { states(q, n, impact); }
-  virtual void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const = 0;
-  // edges() with the derivatives of S with respect to both ends; false if the model has none.
-  virtual bool edge_gradients(const double*, const double*, size_t, double, Sampling, double*, double*, double*) const { return false; }
+  virtual void edges(const Edges& edges, double* cost) const = 0;
+  // Whether edge_gradients() is known.
+  virtual bool has_gradients() const { return false; }
+  // edges() with the derivatives of S with respect to both ends.
+  virtual void edge_gradients(const Edges&, Sampling, const EdgeSlopes&) const {}
   const Core& core() const { return core_; }
 
   auto states_array(Reals q) const {
@@ -29,23 +30,24 @@ class Impact {
   }
   // V and S, and the derivatives of S with respect to q0 and q1; None if there are none.
   nb::object edge_gradients_array(Reals q0, Reals q1, double step) const {
-    double *cost, *d_q0, *d_q1;
-    auto costs = make<double>({core_.rows(q0), 2}, cost);
-    auto by_q0 = make<double>({q0.shape(0), q0.shape(1)}, d_q0), by_q1 = make<double>({q0.shape(0), q0.shape(1)}, d_q1);
-    require(core_.rows(q1) == core_.rows(q0), "q0 and q1 differ in length");
-    bool known;
+    if (!has_gradients()) return nb::none();
+    EdgeSlopes out;
+    auto costs = make<double>({core_.rows(q0), 2}, out.cost);
+    auto by_q0 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q0),
+         by_q1 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q1);
+    const Edges all = core_.edges(q0, q1, step);
     {
       nb::gil_scoped_release release;
-      known = edge_gradients(q0.data(), q1.data(), q0.shape(0), step, Sampling::kExact, cost, d_q0, d_q1);
+      edge_gradients(all, Sampling::kExact, out);
     }
-    return known ? nb::object(nb::make_tuple(costs, by_q0, by_q1)) : nb::none();
+    return nb::make_tuple(costs, by_q0, by_q1);
   }
   auto edges_array(Reals q0, Reals q1, double step) const {
     double* out;
     auto array = make<double>({core_.rows(q0), 2}, out);
-    require(core_.rows(q1) == core_.rows(q0), "q0 and q1 differ in length");
+    const Edges all = core_.edges(q0, q1, step);
     nb::gil_scoped_release release;
-    edges(q0.data(), q1.data(), q0.shape(0), step, out);
+    edges(all, out);
     return array;
   }
 
@@ -61,58 +63,81 @@ class Impact {
 class OverlapImpact final : public Impact {
  public:
   OverlapImpact(const Core& core, Reals severity) : Impact(core, severity) {
-    require(severity.size() == size_t(core.tables().n_component * core.tables().n_entity), "severity is not [component, entity]");
+    require(severity.size() == size_t(core.tables().n_component * core.tables().n_entity),
+            "severity is not [component, entity]");
   }
   void states(const double* q, size_t n, double* impact) const override {
-    core_.kernels().impact(core_.tables(), severity_.data(), q, n, impact);
+    core_.kernels().impact(core_.tables(), severity_.data(), {q, nullptr, n}, impact);
   }
-  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
-    core_.kernels().edge_costs(core_.tables(), severity_.data(), q0, q1, n, step, cost);
+  void edges(const Edges& edges, double* cost) const override {
+    core_.kernels().edge_costs(core_.tables(), severity_.data(), edges, cost);
   }
 };
 
 constexpr const char* kDropConstants[] = {  // in the order of DropConstants
-    "delay",       "velocity_spread", "height_spread", "carry_spread", "side_spread",  "side_reach",  "side_height",
-    "catch",       "leave_tilt",      "position_spread", "size_spread", "tumble_reach", "catch_margin", "leave",
-    "leave_offset", "leave_narrow",   "leave_speed",   "drift",        "carry",        "slide",       "topple_reach"};
+    "delay",        "velocity_spread", "height_spread", "carry_spread",    "side_spread", "side_reach",
+    "side_height",  "catch",           "leave_tilt",    "position_spread", "size_spread", "tumble_reach",
+    "catch_margin", "leave",           "leave_offset",  "leave_narrow",    "leave_speed", "drift",
+    "carry",        "slide",           "topple_reach"};
 static_assert(sizeof(DropConstants) == sizeof(kDropConstants) / sizeof(kDropConstants[0]) * sizeof(double));
 
 constexpr const char* kSpillConstants[] = {  // in the order of SpillConstants
-    "position_spread", "rim_spread", "speed_spread", "height_spread", "carry", "margin", "reach", "run_off", "edge", "slosh", "soft_speed", "soft_spread"};
+    "position_spread", "rim_spread", "speed_spread", "height_spread", "carry",      "margin",
+    "reach",           "run_off",    "edge",         "slosh",         "soft_speed", "soft_spread"};
 static_assert(sizeof(SpillConstants) == sizeof(kSpillConstants) / sizeof(kSpillConstants[0]) * sizeof(double));
+
+// The tables of what is carried and of what it may fall on, as Python hands them over.
+struct DropArrays {
+  int link;
+  Reals centre;
+  Integers part_shape;
+  Reals part_offset, part_rotation, part_half;
+  int main;
+  double size;
+  Integers target_entity;
+  Reals target;  // centre (2), axis (2), half sizes (2), diagonal, carrying half sizes (2), bottom, top
+  Integers level_start;
+  int n_entity;
+  Reals speed, constants;
+};
 
 // The drop model of what is carried, and the spill model of its contents if `add_contents` gives it some.
 class DropModel {
  public:
-  // target: centre (2), axis (2), half sizes (2), diagonal, carrying half sizes (2), bottom, top
-  DropModel(const Core& core, int link, Reals centre, Integers part_shape, Reals part_offset, Reals part_rotation, Reals part_half, int main,
-            double size, Integers target_entity, Reals target, Integers level_start, int n_entity, Reals speed, Reals constants)
-      : core_(core), level_start_(level_start.data(), level_start.data() + level_start.size()), speed_(point(speed)) {
-    require(centre.size() == 3 && speed.size() == size_t(core.tables().n_joint), "sizes of the drop model");
-    require(constants.size() * sizeof(double) == sizeof(DropConstants), "constants of the drop model");
-    std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.delay);
-    std::copy(centre.data(), centre.data() + 3, tables_.centre);
-    tables_.link = link, tables_.frame = core.frame(link), tables_.main = main, tables_.size = size, tables_.n_entity = n_entity;
+  DropModel(const Core& core, const DropArrays& of)
+      : core_(core),
+        level_start_(of.level_start.data(), of.level_start.data() + of.level_start.size()),
+        speed_(point(of.speed)) {
+    require(of.centre.size() == 3 && speed_.size() == size_t(core.tables().n_joint), "sizes of the drop model");
+    require(of.constants.size() * sizeof(double) == sizeof(DropConstants), "constants of the drop model");
+    std::copy(of.constants.data(), of.constants.data() + of.constants.size(), &tables_.constants.delay);
+    std::copy(of.centre.data(), of.centre.data() + 3, tables_.centre);
+    tables_.link = of.link, tables_.frame = core.frame(of.link), tables_.main = of.main, tables_.size = of.size;
+    tables_.n_entity = of.n_entity;
     for (double v : speed_) require(v > 0, "speed");
-    require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
-    add_parts(part_shape, part_offset, part_rotation, part_half);
-    require(main >= 0 && size_t(main) < part_.size(), "main part");
-    add_surfaces(target_entity, target);
+    require(of.n_entity >= 0 && of.n_entity <= kMaxEntities, "number of entities");
+    add_parts(of.part_shape, of.part_offset, of.part_rotation, of.part_half);
+    require(of.main >= 0 && size_t(of.main) < part_.size(), "main part");
+    add_surfaces(of.target_entity, of.target);
     check_levels();
-    tables_.n_part = int(part_.size()), tables_.n_surface = int(surface_.size()), tables_.n_level = int(level_start_.size()) - 1;
-    tables_.part = part_.data(), tables_.surface = surface_.data(), tables_.level_start = level_start_.data(), tables_.speed = speed_.data();
+    tables_.n_part = int(part_.size()), tables_.n_surface = int(surface_.size()),
+    tables_.n_level = int(level_start_.size()) - 1;
+    tables_.part = part_.data(), tables_.surface = surface_.data(), tables_.level_start = level_start_.data();
+    tables_.speed = speed_.data();
   }
   DropModel(const DropModel&) = delete;
 
   // container: mouth (3), axis (3), rim, depth, full, radius, power, repose; constants: dropped, held
   void add_contents(Reals container, Integers stands, Reals visible, Reals constants) {
     const size_t n = surface_.size();
-    require(spill_.empty() && container.size() == 12 && stands.size() == 2 * n && visible.size() == n, "tables of the spill model");
+    require(spill_.empty() && container.size() == 12 && stands.size() == 2 * n && visible.size() == n,
+            "tables of the spill model");
     require(constants.size() * sizeof(double) == sizeof(tables_.spill.use), "constants of the spill model");
     const double* c = container.data();
     SpillTables& spill = tables_.spill;
     std::copy(c, c + 3, spill.mouth), std::copy(c + 3, c + 6, spill.axis);
-    spill.rim = c[6], spill.depth = c[7], spill.full = c[8], spill.radius = c[9], spill.power = c[10], spill.repose = c[11];
+    spill.rim = c[6], spill.depth = c[7], spill.full = c[8], spill.radius = c[9], spill.power = c[10],
+    spill.repose = c[11];
     require(spill.rim > 0 && spill.depth > 0 && spill.full > 0 && spill.radius > 0, "container");
     for (size_t k = 0; k < n; ++k) {
       const SpillSurface s{stands.data()[2 * k], stands.data()[2 * k + 1], visible.data()[k]};
@@ -120,7 +145,8 @@ class DropModel {
       spill_.push_back(s);
     }
     for (int use = 0; use < kDropRows - 1; ++use)
-      std::copy_n(constants.data() + use * int(std::size(kSpillConstants)), std::size(kSpillConstants), &spill.use[use].position_spread);
+      std::copy_n(constants.data() + use * int(std::size(kSpillConstants)), std::size(kSpillConstants),
+                  &spill.use[use].position_spread);
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
@@ -130,31 +156,32 @@ class DropModel {
   auto probability(Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q), size_t(kDropRows), size_t(tables_.n_entity)}, out);
-    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
-    core_.kernels().drop(core_.tables(), tables_, q.data(), qd.data(), q.shape(0), out);
+    core_.kernels().drop(core_.tables(), tables_, states, out);
     return array;
   }
   auto impact(Reals severity, Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
     require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
-    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
-    core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), out);
+    core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), states, out);
     return array;
   }
   // The impact with its derivatives with respect to q and to qd.
   auto gradient(Reals severity, Reals q, Reals qd, bool rough) const {
-    double *impact, *d_q, *d_qd;
-    auto values = make<double>({core_.rows(q)}, impact);
-    auto by_q = make<double>({q.shape(0), q.shape(1)}, d_q), by_qd = make<double>({q.shape(0), q.shape(1)}, d_qd);
+    Slopes out;
+    auto values = make<double>({core_.rows(q)}, out.value);
+    auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
+         by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
     require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
-    require(core_.rows(qd) == core_.rows(q), "q and qd differ in length");
+    const States states = core_.states(q, qd);
     {
       nb::gil_scoped_release release;
       const auto compute = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
-      compute(core_.tables(), tables_, severity.data(), q.data(), qd.data(), q.shape(0), impact, d_q, d_qd);
+      compute(core_.tables(), tables_, severity.data(), states, out);
     }
     return nb::make_tuple(values, by_q, by_qd);
   }
@@ -187,7 +214,8 @@ class DropModel {
       s.entity = entity.data()[k];
       require(s.entity >= -1 && s.entity < tables_.n_entity, "entity of a surface");
       s.diagonal = t[6], s.bottom = t[9], s.top = t[10];
-      for (int i = 0; i < 2; ++i) s.centre[i] = t[i], s.axis[i] = t[2 + i], s.half[i] = t[4 + i], s.carries[i] = t[7 + i];
+      for (int i = 0; i < 2; ++i)
+        s.centre[i] = t[i], s.axis[i] = t[2 + i], s.half[i] = t[4 + i], s.carries[i] = t[7 + i];
       s.turn = int(k);
       for (const Surface& other : surface_)
         if (other.axis[0] == s.axis[0] && other.axis[1] == s.axis[1]) s.turn = other.turn;
@@ -203,7 +231,8 @@ class DropModel {
     }
   }
   void check_levels() const {
-    require(!level_start_.empty() && level_start_.front() == 0 && size_t(level_start_.back()) == surface_.size(), "levels");
+    require(!level_start_.empty() && level_start_.front() == 0 && size_t(level_start_.back()) == surface_.size(),
+            "levels");
     for (size_t l = 0; l + 1 < level_start_.size(); ++l) require(level_start_[l] < level_start_[l + 1], "empty level");
   }
 
@@ -225,22 +254,21 @@ class DropImpact final : public Impact {
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
   }
   void states(const double* q, size_t n, double* impact) const override {
-    core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), q, nullptr, n, impact);
+    core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), {q, nullptr, n}, impact);
   }
   void rough_states(const double* q, size_t n, double* impact) const override {
-    core_.kernels().rough_drop_impact(core_.tables(), model_.tables(), severity_.data(), q, nullptr, n, impact);
+    core_.kernels().rough_drop_impact(core_.tables(), model_.tables(), severity_.data(), {q, nullptr, n}, impact);
   }
-  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
-    core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, q0, q1, n, step, cost);
+  void edges(const Edges& edges, double* cost) const override {
+    core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, edges, cost);
   }
-  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, Sampling sampling, double* cost, double* d_q0,
-                      double* d_q1) const override {
-    EdgeStates states(core_, model_.tables().speed, pace_, q0, q1, n, step, sampling);
-    const auto gradient = sampling == Sampling::kExact ? core_.kernels().drop_gradient : core_.kernels().rough_drop_gradient;
-    gradient(core_.tables(), model_.tables(), severity_.data(), states.q.data(), states.qd.data(), states.size(), states.impact.data(),
-             states.d_q.data(), states.d_qd.data());
-    states.integrate(cost, d_q0, d_q1);
-    return true;
+  bool has_gradients() const override { return true; }
+  void edge_gradients(const Edges& edges, Sampling sampling, const EdgeSlopes& out) const override {
+    EdgeStates sampled(core_, model_.tables().speed, pace_, edges, sampling);
+    const auto gradient =
+        sampling == Sampling::kExact ? core_.kernels().drop_gradient : core_.kernels().rough_drop_gradient;
+    gradient(core_.tables(), model_.tables(), severity_.data(), sampled.states(), sampled.slopes());
+    sampled.integrate(out);
   }
 
  private:
@@ -264,26 +292,23 @@ class SumImpact final : public Impact {
     first_.rough_states(q, n, impact), second_.rough_states(q, n, other.data());
     for (size_t i = 0; i < n; ++i) impact[i] += other[i];
   }
-  void edges(const double* q0, const double* q1, size_t n, double step, double* cost) const override {
-    Point other(2 * n);
-    first_.edges(q0, q1, n, step, cost), second_.edges(q0, q1, n, step, other.data());
-    for (size_t i = 0; i < n; ++i) cost[2 * i + 1] += other[2 * i + 1];  // the length is the same
+  void edges(const Edges& edges, double* cost) const override {
+    Point other(2 * edges.n);
+    first_.edges(edges, cost), second_.edges(edges, other.data());
+    for (size_t i = 0; i < edges.n; ++i) cost[2 * i + 1] += other[2 * i + 1];  // the length is the same
   }
-  bool edge_gradients(const double* q0, const double* q1, size_t n, double step, Sampling sampling, double* cost, double* d_q0,
-                      double* d_q1) const override {
-    const size_t size = n * size_t(core_.tables().n_joint);
-    Point other(2 * n), other_q0(size), other_q1(size);
-    if (!first_.edge_gradients(q0, q1, n, step, sampling, cost, d_q0, d_q1) ||
-        !second_.edge_gradients(q0, q1, n, step, sampling, other.data(), other_q0.data(), other_q1.data()))
-      return false;
-    for (size_t i = 0; i < n; ++i) cost[2 * i + 1] += other[2 * i + 1];
-    for (size_t i = 0; i < size; ++i) d_q0[i] += other_q0[i], d_q1[i] += other_q1[i];
-    return true;
+  bool has_gradients() const override { return first_.has_gradients() && second_.has_gradients(); }
+  void edge_gradients(const Edges& edges, Sampling sampling, const EdgeSlopes& out) const override {
+    const size_t size = edges.n * size_t(core_.tables().n_joint);
+    Point other(2 * edges.n), other_q0(size), other_q1(size);
+    first_.edge_gradients(edges, sampling, out);
+    second_.edge_gradients(edges, sampling, {other.data(), other_q0.data(), other_q1.data()});
+    for (size_t i = 0; i < edges.n; ++i) out.cost[2 * i + 1] += other[2 * i + 1];
+    for (size_t i = 0; i < size; ++i) out.d_q0[i] += other_q0[i], out.d_q1[i] += other_q1[i];
   }
 
  private:
   const Impact &first_, &second_;
 };
 
-}  // namespace
 }  // namespace gp

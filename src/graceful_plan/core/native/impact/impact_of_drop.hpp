@@ -8,7 +8,8 @@ static inline bool matters(const DropTables& drop, const double* severity) {
   return false;
 }
 
-static inline void carried_probability(const DropTables& drop, const Flight& flight, const Landing& landing, const double* severity, D* P) {
+static inline void carried_probability(const DropTables& drop, const Flight& flight, const Landing& landing,
+                                       const double* severity, D* P) {
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   D lower = landing.landed;  // sum of F over this level and those below it
@@ -27,14 +28,24 @@ static inline void carried_probability(const DropTables& drop, const Flight& fli
   }
 }
 
-// P [kDropRows, n_entity] of every entity; those without severity are left at zero, if severities are given.
-static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd, D* P) {
+// From the state at the release to where the object comes down.
+struct Fall {
   Frame<D> X_W[kMaxLinks];
   Flight flight;
   Landing landing;
-  forward_kinematics(tables, q, X_W);
-  release(tables, drop, X_W, qd, flight);
-  land(drop, flight, landing);
+
+  Fall(const Tables& tables, const DropTables& drop, const D* q, const D* qd) {
+    forward_kinematics(tables, q, X_W);
+    release(tables, drop, X_W, qd, flight);
+    land(drop, flight, landing);
+  }
+};
+
+// P [kDropRows, n_entity] of every entity; those without severity are left at zero, if severities are given.
+static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
+                                    const D* qd, D* P) {
+  const Fall fall(tables, drop, q, qd);
+  const auto& [X_W, flight, landing] = fall;
   for (int e = 0; e < kDropRows * drop.n_entity; ++e) P[e] = D{};
   if (!severity || matters(drop, severity)) carried_probability(drop, flight, landing, severity, P);
   if (!drop.spill.surface) return;
@@ -47,11 +58,13 @@ static inline void drop_probability(const Tables& tables, const DropTables& drop
     spill.run(drop, flight, landing, mouth, own);
     D* reached = P + row * drop.n_entity;
     for (int i = 0; i < drop.n_surface; ++i)
-      if (Spill::wanted(drop, i, own)) reached[drop.surface[i].entity] = maximum(reached[drop.surface[i].entity], spill.probability(i));
+      if (Spill::wanted(drop, i, own))
+        reached[drop.surface[i].entity] = maximum(reached[drop.surface[i].entity], spill.probability(i));
   }
 }
 
-static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q, const D* qd) {
+static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
+                               const D* qd) {
   D P[kDropRows * kMaxEntities], impact = {};
   drop_probability(tables, drop, severity, q, qd, P);
   for (int e = 0; e < kDropRows * drop.n_entity; ++e) impact += P[e] * severity[e];
@@ -61,8 +74,9 @@ static inline D drop_impact_of(const Tables& tables, const DropTables& drop, con
 // --- gradient -------------------------------------------------------------------------------------------------------
 
 // Adds what contents do to the impact and to derivatives; returns that with respect to a small turn of the object.
-static inline Vec<D> back_contents(const DropTables& drop, const Frame<D>& X, const Flight& flight, const Landing& landing, const double* severity,
-                                   D& impact, LandingSlope& d_landing, FlightSlope& d_flight) {
+static inline Vec<D> back_contents(const DropTables& drop, const Frame<D>& X, const Flight& flight,
+                                   const Landing& landing, const double* severity, D& impact, LandingSlope& d_landing,
+                                   FlightSlope& d_flight) {
   Vec<D> d_turn = {D{}, D{}, D{}};
   if (!drop.spill.surface) return d_turn;
   Mouth mouth;
@@ -70,20 +84,17 @@ static inline Vec<D> back_contents(const DropTables& drop, const Frame<D>& X, co
   pour(drop.spill, X, flight, mouth);
   for (int row = 1; row < kDropRows; ++row) {
     const double* own = severity + row * drop.n_entity;
-    if (matters(drop, own)) impact += back_spill(drop, flight, landing, mouth, drop.spill.use[row - 1], own, d_mouth, d_landing, d_flight);
+    if (matters(drop, own))
+      impact += back_spill(drop, flight, landing, mouth, drop.spill.use[row - 1], own, d_mouth, d_landing, d_flight);
   }
   return back_pour(flight, mouth, d_mouth, d_flight);
 }
 
-static inline D drop_impact_gradient(const Tables& tables, const DropTables& drop, const double* severities, const D* q, const D* qd, D* d_q,
-                                     D* d_qd) {
+static inline D drop_impact_gradient(const Tables& tables, const DropTables& drop, const double* severities, const D* q,
+                                     const D* qd, D* d_q, D* d_qd) {
   const double* severity = severities;
-  Frame<D> X_W[kMaxLinks];
-  Flight flight;
-  Landing landing;
-  forward_kinematics(tables, q, X_W);
-  release(tables, drop, X_W, qd, flight);
-  land(drop, flight, landing);
+  const Fall fall(tables, drop, q, qd);
+  const auto& [X_W, flight, landing] = fall;
   // Forwards, as in drop_probability, with a record.
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
@@ -110,7 +121,8 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   LandingSlope d_landing(drop);
   TumbleSlope d_tumble;
   SweepSlope d_sweep;
-  D open[kMaxEntities], d_G[kMaxSurfaces], d_lower = {};  // open: severities of entities whose greatest P is not yet found
+  D open[kMaxEntities], d_G[kMaxSurfaces],
+      d_lower = {};  // open: severities of entities whose greatest P is not yet found
   for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = D{} + severity[e];
   D d_lowers[kMaxSurfaces];
   for (int l = 0; l < drop.n_level; ++l) {
@@ -126,8 +138,8 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
       d_G[k] = d * (1.0 - C) * (1.0 - H[k]);
       if (!any(H[k] > 0.0)) continue;
       D d_beside = {};
-      back_sweep_hit(drop, flight, sweep, s, landing.time[k], relu(lower[l] - C), d * (1.0 - C) * (1.0 - G[k]), d_sweep, d_flight, d_landing.time[k],
-                     d_beside);
+      back_sweep_hit(drop, flight, sweep, s, landing.time[k], relu(lower[l] - C), d * (1.0 - C) * (1.0 - G[k]), d_sweep,
+                     d_flight, d_landing.time[k], d_beside);
       d_beside = where(lower[l] > C, d_beside, D{});
       d_landing.contact[k] -= d_beside, d_lowers[l] += d_beside;
     }
@@ -149,32 +161,33 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
 
 // --- many states ----------------------------------------------------------------------------------------------------
 
-template <class Visit> static inline void for_each_release(const Tables& tables, const double* q, const double* qd, size_t n, Visit visit) {
+template <class Visit> static inline void for_each_release(const Tables& tables, const States& states, Visit visit) {
   D qs[kMaxJoints], rates[kMaxJoints];
-  for (size_t first = 0; first < n; first += kAbreast<D>) {
-    load(tables, q, first, n, qs);
-    if (qd) load(tables, qd, first, n, rates);
-    visit(first, qs, qd ? rates : nullptr);
+  for (size_t first = 0; first < states.n; first += kAbreast<D>) {
+    load(tables, states.q, first, states.n, qs);
+    if (states.qd) load(tables, states.qd, first, states.n, rates);
+    visit(first, qs, states.qd ? rates : nullptr);
   }
 }
 
-static void drop_impact(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
+static void drop_impact(const Tables& tables, const DropTables& drop, const double* severity, const States& states,
                         double* out) {
-  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+  for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
     const D value = drop_impact_of(tables, drop, severity, qs, rates);
-    for (int i = 0; i < kAbreast<D> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
+    for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i) out[first + size_t(i)] = value[i];
   });
 }
 
-static void drop_gradient(const Tables& tables, const DropTables& drop, const double* severity, const double* q, const double* qd, size_t n,
-                          double* impact, double* d_q, double* d_qd) {
+static void drop_gradient(const Tables& tables, const DropTables& drop, const double* severity, const States& states,
+                          const Slopes& out) {
   D slope_q[kMaxJoints], slope_qd[kMaxJoints];
   const size_t nq = size_t(tables.n_joint);
-  for_each_release(tables, q, qd, n, [&](size_t first, const D* qs, const D* rates) {
+  for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
     const D value = drop_impact_gradient(tables, drop, severity, qs, rates, slope_q, slope_qd);
-    for (int i = 0; i < kAbreast<D> && first + size_t(i) < n; ++i) {
-      impact[first + size_t(i)] = value[i];
-      for (size_t j = 0; j < nq; ++j) d_q[(first + size_t(i)) * nq + j] = slope_q[j][i], d_qd[(first + size_t(i)) * nq + j] = slope_qd[j][i];
+    for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i) {
+      const size_t row = first + size_t(i);
+      out.value[row] = value[i];
+      for (size_t j = 0; j < nq; ++j) out.d_q[row * nq + j] = slope_q[j][i], out.d_qd[row * nq + j] = slope_qd[j][i];
     }
   });
 }

@@ -2,8 +2,8 @@
 
 constexpr double kLeastArea = 1e-12;  // of a body seen from above [m2]; what is thinner cannot be hit from above
 
-// Where boxes are over all lanes: the rectangle that they stay in and how high they reach. Most targets are out of that,
-// which a few scalar comparisons tell.
+// Where boxes are over all lanes: the rectangle that they stay in and how high they reach. Most targets are out of
+// that, which a few scalar comparisons tell.
 struct Range {
   double least[2], most[2], highest;
 
@@ -69,11 +69,13 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
     for (int i = 0; i < 3; ++i) {
       half[i] = D{};
       for (int j = 0; j < 3; ++j)
-        half[i] += absolute(X.R[3 * i] * part.R[j] + X.R[3 * i + 1] * part.R[3 + j] + X.R[3 * i + 2] * part.R[6 + j]) * part.half[j];
+        half[i] += absolute(X.R[3 * i] * part.R[j] + X.R[3 * i + 1] * part.R[3 + j] + X.R[3 * i + 2] * part.R[6 + j]) *
+                   part.half[j];
     }
     for (int i = 0; i < 2; ++i) {
       boxes.lower[k][i] = c[i] - half[i], boxes.upper[k][i] = c[i] + half[i];
-      boxes.range[k].least[i] = least_lane(boxes.lower[k][i]), boxes.range[k].most[i] = greatest_lane(boxes.upper[k][i]);
+      boxes.range[k].least[i] = least_lane(boxes.lower[k][i]),
+      boxes.range[k].most[i] = greatest_lane(boxes.upper[k][i]);
     }
     const int r = part.component;
     boxes.bottom[r] = minimum(boxes.bottom[r], c[2] - half[2]), boxes.top[r] = maximum(boxes.top[r], c[2] + half[2]);
@@ -83,11 +85,11 @@ static inline void place_parts(const Tables& tables, const Frame<D>* X_W, const 
   }
 }
 
-// P(entity, component) = max(sum I / sum A_entity, sum I / sum A_component), I the overlap in xy of a pair of boxes, A a box's
-// area in xy; sums over all pairs, respectively all boxes; at most 1. It counts if the component as a whole is above the
-// entity as a whole, or if their heights overlap; else P is 0. False, with P = 0, if no box comes near.
-static inline bool interactions(const Tables& tables, const Hazard& hazard, const PartBoxes& boxes, int component, const Harmed& entity,
-                                D& P) {
+// P(entity, component) = max(sum I / sum A_entity, sum I / sum A_component), I the overlap in xy of a pair of boxes, A
+// a box's area in xy; sums over all pairs, respectively all boxes; at most 1. It counts if the component as a whole is
+// above the entity as a whole, or if their heights overlap; else P is 0. False, with P = 0, if no box comes near.
+static inline bool interactions(const Tables& tables, const Hazard& hazard, const PartBoxes& boxes, int component,
+                                const Harmed& entity, D& P) {
   P = D{};
   const Target& whole = entity.bound;
   if (!boxes.all[component].may_hit(whole)) return false;
@@ -102,8 +104,10 @@ static inline bool interactions(const Tables& tables, const Hazard& hazard, cons
       const Target& target = tables.target[t];
       if (!boxes.range[k].overlaps(target)) continue;
       near = true;
-      const D x = relu(minimum(boxes.upper[k][0], D{} + target.upper[0]) - maximum(boxes.lower[k][0], D{} + target.lower[0]));
-      const D y = relu(minimum(boxes.upper[k][1], D{} + target.upper[1]) - maximum(boxes.lower[k][1], D{} + target.lower[1]));
+      const D x =
+          relu(minimum(boxes.upper[k][0], D{} + target.upper[0]) - maximum(boxes.lower[k][0], D{} + target.lower[0]));
+      const D y =
+          relu(minimum(boxes.upper[k][1], D{} + target.upper[1]) - maximum(boxes.lower[k][1], D{} + target.lower[1]));
       overlap += x * y;
     }
   }
@@ -113,7 +117,8 @@ static inline bool interactions(const Tables& tables, const Hazard& hazard, cons
   return true;
 }
 
-template <class Visit> static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const Hazard& hazard, Visit visit) {
+template <class Visit>
+static inline void for_each_interaction(const Tables& tables, const Frame<D>* X_W, const Hazard& hazard, Visit visit) {
   PartBoxes boxes;
   place_parts(tables, X_W, hazard, boxes);
   for (int entity = 0; entity < tables.n_entity; ++entity)

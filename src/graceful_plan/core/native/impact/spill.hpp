@@ -1,12 +1,12 @@
 // The spill model: whom contents reach after a drop, and if they get out in the gripper. The specification, with the
-// letters used here, is in costs/interactions/spill.py. What is left out to save time is as in drop.hpp.
+// letters used here, is in costs/models/spill. What is left out to save time is as in drop.hpp.
 
 // --- the container --------------------------------------------------------------------------------------------------
 
 struct Mouth {
-  Vec<D> o, axis;    // from c; the container's axis
-  D x, y, vx, vy;    // m, vm
-  D up, speed2;      // p, sm2
+  Vec<D> o, axis;  // from c; the container's axis
+  D x, y, vx, vy;  // m, vm
+  D up, speed2;    // p, sm2
 };
 
 static inline void pour(const SpillTables& spill, const Frame<D>& X, const Flight& flight, Mouth& mouth) {
@@ -45,10 +45,10 @@ static inline D upon(const Surface& s, D x, D y, D a, D b, D inverse_scale) {
 }
 
 struct SpillLevel {
-  D u, hard, arrives, x, y;    // q, a, L; places from m
-  D flows, flow_x, flow_y;     // O, o above the level
-  D past, over;                // g, h
-  D lands, land_x, land_y;     // U, W
+  D u, hard, arrives, x, y;  // q, a, L; places from m
+  D flows, flow_x, flow_y;   // O, o above the level
+  D past, over;              // g, h
+  D lands, land_x, land_y;   // U, W
 };
 
 static inline D impact_speed(const Flight& flight, double top) {
@@ -59,15 +59,16 @@ static inline D impact_speed(const Flight& flight, double top) {
 struct Spill {
   const SpillConstants& k;
   D x, y, inverse_scale, rho;  // m
-  double inner;  // half sizes up to which a surface carries no puddle without an edge
+  double inner;                // half sizes up to which a surface carries no puddle without an edge
   SpillLevel level[kMaxSurfaces];
   D sum[kMaxSurfaces + 1], sum_x[kMaxSurfaces + 1], sum_y[kMaxSurfaces + 1];  // of U and W over the levels above
-  D fallen[kMaxSurfaces], flown[kMaxSurfaces], stood[kMaxSurfaces];         // A, B, D
+  D fallen[kMaxSurfaces], flown[kMaxSurfaces], stood[kMaxSurfaces];           // A, B, D
 
   explicit Spill(const SpillConstants& constants) : k(constants) {}
 
   // `severity` as in drop_probability.
-  void run(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, const double* severity) {
+  void run(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth,
+           const double* severity) {
     const SpillTables& spill = drop.spill;
     rho = Filling(spill, k, mouth).rho;
     inner = spill.radius * k.edge;
@@ -111,15 +112,18 @@ struct Spill {
   void flow_on(const DropTables& drop, int l, const double* severity) {
     SpillLevel& at = level[l];
     const bool arrives = any(at.arrives > kNothing), flows = any(at.flows > kNothing);
-    const D share = reciprocal(at.flows + kLeastMass), fx = at.flow_x * share, fy = at.flow_y * share, run = k.run_off * rho;
+    const D share = reciprocal(at.flows + kLeastMass), fx = at.flow_x * share, fy = at.flow_y * share,
+            run = k.run_off * rho;
     at.past = at.over = D{} + 1.0;
     for (int i = drop.level_start[l]; i < drop.level_start[l + 1]; ++i) {
       const Surface& s = drop.surface[i];
       fallen[i] = flown[i] = D{};
       if (arrives && wanted(drop, i, severity))
-        fallen[i] = at.arrives * upon(s, x + at.x, y + at.y, D{} + (s.half[0] + k.margin), D{} + (s.half[1] + k.margin), inverse_scale);
+        fallen[i] = at.arrives * upon(s, x + at.x, y + at.y, D{} + (s.half[0] + k.margin), D{} + (s.half[1] + k.margin),
+                                      inverse_scale);
       if (!flows || drop.spill.surface[i].visible == 0.0) continue;
-      const D onto = drop.spill.surface[i].visible * upon(s, x + fx, y + fy, s.half[0] + run, s.half[1] + run, inverse_scale);
+      const D onto =
+          drop.spill.surface[i].visible * upon(s, x + fx, y + fy, s.half[0] + run, s.half[1] + run, inverse_scale);
       flown[i] = at.flows * onto;
       at.past *= 1.0 - onto;
     }
@@ -130,7 +134,8 @@ struct Spill {
     const D landed = reciprocal(at.lands + kLeastMass), px = x + at.land_x * landed, py = y + at.land_y * landed;
     for (int i = drop.level_start[l]; i < drop.level_start[l + 1]; ++i) {
       const Surface& s = drop.surface[i];
-      if (is_wide(s)) at.over *= 1.0 - upon(s, px, py, D{} + (s.half[0] - inner), D{} + (s.half[1] - inner), inverse_scale);
+      if (is_wide(s))
+        at.over *= 1.0 - upon(s, px, py, D{} + (s.half[0] - inner), D{} + (s.half[1] - inner), inverse_scale);
     }
   }
   D standing(const DropTables& drop, int i) const {
@@ -139,7 +144,8 @@ struct Spill {
     const D U = sum[stands.end] - sum[stands.first];
     if (!any(U > kNothing)) return D{};
     const D share = reciprocal(U + kLeastMass), reach = k.reach * rho;
-    const D px = (sum_x[stands.end] - sum_x[stands.first]) * share, py = (sum_y[stands.end] - sum_y[stands.first]) * share;
+    const D px = (sum_x[stands.end] - sum_x[stands.first]) * share,
+            py = (sum_y[stands.end] - sum_y[stands.first]) * share;
     return minimum(U, D{} + 1.0) * upon(s, x + px, y + py, s.half[0] + reach, s.half[1] + reach, inverse_scale);
   }
 };

@@ -37,7 +37,8 @@ static inline void back_standing(const DropTables& drop, const Spill& spill, int
   const D U = spill.sum[stands.end] - spill.sum[stands.first];
   if (!any(U > kNothing)) return;
   const D share = reciprocal(U + kLeastMass), reach = spill.k.reach * spill.rho;
-  const D x = (spill.sum_x[stands.end] - spill.sum_x[stands.first]) * share, y = (spill.sum_y[stands.end] - spill.sum_y[stands.first]) * share;
+  const D x = (spill.sum_x[stands.end] - spill.sum_x[stands.first]) * share,
+          y = (spill.sum_y[stands.end] - spill.sum_y[stands.first]) * share;
   const Upon upon(s, spill.x + x, spill.y + y, s.half[0] + reach, s.half[1] + reach, spill.inverse_scale);
   const D d_upon = d_D * minimum(U, D{} + 1.0);
   d.rho += d_upon * upon.half * spill.k.reach;
@@ -56,13 +57,15 @@ struct FlowSlope {
   D flows = {}, x = {}, y = {};  // O and o
 };
 
-static inline void back_over(const DropTables& drop, const Spill& spill, int l, D d_over, D& d_lands, D& d_x, D& d_y, SpillSlope& d) {
+static inline void back_over(const DropTables& drop, const Spill& spill, int l, D d_over, D& d_lands, D& d_x, D& d_y,
+                             SpillSlope& d) {
   const SpillLevel& at = spill.level[l];
   if (!any(at.lands > kNothing)) return;
   const D share = reciprocal(at.lands + kLeastMass), x = at.land_x * share, y = at.land_y * share;
   const int first = drop.level_start[l], last = drop.level_start[l + 1];
   const auto upon_inner = [&](const Surface& s) {
-    return Upon(s, spill.x + x, spill.y + y, D{} + (s.half[0] - spill.inner), D{} + (s.half[1] - spill.inner), spill.inverse_scale);
+    return Upon(s, spill.x + x, spill.y + y, D{} + (s.half[0] - spill.inner), D{} + (s.half[1] - spill.inner),
+                spill.inverse_scale);
   };
   D before[kMaxSurfaces], past = D{} + 1.0, after = D{} + 1.0;
   for (int i = first; i < last; ++i) {
@@ -83,15 +86,17 @@ static inline void back_over(const DropTables& drop, const Spill& spill, int l, 
 }
 
 // d_flow: with respect to the state below the level, replaced by that above it. d_fallen, d_flown: A and B.
-static inline void back_flow(const DropTables& drop, const Spill& spill, int l, const D* d_fallen, const D* d_flown, FlowSlope& d_flow, D& d_arrives,
-                             D& d_Lx, D& d_Ly, SpillSlope& d) {
+static inline void back_flow(const DropTables& drop, const Spill& spill, int l, const D* d_fallen, const D* d_flown,
+                             FlowSlope& d_flow, D& d_arrives, D& d_Lx, D& d_Ly, SpillSlope& d) {
   const SpillLevel& at = spill.level[l];
   D d_past = d_flow.flows * at.flows + d_flow.x * at.flow_x + d_flow.y * at.flow_y;
   const D d_over = d_flow.flows * at.lands + d_flow.x * at.land_x + d_flow.y * at.land_y;
-  D d_lands = d.lands[l] + d_flow.flows * at.over, d_x = d.land_x[l] + d_flow.x * at.over, d_y = d.land_y[l] + d_flow.y * at.over;
+  D d_lands = d.lands[l] + d_flow.flows * at.over, d_x = d.land_x[l] + d_flow.x * at.over,
+    d_y = d.land_y[l] + d_flow.y * at.over;
   d_flow.flows *= at.past, d_flow.x *= at.past, d_flow.y *= at.past;
   back_over(drop, spill, l, d_over, d_lands, d_x, d_y, d);
-  const D share = reciprocal(at.flows + kLeastMass), fx = at.flow_x * share, fy = at.flow_y * share, run = spill.k.run_off * spill.rho;
+  const D share = reciprocal(at.flows + kLeastMass), fx = at.flow_x * share, fy = at.flow_y * share,
+          run = spill.k.run_off * spill.rho;
   const D stays = at.flows * (1.0 - at.past), d_stays = d_lands + d_x * fx + d_y * fy;
   d_arrives = d_lands + d_x * at.x + d_y * at.y;
   d_Lx = d_x * at.arrives, d_Ly = d_y * at.arrives;
@@ -106,7 +111,8 @@ static inline void back_flow(const DropTables& drop, const Spill& spill, int l, 
   for (int i = last; i-- > first;) {
     const Surface& s = drop.surface[i];
     if (arrives && any(d_fallen[i] != 0.0)) {
-      const Upon upon(s, spill.x + at.x, spill.y + at.y, D{} + (s.half[0] + spill.k.margin), D{} + (s.half[1] + spill.k.margin), spill.inverse_scale);
+      const Upon upon(s, spill.x + at.x, spill.y + at.y, D{} + (s.half[0] + spill.k.margin),
+                      D{} + (s.half[1] + spill.k.margin), spill.inverse_scale);
       const D d_upon = d_fallen[i] * at.arrives;
       d_arrives += d_fallen[i] * upon.value;
       d.x += d_upon * upon.x, d.y += d_upon * upon.y;
@@ -126,13 +132,15 @@ static inline void back_flow(const DropTables& drop, const Spill& spill, int l, 
   d_flow.flows -= share * (d_fx * fx + d_fy * fy);
 }
 
-static inline void back_arrive(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, const Spill& spill, int l,
-                               D d_arrives, D d_x, D d_y, MouthSlope& d_mouth, LandingSlope& d_landing, FlightSlope& d_flight) {
+static inline void back_arrive(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth,
+                               const Spill& spill, int l, D d_arrives, D d_x, D d_y, MouthSlope& d_mouth,
+                               LandingSlope& d_landing, FlightSlope& d_flight) {
   const SpillLevel& at = spill.level[l];
   const int first = drop.level_start[l];
   const D time = landing.time[first] + spill.k.carry;
   d_landing.first[l] += d_arrives * at.hard, d_landing.leaving[l] += d_arrives * (1.0 - at.hard);
-  const D d_u = d_arrives * (landing.first[l] - landing.leaving[l]) * at.hard * (1.0 - at.hard) * (1.0 / (kBeta * spill.k.soft_spread));
+  const D d_u = d_arrives * (landing.first[l] - landing.leaving[l]) * at.hard * (1.0 - at.hard) *
+                (1.0 / (kBeta * spill.k.soft_spread));
   const D h = flight.low - drop.surface[first].top, soft = square_root(h * h + 1e-4), slope = d_u * reciprocal(at.u);
   d_flight.v.z += slope * flight.v.z;
   d_flight.low += slope * (0.5 * kGravity) * (1.0 + h * reciprocal(soft));
@@ -142,29 +150,33 @@ static inline void back_arrive(const DropTables& drop, const Flight& flight, con
 
 // --- the container --------------------------------------------------------------------------------------------------
 
-static inline void back_filling(const DropTables& drop, const Landing& landing, const Mouth& mouth, const Spill& spill, const SpillSlope& d,
-                                MouthSlope& d_mouth, LandingSlope& d_landing) {
+static inline void back_filling(const DropTables& drop, const Landing& landing, const Mouth& mouth, const Spill& spill,
+                                const SpillSlope& d, MouthSlope& d_mouth, LandingSlope& d_landing) {
   const SpillTables& tables = drop.spill;
   const SpillConstants& k = spill.k;
-  const D d_variance = -0.5 * kBeta * kBeta * spill.inverse_scale * spill.inverse_scale * spill.inverse_scale * d.inverse_scale;
+  const D d_variance =
+      -0.5 * kBeta * kBeta * spill.inverse_scale * spill.inverse_scale * spill.inverse_scale * d.inverse_scale;
   d_mouth.x += d.x, d_mouth.y += d.y;
   d_mouth.speed2 += k.speed_spread * k.speed_spread * d_variance;
   d_landing.fallen += 2.0 * k.height_spread * k.height_spread * landing.fallen * d_variance;
   const Filling filling(tables, k, mouth);
   const D cube = filling.fill * filling.fill * filling.fill;
   const D d_fill = -d.rho * filling.rho * tables.power * cube * reciprocal(1.0 + cube * filling.fill);
-  const D d_x = d_fill * (1.0 + filling.x * (2.0 + 5.1 * filling.x)) * (1.0 / tables.full), d_lean = d_x * (tables.rim / tables.depth);
+  const D d_x = d_fill * (1.0 + filling.x * (2.0 + 5.1 * filling.x)) * (1.0 / tables.full),
+          d_lean = d_x * (tables.rim / tables.depth);
   d_mouth.speed2 += d_lean * k.slosh * 0.5 * reciprocal(filling.speed);
   const D d_slope = where(filling.slope > tables.repose, d_lean, D{}), inverse_up = reciprocal(mouth.up);
   const D inverse_side = inverse_root(1.0051 - mouth.up * mouth.up);
   d_mouth.up -= d_slope * (inverse_side + filling.slope * inverse_up);
 }
 
-static inline D severest(const DropTables& drop, const Spill& spill, const double* severity, D* d_fallen, D* d_flown, D* d_stood) {
+static inline D severest(const DropTables& drop, const Spill& spill, const double* severity, D* d_fallen, D* d_flown,
+                         D* d_stood) {
   D P[kMaxEntities], open[kMaxEntities], impact = {};
   for (int e = 0; e < drop.n_entity; ++e) P[e] = D{}, open[e] = D{} + severity[e];
   for (int i = 0; i < drop.n_surface; ++i)
-    if (drop.surface[i].entity >= 0) P[drop.surface[i].entity] = maximum(P[drop.surface[i].entity], spill.probability(i));
+    if (drop.surface[i].entity >= 0)
+      P[drop.surface[i].entity] = maximum(P[drop.surface[i].entity], spill.probability(i));
   for (int i = 0; i < drop.n_surface; ++i) {
     const int entity = drop.surface[i].entity;
     d_fallen[i] = d_flown[i] = d_stood[i] = D{};
@@ -181,8 +193,9 @@ static inline D severest(const DropTables& drop, const Spill& spill, const doubl
 }
 
 // The impact of one use, and its derivatives.
-static inline D back_spill(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, const SpillConstants& constants,
-                           const double* severity, MouthSlope& d_mouth, LandingSlope& d_landing, FlightSlope& d_flight) {
+static inline D back_spill(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth,
+                           const SpillConstants& constants, const double* severity, MouthSlope& d_mouth,
+                           LandingSlope& d_landing, FlightSlope& d_flight) {
   Spill spill(constants);
   spill.run(drop, flight, landing, mouth, severity);
   D d_fallen[kMaxSurfaces], d_flown[kMaxSurfaces], d_stood[kMaxSurfaces];
@@ -190,7 +203,8 @@ static inline D back_spill(const DropTables& drop, const Flight& flight, const L
   SpillSlope d(drop);
   for (int i = 0; i < drop.n_surface; ++i)
     if (any(d_stood[i] != 0.0)) back_standing(drop, spill, i, d_stood[i], d);
-  for (int l = 1; l < drop.n_level; ++l) d.lands[l] += d.lands[l - 1], d.land_x[l] += d.land_x[l - 1], d.land_y[l] += d.land_y[l - 1];
+  for (int l = 1; l < drop.n_level; ++l)
+    d.lands[l] += d.lands[l - 1], d.land_x[l] += d.land_x[l - 1], d.land_y[l] += d.land_y[l - 1];
   FlowSlope d_flow;
   for (int l = drop.n_level; l-- > 0;) {
     D d_arrives, d_x, d_y;

@@ -1,8 +1,8 @@
-// The default planner's search: RRT-Connect for the first path, then paths that might become better, one after the other. They
-// come from small roadmaps (Scout), from detours of the best path, from RRT-Connect through the valleys of the impact and from
-// cost-bounded RRT-Connect (AO-x: whatever it finds beats the best path). Each is descended along the gradient of J and refined
-// by random moves, for as long as it may still win; whatever becomes the best path is polished on finer vertices. Where J has no
-// gradient, several are refined side by side instead.
+// The default planner's search: RRT-Connect for the first path, then paths that might become better, one after the
+// other. They come from small roadmaps (Scout), from detours of the best path, from RRT-Connect through the valleys of
+// the impact and from cost-bounded RRT-Connect (AO-x: whatever it finds beats the best path). Each is descended along
+// the gradient of J and refined by random moves, for as long as it may still win; whatever becomes the best path is
+// polished on finer vertices. Where J has no gradient, several are refined side by side instead.
 #pragma once
 #include <algorithm>
 #include <memory>
@@ -23,9 +23,14 @@ struct AnytimeSettings {
 class Anytime {
  public:
   Anytime(Space& space, Point start, std::vector<Point> goals, AnytimeSettings settings, uint64_t seed)
-      : space_(space), start_(start), goals_(goals), settings_(settings),
-        descends_(settings.descents && space.has_slopes() && space.w > 0), random_(seed),
-        connect_(space, start, goals, settings.connect, random_.bits()), scout_(space, std::move(start), std::move(goals), random_.bits()) {}
+      : space_(space),
+        start_(start),
+        goals_(goals),
+        settings_(settings),
+        descends_(settings.descents && space.has_slopes() && space.w > 0),
+        random_(seed),
+        connect_(space, start, goals, settings.connect, random_.bits()),
+        scout_(space, std::move(start), std::move(goals), random_.bits()) {}
 
   // Work until the slice ends; true if the best path changed. Stops early at a proven optimum.
   bool run(Slice& slice) {
@@ -50,11 +55,23 @@ class Anytime {
   // Look at a path next, free or, with a gradient, not.
   void suggest(std::vector<Point> path) {
     const bool free = space_.path_free(path);
-    if (descends_ || free) challengers_.insert(challengers_.begin(), challenger(std::move(path), free ? kPolish : kSuggested));
+    if (descends_ || free)
+      challengers_.insert(challengers_.begin(), challenger(std::move(path), free ? kPolish : kSuggested));
   }
 
  private:
-  enum Source { kScoutLine, kScoutBest, kDetour, kToolDetour, kValley, kPlain, kBound, kPolish, kSources, kSuggested = kSources };
+  enum Source {
+    kScoutLine,
+    kScoutBest,
+    kDetour,
+    kToolDetour,
+    kValley,
+    kPlain,
+    kBound,
+    kPolish,
+    kSources,
+    kSuggested = kSources
+  };
   static constexpr int64_t kFirstRound = 150, kLastRound = 5000;  // moves of each challenger in a contest
   static constexpr int kFirstScout = 150, kLastScout = 600;       // nodes
   static constexpr size_t kElite = 6;
@@ -73,7 +90,8 @@ class Anytime {
     Challenger& one = *challengers_.front();
     one.step();
     bool improved = false;
-    if (std::vector<Point> early = one.take_early(); !early.empty()) improved = take(Polyline::of(space_, std::move(early)));
+    if (std::vector<Point> early = one.take_early(); !early.empty())
+      improved = take(Polyline::of(space_, std::move(early)));
     if (one.refiner()) improved |= take(one.refiner()->path());
     if (improved) ++won_;
     if (one.hopeless(best_.total)) {
@@ -86,8 +104,8 @@ class Anytime {
     return improved;
   }
 
-  // Rounds of successive halving: gather challengers, refine all of them a little, drop the worse half, refine the rest twice
-  // as long, and so on until one is left, which is refined until it wins or settles.
+  // Rounds of successive halving: gather challengers, refine all of them a little, drop the worse half, refine the rest
+  // twice as long, and so on until one is left, which is refined until it wins or settles.
   bool contest() {
     if (turns_ == 0) {
       if (int(challengers_.size()) < settings_.challengers) return explore();
@@ -108,7 +126,8 @@ class Anytime {
       const Challenger& last = *challengers_[0];
       return (last.settled() < 0.02 || last.estimate() > 1.1 * best_.total || turns_ > kLastRound) && end_contest();
     }
-    std::stable_sort(challengers_.begin(), challengers_.end(), [](const auto& a, const auto& b) { return a->estimate() < b->estimate(); });
+    std::stable_sort(challengers_.begin(), challengers_.end(),
+                     [](const auto& a, const auto& b) { return a->estimate() < b->estimate(); });
     challengers_.resize((challengers_.size() + 1) / 2);
     return false;
   }
@@ -125,7 +144,8 @@ class Anytime {
   Source choose() {
     // How often each is asked as long as nothing is known.
     const bool feared = space_.w > 0, scouts = descends_ && settings_.scouts;
-    const double prior[kSources] = {scouts ? 1.0 : 0.0, scouts ? 1.5 : 0.0, 1.0, 1.0, feared ? 0.8 : 0.0, 0.2, 0.3, descends_ ? 3.0 : 0.0};
+    const double prior[kSources] = {scouts ? 1.0 : 0.0,   scouts ? 1.5 : 0.0, 1.0, 1.0, feared ? 0.8 : 0.0, 0.2, 0.3,
+                                    descends_ ? 3.0 : 0.0};
     double weight[kSources], sum = 0;
     for (int s = 0; s < kSources; ++s) sum += weight[s] = prior[s] * (0.3 + score_[s]);
     double u = random_.uniform() * sum;
@@ -154,7 +174,8 @@ class Anytime {
     if (source_ == kToolDetour) return tool_detour();
     if (source_ == kScoutLine || source_ == kScoutBest) return scout();
     const double infinite = std::numeric_limits<double>::infinity();
-    connect_.reset(source_ == kBound ? best_.total : infinite, source_ == kValley ? mean_impact() * random_.uniform(0.05, 1.5) : infinite);
+    connect_.reset(source_ == kBound ? best_.total : infinite,
+                   source_ == kValley ? mean_impact() * random_.uniform(0.05, 1.5) : infinite);
     connect_.skip_direct();
     searching_ = true;
     search_age_ = 0;
@@ -168,7 +189,8 @@ class Anytime {
     std::vector<std::vector<Point>> known;
     if (scouts_ > 0) known.push_back(best_.q);
     for (const Polyline& path : elite_) known.push_back(path.q);
-    scout_.begin(line ? std::vector<Point>{start_, goal} : best_.q, known, line ? 0.5 : 0.25, std::min(kLastScout, kFirstScout << std::min(scouts_, 4)));
+    scout_.begin(line ? std::vector<Point>{start_, goal} : best_.q, known, line ? 0.5 : 0.25,
+                 std::min(kLastScout, kFirstScout << std::min(scouts_, 4)));
     ++scouts_;
     scouting_ = true;
     return false;
@@ -237,7 +259,8 @@ class Anytime {
     const double* best = points.data();
     for (int k = 0; k < tried; ++k) {
       const double* via = points.data() + size_t(k) * dim;
-      const double guess = (space_.distance(a.data(), via) + space_.distance(via, b.data())) * (1 + space_.w * impact[k]);
+      const double guess =
+          (space_.distance(a.data(), via) + space_.distance(via, b.data())) * (1 + space_.w * impact[k]);
       if (guess < least) least = guess, best = via;
     }
     return Point(best, best + dim);
@@ -257,13 +280,15 @@ class Anytime {
     return true;
   }
   std::unique_ptr<Challenger> challenger(std::vector<Point> path, Source source) {
-    const auto beginning = !descends_ ? Challenger::kMove : source == kPolish ? Challenger::kPolish : Challenger::kCoarse;
-    return std::make_unique<Challenger>(space_, std::move(path), settings_.spacing, beginning, scouts_ > 1, source, random_.bits());
+    const auto beginning = !descends_ ? Beginning::kMove : source == kPolish ? Beginning::kPolish : Beginning::kCoarse;
+    const ChallengerSettings settings{settings_.spacing, beginning, scouts_ > 1, source};
+    return std::make_unique<Challenger>(space_, std::move(path), settings, random_.bits());
   }
 
   bool take(const Polyline& path) {
     if (path.total >= best_.total) return false;
-    if (!incumbent_ || &path != &incumbent_->path()) incumbent_ = std::make_unique<Refiner>(space_, path, settings_.spacing, random_.bits());
+    if (!incumbent_ || &path != &incumbent_->path())
+      incumbent_ = std::make_unique<Refiner>(space_, path, settings_.spacing, random_.bits());
     best_ = path;
     return true;
   }
@@ -272,7 +297,8 @@ class Anytime {
   void remember(const Polyline& path) {
     if (path.total > 1.5 * best_.total) return;
     elite_.push_back(path);
-    std::stable_sort(elite_.begin(), elite_.end(), [](const Polyline& a, const Polyline& b) { return a.total < b.total; });
+    std::stable_sort(elite_.begin(), elite_.end(),
+                     [](const Polyline& a, const Polyline& b) { return a.total < b.total; });
     if (elite_.size() > kElite) elite_.pop_back();
   }
 

@@ -1,9 +1,10 @@
-// The curvature of a sum over the links of a chain, learnt link by link: each term depends on the two vertices at its ends only,
-// so that one step teaches something about every link, and not one direction of the whole chain as L-BFGS would learn it.
+// The curvature of a sum over the links of a chain, learnt link by link: each term depends on the two vertices at its
+// ends only, so that one step teaches something about every link, and not one direction of the whole chain as L-BFGS
+// would learn it.
 //
 // References:
-//   Griewank and Toint, "Partitioned variable metric updates for large structured optimization problems", Numer. Math. 1982.
-//   Powell, "A fast algorithm for nonlinearly constrained optimization calculations", 1978 (the damping of BFGS).
+//   Griewank and Toint, "Partitioned variable metric updates for large structured optimization problems", Numer. Math.
+//   1982. Powell, "A fast algorithm for nonlinearly constrained optimization calculations", 1978 (the damping of BFGS).
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,7 +15,8 @@ namespace gp {
 
 class ChainCurvature {
  public:
-  ChainCurvature(size_t links, size_t dim) : n_(links), dim_(dim), matrix_(links * 4 * dim * dim), lower_((links - 1) * dim * dim), beside_(lower_.size()) {}
+  ChainCurvature(size_t links, size_t dim)
+      : n_(links), dim_(dim), matrix_(links * 4 * dim * dim), lower_((links - 1) * dim * dim), beside_(lower_.size()) {}
 
   // Of stiffness |to - from|^2 / 2 for each link.
   void reset(const std::vector<double>& stiffness) {
@@ -73,8 +75,9 @@ class ChainCurvature {
   }
 
  private:
-  static constexpr double kPinned = 0.002;  // what keeps the ends of a link in place, relative to what keeps them together
-  static constexpr double kDamped = 0.3;    // least curvature that is believed, relative to the present one
+  static constexpr double kPinned =
+      0.002;  // what keeps the ends of a link in place, relative to what keeps them together
+  static constexpr double kDamped = 0.3;  // least curvature that is believed, relative to the present one
 
   double* of(size_t e) { return &matrix_[e * 4 * dim_ * dim_]; }
 

@@ -8,25 +8,35 @@
 
 namespace gp {
 
+// How a challenger begins: with moves of a path that is free, with a coarse descent, or with a last one on many
+// vertices.
+enum class Beginning { kMove, kCoarse, kPolish };
+
+struct ChallengerSettings {
+  double spacing;
+  Beginning beginning;
+  bool patient;  // descends further before it is given to the refiner
+  int source;    // of the path
+};
+
 class Challenger {
  public:
-  // How it begins: with moves of a path that is free, with a coarse descent, or with a last one on many vertices.
-  enum Beginning { kMove, kCoarse, kPolish };
-
-  // A patient one descends further before it is given to the refiner.
-  Challenger(Space& space, std::vector<Point> path, double spacing, Beginning beginning, bool patient, int source, uint64_t seed)
-      : space_(space), spacing_(spacing), patient_(patient), source_(source), seed_(seed) {
-    if (beginning == kMove)
+  Challenger(Space& space, std::vector<Point> path, const ChallengerSettings& settings, uint64_t seed)
+      : space_(space), settings_(settings), seed_(seed) {
+    if (settings.beginning == Beginning::kMove)
       refine(std::move(path));
-    else if (beginning == kCoarse)
-      descent_ = std::make_unique<Descent>(space, path, kPieces, DescentSettings{.step = kStep, .push = 5.0, .rough = true});
+    else if (settings.beginning == Beginning::kCoarse)
+      descent_ =
+          std::make_unique<Descent>(space, path, kPieces, DescentSettings{.step = kStep, .push = 5.0, .rough = true});
     else
       polish(path);
   }
 
-  int source() const { return source_; }
+  int source() const { return settings_.source; }
   // J, as far as a descent knows it.
-  double estimate() const { return failed_ ? std::numeric_limits<double>::infinity() : descent_ ? descent_->value() : refiner_->path().total; }
+  double estimate() const {
+    return failed_ ? std::numeric_limits<double>::infinity() : descent_ ? descent_->value() : refiner_->path().total;
+  }
   double settled() const { return refiner_ ? refiner_->settled() : 1.0; }
   // Null while it descends.
   std::unique_ptr<Refiner>& refiner() { return refiner_; }
@@ -58,20 +68,24 @@ class Challenger {
  private:
   static constexpr int kPieces = 14, kFinePieces = 40, kLastPieces = 100;
   static constexpr double kStep = 0.15, kFineStep = 0.05, kLastStep = 0.04;  // between samples of the impact [rad]
-  // Evaluations while coarse, while fine, at last, and after each time that the path was not free in the end; moves of the refiner.
+  // Evaluations while coarse, while fine, at last, and after each time that the path was not free in the end; moves of
+  // the refiner.
   static constexpr int kSteps = 30, kFineSteps = 50, kLastSteps = 200, kMoreSteps = 30, kMoves = 30;
   static constexpr int kHardenings = 2;  // then it is given up
 
   // From few vertices to many.
   void sharpen() {
-    descent_ = std::make_unique<Descent>(space_, descent_->path(), kFinePieces, DescentSettings{.step = kFineStep, .tolerance = patient_ ? 1e-4 : 1e-3});
-    fine_ = true, used_ = 0, limit_ = patient_ ? 2 * kFineSteps : kFineSteps;
+    descent_ =
+        std::make_unique<Descent>(space_, descent_->path(), kFinePieces,
+                                  DescentSettings{.step = kFineStep, .tolerance = settings_.patient ? 1e-4 : 1e-3});
+    fine_ = true, used_ = 0, limit_ = settings_.patient ? 2 * kFineSteps : kFineSteps;
   }
   // On other vertices every time: a path settles where it does by how it is cut, too.
   void polish(const std::vector<Point>& path) {
     Random random(seed_);
     const int pieces = int(kLastPieces * random.uniform(0.75, 1.35));
-    descent_ = std::make_unique<Descent>(space_, path, pieces, DescentSettings{.step = kLastStep * random.uniform(0.75, 1.35), .tolerance = 1e-4});
+    descent_ = std::make_unique<Descent>(
+        space_, path, pieces, DescentSettings{.step = kLastStep * random.uniform(0.75, 1.35), .tolerance = 1e-4});
     fine_ = true, limit_ = kLastSteps;
   }
   void land() {
@@ -88,13 +102,11 @@ class Challenger {
   }
   void refine(std::vector<Point> path) {
     used_ = 0;
-    refiner_ = std::make_unique<Refiner>(space_, Polyline::of(space_, std::move(path)), spacing_, seed_);
+    refiner_ = std::make_unique<Refiner>(space_, Polyline::of(space_, std::move(path)), settings_.spacing, seed_);
   }
 
   Space& space_;
-  double spacing_;
-  bool patient_;
-  int source_;
+  ChallengerSettings settings_;
   uint64_t seed_;
   std::vector<Point> early_;
   std::unique_ptr<Descent> descent_;

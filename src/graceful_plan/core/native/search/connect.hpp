@@ -17,7 +17,13 @@ constexpr int kPatience = 40;  // attempts of the smaller tree before the other 
 class Connect {
  public:
   Connect(Space& space, Point start, std::vector<Point> goals, ConnectSettings settings, uint64_t seed)
-      : space_(space), start_(std::move(start)), goals_(std::move(goals)), settings_(settings), random_(seed), a_(space.dim), b_(space.dim) {
+      : space_(space),
+        start_(std::move(start)),
+        goals_(std::move(goals)),
+        settings_(settings),
+        random_(seed),
+        a_(space.dim),
+        b_(space.dim) {
     reset(std::numeric_limits<double>::infinity());
   }
 
@@ -48,8 +54,8 @@ class Connect {
     }
     if (a_.size() + b_.size() > settings_.max_nodes) reset(bound_, impact_limit_);
     tried_direct_ = true;
-    // The smaller tree grows: where one end sits in a narrow place, its tree would otherwise stay small while the other fills
-    // all of the open space. It is not the only one that does, for a tree may be unable to grow at all.
+    // The smaller tree grows: where one end sits in a narrow place, its tree would otherwise stay small while the other
+    // fills all of the open space. It is not the only one that does, for a tree may be unable to grow at all.
     const bool patient = stuck_ < kPatience;
     if (!patient) stuck_ = 0;
     if (a_.size() != b_.size()) from_start_ = (a_.size() < b_.size()) == patient;
@@ -92,7 +98,8 @@ class Connect {
   // Uniform within the limits and, with a bound, where a path below it can pass at all.
   bool sample(Point& target) {
     for (int attempt = 0; attempt < 50; ++attempt) {
-      for (int j = 0; j < space_.dim; ++j) target[size_t(j)] = random_.uniform(space_.lower[size_t(j)], space_.upper[size_t(j)]);
+      for (int j = 0; j < space_.dim; ++j)
+        target[size_t(j)] = random_.uniform(space_.lower[size_t(j)], space_.upper[size_t(j)]);
       if (std::isinf(bound_) || !space_.motion_is_length()) return true;
       double to_goal = std::numeric_limits<double>::infinity();
       for (const Point& goal : goals_) to_goal = std::min(to_goal, space_.distance(target.data(), goal.data()));
@@ -143,7 +150,8 @@ class Connect {
     const double d = space_.distance(from.data(), target);
     if (d < 1e-9) return -1;
     if (d > settings_.range)
-      for (int j = 0; j < space_.dim; ++j) to[size_t(j)] = from[size_t(j)] + (target[j] - from[size_t(j)]) * settings_.range / d;
+      for (int j = 0; j < space_.dim; ++j)
+        to[size_t(j)] = from[size_t(j)] + (target[j] - from[size_t(j)]) * settings_.range / d;
     const double cost = tree.cost[size_t(near)] + edge_cost(tree, from.data(), to.data());
     if (cost + lower_bound(tree, to.data()) >= bound_) return -1;
     if (!edge_free(tree, from.data(), to.data()) || !is_mild(tree, from.data(), to.data())) return -1;
@@ -152,13 +160,18 @@ class Connect {
 
   bool join(const Tree& grown, int added, const Tree& other, int from, const Point& reached) {
     const Point there(other.node(from), other.node(from) + space_.dim);
-    const double cost = grown.cost[size_t(added)] + other.cost[size_t(from)] + edge_cost(other, there.data(), reached.data());
-    if (cost >= bound_ || !edge_free(other, there.data(), reached.data()) || !is_mild(other, there.data(), reached.data())) return false;
+    const double cost =
+        grown.cost[size_t(added)] + other.cost[size_t(from)] + edge_cost(other, there.data(), reached.data());
+    if (cost >= bound_ || !edge_free(other, there.data(), reached.data()) ||
+        !is_mild(other, there.data(), reached.data()))
+      return false;
     const bool grown_is_a = &grown == &a_;
     path_.clear();
-    for (int i = grown_is_a ? added : from; i >= 0; i = a_.parent[size_t(i)]) path_.emplace_back(a_.node(i), a_.node(i) + space_.dim);
+    for (int i = grown_is_a ? added : from; i >= 0; i = a_.parent[size_t(i)])
+      path_.emplace_back(a_.node(i), a_.node(i) + space_.dim);
     std::reverse(path_.begin(), path_.end());
-    for (int i = grown_is_a ? from : added; i >= 0; i = b_.parent[size_t(i)]) path_.emplace_back(b_.node(i), b_.node(i) + space_.dim);
+    for (int i = grown_is_a ? from : added; i >= 0; i = b_.parent[size_t(i)])
+      path_.emplace_back(b_.node(i), b_.node(i) + space_.dim);
     path_.erase(std::unique(path_.begin(), path_.end()), path_.end());
     for (size_t k = 0; k + 1 < path_.size(); ++k)
       if (!space_.edge_certain(path_[k].data(), path_[k + 1].data())) {

@@ -1,6 +1,7 @@
-// Descent of a whole path along the gradient of J: Levenberg-Marquardt steps on the vertices of a polyline with fixed ends. What
-// falls is the energy n/2 sum c_i^2 of the edges' costs, as for geodesics: its least paths are those of the least sum, with
-// vertices spread so that all edges cost the same; the sum alone would let them slide. A penalty holds clearances at the margin.
+// Descent of a whole path along the gradient of J: Levenberg-Marquardt steps on the vertices of a polyline with fixed
+// ends. What falls is the energy n/2 sum c_i^2 of the edges' costs, as for geodesics: its least paths are those of the
+// least sum, with vertices spread so that all edges cost the same; the sum alone would let them slide. A penalty holds
+// clearances at the margin.
 //
 // References:
 //   Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", SIAM J. Appl. Math. 1963.
@@ -25,7 +26,12 @@ class Descent {
  public:
   // In a space that has slopes.
   Descent(Space& space, const std::vector<Point>& path, int pieces, DescentSettings settings)
-      : space_(space), settings_(settings), dim_(size_t(space.dim)), n_(size_t(pieces)), push_(settings.push), curvature_(n_, dim_) {
+      : space_(space),
+        settings_(settings),
+        dim_(size_t(space.dim)),
+        n_(size_t(pieces)),
+        push_(settings.push),
+        curvature_(n_, dim_) {
     respace(path);
     cost_.resize(2 * n_), by_from_.resize(n_ * dim_), by_to_.resize(n_ * dim_);
     probe_.resize((2 * n_ - 1) * dim_), clearance_.resize(2 * n_ - 1), by_clearance_.resize(probe_.size());
@@ -33,8 +39,8 @@ class Descent {
     begin();
   }
 
-  // One evaluation of the whole path and its gradient; false once nothing is gained any more. A step that is refused teaches
-  // curvature as well, and the next one is damped more.
+  // One evaluation of the whole path and its gradient; false once nothing is gained any more. A step that is refused
+  // teaches curvature as well, and the next one is damped more.
   bool step() {
     if (settled_) return false;
     for (size_t i = 0; i < x_.size(); ++i) trial_[i] = x_[i] + share_ * direction_[i];
@@ -62,7 +68,8 @@ class Descent {
   }
   std::vector<Point> path() const {
     std::vector<Point> points{first_};
-    for (size_t i = 0; i + 1 < n_; ++i) points.emplace_back(x_.begin() + long(i * dim_), x_.begin() + long((i + 1) * dim_));
+    for (size_t i = 0; i + 1 < n_; ++i)
+      points.emplace_back(x_.begin() + long(i * dim_), x_.begin() + long((i + 1) * dim_));
     points.push_back(last_);
     return points;
   }
@@ -71,17 +78,18 @@ class Descent {
   struct Evaluation {
     double energy, total;
   };
-  static constexpr double kKeep = 0.001;    // clearance to keep on top of the space's margin [m]
-  static constexpr double kLongest = 0.5;   // of a vertex in one step [rad]
+  static constexpr double kKeep = 0.001;   // clearance to keep on top of the space's margin [m]
+  static constexpr double kLongest = 0.5;  // of a vertex in one step [rad]
   static constexpr double kBegin = 1.0, kDamping = 0.3, kMoreDamping = 4.0, kLessDamping = 0.25, kLeastDamping = 1e-3;
-  static constexpr int kRefusals = 12;      // in a row
-  static constexpr size_t kLookBack = 8;    // steps
+  static constexpr int kRefusals = 12;    // in a row
+  static constexpr size_t kLookBack = 8;  // steps
 
   // The path cut into pieces of equal length, within the limits.
   void respace(const std::vector<Point>& path) {
     first_ = path.front(), last_ = path.back();
     std::vector<double> at{0.0};
-    for (size_t i = 0; i + 1 < path.size(); ++i) at.push_back(at.back() + space_.distance(path[i].data(), path[i + 1].data()));
+    for (size_t i = 0; i + 1 < path.size(); ++i)
+      at.push_back(at.back() + space_.distance(path[i].data(), path[i + 1].data()));
     x_.clear();
     size_t i = 0;
     for (size_t k = 1; k < n_; ++k) {
@@ -101,7 +109,8 @@ class Descent {
     std::vector<double> stiffness(n_);
     const Point all = vertices(x_);
     for (size_t e = 0; e < n_; ++e) {
-      const double length = space_.distance(&all[e * dim_], &all[(e + 1) * dim_]), density = length > 0 ? edge_[e] / length : 1.0;
+      const double length = space_.distance(&all[e * dim_], &all[(e + 1) * dim_]),
+                   density = length > 0 ? edge_[e] / length : 1.0;
       stiffness[e] = double(n_) * density * density;
     }
     curvature_.reset(stiffness);
@@ -123,14 +132,17 @@ class Descent {
   // The next step to try.
   void descend() {
     for (size_t v = 0; v + 1 < n_; ++v)
-      for (size_t j = 0; j < dim_; ++j) slope_[v * dim_ + j] = gradient_[(2 * v + 1) * dim_ + j] + gradient_[(2 * v + 2) * dim_ + j];
+      for (size_t j = 0; j < dim_; ++j)
+        slope_[v * dim_ + j] = gradient_[(2 * v + 1) * dim_ + j] + gradient_[(2 * v + 2) * dim_ + j];
     // Nothing is gained by going on into a limit.
     for (size_t i = 0; i < x_.size(); ++i)
-      if ((x_[i] <= space_.lower[i % dim_] && slope_[i] > 0) || (x_[i] >= space_.upper[i % dim_] && slope_[i] < 0)) slope_[i] = 0;
+      if ((x_[i] <= space_.lower[i % dim_] && slope_[i] > 0) || (x_[i] >= space_.upper[i % dim_] && slope_[i] < 0))
+        slope_[i] = 0;
     curvature_.solve(slope_, damping_, direction_);
     double longest = kLongest;
     along_ = 0;
-    for (size_t i = 0; i < x_.size(); ++i) along_ += direction_[i] * slope_[i], longest = std::max(longest, std::abs(direction_[i]));
+    for (size_t i = 0; i < x_.size(); ++i)
+      along_ += direction_[i] * slope_[i], longest = std::max(longest, std::abs(direction_[i]));
     share_ = kLongest / longest;
     settled_ = !(along_ < 0);
   }
@@ -147,11 +159,14 @@ class Descent {
   // The gradient is that of each edge's term with respect to its two ends.
   Evaluation evaluate(const Point& x, Point& gradient) {
     const Point all = vertices(x);
-    if (space_.w > 0) space_.slopes(all.data(), int(n_), settings_.step, settings_.rough, cost_.data(), by_from_.data(), by_to_.data());
+    if (space_.w > 0)
+      space_.slopes({all.data(), int(n_)}, settings_.step, settings_.rough,
+                    {cost_.data(), by_from_.data(), by_to_.data()});
     edge_.resize(n_);
     double total = 0, energy = 0;
     for (size_t e = 0; e < n_; ++e) {
-      const double *from = &all[e * dim_], *to = from + dim_, length = space_.distance(from, to), c = length + space_.w * cost_[2 * e + 1];
+      const double *from = &all[e * dim_], *to = from + dim_, length = space_.distance(from, to),
+                   c = length + space_.w * cost_[2 * e + 1];
       edge_[e] = c, total += c, energy += 0.5 * double(n_) * c * c;
       for (size_t j = 0; j < dim_; ++j) {
         const double along = length > 0 ? (to[j] - from[j]) / length : 0.0;
@@ -170,7 +185,8 @@ class Descent {
     const auto before = [&](size_t k) { return settings_.rough ? k + 1 : (k + 1) / 2; };
     const auto after = [&](size_t k) { return settings_.rough ? k + 1 : (k + 2) / 2; };
     for (size_t k = 0; k < n; ++k)
-      for (size_t j = 0; j < dim_; ++j) probe_[k * dim_ + j] = 0.5 * (all[before(k) * dim_ + j] + all[after(k) * dim_ + j]);
+      for (size_t j = 0; j < dim_; ++j)
+        probe_[k * dim_ + j] = 0.5 * (all[before(k) * dim_ + j] + all[after(k) * dim_ + j]);
     space_.clearances(probe_.data(), int(n), clearance_.data(), by_clearance_.data());
     const double wanted = space_.margin + kKeep, weight = push_ * (settings_.rough ? 2.0 : 1.0) * scale_ / double(n_);
     double sum = 0;

@@ -10,7 +10,8 @@
 
 namespace gp {
 
-// Edges sorted by the node that they leave (or enter, if turned round): those of node i are edge[begin[i] .. begin[i + 1]).
+// Edges sorted by the node that they leave (or enter, if turned round): those of node i are edge[begin[i] .. begin[i +
+// 1]).
 struct Adjacency {
   std::vector<int> begin, edge;
 
@@ -42,8 +43,8 @@ class Digraph {
   int size() const { return n_; }
   size_t edges() const { return tail_.size(); }
 
-  // Edges of the cheapest path to the nearest goal; costs are at least 0, infinite ones are no edges. Its cost is infinite
-  // if there is none.
+  // Edges of the cheapest path to the nearest goal; costs are at least 0, infinite ones are no edges. Its cost is
+  // infinite if there is none.
   FoundPath cheapest(const double* cost, int start, const std::vector<int>& goals) const {
     std::vector<double> distance(size_t(n_), kFar);
     std::vector<int> from(size_t(n_), -1);
@@ -64,12 +65,13 @@ class Digraph {
     return {{}, kFar, kFar};
   }
 
-  // Every path to a goal that no other one dominates, by ascending first cost; of equal ones one. With epsilon, only some
-  // of them: for each there is one that costs no more of the first and at most (1 + epsilon) times as much of the second.
+  // Every path to a goal that no other one dominates, by ascending first cost; of equal ones one. With epsilon, only
+  // some of them: for each there is one that costs no more of the first and at most (1 + epsilon) times as much of the
+  // second.
   //
-  // Labels leave the heap by ascending first cost, so that one is dominated at its node if and only if an earlier one had
-  // no more of the second: BOA*, Hernandez Ulloa et al., "A simple and fast bi-objective search algorithm", ICAPS 2020;
-  // pruning by epsilon at the goal as in Zhang et al., "A*pex", ICAPS 2022.
+  // Labels leave the heap by ascending first cost, so that one is dominated at its node if and only if an earlier one
+  // had no more of the second: BOA*, Hernandez Ulloa et al., "A simple and fast bi-objective search algorithm", ICAPS
+  // 2020; pruning by epsilon at the goal as in Zhang et al., "A*pex", ICAPS 2022.
   Found front(const double* cost, int start, const std::vector<int>& goals, double epsilon, double seconds) const {
     const std::vector<double> first_to_go = to_go(cost, goals), second_to_go = to_go(cost + 1, goals);
     const std::vector<uint8_t> is_goal = flags(goals);
@@ -93,7 +95,8 @@ class Digraph {
       heap.pop();
       const Label label = labels[size_t(id)];
       if (dominated(label.node, label.second)) continue;
-      if ((count & 1023) == 0 && std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count() > seconds) {
+      if ((count & 1023) == 0 &&
+          std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count() > seconds) {
         found.complete = false;
         return found;
       }

@@ -1,4 +1,4 @@
-// Python's door to graph.hpp. Part of bindings.cpp.
+// Python's door to graph.hpp.
 #pragma once
 #include <cmath>
 
@@ -6,7 +6,6 @@
 #include "search/graph.hpp"
 
 namespace gp {
-namespace {
 
 class GraphSearch {
  public:
@@ -70,5 +69,4 @@ class GraphSearch {
   Digraph graph_;
 };
 
-}  // namespace
 }  // namespace gp

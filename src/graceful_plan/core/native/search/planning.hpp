@@ -4,11 +4,23 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <stdexcept>
+#include <utility>
 #include <vector>
 
 namespace gp {
 
 using Point = std::vector<double>;
+
+// The edges between consecutive points, and what is known of them: V and S, and the derivatives of S with respect to
+// the first and the second end of each.
+struct Chain {
+  const double* points;
+  int n_edge;
+};
+struct ChainSlopes {
+  double *cost, *by_from, *by_to;
+};
 
 // What a planner sees of the world and of the cost J = V + w S.
 struct Space {
@@ -17,11 +29,15 @@ struct Space {
   double margin = 0;  // clearance to keep [m]
   Point lower, upper;
 
+  Space(Point low, Point high, double weight)
+      : dim(int(low.size())), w(weight), lower(std::move(low)), upper(std::move(high)) {
+    if (lower.size() != upper.size()) throw std::invalid_argument("limits of different lengths");
+  }
   virtual ~Space() = default;
   virtual bool edge_free(const double* a, const double* b) = 0;
   // The same at a finer step, for edges that become part of a path; asked after edge_free.
   virtual bool edge_certain(const double* a, const double* b) = 0;
-  virtual double impact(const double* a, const double* b) = 0;  // S of an edge
+  virtual double impact(const double* a, const double* b) = 0;         // S of an edge
   virtual void impacts(const double* points, int n, double* out) = 0;  // I of configurations, row by row
   // Leave of a displacement what does not move the tool; false if the space knows no tool.
   virtual bool keep_tool(const double*, double*) { return false; }
@@ -29,9 +45,8 @@ struct Space {
   virtual bool move_tool(const double*, const double*, double*) { return false; }
   // Whether the two below are known.
   virtual bool has_slopes() const { return false; }
-  // V and S of the edges between consecutive points, sampled at so long steps, and the derivatives of S with respect to the first
-  // and the second end of each; `rough` halves the work again.
-  virtual void slopes(const double*, int, double, bool, double*, double*, double*) {}
+  // Of edges sampled at so long steps; `rough` halves the work again.
+  virtual void slopes(const Chain&, double, bool, const ChainSlopes&) {}
   // Signed clearances of configurations and their gradients; infinite where there is nothing to hit.
   virtual void clearances(const double*, int, double*, double*) {}
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
@@ -54,7 +69,8 @@ struct Space {
     return w > 0 ? v + w * impact(a, b) : v;
   }
   double extent() const { return distance(lower.data(), upper.data()); }
-  // Whether the edges between the vertices `first` and `last` of a path are free and certain: the cheap question for all first.
+  // Whether the edges between the vertices `first` and `last` of a path are free and certain: the cheap question for
+  // all first.
   bool path_free(const std::vector<Point>& path, size_t first, size_t last) {
     for (size_t k = first; k < last; ++k)
       if (!edge_free(path[k].data(), path[k + 1].data())) return false;
@@ -95,7 +111,8 @@ class Random {
 // Iterations and seconds that one call may use.
 class Slice {
  public:
-  Slice(int64_t iterations, double seconds) : limit_(iterations), seconds_(seconds), start_(std::chrono::steady_clock::now()) {}
+  Slice(int64_t iterations, double seconds)
+      : limit_(iterations), seconds_(seconds), start_(std::chrono::steady_clock::now()) {}
   bool next() {
     if (used_ == limit_) return false;
     if (used_ > 0 && std::isfinite(seconds_) &&
@@ -155,7 +172,8 @@ struct Tree {
     for (int i = 0; i < size(); ++i, row += dim) {
       double d2 = 0;
       for (int j = 0; j < dim; ++j) d2 += (row[j] - point[j]) * (row[j] - point[j]);
-      if (d2 < best_d2 && (std::isinf(cost_limit) || cost[size_t(i)] + std::sqrt(d2) < cost_limit)) best_d2 = d2, best = i;
+      if (d2 < best_d2 && (std::isinf(cost_limit) || cost[size_t(i)] + std::sqrt(d2) < cost_limit))
+        best_d2 = d2, best = i;
     }
     return best;
   }

@@ -64,7 +64,8 @@ class Refiner {
   void subdivide(size_t i, const std::vector<Point>& points) {
     path_.q.insert(path_.q.begin() + long(i) + 1, points.begin(), points.end());
     path_.edge.insert(path_.edge.begin() + long(i) + 1, points.size(), 0.0);
-    for (size_t k = i; k <= i + points.size(); ++k) path_.edge[k] = space_.cost(path_.q[k].data(), path_.q[k + 1].data());
+    for (size_t k = i; k <= i + points.size(); ++k)
+      path_.edge[k] = space_.cost(path_.q[k].data(), path_.q[k + 1].data());
     path_.sum();
   }
 
@@ -131,8 +132,8 @@ class Refiner {
     return replace(i, j, points);
   }
 
-  // Straighten a stretch in joint space as far as the tool can stay where it is: a redundant arm wanders otherwise, and no
-  // shortcut mends that where the tool's own detour is what keeps the impact low.
+  // Straighten a stretch in joint space as far as the tool can stay where it is: a redundant arm wanders otherwise, and
+  // no shortcut mends that where the tool's own detour is what keeps the impact low.
   bool posture_shortcut() {
     const int n = int(path_.q.size());
     int i = random_.below(n), j = random_.below(n);
@@ -155,7 +156,8 @@ class Refiner {
   bool perturb(int reach) {
     const int n = int(path_.q.size()), centre = 1 + random_.below(n - 2);
     const int first = std::max(0, centre - reach - 1), last = std::min(n - 1, centre + reach + 1);
-    const Point direction = displacement(path_.q[size_t(first)], path_.q[size_t(centre)], path_.q[size_t(last)], sigma_[reach > 0]);
+    const Point direction =
+        displacement(path_.q[size_t(first)], path_.q[size_t(centre)], path_.q[size_t(last)], sigma_[reach > 0]);
     std::vector<Point> points(path_.q.begin() + first + 1, path_.q.begin() + last);
     for (int k = first + 1; k < last; ++k) {
       const double s = double(k - centre) / (reach + 1), bump = (1 - s * s) * (1 - s * s);
@@ -169,7 +171,8 @@ class Refiner {
 
   // Where the vertex ends when the tool moves a little in a random direction; a joint moves its tool by some 0.4 m/rad.
   bool tool_displacement(const Point& vertex, double sigma, double* q) {
-    const double step[3] = {random_.normal() * sigma * 0.4, random_.normal() * sigma * 0.4, random_.normal() * sigma * 0.4};
+    const double step[3] = {random_.normal() * sigma * 0.4, random_.normal() * sigma * 0.4,
+                            random_.normal() * sigma * 0.4};
     if (!space_.move_tool(vertex.data(), step, q)) return false;
     for (size_t j = 0; j < vertex.size(); ++j) q[j] = std::clamp(vertex[j] + q[j], space_.lower[j], space_.upper[j]);
     return true;
@@ -197,7 +200,8 @@ class Refiner {
       space_.impacts(moved.data(), tried, impact);
       for (int k = 0; k < tried; ++k) {
         const double* q = moved.data() + size_t(k) * dim;
-        const double guess = (space_.distance(before.data(), q) + space_.distance(q, after.data())) * (1 + space_.w * impact[k]);
+        const double guess =
+            (space_.distance(before.data(), q) + space_.distance(q, after.data())) * (1 + space_.w * impact[k]);
         if (guess < least) least = guess, best = k;
       }
     }

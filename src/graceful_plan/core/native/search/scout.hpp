@@ -1,5 +1,6 @@
-// A small roadmap between start and goals, thrown away after a few paths: which valleys of the impact lead there? Nodes lie
-// around an axis, edges are priced by the impact at rest at their ends and middle, and collisions are looked for only on paths.
+// A small roadmap between start and goals, thrown away after a few paths: which valleys of the impact lead there? Nodes
+// lie around an axis, edges are priced by the impact at rest at their ends and middle, and collisions are looked for
+// only on paths.
 #pragma once
 #include <algorithm>
 #include <queue>
@@ -13,8 +14,8 @@ class Scout {
   Scout(Space& space, Point start, std::vector<Point> goals, uint64_t seed)
       : space_(space), start_(std::move(start)), goals_(std::move(goals)), random_(seed) {}
 
-  // A new roadmap of so many nodes in a tube around an axis, its width relative to the distance between the axis' ends; `known`
-  // paths are part of it.
+  // A new roadmap of so many nodes in a tube around an axis, its width relative to the distance between the axis' ends;
+  // `known` paths are part of it.
   void begin(std::vector<Point> axis, const std::vector<std::vector<Point>>& known, double width, int nodes) {
     axis_ = std::move(axis), width_ = width, size_ = size_t(nodes);
     nodes_ = {start_};
@@ -28,9 +29,12 @@ class Scout {
   }
   // Some work, below a millisecond where impacts are cheap; true when there is a path.
   bool step() {
-    if (stage_ == kSample) sample();
-    else if (stage_ == kPrice) price();
-    else if (stage_ == kSearch) return search();
+    if (stage_ == kSample)
+      sample();
+    else if (stage_ == kPrice)
+      price();
+    else if (stage_ == kSearch)
+      return search();
     return false;
   }
   bool done() const { return stage_ == kDone; }
@@ -47,8 +51,8 @@ class Scout {
     Point q;
     double impact, promise;
   };
-  static constexpr int kChunk = 32;       // of the work that one step does
-  static constexpr int kNeighbours = 10;  // of a node
+  static constexpr int kChunk = 32;                  // of the work that one step does
+  static constexpr int kNeighbours = 10;             // of a node
   static constexpr int kPaths = 4, kSearches = 200;  // until the roadmap is thrown away, whichever comes first
   static constexpr double kLeastRadius = 0.1;        // of the tube, per joint [rad]
   static constexpr double kRepulsion = 2.0;  // of the edges of a path that was found, so that the next one is another
@@ -67,7 +71,8 @@ class Scout {
     const double radius = width_ * std::abs(random_.normal()) * extent / std::sqrt(double(dim)) + kLeastRadius;
     Point q(dim);
     for (size_t j = 0; j < dim; ++j)
-      q[j] = std::clamp(axis_[k][j] + s * (axis_[k + 1][j] - axis_[k][j]) + radius * random_.normal(), space_.lower[j], space_.upper[j]);
+      q[j] = std::clamp(axis_[k][j] + s * (axis_[k + 1][j] - axis_[k][j]) + radius * random_.normal(), space_.lower[j],
+                        space_.upper[j]);
     return q;
   }
 
@@ -91,7 +96,8 @@ class Scout {
     }
     const size_t wanted = size_ * 2;
     if (sampled_.size() < wanted && tried_ < int64_t(wanted) * 10) return;
-    std::stable_sort(sampled_.begin(), sampled_.end(), [](const Sampled& a, const Sampled& b) { return a.promise < b.promise; });
+    std::stable_sort(sampled_.begin(), sampled_.end(),
+                     [](const Sampled& a, const Sampled& b) { return a.promise < b.promise; });
     if (sampled_.size() > size_) sampled_.resize(size_);
     for (Sampled& one : sampled_) nodes_.push_back(std::move(one.q)), impact_.push_back(one.impact);
     row_ = 0;
@@ -104,7 +110,8 @@ class Scout {
     std::vector<double> rows;
     const size_t first = priced_, last = std::min(edges_.size(), first + 4 * kChunk), dim = start_.size();
     for (size_t e = first; e < last; ++e)
-      for (size_t j = 0; j < dim; ++j) rows.push_back(0.5 * (nodes_[size_t(edges_[e].a)][j] + nodes_[size_t(edges_[e].b)][j]));
+      for (size_t j = 0; j < dim; ++j)
+        rows.push_back(0.5 * (nodes_[size_t(edges_[e].a)][j] + nodes_[size_t(edges_[e].b)][j]));
     std::vector<double> middle(last - first);
     if (last > first) space_.impacts(rows.data(), int(last - first), middle.data());
     for (size_t e = first; e < last; ++e) {
@@ -115,14 +122,18 @@ class Scout {
     priced_ = last;
     if (priced_ < edges_.size()) return;
     near_.assign(nodes_.size(), {});
-    for (size_t e = 0; e < edges_.size(); ++e) near_[size_t(edges_[e].a)].push_back(int(e)), near_[size_t(edges_[e].b)].push_back(int(e));
+    for (size_t e = 0; e < edges_.size(); ++e)
+      near_[size_t(edges_[e].a)].push_back(int(e)), near_[size_t(edges_[e].b)].push_back(int(e));
     stage_ = kSearch;
   }
   void connect() {
     const size_t n = nodes_.size(), last = std::min(n, row_ + kChunk), k = std::min(size_t(kNeighbours), n - 1);
     std::vector<std::pair<double, size_t>> all(n);
     for (; row_ < last; ++row_) {
-      for (size_t i = 0; i < n; ++i) all[i] = {i == row_ ? std::numeric_limits<double>::infinity() : space_.distance(nodes_[row_].data(), nodes_[i].data()), i};
+      for (size_t i = 0; i < n; ++i)
+        all[i] = {i == row_ ? std::numeric_limits<double>::infinity()
+                            : space_.distance(nodes_[row_].data(), nodes_[i].data()),
+                  i};
       std::nth_element(all.begin(), all.begin() + long(k) - 1, all.end());
       for (size_t i = 0; i < k; ++i) pairs_.push_back(std::minmax(row_, all[i].second));
     }
@@ -153,7 +164,8 @@ class Scout {
         const Edge& edge = edges_[size_t(e)];
         if (edge.checked < 0) continue;
         const int to = edge.a == i ? edge.b : edge.a;
-        if (c + edge.cost < cost[size_t(to)]) cost[size_t(to)] = c + edge.cost, by[size_t(to)] = e, open.push({cost[size_t(to)], to});
+        if (c + edge.cost < cost[size_t(to)])
+          cost[size_t(to)] = c + edge.cost, by[size_t(to)] = e, open.push({cost[size_t(to)], to});
       }
     }
     if (reached < 0 || ++searched_ > kSearches) {
@@ -167,7 +179,8 @@ class Scout {
       Edge& edge = edges_[size_t(by[size_t(i)])];
       used.push_back(by[size_t(i)]);
       const int from = edge.a == i ? edge.b : edge.a;
-      if (edge.checked == 0) edge.checked = space_.edge_free(nodes_[size_t(from)].data(), nodes_[size_t(i)].data()) ? 1 : -1;
+      if (edge.checked == 0)
+        edge.checked = space_.edge_free(nodes_[size_t(from)].data(), nodes_[size_t(i)].data()) ? 1 : -1;
       free &= edge.checked > 0;
       i = from;
       path_.push_back(nodes_[size_t(i)]);

@@ -1,0 +1,13 @@
+// Python's door to the core, room by room: owns the tables, picks the instruction set, releases the GIL.
+#pragma once
+#include <nanobind/nanobind.h>
+
+namespace nb = nanobind;
+
+namespace gp {
+
+void bind_core(nb::module_&);
+void bind_impact(nb::module_&);  // after bind_core
+void bind_search(nb::module_&);  // after bind_impact
+
+}  // namespace gp

@@ -1,0 +1,71 @@
+// The models of the impact.
+#include "impact/impact.hpp"
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include "bindings/bindings.hpp"
+#include "impact/body_impact.hpp"
+
+using namespace nb::literals;
+
+namespace gp {
+namespace {
+
+template <size_t n> std::vector<std::string> names(const char* const (&constants)[n]) {
+  return {std::begin(constants), std::end(constants)};
+}
+
+}  // namespace
+
+void bind_impact(nb::module_& m) {
+  m.def("drop_constants", [] { return names(kDropConstants); });
+  m.def("spill_constants", [] { return names(kSpillConstants); });
+  m.def("body_constants", [] { return names(kBodyConstants); });
+  nb::class_<DropModel>(m, "DropModel")
+      .def(
+          "__init__",
+          [](DropModel* self, const Core& core, int link, Reals centre, Integers part_shape, Reals part_offset,
+             Reals part_rotation, Reals part_half, int main, double size, Integers target_entity, Reals target,
+             Integers level_start, int n_entity, Reals speed, Reals constants) {
+            new (self) DropModel(core, {link, centre, part_shape, part_offset, part_rotation, part_half, main, size,
+                                        target_entity, target, level_start, n_entity, speed, constants});
+          },
+          nb::kw_only(), "core"_a, "link"_a, "centre"_a, "part_shape"_a, "part_offset"_a, "part_rotation"_a,
+          "part_half"_a, "main"_a, "size"_a, "target_entity"_a, "target"_a, "level_start"_a, "n_entity"_a, "speed"_a,
+          "constants"_a, nb::keep_alive<1, 2>())
+      .def("add_contents", &DropModel::add_contents, "container"_a, "stands"_a, "visible"_a, "constants"_a)
+      .def("probability", &DropModel::probability, "q"_a, "qd"_a)
+      .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
+      .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false);
+  nb::class_<BodyModel>(m, "BodyModel")
+      .def(
+          "__init__",
+          [](BodyModel* self, const Core& core, Reals inertia, Reals drive, Integers row, Integers entity, int n_row,
+             int n_entity, int n_step, Reals constants) {
+            new (self) BodyModel(core, {inertia, drive, row, entity, n_row, n_entity, n_step, constants});
+          },
+          nb::kw_only(), "core"_a, "inertia"_a, "drive"_a, "row"_a, "entity"_a, "n_row"_a, "n_entity"_a, "n_step"_a,
+          "constants"_a, nb::keep_alive<1, 2>())
+      .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
+      .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
+      .def("dynamics", &BodyModel::dynamics, "q"_a);
+  nb::class_<Impact>(m, "Impact")
+      .def("states", &Impact::states_array, "q"_a)
+      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a)
+      .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);
+  nb::class_<OverlapImpact, Impact>(m, "OverlapImpact")
+      .def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());
+  nb::class_<DropImpact, Impact>(m, "DropImpact")
+      .def(nb::init<const DropModel&, Reals, double, double>(), "model"_a, "severity"_a, "slow"_a, "fast"_a,
+           nb::keep_alive<1, 2>());
+  nb::class_<SumImpact, Impact>(m, "SumImpact")
+      .def(nb::init<const Impact&, const Impact&>(), "first"_a, "second"_a, nb::keep_alive<1, 2>(),
+           nb::keep_alive<1, 3>());
+  nb::class_<BodyImpact, Impact>(m, "BodyImpact")
+      .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a,
+           "fast"_a, nb::keep_alive<1, 2>());
+}
+
+}  // namespace gp

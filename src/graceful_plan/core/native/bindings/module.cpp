@@ -1,0 +1,9 @@
+// The module itself.
+#include "bindings/bindings.hpp"
+
+NB_MODULE(_native, m) {
+  m.doc() = "Native core of graceful_plan; use graceful_plan.core.kernels.";
+  gp::bind_core(m);
+  gp::bind_impact(m);
+  gp::bind_search(m);
+}

@@ -1,0 +1,262 @@
+// The native planners, the spaces that they plan in, and graphs.
+#include "search/graph_search.hpp"
+
+#include "bindings/bindings.hpp"
+#include "impact/impact.hpp"
+#include "search/anytime.hpp"
+#include "search/connect.hpp"
+#include "search/descent.hpp"
+
+using namespace nb::literals;
+
+namespace gp {
+namespace {
+
+// How a scene is planned in; [rad] or [m].
+struct SpaceSettings {
+  Point low, high;
+  double weight, check_step, fine_step, cost_step, margin;
+};
+
+// Collision and cost from the kernels.
+class SceneSpace final : public Space {
+ public:
+  SceneSpace(const Core& core, const Impact& impact, const SpaceSettings& settings)
+      : Space(settings.low, settings.high, settings.weight), core_(core), impact_(impact), settings_(settings) {
+    margin = settings.margin;
+    require(dim == core.tables().n_joint, "limits");
+  }
+  bool edge_free(const double* a, const double* b) override { return free_at(a, b, settings_.check_step); }
+  bool edge_certain(const double* a, const double* b) override { return free_at(a, b, settings_.fine_step); }
+  double impact(const double* a, const double* b) override {
+    double cost[2];
+    impact_.edges({a, b, 1, settings_.cost_step}, cost);
+    return cost[1];
+  }
+  bool keep_tool(const double* q, double* displacement) override {
+    core_.keep_tool(q, displacement);
+    return true;
+  }
+  bool move_tool(const double* q, const double* step, double* displacement) override {
+    core_.move_tool(q, step, displacement);
+    return true;
+  }
+  void impacts(const double* points, int n, double* out) override { impact_.rough_states(points, size_t(n), out); }
+  bool has_slopes() const override { return impact_.has_gradients(); }
+  void slopes(const Chain& chain, double step, bool rough, const ChainSlopes& out) override {
+    const Edges edges{chain.points, chain.points + dim, size_t(chain.n_edge), step};
+    impact_.edge_gradients(edges, rough ? Sampling::kMean : Sampling::kBoth, {out.cost, out.by_from, out.by_to});
+  }
+  void clearances(const double* points, int n, double* out, double* gradient) override {
+    core_.kernels().clearance(core_.tables(), {points, nullptr, size_t(n)}, out, gradient);
+  }
+
+ private:
+  bool free_at(const double* a, const double* b, double step) const {
+    uint8_t free = 0;
+    core_.kernels().free_edges(core_.tables(), {a, b, 1, step}, margin, &free);
+    return free != 0;
+  }
+
+  const Core& core_;
+  const Impact& impact_;
+  SpaceSettings settings_;
+};
+
+// Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2], state_costs(q) -> [n].
+class CallbackSpace final : public Space {
+ public:
+  // The three questions.
+  struct Callbacks {
+    nb::object edges_free, edge_costs, state_costs;
+  };
+
+  CallbackSpace(Callbacks ask, Reals low, Reals high, double weight, bool motion_is_length)
+      : Space(point(low), point(high), weight), ask_(std::move(ask)), motion_is_length_(motion_is_length) {}
+  bool edge_free(const double* a, const double* b) override {
+    nb::gil_scoped_acquire gil;
+    auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(
+        ask_.edges_free(rows(a), rows(b)));
+    require(free.size() == 1, "one answer per edge");
+    return free.data()[0];
+  }
+  bool edge_certain(const double*, const double*) override { return true; }
+  double impact(const double* a, const double* b) override { return costs(a, b).second; }
+  void impacts(const double* points, int n, double* out) override {
+    nb::gil_scoped_acquire gil;
+    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(
+        ask_.state_costs(rows(points, n)));
+    require(cost.size() == size_t(n), "one cost per state");
+    std::copy(cost.data(), cost.data() + n, out);
+  }
+  double motion(const double* a, const double* b) override {
+    return motion_is_length_ ? distance(a, b) : costs(a, b).first;
+  }
+  bool motion_is_length() const override { return motion_is_length_; }
+
+ private:
+  Out<double> rows(const double* points, int n = 1) {
+    double* data;
+    auto array = make<double>({size_t(n), size_t(dim)}, data);
+    std::copy(points, points + n * dim, data);
+    return array;
+  }
+  std::pair<double, double> costs(const double* a, const double* b) {
+    nb::gil_scoped_acquire gil;
+    auto cost = nb::cast<nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>>(
+        ask_.edge_costs(rows(a), rows(b)));
+    require(cost.size() == 2, "V and S per edge");
+    return {cost.data()[0], cost.data()[1]};
+  }
+  Callbacks ask_;
+  bool motion_is_length_;
+};
+
+Out<double> as_array(const std::vector<Point>& rows, int dim) {
+  double* data;
+  auto array = make<double>({rows.size(), size_t(dim)}, data);
+  for (const Point& row : rows) data = std::copy(row.begin(), row.end(), data);
+  return array;
+}
+
+// A path of somebody else's.
+std::vector<Point> path_in(const Space& space, const Reals& path) {
+  require(path.ndim() == 2 && path.shape(0) >= 2 && path.shape(1) == size_t(space.dim), "a path is [n >= 2, nq]");
+  return points(path);
+}
+
+class ConnectPlanner {
+ public:
+  ConnectPlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, uint64_t seed)
+      : space_(space), connect_(space, point(start), points(goals), {range, max_nodes}, seed) {}
+  nb::tuple run(int64_t iterations, double seconds) {
+    Slice slice(iterations, seconds);
+    {
+      nb::gil_scoped_release release;
+      while (!solved_ && slice.next()) solved_ = connect_.step();
+    }
+    return nb::make_tuple(solved_, slice.used());
+  }
+  Out<double> path() const { return as_array(connect_.path(), space_.dim); }
+
+ private:
+  Space& space_;
+  Connect connect_;
+  bool solved_ = false;
+};
+
+class DescentRun {
+ public:
+  DescentRun(Space& space, Reals path, int pieces, double step)
+      : space_(space), descent_(checked(space, pieces, step), path_in(space, path), pieces, {.step = step}) {}
+  // At most so many evaluations; after how many of them there was still something to gain.
+  int run(int steps) {
+    nb::gil_scoped_release release;
+    int done = 0;
+    while (done < steps && descent_.step()) ++done;
+    return done;
+  }
+  void harden() { descent_.harden(); }
+  Out<double> path() const { return as_array(descent_.path(), space_.dim); }
+  double value() const { return descent_.value(); }
+  double energy() const { return descent_.energy(); }
+
+ private:
+  static Space& checked(Space& space, int pieces, double step) {
+    require(space.has_slopes(), "the space has no slopes");
+    require(pieces >= 1 && step > 0, "settings of a descent");
+    return space;
+  }
+
+  Space& space_;
+  Descent descent_;
+};
+
+class AnytimePlanner {
+ public:
+  AnytimePlanner(Space& space, Reals start, Reals goals, const AnytimeSettings& settings, uint64_t seed)
+      : space_(space), anytime_(space, point(start), points(goals), settings, seed) {}
+  bool admits(Reals path) {
+    const std::vector<Point> q = path_in(space_, path);
+    nb::gil_scoped_release release;
+    return space_.path_free(q);
+  }
+  void adopt(Reals path) { anytime_.adopt(path_in(space_, path)); }
+  void suggest(Reals path) { anytime_.suggest(path_in(space_, path)); }
+  double total() const { return anytime_.best().total; }
+  nb::tuple run(int64_t iterations, double seconds) {
+    Slice slice(iterations, seconds);
+    bool improved;
+    {
+      nb::gil_scoped_release release;
+      improved = anytime_.run(slice);
+    }
+    return nb::make_tuple(improved, slice.used());
+  }
+  Out<double> path() const { return as_array(anytime_.best().q, space_.dim); }
+  bool optimal() const { return anytime_.optimal(); }
+
+ private:
+  Space& space_;
+  Anytime anytime_;
+};
+
+}  // namespace
+
+void bind_search(nb::module_& m) {
+  nb::class_<GraphSearch>(m, "GraphSearch")
+      .def(nb::init<int, Integers, Integers>(), "n"_a, "tail"_a, "head"_a)
+      .def("cheapest", &GraphSearch::cheapest, "cost"_a, "start"_a, "goals"_a)
+      .def("front", &GraphSearch::front, "cost"_a, "start"_a, "goals"_a, "epsilon"_a, "seconds"_a);
+  nb::class_<Space>(m, "Space");
+  nb::class_<SceneSpace, Space>(m, "SceneSpace")
+      .def(
+          "__init__",
+          [](SceneSpace* self, const Core& core, const Impact& impact, Reals lower, Reals upper, double w,
+             double check_step, double fine_step, double cost_step, double margin) {
+            new (self)
+                SceneSpace(core, impact, {point(lower), point(upper), w, check_step, fine_step, cost_step, margin});
+          },
+          nb::kw_only(), "core"_a, "impact"_a, "lower"_a, "upper"_a, "w"_a, "check_step"_a, "fine_step"_a,
+          "cost_step"_a, "margin"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
+  nb::class_<CallbackSpace, Space>(m, "CallbackSpace")
+      .def(
+          "__init__",
+          [](CallbackSpace* self, nb::object edges_free, nb::object edge_costs, nb::object state_costs, Reals lower,
+             Reals upper, double w, bool motion_is_length) {
+            new (self) CallbackSpace({edges_free, edge_costs, state_costs}, lower, upper, w, motion_is_length);
+          },
+          nb::kw_only(), "edges_free"_a, "edge_costs"_a, "state_costs"_a, "lower"_a, "upper"_a, "w"_a,
+          "motion_is_length"_a);
+  nb::class_<ConnectPlanner>(m, "Connect")
+      .def(nb::init<Space&, Reals, Reals, double, int, uint64_t>(), "space"_a, nb::kw_only(), "start"_a, "goals"_a,
+           "range"_a, "max_nodes"_a, "seed"_a, nb::keep_alive<1, 2>())
+      .def("run", &ConnectPlanner::run, "iterations"_a, "seconds"_a)
+      .def_prop_ro("path", &ConnectPlanner::path, nb::rv_policy::move);
+  nb::class_<DescentRun>(m, "Descent")
+      .def(nb::init<Space&, Reals, int, double>(), "space"_a, "path"_a, "pieces"_a, "step"_a, nb::keep_alive<1, 2>())
+      .def("run", &DescentRun::run, "steps"_a)
+      .def("harden", &DescentRun::harden)
+      .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
+      .def_prop_ro("value", &DescentRun::value)
+      .def_prop_ro("energy", &DescentRun::energy);
+  nb::class_<AnytimePlanner>(m, "Anytime")
+      .def(
+          "__init__",
+          [](AnytimePlanner* self, Space& space, Reals start, Reals goals, double range, int max_nodes, double spacing,
+             int challengers, uint64_t seed, bool descents, bool scouts) {
+            new (self)
+                AnytimePlanner(space, start, goals, {{range, max_nodes}, spacing, challengers, descents, scouts}, seed);
+          },
+          "space"_a, nb::kw_only(), "start"_a, "goals"_a, "range"_a, "max_nodes"_a, "spacing"_a, "challengers"_a,
+          "seed"_a, "descents"_a, "scouts"_a, nb::keep_alive<1, 2>())
+      .def("admits", &AnytimePlanner::admits, "path"_a)
+      .def("adopt", &AnytimePlanner::adopt, "path"_a)
+      .def("suggest", &AnytimePlanner::suggest, "path"_a)
+      .def_prop_ro("total", &AnytimePlanner::total)
+      .def("run", &AnytimePlanner::run, "iterations"_a, "seconds"_a)
+      .def_prop_ro("path", &AnytimePlanner::path, nb::rv_policy::move)
+      .def_prop_ro("optimal", &AnytimePlanner::optimal);
+}
+
+}  // namespace gp

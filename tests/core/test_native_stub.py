@@ -1,0 +1,66 @@
+"""The stub of the native core says what the core has: the same names with the same parameters."""
+
+import ast
+import re
+
+from places import LIBRARY
+
+from graceful_plan.core import _native
+
+STUB = ast.parse((LIBRARY / "core" / "_native.pyi").read_text())
+Parameters = tuple[list[str], list[str]]
+"""Names of the parameters that may stand by position, and of those that may not."""
+
+
+def stated() -> dict[str, Parameters | None]:
+    """Return the parameters of every function and method in the stub, None for a property or a class."""
+    found: dict[str, Parameters | None] = {}
+    for node in STUB.body:
+        if isinstance(node, ast.FunctionDef):
+            found[node.name] = of_node(node)
+        if isinstance(node, ast.ClassDef):
+            found[node.name] = None
+            for member in node.body:
+                if isinstance(member, ast.FunctionDef):
+                    found[f"{node.name}.{member.name}"] = None if member.decorator_list else of_node(member)
+    return found
+
+
+def of_node(node: ast.FunctionDef) -> Parameters:
+    return [a.arg for a in node.args.args], [a.arg for a in node.args.kwonlyargs]
+
+
+def native() -> dict[str, Parameters | None]:
+    """Return the same of the core."""
+    found: dict[str, Parameters | None] = {}
+    for name, thing in vars(_native).items():
+        if name.startswith("__"):
+            continue
+        if not isinstance(thing, type):
+            found[name] = of_signature(thing)
+            continue
+        found[name] = None
+        for member, value in vars(thing).items():
+            if isinstance(value, property):
+                found[f"{name}.{member}"] = None
+            elif hasattr(value, "__nb_signature__"):
+                found[f"{name}.{member}"] = of_signature(value)
+    return found
+
+
+def of_signature(function: object) -> Parameters:
+    ((text, *_),) = function.__nb_signature__  # pyright: ignore[reportAttributeAccessIssue]
+    inside = re.sub(r"\[[^\[\]]*\]", "", text.partition("(")[2].rpartition(") ->")[0])
+    by_position, _, by_name = inside.partition("*, ")
+    names = [re.findall(r"(?:^|, )(\w+)", part) for part in (by_position, by_name)]
+    return names[0], names[1]
+
+
+def test_the_stub_has_what_the_core_has():
+    assert len(native()) > 50
+    assert stated() == native()
+
+
+def test_nothing_takes_more_than_six_by_position():
+    most = {name: len(found[0]) for name, found in native().items() if found is not None}
+    assert max(most.values()) <= 6 + 1, most  # and self
