@@ -205,6 +205,26 @@ def test_the_judge_shares_nothing_with_the_planners():
     assert judges and not {room(module) for module in seen} & {"core", "costs", "planners", "plan", "query"}
 
 
+def test_no_class_name_stands_twice():
+    names = Counter(
+        node.name
+        for file in FILES + HARNESS_FILES
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ClassDef)
+    )
+    assert {name for name, n in names.items() if n > 1} == set()
+
+
+def test_no_call_has_more_than_six_positional_arguments():
+    calls = [
+        f"{file.name}:{node.lineno}"
+        for file in FILES + HARNESS_FILES
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Call) and len(node.args) > 6
+    ]
+    assert calls == []
+
+
 def test_library_never_imports_what_is_built_on_it():
     roots = {name.split(".")[0] for file in FILES for name in imports(ast.parse(file.read_text()))}
     assert "numpy" in roots

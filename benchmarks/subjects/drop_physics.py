@@ -53,7 +53,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class FreeFlight:
     """One drop."""
 
     fall: float
@@ -105,7 +105,7 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{report.targets(_targets(found['weld']))}\n{flown}\n{table}\n{made}"
 
 
-def _flights(grasp: str, options: suite.Options) -> tuple[list[Flight], int]:
+def _flights(grasp: str, options: suite.Options) -> tuple[list[FreeFlight], int]:
     """Return the drops with one grasp, and how many tasks its healthy robot could not do."""
     drops, most = options.pick((DROPS, None), quick=(12, 2))
     tasks = suite.task_names()[:most]
@@ -117,7 +117,7 @@ def _flights(grasp: str, options: suite.Options) -> tuple[list[Flight], int]:
     return [flights[i] for i in chosen], sum(part is None for part in parts)
 
 
-def fly(job: tuple[str, str, int]) -> list[Flight] | None:
+def fly(job: tuple[str, str, int]) -> list[FreeFlight] | None:
     """Drop the object of a task many times; None if the healthy robot cannot do the task."""
     name, grasp, count = job
     task = suite.task(name)
@@ -130,7 +130,7 @@ def fly(job: tuple[str, str, int]) -> list[Flight] | None:
     return [found for drop in drops if (found := flight(execution, drop)).fall >= _LEAST_FALL]
 
 
-def flight(execution: failbench.Execution, job: failbench.Job) -> Flight:
+def flight(execution: failbench.Execution, job: failbench.Job) -> FreeFlight:
     """Follow one drop until the object touches something."""
     world = execution.world
     model, body = world.model, world.carried_body
@@ -146,14 +146,14 @@ def flight(execution: failbench.Execution, job: failbench.Job) -> Flight:
         other = np.where(mine[:, 0], pairs[:, 1], pairs[:, 0])[mine.any(axis=1)]
         if len(other) and not robot[other].all():
             place = now.xipos[body].copy()
-            return Flight(
+            return FreeFlight(
                 fall=released[0][2] - place[2],
                 error=_off(released, place),
                 error_after_touch=_off(touched, place),
             )
         if len(other):
             touched = centre(model, now, body, kinematics=True)
-    return Flight(fall=0.0, error=0.0, error_after_touch=0.0)
+    return FreeFlight(fall=0.0, error=0.0, error_after_touch=0.0)
 
 
 def centre(model: mujoco.MjModel, data: mujoco.MjData, body: int, *, kinematics: bool = False) -> tuple[Array, Array]:
@@ -299,7 +299,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     return min(mujoco.mj_geomDistance(model, data, 0, g, 10.0, None) for g in solid)
 
 
-def _rows(found: dict[str, tuple[list[Flight], int]]) -> Iterator[tuple[object, ...]]:
+def _rows(found: dict[str, tuple[list[FreeFlight], int]]) -> Iterator[tuple[object, ...]]:
     for grasp, (flights, refused) in found.items():
         errors = 1e3 * np.array([flight.error for flight in flights])
         after = 1e3 * np.mean([flight.error_after_touch for flight in flights])
@@ -324,7 +324,7 @@ def _row(found: ObjectMotion) -> tuple[object, ...]:
     return (*cells, "-" if np.isnan(rolling) else f"{max(0.0, rolling):.4f}")
 
 
-def _targets(found: tuple[list[Flight], int]) -> list[report.Target]:
+def _targets(found: tuple[list[FreeFlight], int]) -> list[report.Target]:
     flights, _ = found
     mean = float(np.mean([flight.error for flight in flights]))
     return [

@@ -39,7 +39,7 @@ OURS, PUBLISHED = "footprint", "Algorithm 1"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class FailureKind:
     """Events of one kind."""
 
     generator: str
@@ -57,13 +57,13 @@ class Kind:
 _GRIPPER = ("gripper_failure", "weak_grip", "stuck_gripper")
 _ARM = ("loose_joint", "power_loss", "dropout", "noise", "dead_zone")
 _SENSORS = ("noise", "bias_drift", "scale_error", "dead_zone", "dropout", "control_delay")
-EVENTS: Mapping[str, Kind] = {
-    "spill, dropped": Kind(generator="drop", faults=_GRIPPER, components=("contents",)),
-    "spill, held": Kind(generator="spill", faults=_ARM, components=("contents",), spilled=True),
-    "collapse": Kind(generator="collapse", faults=("power_loss",), components=("body",)),
-    "joint": Kind(generator="joint", faults=("complete_shutdown",), components=("body", "carried"), single=True),
-    "stuck": Kind(generator="stuck", faults=("stuck_position",), components=("body", "carried"), single=True),
-    "stray": Kind(generator="stray", faults=_SENSORS, components=("body", "carried"), judged=False),
+EVENTS: Mapping[str, FailureKind] = {
+    "spill, dropped": FailureKind(generator="drop", faults=_GRIPPER, components=("contents",)),
+    "spill, held": FailureKind(generator="spill", faults=_ARM, components=("contents",), spilled=True),
+    "collapse": FailureKind(generator="collapse", faults=("power_loss",), components=("body",)),
+    "joint": FailureKind(generator="joint", faults=("complete_shutdown",), components=("body", "carried"), single=True),
+    "stuck": FailureKind(generator="stuck", faults=("stuck_position",), components=("body", "carried"), single=True),
+    "stray": FailureKind(generator="stray", faults=_SENSORS, components=("body", "carried"), judged=False),
 }
 
 
@@ -104,7 +104,7 @@ def feared_in(scene: gp.Scene) -> list[Fault]:
     return list(every)
 
 
-def events_of(failures: Sequence[Failures], kind: Kind) -> Events:
+def events_of(failures: Sequence[Failures], kind: FailureKind) -> Events:
     """Predict the events of one kind with both models."""
     scenes = scenes_of(failures, variants.load)
     columns: dict[str, list[Array]] = {name: [] for name in ("scene", "motion", "happened", OURS, PUBLISHED)}
@@ -133,11 +133,11 @@ def events_of(failures: Sequence[Failures], kind: Kind) -> Events:
     )
 
 
-def _labels(kind: Kind, scene: gp.Scene) -> list[str]:
+def _labels(kind: FailureKind, scene: gp.Scene) -> list[str]:
     return [f"{name} {joint}" for name in kind.faults for joint in scene.joints] if kind.single else list(kind.faults)
 
 
-def _ours(kind: Kind, scene: gp.Scene, part: Failures) -> Array:
+def _ours(kind: FailureKind, scene: gp.Scene, part: Failures) -> Array:
     batch = part.states(scene)
     if not kind.single:
         prior = gp.FaultPrior({"it": 1.0}, {"it": {kind.generator: 1.0}})

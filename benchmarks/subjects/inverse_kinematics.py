@@ -30,7 +30,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class PoseFigures:
     """What came of one pose."""
 
     free_yaw: bool
@@ -56,7 +56,7 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{report.targets(_targets(findings))}\n{report.table(header, rows)}"
 
 
-def examine(job: tuple[str, bool, int]) -> list[Finding]:
+def examine(job: tuple[str, bool, int]) -> list[PoseFigures]:
     """Measure poses in one scene."""
     name, free_yaw, count = job
     task = next(iter(suite.scene(name).tasks.values()))
@@ -69,14 +69,14 @@ def examine(job: tuple[str, bool, int]) -> list[Finding]:
     return [_examine(goal, task.scene, task.start) for goal in goals]
 
 
-def _examine(goal: gp.PoseGoal, scene: gp.Scene, start: Array) -> Finding:
+def _examine(goal: gp.PoseGoal, scene: gp.Scene, start: Array) -> PoseFigures:
     started = time.perf_counter()
     found = solve_ik(goal, scene, start)
     seconds = time.perf_counter() - started
     solver = PoseSolver(goal, scene)
     near, _ = solver.search(draw_seeds(scene, start, SEEDS, np.random.default_rng(0), 0), ITERATIONS)
     moved = [solver.polish(q[None], ITERATIONS)[1][0] for q in near]
-    return Finding(
+    return PoseFigures(
         free_yaw=goal.free_yaw,
         seconds=seconds,
         solutions=_errors(goal, scene, found.q),
@@ -95,7 +95,7 @@ def _errors(goal: gp.PoseGoal, scene: gp.Scene, q: Array) -> Array:
     return np.array([pose_error(goal, _tool(scene, x)) for x in q]).reshape(-1, 2)
 
 
-def _row(word: str, findings: list[Finding]) -> list[str]:
+def _row(word: str, findings: list[PoseFigures]) -> list[str]:
     milliseconds = [1e3 * f.seconds for f in findings]
     solutions, near = (np.concatenate([getattr(f, key) for f in findings]) for key in ("solutions", "near"))
     return [
@@ -117,7 +117,7 @@ def _told(error: Array) -> str:
     return f"{error[0]:.1e} m, {error[1]:.1e} rad"
 
 
-def _targets(findings: list[Finding]) -> Iterator[report.Target]:
+def _targets(findings: list[PoseFigures]) -> Iterator[report.Target]:
     solved = sum(len(f.solutions) > 0 for f in findings)
     yield report.Target(
         what="reachable poses that are solved",

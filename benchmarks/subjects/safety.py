@@ -42,7 +42,7 @@ QUICK = Sizes(collision=1000, algorithm=200)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class SafetyFigures:
     """What came of one scene with one object."""
 
     scene: str
@@ -65,7 +65,7 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{sizes_told}\n\n{report.targets(_targets(findings))}\n{report.table(header, rows)}"
 
 
-def examine(job: tuple[str, str, Sizes]) -> Finding:
+def examine(job: tuple[str, str, Sizes]) -> SafetyFigures:
     """Compare kernel and judge in one scene with one object."""
     name, carried, sizes = job
     scene = _with_object(suite.scene(name), carried)
@@ -78,7 +78,7 @@ def examine(job: tuple[str, str, Sizes]) -> Finding:
         part = q[begin : min(begin + _CHUNK, sizes.algorithm)]
         gap = np.abs(kernels.interaction(part) - reference_probability(scene, part))
         difference = max(difference, float(gap.max(initial=0.0)))
-    return Finding(
+    return SafetyFigures(
         scene=name,
         carried=carried,
         free=float(np.mean(~colliding)),
@@ -106,12 +106,12 @@ def _with_object(scene: gp.Scene, carried: str) -> gp.Scene:
     return next((task.scene for task in scene.tasks.values() if carried and task.object_name == carried), scene)
 
 
-def _row(f: Finding) -> tuple[object, ...]:
+def _row(f: SafetyFigures) -> tuple[object, ...]:
     free, cautious = report.percent(f.free), report.percent(f.cautious, 2)
     return (f.scene, f.carried or "-", free, f.missed, cautious, f"{f.difference:.1e}")
 
 
-def _targets(findings: list[Finding]) -> Iterator[report.Target]:
+def _targets(findings: list[SafetyFigures]) -> Iterator[report.Target]:
     missed = sum(f.missed for f in findings)
     worst = max(findings, key=lambda f: f.cautious)
     difference = max(f.difference for f in findings)
