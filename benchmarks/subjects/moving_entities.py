@@ -23,9 +23,9 @@ through furniture as ghosts do: MuJoCo moves them as mocap bodies that only the 
 away at the release; the object leaves with the velocity that it then has plus noise of 0.05 m/s and 1 rad/s, 0.03 s
 late. A hit is any contact within 1.5 s. All else stands still.
 
-"at its time" is the model of this library (`costs/models/moving/drops.py`, constants as fitted to drops among things that
-stand still: nothing was fitted here). "standing" takes everybody to stay where they are at the release. Skill is the Brier
-skill against the share of hits among the same events.
+"at its time" is the model of this library (`costs/models/moving/drops.py`, constants as fitted to drops among things
+that stand still: nothing was fitted here). "standing" takes everybody to stay where they are at the release. Skill is
+the Brier skill against the share of hits among the same events.
 """
 SKILL = 0.4
 RATIO = (0.7, 1.4)
