@@ -103,7 +103,7 @@ static void clearance_gradients(const Tables& tables, const Nearest& pair, const
   for_each_block<D>(tables, states, [&](size_t first, int count, const Frame<D>* X_W) {
     for (size_t k = first; k < first + size_t(count); ++k) {
       double* out = gradient + k * size_t(tables.n_joint);
-      clearance_gradient(tables, X_W, pair.a[k], pair.b[k], int(k - first), out);
+      clearance_gradient({tables, X_W, int(k - first)}, pair.a[k], pair.b[k], out);
     }
   });
 }

@@ -119,9 +119,16 @@ static inline int group_of(const Tables& tables, int sphere) {
   return g;
 }
 
+struct Posture {  // one of the configurations side by side
+  const Tables& tables;
+  const Frame<D>* X_W;
+  int lane;
+};
+
 // Add sign * normal . J to the gradient, J the Jacobian of a point that rides on a link.
-static inline void add_jacobian(const Tables& tables, const Frame<D>* X_W, int lane, int link, const double* point,
-                                const double* normal, double sign, double* gradient) {
+static inline void add_jacobian(const Posture& at, int link, const double* point, const double* normal, double sign,
+                                double* gradient) {
+  const auto& [tables, X_W, lane] = at;
   for (int l = link; l >= 0; l = tables.link[l].parent) {
     const Link& joint = tables.link[l];
     if (joint.joint < 0) continue;
@@ -138,8 +145,8 @@ static inline void add_jacobian(const Tables& tables, const Frame<D>* X_W, int l
   }
 }
 
-static inline void sphere_position(const Tables& tables, const Frame<D>* X_W, int lane, int sphere, const Group& group,
-                                   double* out) {
+static inline void sphere_position(const Posture& at, int sphere, const Group& group, double* out) {
+  const auto& [tables, X_W, lane] = at;
   const Frame<D>& X = X_W[group.frame];
   const float* c = tables.sphere + 4 * sphere;
   out[0] = X.p.x[lane] + X.R[0][lane] * c[0] + X.R[1][lane] * c[1] + X.R[2][lane] * c[2];
@@ -148,23 +155,23 @@ static inline void sphere_position(const Tables& tables, const Frame<D>* X_W, in
 }
 
 // `a` and `b` name the pair, as in `Nearest`.
-static inline void clearance_gradient(const Tables& tables, const Frame<D>* X_W, int a, int b, int lane,
-                                      double* gradient) {
+static inline void clearance_gradient(const Posture& at, int a, int b, double* gradient) {
+  const Tables& tables = at.tables;
   for (int j = 0; j < tables.n_joint; ++j) gradient[j] = 0;
   if (a < 0) return;
   const Group& group = tables.group[group_of(tables, a)];
   double p[3], other[3], normal[3];
-  sphere_position(tables, X_W, lane, a, group, p);
+  sphere_position(at, a, group, p);
   if (b >= 0) {
     outward_normal(tables, tables.obstacle[b], p, normal);
-    add_jacobian(tables, X_W, lane, group.link, p, normal, 1.0, gradient);
+    add_jacobian(at, group.link, p, normal, 1.0, gradient);
     return;
   }
   const Group& other_group = tables.group[group_of(tables, -1 - b)];
-  sphere_position(tables, X_W, lane, -1 - b, other_group, other);
+  sphere_position(at, -1 - b, other_group, other);
   for (int k = 0; k < 3; ++k) normal[k] = p[k] - other[k];
   const double length = norm3(normal) + 1e-30;
   for (int k = 0; k < 3; ++k) normal[k] /= length;
-  add_jacobian(tables, X_W, lane, group.link, p, normal, 1.0, gradient);
-  add_jacobian(tables, X_W, lane, other_group.link, other, normal, -1.0, gradient);
+  add_jacobian(at, group.link, p, normal, 1.0, gradient);
+  add_jacobian(at, other_group.link, other, normal, -1.0, gradient);
 }

@@ -163,12 +163,17 @@ static inline D weight_on(const Tables& tables, const BodyTables& body, const Fr
   return kGravity * (t.w.x * h[first].y - t.w.y * h[first].x + mass[first] * t.v.z);
 }
 
+struct JointMotion {
+  D x, v;
+};
+
 static inline void fall_alone(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int joint, D inertia,
-                              double h, D& x, D& v) {
+                              JointMotion& motion) {
   const JointDrive& drive = body.drive[joint];
+  const double h = body.constants.step;
   const D share = reciprocal(inertia + h * (drive.damping + drive.resistance));
-  const D next = (inertia * v - h * weight_on(tables, body, X_W, drive.link)) * share;
-  move_joint(drive, x, v, towards_zero(next, h * drive.friction * share), h);
+  const D next = (inertia * motion.v - h * weight_on(tables, body, X_W, drive.link)) * share;
+  move_joint(drive, motion.x, motion.v, towards_zero(next, h * drive.friction * share), h);
 }
 
 // M_jj of all joints.
@@ -306,51 +311,6 @@ static inline D expected_distance(const Tables& tables, const Surroundings& arou
   return around.distance[at];
 }
 
-// One failed configuration. `expected`: those of a step of the motion to come that it differs from in frames from
-// `first` on.
-static inline void meet(const Tables& tables, const BodyTables& body, const Surroundings& around, const Frame<D>* X_W,
-                        const Frame<D>* expected, int step, int first, const double* severity, Way& way) {
-  const D penalty = way.gain * relu(way.blocked - way.tolerance);
-  D depth = way.blocked;
-  for (int g = 0; g < tables.n_group; ++g) {
-    const int r = body.row[g];
-    if (r < 0) continue;
-    const Group& group = tables.group[g];
-    const Vec<D> centre = transform(X_W[group.frame], group.bound);
-    const double moved = __builtin_sqrt(greatest_lane(squared_distance(centre, around.centre[g]))) + 1e-9;
-    const double cut = (way.cut[r] > 0.0 ? way.cut[r] : 0.0) + moved;
-    const bool as_expected = group.frame < first;
-    const D off = as_expected ? D{} : displacement(group, X_W[group.frame], expected[group.frame]);
-    const bool close = as_expected || greatest_lane(off) < kSpare;  // else what is expected says little
-    const Near* near = around.of(tables, g);
-    for (size_t i = 0; i < around.count[g]; ++i) {
-      const double gap = double(near[i].gap);
-      if (Surroundings::edge(gap) > cut) break;
-      const int j = near[i].obstacle, e = body.entity[j];
-      const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
-      const double least = gap - moved;
-      if (!(counts && least < way.worst[r][e]) && !(least < 0.0)) continue;
-      const Obstacle& o = tables.obstacle[j];
-      const D need = maximum(counts ? way.best[r][e] - penalty : D{} - 1e9, -depth);
-      if (!any(near_bound(o, centre, relu(need + (double(group.bound[3]) + 1e-6))))) continue;
-      D d = {};
-      if (close) {
-        d = expected_distance(tables, around, step, g, j, expected[group.frame]);
-        if (!any(d - off < need)) continue;
-      }
-      if (!as_expected) {
-        if (!any(signed_distance(tables, o, centre) - group.bound[3] < need + 1e-6)) continue;
-        d = group_distance(tables, o, group, X_W[group.frame], need);
-      }
-      depth = maximum(depth, -d);
-      if (!counts) continue;
-      way.best[r][e] = minimum(way.best[r][e], d + penalty);
-      way.worst[r][e] = greatest_lane(way.best[r][e]);
-    }
-  }
-  way.blocked = depth;
-}
-
 // --- ways to fail ---------------------------------------------------------------------------------------------------
 
 struct Arm {
@@ -364,10 +324,49 @@ struct Arm {
   D inertia[kMaxJoints];                                        // M_jj there
   int reference_steps, known_ahead, inertia_known;
 
-  // As expected at a step, but for frames from `first` on.
-  void meet_at(const Frame<D>* poses, int s, int first) {
-    meet(tables, body, around, poses, expected[s], s, first, severity, way);
+  // One failed configuration: as expected at a step of the motion to come, but for frames from `first` on.
+  void meet(const Frame<D>* poses, int step, int first, Way& met) const {
+    const D penalty = met.gain * relu(met.blocked - met.tolerance);
+    D depth = met.blocked;
+    for (int g = 0; g < tables.n_group; ++g) {
+      const int r = body.row[g];
+      if (r < 0) continue;
+      const Group& group = tables.group[g];
+      const Vec<D> centre = transform(poses[group.frame], group.bound);
+      const double moved = __builtin_sqrt(greatest_lane(squared_distance(centre, around.centre[g]))) + 1e-9;
+      const double cut = (met.cut[r] > 0.0 ? met.cut[r] : 0.0) + moved;
+      const bool as_expected = group.frame < first;
+      const D off = as_expected ? D{} : displacement(group, poses[group.frame], expected[step][group.frame]);
+      const bool close = as_expected || greatest_lane(off) < kSpare;  // else what is expected says little
+      const Near* near = around.of(tables, g);
+      for (size_t i = 0; i < around.count[g]; ++i) {
+        const double gap = double(near[i].gap);
+        if (Surroundings::edge(gap) > cut) break;
+        const int j = near[i].obstacle, e = body.entity[j];
+        const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
+        const double least = gap - moved;
+        if (!(counts && least < met.worst[r][e]) && !(least < 0.0)) continue;
+        const Obstacle& o = tables.obstacle[j];
+        const D need = maximum(counts ? met.best[r][e] - penalty : D{} - 1e9, -depth);
+        if (!any(near_bound(o, centre, relu(need + (double(group.bound[3]) + 1e-6))))) continue;
+        D d = {};
+        if (close) {
+          d = expected_distance(tables, around, step, g, j, expected[step][group.frame]);
+          if (!any(d - off < need)) continue;
+        }
+        if (!as_expected) {
+          if (!any(signed_distance(tables, o, centre) - group.bound[3] < need + 1e-6)) continue;
+          d = group_distance(tables, o, group, poses[group.frame], need);
+        }
+        depth = maximum(depth, -d);
+        if (!counts) continue;
+        met.best[r][e] = minimum(met.best[r][e], d + penalty);
+        met.worst[r][e] = greatest_lane(met.best[r][e]);
+      }
+    }
+    met.blocked = depth;
   }
+  void meet_at(const Frame<D>* poses, int s, int first) { meet(poses, s, first, way); }
   // As expected but for one joint.
   void place(int s, int joint, D at) {
     D x[kMaxJoints];
@@ -402,7 +401,7 @@ struct Arm {
     home.begin(body, kStray, nullptr);
     around.far = (body.n_row > 1 && home.cut[1] > home.cut[0] ? home.cut[1] : home.cut[0]) + kSpare;
     std::fill_n(around.known, Surroundings::row(tables, reference_steps + 1, 0), uint8_t(0));
-    meet(tables, body, around, expected[0], expected[0], 0, kMaxLinks, severity, home);
+    meet(expected[0], 0, kMaxLinks, home);
   }
 
   void collapse(const D* qd) {
@@ -424,15 +423,16 @@ struct Arm {
   void loose(int joint, const D* qd) {
     if (!inertia_known) own_inertias(tables, body, expected[0], inertia);
     inertia_known = true;
-    D at = reference[0][joint], v = qd[joint];
+    JointMotion motion{reference[0][joint], qd[joint]};
     way.begin(body, kJoint, &home);
     for (int s = 1; s <= reference_steps; ++s) {
-      const D was = at, before = way.blocked;
-      fall_alone(tables, body, s > 1 ? X_W : expected[0], joint, inertia[joint], body.constants.step, at, v);
-      place(s, joint, at);
+      const D was = motion.x, before = way.blocked;
+      fall_alone(tables, body, s > 1 ? X_W : expected[0], joint, inertia[joint], motion);
+      place(s, joint, motion.x);
       meet_at(X_W, s, body.drive[joint].link);
       const auto rests = way.blocked > before + way.tolerance;
-      at = rests ? was : at, v = rests ? D{} : v, way.blocked = rests ? before : way.blocked;
+      motion = {rests ? was : motion.x, rests ? D{} : motion.v};
+      way.blocked = rests ? before : way.blocked;
     }
   }
   void stuck(int joint) {

@@ -299,18 +299,25 @@ struct Landing {
   D blur;                                                               // variance of the place
 };
 
-// D of a level's surfaces, their sum, and the product of 1 - D.
-static inline void meet_level(const DropTables& drop, const Flight& flight, int level, bool arrives, Passage& passage,
-                              Reaches& reaches, Landing& landing, D& sum, D& missed) {
-  sum = D{}, missed = D{} + 1.0;
+// Of D of a level's surfaces: their sum, and the product of 1 - D.
+struct Met {
+  D sum = {}, missed = D{} + 1.0;
+};
+
+// Finds D of a level that the object arrives at.
+static inline Met meet_level(const DropTables& drop, const Flight& flight, int level, Passage& passage,
+                             Reaches& reaches, Landing& landing) {
+  Met met;
+  const bool arrives = any(landing.arrives[level] > kNothing);
   for (int k = drop.level_start[level]; k < drop.level_start[level + 1]; ++k) {
     const Surface& s = drop.surface[k];
     passage.move_to(drop, flight, s.top);
     landing.time[k] = passage.time;
     const D overlaps = arrives ? overlap(drop, flight, s, passage, reaches, landing.foremost[k]) : D{};
     landing.overlap[k] = landing.contact[k] = overlaps;
-    sum += overlaps, missed *= 1.0 - overlaps;
+    met.sum += overlaps, met.missed *= 1.0 - overlaps;
   }
+  return met;
 }
 
 static inline void land(const DropTables& drop, const Flight& flight, Landing& landing) {
@@ -320,10 +327,9 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
   D arrives = D{} + 1.0, sum_time = {}, sum_height = {}, sum_fallen = {};
   landing.landed = D{};
   for (int l = 0; l < drop.n_level; ++l) {
-    D sum, missed;
-    meet_level(drop, flight, l, any(arrives > kNothing), passage, reaches, landing, sum, missed);
-    const D first = arrives * (1.0 - missed), share = first * reciprocal(sum + kLeastMass);
     landing.arrives[l] = arrives;
+    const auto [sum, missed] = meet_level(drop, flight, l, passage, reaches, landing);
+    const D first = arrives * (1.0 - missed), share = first * reciprocal(sum + kLeastMass);
     landing.first[l] = landing.leaving[l] = D{}, landing.away[l] = {D{}, D{}};
     if (!any(sum > 0.0)) continue;
     const bool lands = any(first > kNothing);
@@ -348,6 +354,19 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
   const D late = c.velocity_spread * landing.mean_time, deep = c.height_spread * landing.fallen;
   landing.blur = c.position_spread * c.position_spread + late * late + deep * deep;
 }
+
+// From the state at the release to where the object comes down.
+struct Fall {
+  Frame<D> X_W[kMaxLinks];
+  Flight flight;
+  Landing landing;
+
+  Fall(const Tables& tables, const DropTables& drop, const D* q, const D* qd) {
+    forward_kinematics(tables, q, X_W);
+    release(tables, drop, X_W, qd, flight);
+    land(drop, flight, landing);
+  }
+};
 
 // --- 3. falls on to something lower ---------------------------------------------------------------------------------
 

@@ -27,6 +27,26 @@ struct LandingSlope {
   }
 };
 
+// What all steps backwards work on: one fall, and the derivatives with respect to it.
+struct Backward {
+  const Tables& tables;
+  const DropTables& drop;
+  const Frame<D>* X_W;
+  const Flight& flight;
+  const Landing& landing;
+  FlightSlope d_flight;
+  LandingSlope d_landing;
+
+  Backward(const Tables& of, const DropTables& dropped, const Fall& fall)
+      : tables(of),
+        drop(dropped),
+        X_W(fall.X_W),
+        flight(fall.flight),
+        landing(fall.landing),
+        d_flight(dropped),
+        d_landing(dropped) {}
+};
+
 // --- functions ------------------------------------------------------------------------------------------------------
 
 static inline void back_turned(const Surface& s, const Point2& d, D& d_x, D& d_y) {
@@ -75,13 +95,13 @@ static inline void back_reach(const DropPart& part, const D d[3], D d_reach, D d
 }
 
 // How far a part reaches in a horizontal direction.
-static inline void back_reach_along(const DropTables& drop, const Flight& flight, int p, double ux, double uy,
-                                    D d_reach, FlightSlope& slope) {
-  const D* Q = flight.part[p].axis;
+static inline void back_reach_along(Backward& back, int p, double ux, double uy, D d_reach) {
+  const D* Q = back.flight.part[p].axis;
+  D* slope = back.d_flight.part[p].axis;
   D d[3], d_d[3];
   for (int i = 0; i < 3; ++i) d[i] = Q[i] * ux + Q[3 + i] * uy;
-  back_reach(drop.part[p], d, d_reach, d_d);
-  for (int i = 0; i < 3; ++i) slope.part[p].axis[i] += d_d[i] * ux, slope.part[p].axis[3 + i] += d_d[i] * uy;
+  back_reach(back.drop.part[p], d, d_reach, d_d);
+  for (int i = 0; i < 3; ++i) slope[i] += d_d[i] * ux, slope[3 + i] += d_d[i] * uy;
 }
 
 // With respect to Reaches, gathered over surfaces that are turned alike.
@@ -92,21 +112,21 @@ struct ReachSlope {
   } part[kMaxDropParts];
 
   explicit ReachSlope(const DropTables& drop) { clear(drop); }
-  void turn_to(const DropTables& drop, const Flight& flight, const Surface& s, FlightSlope& slope) {
+  void turn_to(Backward& back, const Surface& s) {
     if (alike && alike->turn == s.turn) return;
-    flush(drop, flight, slope);
+    flush(back);
     alike = &s;
   }
-  void flush(const DropTables& drop, const Flight& flight, FlightSlope& slope) {
+  void flush(Backward& back) {
     if (!alike) return;
     const double c = alike->axis[0], n = alike->axis[1], lx = (c - n) * kHalfRoot, ly = (c + n) * kHalfRoot;
-    for (int p = 0; p < drop.n_part; ++p) {
-      back_reach_along(drop, flight, p, c, n, part[p].x, slope);
-      back_reach_along(drop, flight, p, -n, c, part[p].y, slope);
-      back_reach_along(drop, flight, p, lx, ly, part[p].left, slope);
-      back_reach_along(drop, flight, p, -ly, lx, part[p].right, slope);
+    for (int p = 0; p < back.drop.n_part; ++p) {
+      back_reach_along(back, p, c, n, part[p].x);
+      back_reach_along(back, p, -n, c, part[p].y);
+      back_reach_along(back, p, lx, ly, part[p].left);
+      back_reach_along(back, p, -ly, lx, part[p].right);
     }
-    clear(drop);
+    clear(back.drop);
   }
 
  private:
@@ -115,14 +135,14 @@ struct ReachSlope {
   }
 };
 
-// Where the centre of mass is at a time, in the axes of a surface.
-static inline void back_passing(const Flight& flight, const Surface& s, D time, const Point2& d, FlightSlope& slope,
-                                D& d_time) {
+// Where the centre of mass is when it passes a surface, in the axes of that.
+static inline void back_passing(Backward& back, int k, const Point2& d) {
+  const D time = back.landing.time[k];
   D x = {}, y = {};
-  back_turned(s, d, x, y);
-  slope.c.x += x, slope.c.y += y;
-  slope.v.x += x * time, slope.v.y += y * time;
-  d_time += x * flight.v.x + y * flight.v.y;
+  back_turned(back.drop.surface[k], d, x, y);
+  back.d_flight.c.x += x, back.d_flight.c.y += y;
+  back.d_flight.v.x += x * time, back.d_flight.v.y += y * time;
+  back.d_landing.time[k] += x * back.flight.v.x + y * back.flight.v.y;
 }
 
 // --- 4. side contacts -----------------------------------------------------------------------------------------------
@@ -131,9 +151,12 @@ struct SweepSlope {
   D x = {}, y = {}, reach = {}, inverse_scale = {}, top = {};
 };
 
-static inline void back_sweep_hit(const DropTables& drop, const Flight& flight, const Sweep& sweep, const Surface& s,
-                                  D time, D beside, D d_H, SweepSlope& slope, FlightSlope& d_flight, D& d_time,
-                                  D& d_beside) {
+// H of a surface; returns the derivative with respect to `beside`.
+static inline D back_sweep_hit(Backward& back, const Sweep& sweep, int k, D beside, D d_H, SweepSlope& slope) {
+  const DropTables& drop = back.drop;
+  const Flight& flight = back.flight;
+  const Surface& s = drop.surface[k];
+  const D time = back.landing.time[k];
   const Below over((sweep.top - s.bottom) * (1.0 / drop.constants.side_height));
   const Point2 from = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time),
                to = placed(s, sweep.x, sweep.y);
@@ -143,7 +166,6 @@ static inline void back_sweep_hit(const DropTables& drop, const Flight& flight, 
                  sweep.inverse_scale);
   const Within y(0.5 * (from.y + to.y), s.half[1] + sweep.reach + 0.5 * (dy * dy + 1e-6) * inverse_y,
                  sweep.inverse_scale);
-  d_beside += d_H * over.value * x.value * y.value;
   slope.top += d_H * beside * over.u * x.value * y.value * (1.0 / drop.constants.side_height);
   const D d_x = d_H * beside * over.value * y.value, d_y = d_H * beside * over.value * x.value;
   slope.inverse_scale += d_x * x.inverse_scale + d_y * y.inverse_scale;
@@ -151,11 +173,12 @@ static inline void back_sweep_hit(const DropTables& drop, const Flight& flight, 
   const Point2 middle = {0.5 * d_x * x.x, 0.5 * d_y * y.x},
                length = {0.5 * d_x * x.A * dx * inverse_x, 0.5 * d_y * y.A * dy * inverse_y};
   back_turned(s, {middle.x + length.x, middle.y + length.y}, slope.x, slope.y);
-  back_passing(flight, s, time, {middle.x - length.x, middle.y - length.y}, d_flight, d_time);
+  back_passing(back, k, {middle.x - length.x, middle.y - length.y});
+  return d_H * over.value * x.value * y.value;
 }
 
-static inline void back_sweep(const DropTables& drop, const Landing& landing, const Sweep& sweep, const SweepSlope& d,
-                              FlightSlope& d_flight, LandingSlope& d_landing) {
+static inline void back_sweep(Backward& back, const Sweep& sweep, const SweepSlope& d) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const DropConstants& k = drop.constants;
   const Leaving leaving(drop, landing);
   // 1/sqrt(V) has the derivative -V^-3/2 /2, and inverse_scale is 1/(beta sqrt(V)).
@@ -185,8 +208,8 @@ struct TumbleSlope {
 };
 
 // One level: `tumble` is at its state before it, d holds the derivatives with respect to the state after it.
-static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int level, const D* d_G,
-                                     const Landing& landing, TumbleSlope& d, LandingSlope& d_landing) {
+static inline void back_tumble_level(Backward& back, Tumble& tumble, int level, const D* d_G, TumbleSlope& d) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const Point2& n = landing.away[level];
   const D M = landing.leaving[level];
   d_landing.leaving[level] += d.mass + d.drift.x * n.x + d.drift.y * n.y;
@@ -229,8 +252,8 @@ static inline void back_tumble_level(const DropTables& drop, Tumble& tumble, int
   d.mass -= (d_x * tumble.drift.x + d_y * tumble.drift.y) * moved * share;
 }
 
-static inline void back_tumble(const DropTables& drop, const Flight& flight, const Tumble& tumble, const TumbleSlope& d,
-                               FlightSlope& d_flight, LandingSlope& d_landing) {
+static inline void back_tumble(Backward& back, const Tumble& tumble, const TumbleSlope& d) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const DropConstants& k = drop.constants;
   const D d_variance =
       -0.5 * kBeta * kBeta * tumble.inverse_scale * tumble.inverse_scale * tumble.inverse_scale * d.inverse_scale;
@@ -243,9 +266,11 @@ static inline void back_tumble(const DropTables& drop, const Flight& flight, con
 
 // --- 2. support -----------------------------------------------------------------------------------------------------
 
-static inline void back_leaves(const DropTables& drop, const Flight& flight, const Moments& m, D d_T,
-                               const Point2& d_away, Moments& d, FlightSlope& d_flight) {
+// Returns the derivatives with respect to the moments.
+static inline Moments back_leaves(Backward& back, const Moments& m, D d_T, const Point2& d_away) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const DropConstants& k = drop.constants;
+  Moments d;
   const D share = reciprocal(m.area + 1e-6), ex = m.x * share, ey = m.y * share;
   const D xx = m.xx * share - ex * ex + 1e-5, yy = m.yy * share - ey * ey + 1e-5, xy = m.xy * share - ex * ey;
   const D plain = xx * yy - xy * xy, det = maximum(plain, D{} + 1e-11), inverse_det = reciprocal(det),
@@ -273,24 +298,29 @@ static inline void back_leaves(const DropTables& drop, const Flight& flight, con
   d_ex -= 2.0 * ex * d_xx + ey * d_xy, d_ey -= 2.0 * ey * d_yy + ex * d_xy;
   d.x = d_ex * share, d.y = d_ey * share, d.xx = d_xx * share, d.yy = d_yy * share, d.xy = d_xy * share;
   d.area = -share * share * (d_ex * m.x + d_ey * m.y + d_xx * m.xx + d_yy * m.yy + d_xy * m.xy);
+  return d;
 }
+
+struct IntervalSlope {
+  D o, r, at;
+};
 
 // One axis of the rectangle that a surface carries: from the larger lower end to the smaller upper end.
-static inline void back_interval(D o, D r, double carries, D at, D d_middle, D d_width, D& d_o, D& d_r, D& d_at) {
+static inline IntervalSlope back_interval(D o, D r, double carries, D at, D d_middle, D d_width) {
   const D d0 = 0.5 * d_middle - d_width, d1 = 0.5 * d_middle + d_width;
   const auto own0 = o - r > -carries - at, own1 = o + r < carries - at;
-  d_o += where(own0, d0, D{}) + where(own1, d1, D{});
-  d_r += where(own1, d1, D{}) - where(own0, d0, D{});
-  d_at -= where(own0, D{}, d0) + where(own1, D{}, d1);
+  const D lower = where(own0, d0, D{}), upper = where(own1, d1, D{});
+  return {lower + upper, upper - lower, -(where(own0, D{}, d0) + where(own1, D{}, d1))};
 }
 
-static inline void back_moments(const DropTables& drop, const Flight& flight, const Surface& s, D time,
-                                Reaches& reaches, ReachSlope& d_reaches, const Moments& d, FlightSlope& d_flight,
-                                D& d_time) {
+static inline void back_moments(Backward& back, int k, Reaches& reaches, ReachSlope& d_reaches, const Moments& d) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
+  const Surface& s = drop.surface[k];
+  const D time = landing.time[k];
   const Point2 at = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time);
   if (!any((absolute(at.x) < s.carries[0] + drop.radius) & (absolute(at.y) < s.carries[1] + drop.radius))) return;
   reaches.turn_to(drop, flight, s);
-  d_reaches.turn_to(drop, flight, s, d_flight);
+  d_reaches.turn_to(back, s);
   const double c = s.axis[0], n = s.axis[1];
   Point2 d_at = {D{}, D{}};
   for (int p = 0; p < drop.n_part; ++p) {
@@ -311,30 +341,31 @@ static inline void back_moments(const DropTables& drop, const Flight& flight, co
     const D d_wx = where(x1 > x0, d_patch * part.stands * wy + d_qx * wx * (1.0 / 6), D{});
     const D d_wy = where(y1 > y0, d_patch * part.stands * wx + d_qy * wy * (1.0 / 6), D{});
     d_flight.part[p].stands += d_patch * wx * wy;
-    Point2 d_o = {D{}, D{}};
-    D d_rx = {}, d_ry = {};
-    back_interval(o.x, r.x, s.carries[0], at.x, c * d_ux + n * d_uy, d_wx, d_o.x, d_rx, d_at.x);
-    back_interval(o.y, r.y, s.carries[1], at.y, c * d_uy - n * d_ux, d_wy, d_o.y, d_ry, d_at.y);
-    back_turned(s, d_o, d_flight.part[p].o.x, d_flight.part[p].o.y);
-    d_reaches.part[p].x += d_rx, d_reaches.part[p].y += d_ry;
+    const IntervalSlope along = back_interval(o.x, r.x, s.carries[0], at.x, c * d_ux + n * d_uy, d_wx);
+    const IntervalSlope across = back_interval(o.y, r.y, s.carries[1], at.y, c * d_uy - n * d_ux, d_wy);
+    back_turned(s, {along.o, across.o}, d_flight.part[p].o.x, d_flight.part[p].o.y);
+    d_reaches.part[p].x += along.r, d_reaches.part[p].y += across.r;
+    d_at.x += along.at, d_at.y += across.at;
   }
-  back_passing(flight, s, time, d_at, d_flight, d_time);
+  back_passing(back, k, d_at);
 }
 
 // --- 1. first contact -----------------------------------------------------------------------------------------------
 
-static inline void back_overlap(const DropTables& drop, const Flight& flight, const Surface& s, Passage& passage,
-                                Reaches& reaches, ReachSlope& d_reaches, D foremost, D d_D, FlightSlope& d_flight) {
+static inline void back_overlap(Backward& back, int surface, Passage& passage, Reaches& reaches, ReachSlope& d_reaches,
+                                D d_D) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const DropConstants& k = drop.constants;
+  const Surface& s = drop.surface[surface];
   passage.move_to(drop, flight, s.top);
   passage.detail(drop, flight);
   reaches.turn_to(drop, flight, s);
-  d_reaches.turn_to(drop, flight, s, d_flight);
+  d_reaches.turn_to(back, s);
   for (int p = 0; p < drop.n_part; ++p) {
     const FlyingPart& flying = flight.part[p];
     const auto& part = passage.part[p];
     const auto& r = reaches.part[p];
-    const auto decides = foremost == double(p);
+    const auto decides = landing.foremost[surface] == double(p);
     if (!any(decides)) continue;
     const Point2 at = placed(s, part.x, part.y);
     const Within x(at.x, s.half[0] + r.x, part.inverse_scale), y(at.y, s.half[1] + r.y, part.inverse_scale);
@@ -369,8 +400,10 @@ static inline void back_overlap(const DropTables& drop, const Flight& flight, co
 
 // From derivatives with respect to C and F (of each surface) to those with respect to D; returns that with respect to
 // A.
-static inline D back_level(const DropTables& drop, const Landing& landing, int level, D d_next, const D* d_contact,
-                           const D* d_F, D* d_overlap) {
+static inline D back_level(const Backward& back, int level, D d_next, const D* d_F, D* d_overlap) {
+  const DropTables& drop = back.drop;
+  const Landing& landing = back.landing;
+  const D* d_contact = back.d_landing.contact;
   const int first = drop.level_start[level], last = drop.level_start[level + 1];
   const D A = landing.arrives[level];
   D before[kMaxSurfaces], sum = {}, missed = D{} + 1.0, weighed = {}, d_A = {};
@@ -389,8 +422,8 @@ static inline D back_level(const DropTables& drop, const Landing& landing, int l
   return d_A + weighed * share + d_next * missed;
 }
 
-static inline void back_land(const DropTables& drop, const Flight& flight, const Landing& landing, LandingSlope& d,
-                             FlightSlope& d_flight) {
+static inline void back_land(Backward& back) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d] = back;
   const DropConstants& k = drop.constants;
   d.mean_time +=
       d.x * flight.v.x + d.y * flight.v.y + 2.0 * k.velocity_spread * k.velocity_spread * landing.mean_time * d.blur;
@@ -411,7 +444,7 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
     const D per_overlap = landing.arrives[l] * (1.0 - missed) * reciprocal(sum + kLeastMass);
     D d_first = d.first[l] + d_total;
     if (any(landing.leaving[l] > 0.0)) {
-      Moments moments, d_moments;
+      Moments moments;
       for (int i = first; i < last; ++i) {
         const Surface& s = drop.surface[i];
         moments.add(drop, flight, s,
@@ -420,10 +453,8 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
       }
       Point2 away;
       d_first += d.leaving[l] * leaves(drop, flight, moments, away);
-      back_leaves(drop, flight, moments, d.leaving[l] * landing.first[l], d.away[l], d_moments, d_flight);
-      for (int i = first; i < last; ++i)
-        back_moments(drop, flight, drop.surface[i], landing.time[i], reaches, d_reaches, d_moments, d_flight,
-                     d.time[i]);
+      const Moments d_moments = back_leaves(back, moments, d.leaving[l] * landing.first[l], d.away[l]);
+      for (int i = first; i < last; ++i) back_moments(back, i, reaches, d_reaches, d_moments);
     }
     for (int i = first; i < last; ++i) {
       const Surface& s = drop.surface[i];
@@ -433,13 +464,11 @@ static inline void back_land(const DropTables& drop, const Flight& flight, const
       d_flight.low += where(fallen > 0.0, d.fallen * share * F, D{});
       back_fall(flight.v.z, fallen, d.time[i], d_flight.v.z, d_flight.low);
     }
-    d_arrives = back_level(drop, landing, l, d_arrives, d.contact, d_F, d_overlap);
+    d_arrives = back_level(back, l, d_arrives, d_F, d_overlap);
     for (int i = first; i < last; ++i)
-      if (any(landing.overlap[i] > 0.0))
-        back_overlap(drop, flight, drop.surface[i], passage, reaches, d_reaches, landing.foremost[i], d_overlap[i],
-                     d_flight);
+      if (any(landing.overlap[i] > 0.0)) back_overlap(back, i, passage, reaches, d_reaches, d_overlap[i]);
   }
-  d_reaches.flush(drop, flight, d_flight);
+  d_reaches.flush(back);
 }
 
 // --- the state at release -------------------------------------------------------------------------------------------
@@ -452,7 +481,8 @@ static inline void back_tilt(int shape, const D axis[9], D d_tilt, D d_axis[9]) 
 }
 
 // Leaves the derivatives with respect to c, v and w in d, and returns that with respect to a small turn of the object.
-static inline Vec<D> back_release(const DropTables& drop, const Flight& flight, FlightSlope& d) {
+static inline Vec<D> back_release(Backward& back) {
+  auto& [tables, drop, X_W, flight, landing, d, d_landing] = back;
   const D inverse_speed = reciprocal(flight.speed);
   d.v.x += d.speed * flight.v.x * inverse_speed, d.v.y += d.speed * flight.v.y * inverse_speed;
   back_tilt(drop.part[drop.main].shape, flight.part[drop.main].axis, d.tilt, d.part[drop.main].axis);
@@ -492,12 +522,12 @@ static inline D dot(const Vec<D>& a, const Vec<D>& b) { return a.x * b.x + a.y *
 
 // From the object's pose and velocity to the joints', from its link inwards. A joint turns (or shifts) the velocities
 // that those further out give the object, and moves it within what those further in do.
-static inline void back_joints(const Tables& tables, int link, const Frame<D>* X_W, const D* qd, const Flight& flight,
-                               const FlightSlope& d, const Vec<D>& d_turn, D* d_q, D* d_qd) {
+static inline void back_joints(const Backward& back, const D* qd, const Vec<D>& d_turn, D* d_q, D* d_qd) {
+  const auto& [tables, drop, X_W, flight, landing, d, d_landing] = back;
   for (int j = 0; j < tables.n_joint; ++j) d_q[j] = d_qd[j] = D{};
-  Vec<D> inner = flight.w, v_outer = {D{}, D{}, D{}},
-         w_outer = {D{}, D{}, D{}};  // w of the joints up to this one; v, w beyond it
-  for (int l = link; l >= 0; l = tables.link[l].parent) {
+  // w of the joints up to this one; v and w beyond it.
+  Vec<D> inner = flight.w, v_outer = {D{}, D{}, D{}}, w_outer = {D{}, D{}, D{}};
+  for (int l = drop.link; l >= 0; l = tables.link[l].parent) {
     const Link& joint = tables.link[l];
     if (joint.joint < 0) continue;
     const Frame<D>& X = X_W[l];

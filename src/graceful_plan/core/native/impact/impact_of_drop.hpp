@@ -28,19 +28,6 @@ static inline void carried_probability(const DropTables& drop, const Flight& fli
   }
 }
 
-// From the state at the release to where the object comes down.
-struct Fall {
-  Frame<D> X_W[kMaxLinks];
-  Flight flight;
-  Landing landing;
-
-  Fall(const Tables& tables, const DropTables& drop, const D* q, const D* qd) {
-    forward_kinematics(tables, q, X_W);
-    release(tables, drop, X_W, qd, flight);
-    land(drop, flight, landing);
-  }
-};
-
 // P [kDropRows, n_entity] of every entity; those without severity are left at zero, if severities are given.
 static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
                                     const D* qd, D* P) {
@@ -74,25 +61,26 @@ static inline D drop_impact_of(const Tables& tables, const DropTables& drop, con
 // --- gradient -------------------------------------------------------------------------------------------------------
 
 // Adds what contents do to the impact and to derivatives; returns that with respect to a small turn of the object.
-static inline Vec<D> back_contents(const DropTables& drop, const Frame<D>& X, const Flight& flight,
-                                   const Landing& landing, const double* severity, D& impact, LandingSlope& d_landing,
-                                   FlightSlope& d_flight) {
+static inline Vec<D> back_contents(Backward& back, const double* severity, D& impact) {
+  const DropTables& drop = back.drop;
   Vec<D> d_turn = {D{}, D{}, D{}};
   if (!drop.spill.surface) return d_turn;
   Mouth mouth;
   MouthSlope d_mouth;
-  pour(drop.spill, X, flight, mouth);
+  pour(drop.spill, back.X_W[drop.frame], back.flight, mouth);
   for (int row = 1; row < kDropRows; ++row) {
     const double* own = severity + row * drop.n_entity;
-    if (matters(drop, own))
-      impact += back_spill(drop, flight, landing, mouth, drop.spill.use[row - 1], own, d_mouth, d_landing, d_flight);
+    if (matters(drop, own)) impact += back_spill(back, mouth, drop.spill.use[row - 1], own, d_mouth);
   }
-  return back_pour(flight, mouth, d_mouth, d_flight);
+  return back_pour(back.flight, mouth, d_mouth, back.d_flight);
 }
 
-static inline D drop_impact_gradient(const Tables& tables, const DropTables& drop, const double* severities, const D* q,
-                                     const D* qd, D* d_q, D* d_qd) {
-  const double* severity = severities;
+struct LaneSlopes {
+  D d_q[kMaxJoints], d_qd[kMaxJoints];
+};
+
+static inline D drop_impact_gradient(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
+                                     const D* qd, LaneSlopes& out) {
   const Fall fall(tables, drop, q, qd);
   const auto& [X_W, flight, landing] = fall;
   // Forwards, as in drop_probability, with a record.
@@ -117,12 +105,12 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
     left -= landing.first[l];
   }
   // Backwards.
-  FlightSlope d_flight(drop);
-  LandingSlope d_landing(drop);
+  Backward back(tables, drop, fall);
+  LandingSlope& d_landing = back.d_landing;
   TumbleSlope d_tumble;
   SweepSlope d_sweep;
-  D open[kMaxEntities], d_G[kMaxSurfaces],
-      d_lower = {};  // open: severities of entities whose greatest P is not yet found
+  // open: severities of entities whose greatest P is not yet found.
+  D open[kMaxEntities], d_G[kMaxSurfaces], d_lower = {};
   for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = D{} + severity[e];
   D d_lowers[kMaxSurfaces];
   for (int l = 0; l < drop.n_level; ++l) {
@@ -137,25 +125,23 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
       d_landing.contact[k] += d * (1.0 - G[k]) * (1.0 - H[k]);
       d_G[k] = d * (1.0 - C) * (1.0 - H[k]);
       if (!any(H[k] > 0.0)) continue;
-      D d_beside = {};
-      back_sweep_hit(drop, flight, sweep, s, landing.time[k], relu(lower[l] - C), d * (1.0 - C) * (1.0 - G[k]), d_sweep,
-                     d_flight, d_landing.time[k], d_beside);
-      d_beside = where(lower[l] > C, d_beside, D{});
+      const D d_H = d * (1.0 - C) * (1.0 - G[k]);
+      const D d_beside = where(lower[l] > C, back_sweep_hit(back, sweep, k, relu(lower[l] - C), d_H, d_sweep), D{});
       d_landing.contact[k] -= d_beside, d_lowers[l] += d_beside;
     }
   }
   for (int l = 0; l < drop.n_level; ++l) d_lower += d_lowers[l], d_landing.first[l] += d_lower;
   for (int l = drop.n_level; l-- > 0;) {
     tumble.mass = mass[l], tumble.drift = drift[l];
-    back_tumble_level(drop, tumble, l, d_G, landing, d_tumble, d_landing);
+    back_tumble_level(back, tumble, l, d_G, d_tumble);
   }
-  back_tumble(drop, flight, tumble, d_tumble, d_flight, d_landing);
-  back_sweep(drop, landing, sweep, d_sweep, d_flight, d_landing);
-  const Vec<D> d_pour = back_contents(drop, X_W[drop.frame], flight, landing, severities, impact, d_landing, d_flight);
-  back_land(drop, flight, landing, d_landing, d_flight);
-  Vec<D> d_turn = back_release(drop, flight, d_flight);
+  back_tumble(back, tumble, d_tumble);
+  back_sweep(back, sweep, d_sweep);
+  const Vec<D> d_pour = back_contents(back, severity, impact);
+  back_land(back);
+  Vec<D> d_turn = back_release(back);
   d_turn = {d_turn.x + d_pour.x, d_turn.y + d_pour.y, d_turn.z + d_pour.z};
-  back_joints(tables, drop.link, X_W, qd, flight, d_flight, d_turn, d_q, d_qd);
+  back_joints(back, qd, d_turn, out.d_q, out.d_qd);
   return impact;
 }
 
@@ -180,14 +166,15 @@ static void drop_impact(const Tables& tables, const DropTables& drop, const doub
 
 static void drop_gradient(const Tables& tables, const DropTables& drop, const double* severity, const States& states,
                           const Slopes& out) {
-  D slope_q[kMaxJoints], slope_qd[kMaxJoints];
+  LaneSlopes slopes;
   const size_t nq = size_t(tables.n_joint);
   for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
-    const D value = drop_impact_gradient(tables, drop, severity, qs, rates, slope_q, slope_qd);
+    const D value = drop_impact_gradient(tables, drop, severity, qs, rates, slopes);
     for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i) {
       const size_t row = first + size_t(i);
       out.value[row] = value[i];
-      for (size_t j = 0; j < nq; ++j) out.d_q[row * nq + j] = slope_q[j][i], out.d_qd[row * nq + j] = slope_qd[j][i];
+      for (size_t j = 0; j < nq; ++j)
+        out.d_q[row * nq + j] = slopes.d_q[j][i], out.d_qd[row * nq + j] = slopes.d_qd[j][i];
     }
   });
 }

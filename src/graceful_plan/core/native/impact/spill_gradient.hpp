@@ -57,7 +57,15 @@ struct FlowSlope {
   D flows = {}, x = {}, y = {};  // O and o
 };
 
-static inline void back_over(const DropTables& drop, const Spill& spill, int l, D d_over, D& d_lands, D& d_x, D& d_y,
+struct LevelSlope {  // of what arrives at, or lands on, a level: how much, and where
+  D amount, x, y;
+};
+
+struct ReachedSlope {  // A, B and what stands in the puddle, per surface
+  D fallen[kMaxSurfaces], flown[kMaxSurfaces], stood[kMaxSurfaces];
+};
+
+static inline void back_over(const DropTables& drop, const Spill& spill, int l, D d_over, LevelSlope& d_lands,
                              SpillSlope& d) {
   const SpillLevel& at = spill.level[l];
   if (!any(at.lands > kNothing)) return;
@@ -81,25 +89,25 @@ static inline void back_over(const DropTables& drop, const Spill& spill, int l, 
     const D d_upon = -d_over * others, px = d_upon * upon.x * share, py = d_upon * upon.y * share;
     d.inverse_scale += d_upon * upon.inverse_scale;
     d.x += d_upon * upon.x, d.y += d_upon * upon.y;
-    d_x += px, d_y += py, d_lands -= px * x + py * y;
+    d_lands.x += px, d_lands.y += py, d_lands.amount -= px * x + py * y;
   }
 }
 
-// d_flow: with respect to the state below the level, replaced by that above it. d_fallen, d_flown: A and B.
-static inline void back_flow(const DropTables& drop, const Spill& spill, int l, const D* d_fallen, const D* d_flown,
-                             FlowSlope& d_flow, D& d_arrives, D& d_Lx, D& d_Ly, SpillSlope& d) {
+// d_flow: with respect to the state below the level, replaced by that above it. Returns that of what arrives.
+static inline LevelSlope back_flow(const DropTables& drop, const Spill& spill, int l, const ReachedSlope& reached,
+                                   FlowSlope& d_flow, SpillSlope& d) {
   const SpillLevel& at = spill.level[l];
   D d_past = d_flow.flows * at.flows + d_flow.x * at.flow_x + d_flow.y * at.flow_y;
   const D d_over = d_flow.flows * at.lands + d_flow.x * at.land_x + d_flow.y * at.land_y;
-  D d_lands = d.lands[l] + d_flow.flows * at.over, d_x = d.land_x[l] + d_flow.x * at.over,
-    d_y = d.land_y[l] + d_flow.y * at.over;
+  LevelSlope d_lands = {d.lands[l] + d_flow.flows * at.over, d.land_x[l] + d_flow.x * at.over,
+                        d.land_y[l] + d_flow.y * at.over};
   d_flow.flows *= at.past, d_flow.x *= at.past, d_flow.y *= at.past;
-  back_over(drop, spill, l, d_over, d_lands, d_x, d_y, d);
+  back_over(drop, spill, l, d_over, d_lands, d);
+  const D d_x = d_lands.x, d_y = d_lands.y;
   const D share = reciprocal(at.flows + kLeastMass), fx = at.flow_x * share, fy = at.flow_y * share,
           run = spill.k.run_off * spill.rho;
-  const D stays = at.flows * (1.0 - at.past), d_stays = d_lands + d_x * fx + d_y * fy;
-  d_arrives = d_lands + d_x * at.x + d_y * at.y;
-  d_Lx = d_x * at.arrives, d_Ly = d_y * at.arrives;
+  const D stays = at.flows * (1.0 - at.past), d_stays = d_lands.amount + d_x * fx + d_y * fy;
+  LevelSlope d_arrives = {d_lands.amount + d_x * at.x + d_y * at.y, d_x * at.arrives, d_y * at.arrives};
   D d_fx = d_x * stays, d_fy = d_y * stays;
   d_flow.flows += d_stays * (1.0 - at.past);
   d_past -= d_stays * at.flows;
@@ -110,55 +118,56 @@ static inline void back_flow(const DropTables& drop, const Spill& spill, int l, 
   for (int i = first; i < last; ++i) before[i - first] = past, past *= 1.0 - spill.flown[i] * inverse_flows;
   for (int i = last; i-- > first;) {
     const Surface& s = drop.surface[i];
-    if (arrives && any(d_fallen[i] != 0.0)) {
+    if (arrives && any(reached.fallen[i] != 0.0)) {
       const Upon upon(s, spill.x + at.x, spill.y + at.y, D{} + (s.half[0] + spill.k.margin),
                       D{} + (s.half[1] + spill.k.margin), spill.inverse_scale);
-      const D d_upon = d_fallen[i] * at.arrives;
-      d_arrives += d_fallen[i] * upon.value;
+      const D d_upon = reached.fallen[i] * at.arrives;
+      d_arrives.amount += reached.fallen[i] * upon.value;
       d.x += d_upon * upon.x, d.y += d_upon * upon.y;
-      d_Lx += d_upon * upon.x, d_Ly += d_upon * upon.y, d.inverse_scale += d_upon * upon.inverse_scale;
+      d_arrives.x += d_upon * upon.x, d_arrives.y += d_upon * upon.y, d.inverse_scale += d_upon * upon.inverse_scale;
     }
     const double visible = drop.spill.surface[i].visible;
     if (!flows || visible == 0.0) continue;
     const Upon upon(s, spill.x + fx, spill.y + fy, s.half[0] + run, s.half[1] + run, spill.inverse_scale);
-    const D d_upon = (d_flown[i] * at.flows - d_past * before[i - first] * after) * visible;
+    const D d_upon = (reached.flown[i] * at.flows - d_past * before[i - first] * after) * visible;
     after *= 1.0 - visible * upon.value;
-    d_flow.flows += d_flown[i] * visible * upon.value;
+    d_flow.flows += reached.flown[i] * visible * upon.value;
     d.x += d_upon * upon.x, d.y += d_upon * upon.y;
     d_fx += d_upon * upon.x, d_fy += d_upon * upon.y;
     d.inverse_scale += d_upon * upon.inverse_scale, d.rho += d_upon * upon.half * spill.k.run_off;
   }
   d_flow.x += d_fx * share, d_flow.y += d_fy * share;
   d_flow.flows -= share * (d_fx * fx + d_fy * fy);
+  return d_arrives;
 }
 
-static inline void back_arrive(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth,
-                               const Spill& spill, int l, D d_arrives, D d_x, D d_y, MouthSlope& d_mouth,
-                               LandingSlope& d_landing, FlightSlope& d_flight) {
+static inline void back_arrive(Backward& back, const Mouth& mouth, const Spill& spill, int l, const LevelSlope& d,
+                               MouthSlope& d_mouth) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const SpillLevel& at = spill.level[l];
   const int first = drop.level_start[l];
   const D time = landing.time[first] + spill.k.carry;
-  d_landing.first[l] += d_arrives * at.hard, d_landing.leaving[l] += d_arrives * (1.0 - at.hard);
-  const D d_u = d_arrives * (landing.first[l] - landing.leaving[l]) * at.hard * (1.0 - at.hard) *
+  d_landing.first[l] += d.amount * at.hard, d_landing.leaving[l] += d.amount * (1.0 - at.hard);
+  const D d_u = d.amount * (landing.first[l] - landing.leaving[l]) * at.hard * (1.0 - at.hard) *
                 (1.0 / (kBeta * spill.k.soft_spread));
   const D h = flight.low - drop.surface[first].top, soft = square_root(h * h + 1e-4), slope = d_u * reciprocal(at.u);
   d_flight.v.z += slope * flight.v.z;
   d_flight.low += slope * (0.5 * kGravity) * (1.0 + h * reciprocal(soft));
-  d_mouth.vx += d_x * time, d_mouth.vy += d_y * time;
-  d_landing.time[first] += d_x * mouth.vx + d_y * mouth.vy;
+  d_mouth.vx += d.x * time, d_mouth.vy += d.y * time;
+  d_landing.time[first] += d.x * mouth.vx + d.y * mouth.vy;
 }
 
 // --- the container --------------------------------------------------------------------------------------------------
 
-static inline void back_filling(const DropTables& drop, const Landing& landing, const Mouth& mouth, const Spill& spill,
-                                const SpillSlope& d, MouthSlope& d_mouth, LandingSlope& d_landing) {
-  const SpillTables& tables = drop.spill;
+static inline void back_filling(Backward& back, const Mouth& mouth, const Spill& spill, const SpillSlope& d,
+                                MouthSlope& d_mouth) {
+  const SpillTables& tables = back.drop.spill;
   const SpillConstants& k = spill.k;
   const D d_variance =
       -0.5 * kBeta * kBeta * spill.inverse_scale * spill.inverse_scale * spill.inverse_scale * d.inverse_scale;
   d_mouth.x += d.x, d_mouth.y += d.y;
   d_mouth.speed2 += k.speed_spread * k.speed_spread * d_variance;
-  d_landing.fallen += 2.0 * k.height_spread * k.height_spread * landing.fallen * d_variance;
+  back.d_landing.fallen += 2.0 * k.height_spread * k.height_spread * back.landing.fallen * d_variance;
   const Filling filling(tables, k, mouth);
   const D cube = filling.fill * filling.fill * filling.fill;
   const D d_fill = -d.rho * filling.rho * tables.power * cube * reciprocal(1.0 + cube * filling.fill);
@@ -170,8 +179,7 @@ static inline void back_filling(const DropTables& drop, const Landing& landing, 
   d_mouth.up -= d_slope * (inverse_side + filling.slope * inverse_up);
 }
 
-static inline D severest(const DropTables& drop, const Spill& spill, const double* severity, D* d_fallen, D* d_flown,
-                         D* d_stood) {
+static inline D severest(const DropTables& drop, const Spill& spill, const double* severity, ReachedSlope& reached) {
   D P[kMaxEntities], open[kMaxEntities], impact = {};
   for (int e = 0; e < drop.n_entity; ++e) P[e] = D{}, open[e] = D{} + severity[e];
   for (int i = 0; i < drop.n_surface; ++i)
@@ -179,39 +187,38 @@ static inline D severest(const DropTables& drop, const Spill& spill, const doubl
       P[drop.surface[i].entity] = maximum(P[drop.surface[i].entity], spill.probability(i));
   for (int i = 0; i < drop.n_surface; ++i) {
     const int entity = drop.surface[i].entity;
-    d_fallen[i] = d_flown[i] = d_stood[i] = D{};
+    reached.fallen[i] = reached.flown[i] = reached.stood[i] = D{};
     if (entity < 0) continue;
     const auto greatest = spill.probability(i) == P[entity];
     const D d = where(greatest, open[entity], D{});
     open[entity] = where(greatest, D{}, open[entity]);
-    d_fallen[i] = d * (1.0 - spill.flown[i]) * (1.0 - spill.stood[i]);
-    d_flown[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.stood[i]);
-    d_stood[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.flown[i]);
+    reached.fallen[i] = d * (1.0 - spill.flown[i]) * (1.0 - spill.stood[i]);
+    reached.flown[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.stood[i]);
+    reached.stood[i] = d * (1.0 - spill.fallen[i]) * (1.0 - spill.flown[i]);
   }
   for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e];
   return impact;
 }
 
 // The impact of one use, and its derivatives.
-static inline D back_spill(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth,
-                           const SpillConstants& constants, const double* severity, MouthSlope& d_mouth,
-                           LandingSlope& d_landing, FlightSlope& d_flight) {
+static inline D back_spill(Backward& back, const Mouth& mouth, const SpillConstants& constants, const double* severity,
+                           MouthSlope& d_mouth) {
+  const DropTables& drop = back.drop;
   Spill spill(constants);
-  spill.run(drop, flight, landing, mouth, severity);
-  D d_fallen[kMaxSurfaces], d_flown[kMaxSurfaces], d_stood[kMaxSurfaces];
-  const D impact = severest(drop, spill, severity, d_fallen, d_flown, d_stood);
+  spill.run(drop, back.flight, back.landing, mouth, severity);
+  ReachedSlope reached;
+  const D impact = severest(drop, spill, severity, reached);
   SpillSlope d(drop);
   for (int i = 0; i < drop.n_surface; ++i)
-    if (any(d_stood[i] != 0.0)) back_standing(drop, spill, i, d_stood[i], d);
+    if (any(reached.stood[i] != 0.0)) back_standing(drop, spill, i, reached.stood[i], d);
   for (int l = 1; l < drop.n_level; ++l)
     d.lands[l] += d.lands[l - 1], d.land_x[l] += d.land_x[l - 1], d.land_y[l] += d.land_y[l - 1];
   FlowSlope d_flow;
   for (int l = drop.n_level; l-- > 0;) {
-    D d_arrives, d_x, d_y;
-    back_flow(drop, spill, l, d_fallen, d_flown, d_flow, d_arrives, d_x, d_y, d);
-    back_arrive(drop, flight, landing, mouth, spill, l, d_arrives, d_x, d_y, d_mouth, d_landing, d_flight);
+    const LevelSlope d_arrives = back_flow(drop, spill, l, reached, d_flow, d);
+    back_arrive(back, mouth, spill, l, d_arrives, d_mouth);
   }
-  back_filling(drop, landing, mouth, spill, d, d_mouth, d_landing);
+  back_filling(back, mouth, spill, d, d_mouth);
   return impact;
 }
 
