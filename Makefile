@@ -12,12 +12,13 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 
 unexport PYTHONPATH
 
-.PHONY: help demo picture sheet test lint bench wheel lock clean
+.PHONY: help demo picture sheet test test-long lint bench wheel lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
 	@echo "make test   run the tests"
+	@echo "make test-long  run the tests that take minutes"
 	@echo "make lint   check style and types"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build a wheel into dist/"
@@ -37,7 +38,10 @@ sheet: $(VENV)/.package
 	$(BIN)/python -m failbench.pictures.contact_sheet docs/images/faults.png
 
 test: $(VENV)/.package $(VENV)/.dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile -m "not long" $(ARGS)
+
+test-long: $(VENV)/.package $(VENV)/.dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -m long $(ARGS)
 
 lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -14,7 +14,7 @@ import failbench as fb
 import graceful_plan as gp
 from failbench.testing import check_fault
 from graceful_plan.planners.planner import path_total
-from graceful_plan.testing import check_cost, check_planner
+from graceful_plan.testing import PlannerTrial, check_cost, check_planner
 
 TEXT = (ROOT / "CONTRIBUTING.md").read_text()
 SNIPPETS = re.findall(r"^```python\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
@@ -75,7 +75,7 @@ def test_the_fault_keeps_its_contract_and_can_be_validated(examples, task):
 
 
 def test_the_planner_keeps_its_contract_and_plans(examples, task):
-    check_planner(examples["Retried"]())
+    check_planner(examples["Retried"](), PlannerTrial(iterations=200))
     result = gp.plan(task.start, task.goal, task.scene, w=0.0, planner=examples["Retried"](), iterations=300)
     assert result.status is gp.PlanStatus.SOLVED
 

@@ -296,7 +296,7 @@ def test_misuse_is_refused(scene: Scene) -> None:
 def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     text = (ROOT / "docs" / "risk.md").read_text()
     snippets = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
-    assert len(snippets) == 3
+    assert len(snippets) == 2
     monkeypatch.chdir(tmp_path)
     exec(compile("\n".join(snippets), "risk.md", "exec"), {})
     assert "CVaR 0.9" in capsys.readouterr().out

@@ -100,7 +100,7 @@ def test_the_core_is_the_specification(odd):
     np.testing.assert_allclose(found, expected, atol=_SAME)
 
 
-@pytest.mark.parametrize("name", ["tabletop", pytest.param("dining_table", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["tabletop", pytest.param("dining_table", marks=pytest.mark.long)])
 def test_the_core_is_the_specification_in_bundled_scenes(name):
     task = next(iter(gp.load_scene(name).tasks.values()))
     constants = replace(SETTINGS, steps=1)
