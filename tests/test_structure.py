@@ -282,6 +282,10 @@ def readme_snippets() -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 80
+
+
 def test_readme_has_snippets():
     assert readme_snippets()
 

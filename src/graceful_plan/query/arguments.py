@@ -59,7 +59,7 @@ def checked_objective(objective: object, w: object, speed: float) -> Objective:
 
 
 def checked_wait(max_wait: object, scene: Scene) -> float:
-    """Return how long the robot may wait before it goes [s]; waiting is for those who move."""
+    """Return how long the robot may wait before it goes [s]; waiting is for moving entities."""
     if not (_is_real(max_wait) and 0.0 <= max_wait < np.inf):  # type: ignore[operator]
         raise SettingError("max_wait", max_wait, "a finite time of at least 0 s")
     if max_wait and not scene.moving:

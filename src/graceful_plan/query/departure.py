@@ -1,7 +1,7 @@
 """When to go and which way, if somebody moves: candidates of a search are timed, and the best by its times is taken.
 
 A search knows no times. So it looks for paths as if nobody moved, and from the best of these local moves look for paths
-of less J where those who move are anywhere along their predicted paths. What was found on both ways is timed, each with
+of less J where moving entities are anywhere along their predicted paths. What was found on both ways is timed, each with
 several times of departure, and the path and departure of least J at these times are taken: what lies between these, or
 beyond, is not considered.
 """
@@ -86,7 +86,7 @@ def _best_wait(trajectory: Trajectory, objective: SceneObjective, max_wait: floa
 def search_among_moving(
     request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator
 ) -> Search:
-    """Search as if nobody moved, improve what was found by J among those who move, and order by J at its times.
+    """Search as if nobody moved, improve what was found by J among moving entities, and order by J at its times.
 
     The trace and what the callback is told are of the search as if nobody moved. The best path is at the end.
     """

@@ -38,7 +38,7 @@ class Auto(Planner):
     """Improves its path until the budget ends, or until it is proven optimal.
 
     One iteration is one of `Anytime`, in any of the searches. They run on threads of their own where the whole
-    objective is native; else, or if nothing is to be feared (w = 0), there is one.
+    objective is native; else, or if no impact counts (w = 0), there is one.
 
     Args:
         initial: A path to begin with, or an array of configurations; see `Optimiser`. It need not be free.

@@ -66,7 +66,7 @@ class Footprint(NativeModel):
 
     @property
     def prior(self) -> FaultPrior:
-        """Which failures are feared."""
+        """Which failures happen, and how often."""
         return FaultPrior.preset(self.faults) if isinstance(self.faults, str) else self.faults
 
     @property
