@@ -1,7 +1,7 @@
 """When to go and which way, if somebody moves: candidates of a search are timed, and the best by its times is taken.
 
 A search knows no times. So it looks for paths as if nobody moved, and from the best of these local moves look for paths
-of less J where moving entities are anywhere along their predicted paths. What was found on both ways is timed, each with
+of less J where moving entities are anywhere along their predicted paths. What was found by both is timed, each with
 several times of departure, and the path and departure of least J at these times are taken: what lies between these, or
 beyond, is not considered.
 """
