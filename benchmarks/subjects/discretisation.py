@@ -11,9 +11,7 @@ import graceful_plan as gp
 from benchmarks import planning, report, suite
 from graceful_plan.compare.runs.runner import PlannerJob
 from graceful_plan.compare.runs.runner import run as run_planner
-from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP
-from graceful_plan.costs.impact import ImpactCost
 
 TITLE = "Discretisation: halving the sub-steps of J"
 CHANGE_BELOW = 0.005
@@ -73,8 +71,9 @@ def examine(job: PlannerJob) -> StepChanges:
 
 def _total(scene: gp.Scene, q: np.ndarray, step: float) -> float:
     """J of a path by the kernel, integrated at a step [rad]."""
-    severity = ImpactCost().severity(scene)
-    motion, impact = compile_scene(scene).kernels.edge_costs(q[:-1], q[1:], severity, step).sum(axis=0)
+    kernel = gp.Objective(w=planning.W).bind(scene).kernel
+    assert kernel is not None  # the default model has one
+    motion, impact = kernel.edges(q[:-1], q[1:], step).sum(axis=0)
     return float(motion + planning.W * impact)
 
 

@@ -17,7 +17,7 @@ from graceful_plan.core.kernels import CHECK_STEP
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.clearance_twin import ClearanceTwin
-from benchmarks.subjects import auto, best_known, kernels, optimisers, planners
+from benchmarks.subjects import auto, best_known, discretisation, kernels, optimisers, planners
 
 from benchmarks import gradients, planning, report, suite
 from benchmarks import run as runner
@@ -210,3 +210,9 @@ def test_optimisers_start_from_the_same_path_and_only_solutions_count():
     assert "stomp" in finding.improved and np.isfinite(finding.before)
     for improvement in finding.improved.values():
         assert 0.0 < improvement.total <= finding.before
+
+
+def test_discretisation_is_that_of_the_cost_that_is_planned_with():
+    found = discretisation.examine(planning.job(TASK, seconds=0.3))
+    assert found.codes < 0.01  # the two integrate at different places
+    assert 0.0 < found.error < 0.05
