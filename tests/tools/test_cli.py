@@ -10,17 +10,6 @@ from graceful_plan import documents
 from graceful_plan.tools import cli, demo
 
 
-@pytest.fixture
-def run(capsys):
-    """Run a command; return exit code, standard output and standard error."""
-
-    def run(*argv: str) -> tuple[int, str, str]:
-        code = cli.main(argv)
-        return code, *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def motion(tmp_path_factory):
     """A verified trajectory in a file."""

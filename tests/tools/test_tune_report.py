@@ -17,17 +17,6 @@ from graceful_plan.viz.front_page import write_front_page
 QUICK = ("tune", "tabletop_l1", "green_to_blue", "--iterations", "150", "--points", "4", "--speed", "0.5")
 
 
-@pytest.fixture
-def run(capsys):
-    """Run a command; return exit code, standard output and standard error."""
-
-    def run(*argv: str) -> tuple[int, str, str]:
-        code = cli.main(argv)
-        return code, *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def task():
     return gp.load_scene("tabletop_l1").tasks["green_to_blue"]

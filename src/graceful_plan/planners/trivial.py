@@ -14,7 +14,7 @@ from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Prob
 Solve = TypeVar("Solve", bound=Callable[..., Iterator[Path]])
 
 
-def start_is_goal(problem: Problem) -> bool:
+def _start_is_goal(problem: Problem) -> bool:
     """Whether the robot already is at a goal; the path is then the single configuration `problem.start`."""
     return bool(np.any(np.all(np.asarray(problem.goals) == np.asarray(problem.start), axis=1)))
 
@@ -26,7 +26,7 @@ def stays_at_goal(solve: Solve) -> Solve:
     def answer(
         planner: Planner, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Path]:
-        if start_is_goal(problem):
+        if _start_is_goal(problem):
             yield Path(problem.start[None])
         else:
             yield from solve(planner, problem, objective, budget, rng)
