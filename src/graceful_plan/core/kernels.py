@@ -211,7 +211,7 @@ class ImpactKernel:
         """`edges`, and the derivatives of the integral of the impact with respect to `q0` and `q1`.
 
         None if the model has none. At kinks (another joint becomes the slowest, two surfaces are equally likely) the
-        derivative is that of one side.
+        derivative is that of one side. Where arms may fail it is only close: see `BodyModel.impact_gradient`.
         """
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
         found = self.native.edge_gradients(first, second, step)

@@ -50,6 +50,7 @@ void bind_impact(nb::module_& m) {
           "constants"_a, nb::keep_alive<1, 2>())
       .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
       .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
+      .def("gradient", &BodyModel::gradient, "weight"_a, "severity"_a, "q"_a, "qd"_a)
       .def("dynamics", &BodyModel::dynamics, "q"_a);
   nb::class_<Impact>(m, "Impact")
       .def("states", &Impact::states_array, "q"_a)

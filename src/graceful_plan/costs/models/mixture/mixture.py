@@ -45,7 +45,7 @@ class Footprint(NativeModel):
 
     Args:
         faults: Which failures to fear, a prior or the name of a preset: "drop_only", the gripper lets go; "arm";
-            "service_robot". Models of failing arms take much longer than those of drops and spills.
+            "service_robot". Models of failing arms take several times longer than those of drops and spills.
         settings: Constants of the drop model; the shipped ones by default.
         spill: Constants of the spill model; the shipped ones by default.
         body: Constants of the body model; the shipped ones by default.
@@ -95,7 +95,7 @@ class Footprint(NativeModel):
     def kernel(
         self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
     ) -> ImpactKernel:
-        """Return the native kernel."""
+        """Return the native kernel; where arms may fail, its derivatives along edges are close rather than exact."""
         parts: list[ImpactKernel] = []
         rows = self._severities(scene, severity)
         if scene.carried is not None and rows.any():
@@ -115,7 +115,10 @@ class Footprint(NativeModel):
     def gradients(
         self, batch: StateBatch, severity: Float[Array, "component entity"]
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """Return the derivatives with respect to q and to the joint velocities, None where there are none."""
+        """Return the derivatives with respect to q and to the joint velocities, None where arms may fail.
+
+        Those of the body model are good for descents but not exact: see `BodyModel.impact_gradient`.
+        """
         if self._arm_weights().any():
             return None
         if batch.scene.carried is None:
@@ -123,11 +126,10 @@ class Footprint(NativeModel):
         kernel = drop_kernel(batch.scene, self.settings, self.spill)
         return kernel.gradient(batch.q, self._severities(batch.scene, severity), batch.qd)[1:]
 
-    def widened(self, metres: float) -> Footprint | None:
-        """Return a model whose objects fall from places that are uncertain by so much more, None if arms may fail."""
-        if self._arm_weights().any():
-            return None
-        return replace(self, settings=self.settings.widened(metres), spill=self.spill.widened(metres))
+    def widened(self, metres: float) -> Footprint:
+        """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
+        wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
+        return replace(self, settings=wide[0], spill=wide[1], body=wide[2])
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of drops and of spills."""
