@@ -94,7 +94,7 @@ def plan(
     """
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
-    bound = checked_objective(objective, w, share).bind(scene)  # compiles the scene
+    bound = checked_objective(objective, w).bind(scene, share)  # compiles the scene
     request = Request(
         planner=checked_planner(planner),
         objective=bound,

@@ -1,9 +1,12 @@
 r"""The objective J = V + w S, and how a path is charged for it.
 
-.. math:: J = \int (m(q) + w\, I(q))\, ds \qquad V = \int m\, ds, \quad S = \int I\, ds
+.. math:: J = V + w\, S \qquad V = \int m(q)\, ds, \quad S = \int I(q, \dot q)\, dt
 
-ds is joint-space length by default, the same for motion and impact, so that J does not depend on how densely a path is
-sampled and stays additive over edges. Integrals are trapezoid sums with sub-steps of at most `COST_STEP`.
+ds is joint-space length. Failures come with time, so that S is what a failure at any moment does, summed over the
+moments of the motion: times the rate of failures it is the expected harm of executing the motion. A trajectory has its
+times and velocities. A path has none: its edges are charged as if they were travelled at `MEAN_PACE` of the velocity
+limits, which stays additive over edges and is what searches minimise. Integrals are trapezoid sums with sub-steps of at
+most `COST_STEP`.
 """
 
 from __future__ import annotations
@@ -34,6 +37,8 @@ MAX_WEIGHT = 1e9
 MEAN_PACE = 0.7
 """Mean share of the velocity limits over the time of a motion that is retimed at full speed: 0.71 on the bundled tasks,
 0.36 at half speed."""
+EXPOSURES = ("length", "time", "waypoints")
+"""Words for what the impact is integrated over."""
 PACE_SPREAD = 0.42
 """Standard deviation of that share, relative to its mean."""
 
@@ -47,25 +52,21 @@ class Objective:
         motion: Cost of moving, a density over length.
         impact: Cost of failing, a density over the exposure.
         w: Safety weight, at least 0; 0 is an ordinary planner.
-        exposure: What the impact is integrated over: "length" [rad]; "time" [s], on a path at the joints' velocity
-            limits and on a trajectory as timed; "waypoints", the paper's plain sum over vertices, start included.
-        pace: How fast a path will be travelled, for models that ask for velocities: mean share of the velocity at which
-            one joint is at its limit. Not used if the exposure is time.
+        exposure: What the impact is integrated over: "time" [s], of a trajectory as it is timed; or, to reproduce
+            others, "length" [rad] and "waypoints", the paper's plain sum over vertices (of a trajectory, over its
+            samples), start included.
     """
 
     motion: Cost = JointLength()
     impact: Cost = ImpactCost()
     w: float = 1.0
-    exposure: str = "length"
-    pace: float = MEAN_PACE
+    exposure: str = "time"
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.w <= MAX_WEIGHT:
             raise SettingError("w", self.w, f"a number from 0 to {MAX_WEIGHT:g}")
-        if not 0.0 <= self.pace <= 1.0:
-            raise SettingError("pace", self.pace, "a share from 0 to 1")
-        if self.exposure not in ("length", "time", "waypoints"):
-            raise SettingError("exposure", self.exposure, "'length', 'time' or 'waypoints'")
+        if self.exposure not in EXPOSURES:
+            raise SettingError("exposure", self.exposure, f"one of {', '.join(EXPOSURES)}")
         for name, cost in (("motion", self.motion), ("impact", self.impact)):
             if not isinstance(cost, Cost):
                 raise SettingError(name, cost, "a graceful_plan.Cost")
@@ -74,19 +75,9 @@ class Objective:
         """The same objective with another safety weight."""
         return replace(self, w=w)
 
-    @property
-    def paces(self) -> tuple[float, float]:
-        """Two shares of the greatest velocity that stand for the spread of velocities along a motion.
-
-        With one alone, paths are found along which an object that flies on at just that velocity lands in a gap.
-        """
-        if self.exposure == "time":
-            return 1.0, 1.0  # at the velocity limits, as the exposure itself
-        return self.pace * (1.0 - PACE_SPREAD), self.pace * (1.0 + PACE_SPREAD)
-
-    def bind(self, scene: Scene) -> SceneObjective:
-        """Make it ready to evaluate edges in a scene."""
-        return SceneObjective(self, scene)
+    def bind(self, scene: Scene, speed: float = 1.0) -> SceneObjective:
+        """Make it ready to evaluate edges in a scene, travelled at a fraction of the velocity limits in (0, 1]."""
+        return SceneObjective(self, scene, speed)
 
 
 @final
@@ -105,8 +96,8 @@ class ChargedStates:
 class SceneObjective:
     """An objective in a scene: what planners see (`BoundObjective`), and the breakdown of whole paths."""
 
-    def __init__(self, objective: Objective, scene: Scene) -> None:
-        self.objective, self.scene = objective, scene
+    def __init__(self, objective: Objective, scene: Scene, speed: float = 1.0) -> None:
+        self.objective, self.scene, self.speed = objective, scene, speed
         self.kernels = compile_scene(scene).kernels
 
     @property
@@ -119,12 +110,20 @@ class SceneObjective:
         """Whether V is the joint-space length, so that distances bound J from below."""
         return self.objective.motion == JointLength()
 
+    @property
+    def pace(self) -> float:
+        """Mean share of the velocity limits at which edges are travelled."""
+        return MEAN_PACE * self.speed
+
     @cached_property
     def kernel(self) -> ImpactKernel | None:
         """The native kernel that computes the edge costs, None if there is none."""
-        impact = self.objective.impact
-        by_length = self.motion_is_length and self.objective.exposure == "length"
-        return impact.kernel(self.scene, self.objective.paces) if by_length and isinstance(impact, ImpactCost) else None
+        impact, exposure = self.objective.impact, self.objective.exposure
+        if not (self.motion_is_length and isinstance(impact, ImpactCost)) or exposure == "waypoints":
+            return None
+        kernel = impact.kernel(self.scene, both_paces(self.pace))
+        timed = kernel is not None and exposure == "time"
+        return kernel.timed(self.pace * self.scene.limits.velocity) if timed else kernel
 
     def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
         """Impact given a failure at each state, at rest without joint velocities [rad/s or m/s]."""
@@ -134,7 +133,7 @@ class SceneObjective:
         """V and S of straight edges from `q0` to `q1`."""
         if self.kernel is not None:
             return self.kernel.edges(q0, q1)
-        samples = EdgeSamples(q0, q1, self.scene.limits.velocity, self.objective.paces)
+        samples = self.samples(q0, q1)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)
         if self.objective.exposure == "waypoints":
@@ -174,12 +173,13 @@ class SceneObjective:
             raise SettingError("metres", metres, "a finite number > 0 [m]")
         impact = self.objective.impact
         wide = impact.widened(metres) if isinstance(impact, ImpactCost) else None
-        return None if wide is None else replace(self.objective, impact=wide).bind(self.scene)
+        return None if wide is None else replace(self.objective, impact=wide).bind(self.scene, self.speed)
 
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
         charged = self.charged_states(path, start_time)
-        samples = self._samples(path.path if isinstance(path, Trajectory) else path)
+        points = path.path if isinstance(path, Trajectory) else path
+        samples = self.samples(points.q[:-1], points.q[1:])
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
         return self._breakdown(float(motion), charged.batch, charged.weight)
@@ -201,15 +201,16 @@ class SceneObjective:
             return ChargedStates(*_timed_batch(self.scene, path, times), place=vertices)
         if self.objective.exposure == "waypoints":
             return ChargedStates(StateBatch(self.scene, points.q, time=times), np.ones(len(points)), place=vertices)
-        samples = self._samples(points)
+        samples = self.samples(points.q[:-1], points.q[1:])
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         if times is not None:
             times = np.interp(samples.place, vertices, times)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed, times)
         return ChargedStates(batch, samples.weights(measure), place=samples.place)
 
-    def _samples(self, points: Path) -> EdgeSamples:
-        return EdgeSamples(points.q[:-1], points.q[1:], self.scene.limits.velocity, self.objective.paces)
+    def samples(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeSamples:
+        """Return samples of straight edges, no farther apart than `step` [rad]."""
+        return EdgeSamples(q0, q1, self.scene.limits.velocity, self.pace, step)
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
         impact = self.objective.impact
@@ -227,11 +228,19 @@ class SceneObjective:
         )
 
 
+def both_paces(pace: float) -> tuple[float, float]:
+    """Return two shares of the greatest velocity that stand for the spread of velocities along a motion.
+
+    With one alone, paths are found along which an object that flies on at just that velocity lands in a gap.
+    """
+    return pace * (1.0 - PACE_SPREAD), pace * (1.0 + PACE_SPREAD)
+
+
 @final
 class EdgeSamples:
     """Evenly spaced samples of many edges in one batch, both ends of each included, with trapezoid weights.
 
-    Their speeds are by turns the first and the second of `paces`, times that of the slowest joint at its limit.
+    Their speeds are by turns the first and the second of `both_paces`, times that of the slowest joint at its limit.
     """
 
     def __init__(
@@ -239,12 +248,13 @@ class EdgeSamples:
         q0: Float[Array, "n nq"],
         q1: Float[Array, "n nq"],
         velocity: Float[Array, " nq"],
-        paces: tuple[float, float],
+        pace: float,
         step: float = COST_STEP,
     ) -> None:
         delta = q1 - q0
         self.length = np.linalg.norm(delta, axis=1)
-        self.duration = np.max(np.abs(delta) / velocity, axis=1, initial=0.0)
+        at_limit = np.max(np.abs(delta) / velocity, axis=1, initial=0.0)
+        self.duration = at_limit / pace
         pieces = np.maximum(1, np.ceil(self.length / step)).astype(int)
         self.first = np.cumsum(pieces + 1) - (pieces + 1)
         self.edge = np.repeat(np.arange(len(q0)), pieces + 1)
@@ -255,8 +265,8 @@ class EdgeSamples:
         self.q = q0[self.edge] + s[:, None] * delta[self.edge]
         safe = np.where(self.length > 0, self.length, 1.0)
         self.direction = (delta / safe[:, None])[self.edge]
-        limit = np.where(self.duration > 0, self.length / np.where(self.duration > 0, self.duration, 1.0), 0.0)
-        self.speed = limit[self.edge] * np.array(paces)[self._piece % 2]
+        limit = np.where(at_limit > 0, self.length / np.where(at_limit > 0, at_limit, 1.0), 0.0)
+        self.speed = limit[self.edge] * np.array(both_paces(pace))[self._piece % 2]
 
     def weights(self, measure: Float[Array, " n"]) -> Float[Array, " m"]:
         """Trapezoid weight of each sample when each edge measures `measure`."""
@@ -310,7 +320,12 @@ def _timed_batch(
 
 
 def evaluate(
-    path: Path | Trajectory | Array, scene: Scene, objective: Objective | None = None, *, start_time: float = 0.0
+    path: Path | Trajectory | Array,
+    scene: Scene,
+    objective: Objective | None = None,
+    *,
+    start_time: float = 0.0,
+    speed: float = 1.0,
 ) -> CostBreakdown:
     """Compute the cost of any path, from any planner.
 
@@ -322,13 +337,16 @@ def evaluate(
         scene: The scene, with what is carried attached.
         objective: What to compute; the default `Objective()` if None.
         start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
+        speed: In (0, 1]: at what fraction of the velocity limits a path without times will be travelled.
 
     Raises:
         ShapeError: If the path does not fit the scene.
         CostError: If a cost breaks its contract.
-        SettingError: If the start time is not finite.
+        SettingError: If the start time is not finite, or the speed not in its range.
     """
     if not np.isfinite(start_time):
         raise SettingError("start_time", start_time, "a finite time [s]")
+    if not 0.0 < speed <= 1.0:
+        raise SettingError("speed", speed, "a fraction in (0, 1]")
     points = path if isinstance(path, Path | Trajectory) else Path(path)
-    return (objective or Objective()).bind(scene).breakdown(points, start_time)
+    return (objective or Objective()).bind(scene, speed).breakdown(points, start_time)

@@ -28,7 +28,7 @@ from graceful_plan.analysis.risk_measures import RiskMeasure
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
-from graceful_plan.costs.objective import EdgeSamples, SceneObjective
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.questions import out_of_time
@@ -88,7 +88,7 @@ class Preference:
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeRisk:
         """Evaluate straight edges from `q0` to `q1`, at samples no farther apart than `step` [rad]."""
         objective, scene = self.objective.objective, self.objective.scene
-        samples = EdgeSamples(q0, q1, scene.limits.velocity, objective.paces, step)
+        samples = self.objective.samples(q0, q1, step)
         batch = StateBatch(scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(objective.motion, batch), samples.length)
         if objective.exposure == "waypoints":
