@@ -161,6 +161,15 @@ class SceneObjective:
         along = np.divide(q1 - q0, length, out=np.zeros_like(d_q0), where=length > 0.0)
         return cost, self.w * d_q0 - along, self.w * d_q1 + along
 
+    def descended(self) -> SceneObjective | None:
+        """Return the objective in a form along which whole motions can descend; None if there is none.
+
+        It is itself where the impact is native and counts by time, and length alone where no impact counts.
+        """
+        if self.w == 0.0 and self.motion_is_length:
+            return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.speed)
+        return self if self.kernel is not None and self.objective.exposure == "time" else None
+
     def widened(self, metres: float) -> SceneObjective | None:
         """Return the objective with hits smeared by so much more, None if its impact has no such form.
 
@@ -196,9 +205,9 @@ class SceneObjective:
         if points.q.shape[1] != len(self.scene.joints):
             raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
         vertices = np.arange(len(points), dtype=np.float64)
-        times = start_time + path.t if isinstance(path, Trajectory) else None
         if isinstance(path, Trajectory) and self.objective.exposure == "time":
-            return ChargedStates(*_timed_batch(self.scene, path, times), place=vertices)
+            return _timed_states(self.scene, path, start_time)
+        times = start_time + path.t if isinstance(path, Trajectory) else None
         if self.objective.exposure == "waypoints":
             return ChargedStates(StateBatch(self.scene, points.q, time=times), np.ones(len(points)), place=vertices)
         samples = self.samples(points.q[:-1], points.q[1:])
@@ -309,14 +318,16 @@ def trajectory_batch(
     return StateBatch(scene, found.q, found.direction, found.speed, times, trajectory.at(t[:, None] + AHEAD).q)
 
 
-def _timed_batch(
-    scene: Scene, trajectory: Trajectory, times: Float[Array, " n"] | None
-) -> tuple[StateBatch, Float[Array, " n"]]:
-    gaps = np.diff(trajectory.t)
-    weight = np.zeros(len(trajectory.t))
+def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float) -> ChargedStates:
+    """Return states no farther apart than `COST_STEP`, with trapezoid weights [s]."""
+    pieces = np.maximum(1, np.ceil(trajectory.path.segment_lengths / COST_STEP)).astype(int)
+    place = np.append(np.concatenate([np.zeros(0), *(k + np.arange(n) / n for k, n in enumerate(pieces))]), len(pieces))
+    t = np.interp(place, np.arange(len(trajectory)), trajectory.t)
+    gaps = np.diff(t)
+    weight = np.zeros(len(t))
     weight[:-1] += 0.5 * gaps
     weight[1:] += 0.5 * gaps
-    return trajectory_batch(scene, trajectory, trajectory.t, times), weight
+    return ChargedStates(trajectory_batch(scene, trajectory, t, start_time + t), weight, place)
 
 
 def evaluate(

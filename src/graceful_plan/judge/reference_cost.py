@@ -90,7 +90,8 @@ def reference_cost(
     *,
     w: float = 1.0,
     components: Sequence[str] = ("carried", "contents"),
-    exposure: Exposure = "length",
+    exposure: Exposure = "time",
+    pace: float = 0.7,
     step: float = 0.0025,
 ) -> CostBreakdown:
     """Compute joint-space length plus weighted impact of a motion.
@@ -100,12 +101,12 @@ def reference_cost(
         scene: Where.
         w: Safety weight.
         components: Components whose failure counts; those that the scene does not have are left out.
-        exposure: Integrate over "length" or "time", or sum over "waypoints". A path is timed at the joints' velocity
-            limits.
+        exposure: Integrate over "time" or "length", or sum over "waypoints".
+        pace: At what share of the joints' velocity limits a path without times is travelled.
         step: Longest piece of the trapezoid rule [rad].
     """
     names = [name for name in components if name in scene.components]
-    q, t = _points(motion, step, exposure, scene.limits.velocity)
+    q, t = _points(motion, step, exposure, pace * scene.limits.velocity)
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
     severity = np.array([[entity.severity[name] for entity in scene.entities.values()] for name in names])
     harm = reference_probability(scene, q, names) * severity.reshape(1, len(names), len(scene.entities))
@@ -129,8 +130,8 @@ def _points(
     """Sample the motion: configurations and times [s]."""
     if isinstance(motion, Path):
         q = motion.q if exposure == "waypoints" else motion.resampled(step).q
-        pace = (np.abs(np.diff(q, axis=0)) / velocity).max(axis=1, initial=0.0)
-        return q, np.concatenate([[0.0], np.cumsum(pace)])
+        seconds = (np.abs(np.diff(q, axis=0)) / velocity).max(axis=1, initial=0.0)
+        return q, np.concatenate([[0.0], np.cumsum(seconds)])
     if exposure == "waypoints" or len(motion) == 1:
         return motion.q, motion.t
     parts = np.maximum(1, np.ceil(motion.path.segment_lengths / step)).astype(int)

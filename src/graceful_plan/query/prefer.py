@@ -35,6 +35,7 @@ from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
 from graceful_plan.query.search import ALL, Callback, Search, search, thinned
+from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
@@ -80,8 +81,14 @@ class Preference:
         self.measure, self.objective = measure, objective
         self.law = HarmLaw(objective.objective.impact, objective.scene, most_sums=_SUMS)
 
-    def total(self, path: Path) -> float:
-        """J_rho of a path."""
+    def total(self, motion: Path | Trajectory) -> float:
+        """J_rho of a path, or of a trajectory at its times."""
+        if isinstance(motion, Trajectory) and self.objective.objective.exposure == "time":
+            charged = self.objective.charged_states(motion)
+            mass = charged.weight @ self.law.states(charged.batch)
+            length = np.array([self.objective.breakdown(motion).motion])
+            return float(self.totals(length, charged.weight.sum(keepdims=True), mass[None])[0])
+        path = motion.path if isinstance(motion, Trajectory) else motion
         parts = self.edges(path.q[:-1], path.q[1:])
         return float(self.totals(*(part.sum(axis=0, keepdims=True) for part in parts))[0])
 

@@ -10,7 +10,8 @@ from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.ends import Ends
-from graceful_plan.query.finish import finish
+from graceful_plan.query.finish import first_verified
+from graceful_plan.query.motions import along
 from graceful_plan.query.request import Request
 from graceful_plan.tuning.archive import Archive, Candidate
 from graceful_plan.tuning.points import ParetoPoint
@@ -41,19 +42,18 @@ class FrontQuery:
     def at(self, w: float) -> SceneObjective:
         """The objective with another weight."""
         objective = self.request.objective
-        return objective.objective.with_weight(w).bind(objective.scene)
+        return objective.objective.with_weight(w).bind(objective.scene, objective.speed)
 
     def point(self, candidate: Candidate) -> ParetoPoint | None:
         """Time, judge and charge a candidate; None if the judge refuses it."""
-        whole, index = self.ends.joined(Path(candidate.q))
-        done = finish(whole, self.request, self.ends.in_the_clear(index))
-        if done.trajectory is None or not done.verdict.passed:
+        judged = first_verified(along(Path(candidate.q), self.request, self.ends), self.request)
+        if judged is None or not judged.verdict.passed:
             return None
         return ParetoPoint(
-            path=whole,
-            trajectory=done.trajectory,
-            cost=done.cost,
-            verdict=done.verdict,
+            path=judged.motion.path,
+            trajectory=judged.motion.trajectory,
+            cost=judged.motion.cost,
+            verdict=judged.verdict,
             made_by=candidate.made_by,
             made_with=candidate.made_with,
         )

@@ -231,6 +231,28 @@ Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool,
   return array;
 }
 
+// A spline and its first two derivatives at some parameters: [3, n, dim].
+Out<double> spline(Reals controls, Reals u) {
+  require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
+  const SplineBasis basis(controls.shape(0));
+  const size_t n = u.size(), dim = controls.shape(1);
+  double* out;
+  auto array = make<double>({3, n, dim}, out);
+  std::fill(out, out + 3 * n * dim, 0.0);
+  for (size_t k = 0; k < n; ++k) {
+    require(u.data()[k] >= 0 && u.data()[k] <= double(basis.spans()), "a parameter of the spline");
+    const SplineBasis::Row row = basis.at(u.data()[k]);
+    for (size_t m = 0; m < SplineBasis::kOrder; ++m)
+      for (size_t j = 0; j < dim; ++j) {
+        const double c = controls.data()[(row.first + m) * dim + j];
+        out[k * dim + j] += row.value[m] * c;
+        out[(n + k) * dim + j] += row.slope[m] * c;
+        out[(2 * n + k) * dim + j] += row.bend[m] * c;
+      }
+  }
+  return array;
+}
+
 class AnytimePlanner {
  public:
   AnytimePlanner(Space& space, Reals start, Reals goals, const AnytimeSettings& settings, uint64_t seed)
@@ -317,6 +339,7 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("value", &MotionDescentRun::value)
       .def_prop_ro("energy", &MotionDescentRun::energy)
       .def_prop_ro("duration", &MotionDescentRun::duration);
+  m.def("spline", &spline, "controls"_a, "u"_a);
   m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a);
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(

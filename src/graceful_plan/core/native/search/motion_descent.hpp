@@ -40,13 +40,15 @@ class MotionDescent {
       : space_(space),
         settings_(settings),
         dim_(size_t(space.dim)),
-        basis_(settings.controls, settings.density),
+        basis_(settings.controls),
         profile_(settings.velocity, settings.acceleration),
         push_(settings.push) {
-    const size_t samples = basis_.samples();
+    for (size_t k = 0; k <= basis_.spans() * settings.density; ++k)
+      row_.push_back(basis_.at(double(k) / double(settings.density)));
+    const size_t samples = row_.size();
     q_.resize(samples * dim_), qd_ = impact_by_q_ = impact_by_qd_ = d_q_ = by_clearance_ = q_;
     impact_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
-    step_.assign(samples - 1, basis_.step()), stop_.assign(samples, 0), stop_.front() = stop_.back() = 1;
+    step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0), stop_.front() = stop_.back() = 1;
     slope_.resize(2 * dim_ * (samples - 1)), bend_ = d_slope_ = d_bend_ = slope_;
     fit(path);
     trial_ = x_;
@@ -134,7 +136,7 @@ class MotionDescent {
   // How much clearance each sample is to keep: near tight ends what a straight line from theirs to the usual one says.
   void want() {
     sample(x_);
-    const size_t samples = basis_.samples();
+    const size_t samples = row_.size();
     space_.clearances(q_.data(), int(samples), clearance_.data(), by_clearance_.data());
     const double usual = space_.margin + kKeep;
     const auto relaxed = [&](double end, double length, double tight) {
@@ -243,8 +245,8 @@ class MotionDescent {
   void sample(const Point& x) {
     const size_t n = settings_.controls;
     const auto control = [&](size_t c) { return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim_]; };
-    for (size_t k = 0; k < basis_.samples(); ++k) {
-      const SplineBasis::Row& row = basis_[k];
+    for (size_t k = 0; k < row_.size(); ++k) {
+      const SplineBasis::Row& row = row_[k];
       for (size_t j = 0; j < dim_; ++j) {
         double q = 0, slope = 0, bend = 0;
         for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
@@ -254,16 +256,16 @@ class MotionDescent {
         q_[k * dim_ + j] = q;
         // A sample is the end of an interval and the beginning of the next one.
         if (k > 0) slope_[((k - 1) * 2 + 1) * dim_ + j] = slope, bend_[((k - 1) * 2 + 1) * dim_ + j] = bend;
-        if (k + 1 < basis_.samples()) slope_[k * 2 * dim_ + j] = slope, bend_[k * 2 * dim_ + j] = bend;
+        if (k + 1 < row_.size()) slope_[k * 2 * dim_ + j] = slope, bend_[k * 2 * dim_ + j] = bend;
       }
     }
   }
   const double* slope_at(size_t k) const {
-    return k + 1 < basis_.samples() ? &slope_[2 * k * dim_] : &slope_[(2 * k - 1) * dim_];
+    return k + 1 < row_.size() ? &slope_[2 * k * dim_] : &slope_[(2 * k - 1) * dim_];
   }
 
   Evaluation evaluate(const Point& x, Point& gradient) {
-    const size_t samples = basis_.samples();
+    const size_t samples = row_.size();
     sample(x);
     const CurveSamples curve{samples - 1, dim_, step_.data(), slope_.data(), bend_.data(), stop_.data()};
     const std::vector<double>& squared = profile_.compute(curve);
@@ -297,7 +299,7 @@ class MotionDescent {
   // The length of the curve by its energy, which is least where samples are even: the length alone does not say where
   // along the curve control points should be.
   double lengthen() {
-    const size_t n = basis_.samples() - 1;
+    const size_t n = row_.size() - 1;
     double energy = 0;
     length_ = 0;
     for (size_t k = 0; k < n; ++k) {
@@ -315,7 +317,7 @@ class MotionDescent {
 
   // The integral of the impact over time, and derivatives but for those of the times.
   double fail(std::vector<double>& d_speed) {
-    const size_t samples = basis_.samples();
+    const size_t samples = row_.size();
     space_.state_slopes(q_.data(), qd_.data(), int(samples), {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
     double sum = 0;
     for (size_t k = 0; k < samples; ++k) {
@@ -333,7 +335,7 @@ class MotionDescent {
   }
 
   double collide() {
-    const size_t samples = basis_.samples();
+    const size_t samples = row_.size();
     space_.clearances(q_.data(), int(samples), clearance_.data(), by_clearance_.data());
     const double unit = space_.margin + kKeep, weight = push_ * scale_ / double(samples);
     double sum = 0;
@@ -351,9 +353,9 @@ class MotionDescent {
   // From derivatives at samples to those of control points.
   void collect(Point& gradient) const {
     gradient.assign(x_.size(), 0.0);
-    const size_t n = settings_.controls, samples = basis_.samples();
+    const size_t n = settings_.controls, samples = row_.size();
     for (size_t k = 0; k < samples; ++k) {
-      const SplineBasis::Row& row = basis_[k];
+      const SplineBasis::Row& row = row_[k];
       for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
         const size_t c = row.first + m;
         if (c == 0 || c == n - 1) continue;
@@ -373,6 +375,7 @@ class MotionDescent {
   const MotionSettings settings_;
   const size_t dim_;
   const SplineBasis basis_;
+  std::vector<SplineBasis::Row> row_;
   SpeedProfile profile_;
   double push_, scale_ = 0, length_ = 0;
   Point first_, last_, x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;

@@ -9,7 +9,7 @@
 
 namespace gp {
 
-// Values and derivatives at even parameters, as weights of four control points each.
+// What such a curve's points are as weights of four control points each.
 class SplineBasis {
  public:
   static constexpr size_t kOrder = 4;
@@ -18,25 +18,36 @@ class SplineBasis {
     double value[kOrder], slope[kOrder], bend[kOrder];
   };
 
-  // Of at least four control points; so many samples between two knots.
-  SplineBasis(size_t controls, size_t density) : controls_(controls), step_(1.0 / double(density)) {
-    const size_t last = (controls - 3) * density;
-    for (size_t k = 0; k <= last; ++k) row_.push_back(row_at(k, density));
-  }
-  size_t samples() const { return row_.size(); }
-  double step() const { return step_; }  // of the parameter
-  const Row& operator[](size_t k) const { return row_[k]; }
+  // Of at least four control points. The parameter goes from 0 to the number of intervals between knots.
+  explicit SplineBasis(size_t controls) : controls_(controls) {}
+  size_t spans() const { return controls_ - 3; }
 
-  // Where control points lie on the curve, nearly: their parameter as a share of the whole (Greville abscissae).
+  // Where a control point lies along the curve, nearly: as a share of the whole (Greville abscissae).
   double place(size_t control) const {
-    return (knot(control + 1) + knot(control + 2) + knot(control + 3)) / 3.0 / double(controls_ - 3);
+    return (knot(control + 1) + knot(control + 2) + knot(control + 3)) / 3.0 / double(spans());
+  }
+
+  Row at(double u) const {
+    const size_t span = std::min(size_t(std::max(u, 0.0)), spans() - 1);
+    double b[kOrder][kOrder];
+    bases(span, u, b);
+    Row row{span, {}, {}, {}};
+    for (size_t m = 0; m < kOrder; ++m) {
+      const size_t i = span + m;
+      row.value[m] = b[3][m];
+      // d N_i,3 = 3 (N_i,2 / (t_i+3 - t_i) - N_i+1,2 / (t_i+4 - t_i+1)), and the same once more.
+      if (m > 0) row.slope[m] += rate(i, 3) * b[2][m - 1], row.bend[m] += rate(i, 3) * quadratic_slope(span, m - 1, b);
+      if (m < 3) row.slope[m] -= rate(i + 1, 3) * b[2][m], row.bend[m] -= rate(i + 1, 3) * quadratic_slope(span, m, b);
+    }
+    return row;
   }
 
  private:
   // The first and the last four knots coincide.
-  double knot(size_t i) const { return std::clamp(double(i) - 3.0, 0.0, double(controls_ - 3)); }
+  double knot(size_t i) const { return std::clamp(double(i) - 3.0, 0.0, double(spans())); }
+  double rate(size_t first, size_t degree) const { return double(degree) / (knot(first + degree) - knot(first)); }
 
-  // N of all degrees up to 3 at u, in the interval of the knots from 3 + span on; b[d] has d + 1 of them.
+  // N of all degrees up to 3 at u, between the knots 3 + span and 4 + span; b[d] has d + 1 of them.
   void bases(size_t span, double u, double b[kOrder][kOrder]) const {
     b[0][0] = 1.0;
     for (size_t d = 1; d < kOrder; ++d)
@@ -48,33 +59,15 @@ class SplineBasis {
         b[d][k] = sum;
       }
   }
-  Row row_at(size_t k, size_t density) const {
-    const size_t span = std::min(k / density, controls_ - 4);
-    double b[kOrder][kOrder];
-    bases(span, double(k) * step_, b);
-    Row row{span, {}, {}, {}};
-    for (size_t m = 0; m < kOrder; ++m) {
-      row.value[m] = b[3][m];
-      const size_t i = span + m;
-      // d N_i,3 = 3 (N_i,2 / (t_i+3 - t_i) - N_i+1,2 / (t_i+4 - t_i+1)), and the same once more.
-      const auto rate = [&](size_t first, size_t degree) { return double(degree) / (knot(first + degree) - knot(first)); };
-      if (m > 0) row.slope[m] += rate(i, 3) * b[2][m - 1];
-      if (m < 3) row.slope[m] -= rate(i + 1, 3) * b[2][m];
-      const auto quadratic_slope = [&](size_t n) {  // of the n-th of the three quadratic ones, function span + 1 + n
-        double sum = 0;
-        if (n > 0) sum += rate(span + 1 + n, 2) * b[1][n - 1];
-        if (n < 2) sum -= rate(span + 2 + n, 2) * b[1][n];
-        return sum;
-      };
-      if (m > 0) row.bend[m] += rate(i, 3) * quadratic_slope(m - 1);
-      if (m < 3) row.bend[m] -= rate(i + 1, 3) * quadratic_slope(m);
-    }
-    return row;
+  // Of the n-th of the three quadratic ones, function span + 1 + n.
+  double quadratic_slope(size_t span, size_t n, const double b[kOrder][kOrder]) const {
+    double sum = 0;
+    if (n > 0) sum += rate(span + 1 + n, 2) * b[1][n - 1];
+    if (n < 2) sum -= rate(span + 2 + n, 2) * b[1][n];
+    return sum;
   }
 
   size_t controls_;
-  double step_;
-  std::vector<Row> row_;
 };
 
 }  // namespace gp

@@ -1,0 +1,191 @@
+"""From what a search found to timed motions, the best first.
+
+A search compares paths by what they cost at a mean pace. What counts is the motion as it will be executed: so the best
+paths become smooth curves that descend along J of their own timing (`MotionDescents`), and these are compared with each
+other, and with the polylines that were found, by J of the trajectory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.path import Path
+from graceful_plan.planners.motion_descent import TIME_PRICE, Landed, MotionDescents, Start
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.departure import best_departure
+from graceful_plan.query.ends import Ends
+from graceful_plan.query.request import Request
+from graceful_plan.query.search import KEPT, thinned
+from graceful_plan.result import CostBreakdown
+from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
+from graceful_plan.timing.retiming import retime, timed
+from graceful_plan.timing.spline import Spline
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
+"""How far the motion may cut a corner of a polyline [rad], from swift to exact; 0 stops at the corner."""
+_MOST_STARTS = 5
+"""Paths from which smooth motions begin."""
+_MOST_TIMED = 4
+"""Smooth motions that are compared by the J of their trajectories."""
+_LOOKED_AT = 1000
+"""Configurations of a motion that are looked at with the fast checker."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A timed motion, not yet judged."""
+
+    path: Path
+    trajectory: Trajectory
+    cost: CostBreakdown
+    goal_index: int
+    ranking: float
+    """What motions are compared by."""
+
+
+def motions(
+    paths: Sequence[Path], request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+) -> tuple[list[Motion], str]:
+    """Return motions along or near paths, the best first, and why there is none if so.
+
+    Args:
+        paths: As found by a search, the best at the end.
+        request: What they were found for.
+        ends: Both ends.
+        problem: What was searched in.
+        budget: For descents.
+    """
+    chosen = [paths[k] for k in thinned(len(paths))][:_MOST_STARTS]
+    wholes = [ends.joined(path) for path in chosen]
+    found = _smooth(wholes, request, ends, problem, budget)
+    why_not = ""
+    for whole, arrival in wholes[: 1 if found else KEPT]:
+        try:
+            found.append(_along(whole, arrival, request, ends))
+        except RetimingError as error:
+            why_not = str(error)
+    return sorted(found, key=lambda motion: motion.ranking), why_not
+
+
+def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> Iterator[Motion]:
+    """Yield motions along a polyline that cut its corners less and less.
+
+    Args:
+        path: As found by a search.
+        request: What it was found for.
+        ends: Both ends.
+        swift: Whether to begin with corners cut as far as the fast checker allows.
+    """
+    whole, arrival = ends.joined(path)
+    ways = (lambda: _along(whole, arrival, request, ends),) if swift else ()
+    exact = tuple(partial(_cut, whole, deviation, arrival, request, ends) for deviation in DEVIATIONS[1:])
+    for motion in (*ways, *exact):
+        try:
+            yield motion()
+        except RetimingError:
+            continue
+
+
+def _smooth(
+    wholes: Sequence[tuple[Path, int]], request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+) -> list[Motion]:
+    """Return smooth motions, where the objective is one that they can descend along."""
+    objective = request.objective.descended()
+    if objective is None:
+        return []
+    scene, speed = objective.scene, request.speed
+    kernels = problem.kernels
+
+    def is_free(curve: Spline, start: Start) -> bool:
+        q = curve.grid(1).q
+        done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+        clear = (done >= start.tight_start) & (done <= done[-1] - start.tight_end)
+        return bool(kernels.free(q[clear], 0.5 * problem.margin).all())
+
+    descents = MotionDescents(
+        space=native_space(problem, objective),
+        velocity=speed * scene.limits.velocity,
+        acceleration=speed**2 * scene.limits.acceleration,
+        is_free=is_free,
+    )
+    starts = [
+        Start(whole, ends.departure.length, ends.arrivals[arrival].length)
+        for whole, arrival in wholes
+        if whole.length > 0.0
+    ]
+    landed = descents.run(starts, budget)
+    return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
+    scene = request.objective.scene
+    try:
+        trajectory = timed(landed.curve, scene.limits, scene.joints, speed=request.speed)
+    except RetimingError:
+        return None
+    if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.objective):
+        return None
+    return _timed(trajectory.path, trajectory, arrival, request, ends)
+
+
+def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
+    """Time a polyline, each corner cut as far as the fast checker allows."""
+    clear = ends.in_the_clear(arrival)
+    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request, ends)
+
+
+def _cut(
+    whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request, ends: Ends
+) -> Motion:
+    """Time a polyline, its corners cut by so much."""
+    scene = request.objective.scene
+    trajectory = retime(whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed)
+    return _timed(whole, trajectory, arrival, request, ends)
+
+
+def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
+    """How far each corner may be cut so that nothing comes too close [rad]."""
+    q = merge_near_vertices(whole)
+    chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
+    kernels = request.objective.kernels
+    for wider, narrower in zip(DEVIATIONS, DEVIATIONS[1:], strict=False):
+        open_ = np.flatnonzero(chosen == wider)
+        if len(open_) == 0:
+            break
+        corners = rounded_corners(q, wider)[open_]
+        free = kernels.free(corners.reshape(-1, q.shape[1])).reshape(corners.shape[:2]).all(axis=1)
+        chosen[open_[~free]] = narrower
+    return chosen
+
+
+def _timed(whole: Path, trajectory: Trajectory, arrival: int, request: Request, ends: Ends) -> Motion:
+    objective = request.objective
+    if objective.scene.moving:
+        trajectory, cost = best_departure(trajectory, objective, request.max_wait)
+    else:
+        cost = objective.breakdown(trajectory)
+    total = cost.total if request.preference is None else request.preference.total(trajectory)
+    return Motion(
+        path=whole,
+        trajectory=trajectory,
+        cost=cost,
+        goal_index=ends.goal_index[arrival],
+        ranking=total + TIME_PRICE * trajectory.duration,
+    )
+
+
+def _keeps_clear(trajectory: Trajectory, objective: SceneObjective) -> bool:
+    samples = trajectory.sample(max(trajectory.duration / _LOOKED_AT, 1e-3)).q
+    return bool(np.all(objective.kernels.free(samples)))
