@@ -11,7 +11,7 @@ import numpy as np
 from graceful_plan.analysis.risk_measures import RiskMeasure
 from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
-from graceful_plan.costs.objective import Objective
+from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -33,7 +33,7 @@ from graceful_plan.query.motions import along, motions
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
 from graceful_plan.query.search import ALL, KEPT, Callback, Search, search
-from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
@@ -84,7 +84,7 @@ def plan(
             along a path; of the paths found the best by the measure is taken and refined by it (see `prefer`).
         max_wait: How long the robot may wait before it goes [s], in a scene where something moves (see `departure`);
             the trajectory then begins with a stretch at rest.
-        callback: Called with every improvement; returning True ends the search.
+        callback: Called with every improvement, at last with the motion itself; returning True ends the search.
         cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
             ends, and the best path so far is timed and judged as ever. Without one the status is CANCELLED.
 
@@ -96,7 +96,7 @@ def plan(
     """
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
-    bound = checked_objective(objective, w).bind(scene, share)  # compiles the scene
+    bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene
     request = Request(
         planner=checked_planner(planner),
         objective=bound,
@@ -132,9 +132,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
-        share = 1.0 if request.objective.descended() is None else _SEARCHING
-        with budget.share(share * budget.remaining_seconds) as part:
-            found = _searched(request, problem, ends, part, rng)
+        found = _searched(request, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         candidates, why_not = motions(found.paths, request, ends, problem, budget)
         judged = first_verified(candidates, request)
@@ -143,7 +141,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
                 break
             judged = first_verified(along(path, request, ends, swift=False), request) or judged
         if judged is not None and judged.verdict.passed:
-            return _solved(judged, found, stats)
+            return _solved(judged, found, request, budget, stats)
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
@@ -156,18 +154,28 @@ def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budge
         return request.preference.search(request.planner, problem, budget, rng, request.callback)
     if request.objective.scene.moving:
         return search_among_moving(request, problem, ends, budget, rng)
-    return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL)
+    share = 1.0 if request.objective.descended() is None else _SEARCHING
+    return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL, share=share)
 
 
-def _solved(judged: Judged, found: Search, stats: dict[str, float]) -> PlanResult:
+def _solved(
+    judged: Judged, found: Search, request: Request, budget: Budget, stats: dict[str, float]
+) -> PlanResult:
     motion = judged.motion
+    last = TracePoint(
+        time=budget.elapsed, total=motion.cost.total, motion=motion.cost.motion, impact=motion.cost.impact
+    )
+    if request.callback is not None and not found.stopped:
+        request.callback(last)
+    # Paths are charged at the paces of a search. Those that promised more than any motion has kept are no improvements.
+    trace = (*(point for point in found.trace if point.total > last.total), last)
     return PlanResult(
         status=PlanStatus.SOLVED,
         path=motion.path,
         trajectory=motion.trajectory,
         cost=motion.cost,
         verdict=judged.verdict,
-        trace=tuple(found.trace),
+        trace=trace,
         goal_index=motion.goal_index,
         stats=stats,
     )

@@ -220,7 +220,7 @@ def test_the_document_says_the_same(task, result):
     along = document["along"]
     total = {name: np.dot(along["weight"], density) for name, density in along["by_entity"].items()}
     assert total == pytest.approx(dict(found.cost.impact_by_entity), rel=_ROUNDING)
-    assert along["time"] is None
+    assert along["time"][-1] == pytest.approx(result.trajectory.duration)
 
 
 @pytest.mark.parametrize("name", [*_OBJECTIVES, "nothing"])

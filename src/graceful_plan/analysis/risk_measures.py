@@ -210,7 +210,7 @@ def risk(
         raise SettingError("speed", speed, "a fraction in (0, 1]")
     cost = Objective().impact if impact is None else impact
     law = HarmLaw(cost, scene)
-    objective = Objective(impact=cost).bind(scene, speed)
+    objective = Objective(impact=cost).bind(scene, (speed, speed))
     points = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
     charged = objective.charged_states(points)  # also refuses what does not fit the scene
     if isinstance(points, Trajectory):

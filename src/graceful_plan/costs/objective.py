@@ -4,9 +4,9 @@ r"""The objective J = V + w S, and how a path is charged for it.
 
 ds is joint-space length. Failures come with time, so that S is what a failure at any moment does, summed over the
 moments of the motion: times the rate of failures it is the expected harm of executing the motion. A trajectory has its
-times and velocities. A path has none: its edges are charged as if they were travelled at `MEAN_PACE` of the velocity
-limits, which stays additive over edges and is what searches minimise. Integrals are trapezoid sums with sub-steps of at
-most `COST_STEP`.
+times and velocities. A path has none: its edges are charged as if each were travelled with one joint at its velocity
+limit, a lower bound of the time that stays additive over edges. Searches charge edges at the paces of real motions
+(`search_paces`). Integrals are trapezoid sums with sub-steps of at most `COST_STEP`.
 """
 
 from __future__ import annotations
@@ -37,10 +37,20 @@ MAX_WEIGHT = 1e9
 MEAN_PACE = 0.7
 """Mean share of the velocity limits over the time of a motion that is retimed at full speed: 0.71 on the bundled tasks,
 0.36 at half speed."""
+AT_LIMITS = (1.0, 1.0)
+"""Paces of a path of which nothing is known: the slowest joint of each edge at its limit."""
 EXPOSURES = ("length", "time", "waypoints")
 """Words for what the impact is integrated over."""
 PACE_SPREAD = 0.42
 """Standard deviation of that share, relative to its mean."""
+
+
+def search_paces(speed: float = 1.0) -> tuple[float, float]:
+    """Return two paces that stand for the spread of velocities along a motion at a share of the velocity limits.
+
+    With one alone, paths are found along which an object that flies on at just that velocity lands in a gap.
+    """
+    return speed * MEAN_PACE * (1.0 - PACE_SPREAD), speed * MEAN_PACE * (1.0 + PACE_SPREAD)
 
 
 @final
@@ -75,9 +85,14 @@ class Objective:
         """The same objective with another safety weight."""
         return replace(self, w=w)
 
-    def bind(self, scene: Scene, speed: float = 1.0) -> SceneObjective:
-        """Make it ready to evaluate edges in a scene, travelled at a fraction of the velocity limits in (0, 1]."""
-        return SceneObjective(self, scene, speed)
+    def bind(self, scene: Scene, paces: tuple[float, float] = AT_LIMITS) -> SceneObjective:
+        """Make it ready to evaluate edges in a scene.
+
+        Args:
+            scene: The scene.
+            paces: Shares of the velocity at which one joint is at its limit, by turns those of an edge's samples.
+        """
+        return SceneObjective(self, scene, paces)
 
 
 @final
@@ -96,8 +111,8 @@ class ChargedStates:
 class SceneObjective:
     """An objective in a scene: what planners see (`BoundObjective`), and the breakdown of whole paths."""
 
-    def __init__(self, objective: Objective, scene: Scene, speed: float = 1.0) -> None:
-        self.objective, self.scene, self.speed = objective, scene, speed
+    def __init__(self, objective: Objective, scene: Scene, paces: tuple[float, float] = AT_LIMITS) -> None:
+        self.objective, self.scene, self.paces = objective, scene, paces
         self.kernels = compile_scene(scene).kernels
 
     @property
@@ -113,7 +128,7 @@ class SceneObjective:
     @property
     def pace(self) -> float:
         """Mean share of the velocity limits at which edges are travelled."""
-        return MEAN_PACE * self.speed
+        return 0.5 * sum(self.paces)
 
     @cached_property
     def kernel(self) -> ImpactKernel | None:
@@ -121,7 +136,7 @@ class SceneObjective:
         impact, exposure = self.objective.impact, self.objective.exposure
         if not (self.motion_is_length and isinstance(impact, ImpactCost)) or exposure == "waypoints":
             return None
-        kernel = impact.kernel(self.scene, both_paces(self.pace))
+        kernel = impact.kernel(self.scene, self.paces)
         timed = kernel is not None and exposure == "time"
         return kernel.timed(self.pace * self.scene.limits.velocity) if timed else kernel
 
@@ -167,7 +182,7 @@ class SceneObjective:
         It is itself where the impact is native and counts by time, and length alone where no impact counts.
         """
         if self.w == 0.0 and self.motion_is_length:
-            return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.speed)
+            return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.paces)
         return self if self.kernel is not None and self.objective.exposure == "time" else None
 
     def widened(self, metres: float) -> SceneObjective | None:
@@ -182,7 +197,7 @@ class SceneObjective:
             raise SettingError("metres", metres, "a finite number > 0 [m]")
         impact = self.objective.impact
         wide = impact.widened(metres) if isinstance(impact, ImpactCost) else None
-        return None if wide is None else replace(self.objective, impact=wide).bind(self.scene, self.speed)
+        return None if wide is None else replace(self.objective, impact=wide).bind(self.scene, self.paces)
 
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
@@ -219,7 +234,7 @@ class SceneObjective:
 
     def samples(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeSamples:
         """Return samples of straight edges, no farther apart than `step` [rad]."""
-        return EdgeSamples(q0, q1, self.scene.limits.velocity, self.pace, step)
+        return EdgeSamples(q0, q1, self.scene.limits.velocity, self.paces, step)
 
     def _breakdown(self, motion: float, batch: StateBatch, weight: Float[Array, " n"]) -> CostBreakdown:
         impact = self.objective.impact
@@ -237,19 +252,11 @@ class SceneObjective:
         )
 
 
-def both_paces(pace: float) -> tuple[float, float]:
-    """Return two shares of the greatest velocity that stand for the spread of velocities along a motion.
-
-    With one alone, paths are found along which an object that flies on at just that velocity lands in a gap.
-    """
-    return pace * (1.0 - PACE_SPREAD), pace * (1.0 + PACE_SPREAD)
-
-
 @final
 class EdgeSamples:
     """Evenly spaced samples of many edges in one batch, both ends of each included, with trapezoid weights.
 
-    Their speeds are by turns the first and the second of `both_paces`, times that of the slowest joint at its limit.
+    Their speeds are by turns the first and the second of `paces`, times that of the slowest joint at its limit.
     """
 
     def __init__(
@@ -257,13 +264,13 @@ class EdgeSamples:
         q0: Float[Array, "n nq"],
         q1: Float[Array, "n nq"],
         velocity: Float[Array, " nq"],
-        pace: float,
+        paces: tuple[float, float],
         step: float = COST_STEP,
     ) -> None:
         delta = q1 - q0
         self.length = np.linalg.norm(delta, axis=1)
         at_limit = np.max(np.abs(delta) / velocity, axis=1, initial=0.0)
-        self.duration = at_limit / pace
+        self.duration = at_limit / (0.5 * sum(paces))
         pieces = np.maximum(1, np.ceil(self.length / step)).astype(int)
         self.first = np.cumsum(pieces + 1) - (pieces + 1)
         self.edge = np.repeat(np.arange(len(q0)), pieces + 1)
@@ -275,7 +282,7 @@ class EdgeSamples:
         safe = np.where(self.length > 0, self.length, 1.0)
         self.direction = (delta / safe[:, None])[self.edge]
         limit = np.where(at_limit > 0, self.length / np.where(at_limit > 0, at_limit, 1.0), 0.0)
-        self.speed = limit[self.edge] * np.array(both_paces(pace))[self._piece % 2]
+        self.speed = limit[self.edge] * np.array(paces)[self._piece % 2]
 
     def weights(self, measure: Float[Array, " n"]) -> Float[Array, " m"]:
         """Trapezoid weight of each sample when each edge measures `measure`."""
@@ -348,7 +355,7 @@ def evaluate(
         scene: The scene, with what is carried attached.
         objective: What to compute; the default `Objective()` if None.
         start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
-        speed: In (0, 1]: at what fraction of the velocity limits a path without times will be travelled.
+        speed: In (0, 1]: at what fraction of the velocity limits a path without times is travelled.
 
     Raises:
         ShapeError: If the path does not fit the scene.
@@ -360,4 +367,4 @@ def evaluate(
     if not 0.0 < speed <= 1.0:
         raise SettingError("speed", speed, "a fraction in (0, 1]")
     points = path if isinstance(path, Path | Trajectory) else Path(path)
-    return (objective or Objective()).bind(scene, speed).breakdown(points, start_time)
+    return (objective or Objective()).bind(scene, (speed, speed)).breakdown(points, start_time)

@@ -91,7 +91,6 @@ def reference_cost(
     w: float = 1.0,
     components: Sequence[str] = ("carried", "contents"),
     exposure: Exposure = "time",
-    pace: float = 0.7,
     step: float = 0.0025,
 ) -> CostBreakdown:
     """Compute joint-space length plus weighted impact of a motion.
@@ -101,12 +100,12 @@ def reference_cost(
         scene: Where.
         w: Safety weight.
         components: Components whose failure counts; those that the scene does not have are left out.
-        exposure: Integrate over "time" or "length", or sum over "waypoints".
-        pace: At what share of the joints' velocity limits a path without times is travelled.
+        exposure: Integrate over "time" or "length", or sum over "waypoints". A path is timed at the joints' velocity
+            limits.
         step: Longest piece of the trapezoid rule [rad].
     """
     names = [name for name in components if name in scene.components]
-    q, t = _points(motion, step, exposure, pace * scene.limits.velocity)
+    q, t = _points(motion, step, exposure, scene.limits.velocity)
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
     severity = np.array([[entity.severity[name] for entity in scene.entities.values()] for name in names])
     harm = reference_probability(scene, q, names) * severity.reshape(1, len(names), len(scene.entities))

@@ -10,7 +10,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import MEAN_PACE, EdgeSamples, Objective
+from graceful_plan.costs.objective import EdgeSamples, Objective, search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.roadmaps.edge_prices import EdgePrices
 from graceful_plan.result import CostBreakdown
@@ -62,7 +62,7 @@ class Exposure:
         """Motion cost and exposure of straight edges, travelled from `q0` to `q1`."""
         if len(q0) == 0:
             return EdgePrices.of(np.zeros(0), np.zeros((0, len(self.columns))))
-        samples = EdgeSamples(q0, q1, self.scene.limits.velocity, MEAN_PACE, self.step)
+        samples = EdgeSamples(q0, q1, self.scene.limits.velocity, search_paces(), self.step)
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length)
         measure = samples.length if self.objective.exposure == "length" else samples.duration

@@ -85,7 +85,7 @@ class Roadmap:
         started = time.perf_counter()
         count("nodes", nodes)
         count("neighbours", neighbours)
-        rng, chosen = checked_seed(seed), checked_objective(objective, None, 1.0)
+        rng, chosen = checked_seed(seed), checked_objective(objective, None)
         limit = np.inf if time_limit is None else checked_time_limit(time_limit, None)
         exposure = Exposure(chosen, scene)
         pairs = usable_pairs(declared_motions(scene) if motions is None else motions, scene, rng)
@@ -118,7 +118,7 @@ class Roadmap:
             GracefulPlanError: For misuse: another scene, wrong shapes, NaN, unknown names, settings outside of their
                 range.
         """
-        weight = checked_objective(self.objective, w, 1.0).w
+        weight = checked_objective(self.objective, w).w
         severities = self.severity(scene, severity)
         ends = usable_ends(start, goal, self.scene, np.random.default_rng(0), seed)
         if isinstance(ends, QueryResult):

@@ -17,7 +17,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
-from graceful_plan.costs.objective import Objective
+from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners import Planner
@@ -107,7 +107,7 @@ def pareto(
     limit = checked_time_limit(10.0 if time_limit is None and iterations is None else time_limit, iterations)
     if not (isinstance(points, int | np.integer) and not isinstance(points, bool) and 2 <= points <= MOST_POINTS):
         raise SettingError("points", points, f"a whole number from 2 to {MOST_POINTS}")
-    wanted = checked_objective(objective, None, checked_speed(speed))
+    wanted = checked_objective(objective, None)
 
     def failed(status: PlanStatus, detail: str) -> ParetoFront:
         return ParetoFront(status=status, detail=detail, scene=scene.notes.name)
@@ -117,7 +117,7 @@ def pareto(
         return failed(ends.status, ends.detail)
     request = Request(
         planner=solver,
-        objective=wanted.bind(scene),
+        objective=wanted.bind(scene, search_paces(checked_speed(speed))),
         pose=goal if isinstance(goal, PoseGoal) else None,
         speed=checked_speed(speed),
     )

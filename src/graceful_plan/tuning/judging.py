@@ -42,7 +42,7 @@ class FrontQuery:
     def at(self, w: float) -> SceneObjective:
         """The objective with another weight."""
         objective = self.request.objective
-        return objective.objective.with_weight(w).bind(objective.scene, objective.speed)
+        return objective.objective.with_weight(w).bind(objective.scene, objective.paces)
 
     def point(self, candidate: Candidate) -> ParetoPoint | None:
         """Time, judge and charge a candidate; None if the judge refuses it."""
