@@ -18,6 +18,7 @@ from graceful_plan.compare.problems.analytic import (
     disc,
     free_space,
 )
+from graceful_plan.costs.objective import search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.chomp import CHOMP
@@ -28,6 +29,7 @@ from graceful_plan.planners.optimisers.path_energy import PathEnergy
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, path_total
 from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.scene_problem import SceneProblem
 
 _WITHIN = 1.005
 _FINER = 50
