@@ -194,11 +194,11 @@ class MotionDescentRun {
   void harden() { descent_.harden(); }
   Out<double> controls() const { return as_array(descent_.controls(), space_.dim); }
   double value() const { return descent_.value(); }
-  double energy() const { return descent_.energy(); }
   double duration() const { return descent_.duration(); }
-  Out<double> gradient() const {
-    const std::vector<Point> row{descent_.gradient()};
-    return as_array(row, int(row[0].size()));
+  nb::tuple energy(Reals controls) {
+    std::vector<Point> rows(1);
+    const double value = descent_.energy(point(controls), rows[0]);
+    return nb::make_tuple(value, as_array(rows, int(rows[0].size())));
   }
 
  private:
@@ -335,9 +335,8 @@ void bind_search(nb::module_& m) {
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)
-      .def_prop_ro("gradient", &MotionDescentRun::gradient, nb::rv_policy::move)
+      .def("energy", &MotionDescentRun::energy, "controls"_a)
       .def_prop_ro("value", &MotionDescentRun::value)
-      .def_prop_ro("energy", &MotionDescentRun::energy)
       .def_prop_ro("duration", &MotionDescentRun::duration);
   m.def("spline", &spline, "controls"_a, "u"_a);
   m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a);

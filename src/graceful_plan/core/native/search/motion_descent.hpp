@@ -99,9 +99,8 @@ class MotionDescent {
     points.push_back(last_);
     return points;
   }
-  // Derivatives of the energy with respect to the inner control points, for tests.
-  const Point& gradient() const { return gradient_; }
-  double energy() const { return now_.energy; }
+  // What falls, at other inner control points, and its derivatives with respect to them; for tests.
+  double energy(const Point& controls, Point& gradient) { return evaluate(controls, gradient).energy; }
 
  private:
   struct Evaluation {
