@@ -33,7 +33,8 @@ BASICS = {"_version", "array_types", "exceptions", "path", "yaml_file"}
 FLOORS = (
     {"basics"},
     {"scene"},
-    {"core", "timing"},
+    {"core"},
+    {"timing"},
     {"result"},
     {"documents"},
     {"costs"},

@@ -90,16 +90,16 @@ class MotionDescents:
         if not timed:
             jobs = jobs[:_UNTIMED]
         found: list[Landed] = []
-        best = _Best()
+        best = _Least()
 
         def work(job: tuple[int, int]) -> Landed | None:
-            return self._descended(starts[job[0]], job, best if timed else _Best(), budget)
+            return self._descended(starts[job[0]], job, best if timed else _Least(), budget)
 
         with ThreadPoolExecutor(_WORKERS) as pool:
             found += [one for one in pool.map(work, jobs) if one is not None]
         return sorted(found, key=lambda one: one.value)
 
-    def _descended(self, start: Start, job: tuple[int, int], best: _Best, budget: Budget) -> Landed | None:
+    def _descended(self, start: Start, job: tuple[int, int], best: _Least, budget: Budget) -> Landed | None:
         if _out(budget):
             return None
         descent = _native.MotionDescent(
@@ -137,7 +137,7 @@ class MotionDescents:
 
 
 @dataclass
-class _Best:
+class _Least:
     value: float = np.inf
 
 
