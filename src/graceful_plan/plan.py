@@ -134,7 +134,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         )
         found = _searched(request, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(found.paths, request, ends, problem, budget)
+        candidates, why_not = motions(found.paths, request, ends, problem, budget, rng)
         judged = first_verified(candidates, request)
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:

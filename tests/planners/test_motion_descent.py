@@ -166,11 +166,12 @@ def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
 
     limits = task.scene.limits
     descents = MotionDescents(native_space(problem, objective), limits.velocity, limits.acceleration, is_free)
-    landed = descents.run([Start(path)], Budget(iterations=1))
+    rng = np.random.default_rng(0)
+    landed = descents.run([Start(path)], Budget(iterations=1), rng)
     assert landed and [one.value for one in landed] == sorted(one.value for one in landed)
     assert len(asked) >= 2 * len(landed)
-    assert not descents.run([], Budget(iterations=1))
-    assert not descents.run([Start(path)], Budget(time_limit=0.0))
+    assert not descents.run([], Budget(iterations=1), rng)
+    assert not descents.run([Start(path)], Budget(time_limit=0.0), rng)
 
 
 def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:

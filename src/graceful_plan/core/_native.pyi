@@ -210,6 +210,7 @@ class MotionDescent:
         acceleration: Reals,
         controls: int,
         density: int,
+        rough: bool = False,
         time_price: float,
         push: float = 1.0,
         tolerance: float = 1e-4,

@@ -39,6 +39,8 @@ _MOST_STARTS = 5
 """Paths from which smooth motions begin."""
 _MOST_TIMED = 4
 """Smooth motions that are compared by the J of their trajectories."""
+_LEAST_TIGHT = 0.15
+"""Least length at a tight end along which the spheres do not count [rad]."""
 _LOOKED_AT = 1000
 """Configurations of a motion that are looked at with the fast checker."""
 
@@ -56,7 +58,12 @@ class Motion:
 
 
 def motions(
-    paths: Sequence[Path], request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+    paths: Sequence[Path],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    budget: Budget,
+    rng: np.random.Generator,
 ) -> tuple[list[Motion], str]:
     """Return motions along or near paths, the best first, and why there is none if so.
 
@@ -66,10 +73,11 @@ def motions(
         ends: Both ends.
         problem: What was searched in.
         budget: For descents.
+        rng: For hops.
     """
     chosen = [paths[k] for k in thinned(len(paths))][:_MOST_STARTS]
     wholes = [ends.joined(path) for path in chosen]
-    found = _smooth(wholes, request, ends, problem, budget)
+    found = _smooth(wholes, request, ends, problem, (budget, rng))
     why_not = ""
     for whole, arrival in wholes[: 1 if found else KEPT]:
         try:
@@ -99,7 +107,11 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
 
 
 def _smooth(
-    wholes: Sequence[tuple[Path, int]], request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+    wholes: Sequence[tuple[Path, int]],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
 ) -> list[Motion]:
     """Return smooth motions, where the objective is one that they can descend along."""
     objective = request.objective.descended()
@@ -120,13 +132,17 @@ def _smooth(
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
     )
+    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [
-        Start(whole, ends.departure.length, ends.arrivals[arrival].length)
-        for whole, arrival in wholes
-        if whole.length > 0.0
+        Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes
     ]
-    landed = descents.run(starts, budget)
+    landed = descents.run(starts, *means)
     return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def _tight(way: Path) -> float:
+    """How far from an end the spheres may come too close, if they do there [rad]; the judge looks at it exactly."""
+    return max(_LEAST_TIGHT, 3.0 * way.length) if way.length > 0.0 else 0.0
 
 
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
