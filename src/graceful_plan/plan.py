@@ -25,6 +25,7 @@ from graceful_plan.query.arguments import (
     checked_time_limit,
     checked_wait,
 )
+from graceful_plan.query.cheaper import beginning_with, known_motions
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
@@ -132,16 +133,20 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
-        found = _searched(request, problem, ends, budget, rng)
+        known = known_motions(request, problem, ends, budget, rng)
+        asked = replace(request, planner=beginning_with(known, request.planner))
+        found = _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(found.paths, request, ends, problem, budget, rng)
+        candidates, why_not = motions(found.paths, request, ends, problem, (budget, rng), known)
         judged = first_verified(candidates, request)
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:
                 break
             judged = first_verified(along(path, request, ends, swift=False), request) or judged
         if judged is not None and judged.verdict.passed:
-            return _solved(judged, found, request, budget, stats)
+            return replace(
+                _solved(judged, found, request, budget, stats), goal_index=ends.goal_index[judged.motion.arrival]
+            )
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
@@ -176,7 +181,6 @@ def _solved(
         cost=motion.cost,
         verdict=judged.verdict,
         trace=trace,
-        goal_index=motion.goal_index,
         stats=stats,
     )
 

@@ -52,7 +52,8 @@ class Motion:
     path: Path
     trajectory: Trajectory
     cost: CostBreakdown
-    goal_index: int
+    arrival: int
+    """Which of the ways to a goal it takes; see `Ends`."""
     ranking: float
     """What motions are compared by."""
 
@@ -62,8 +63,8 @@ def motions(
     request: Request,
     ends: Ends,
     problem: SceneProblem,
-    budget: Budget,
-    rng: np.random.Generator,
+    means: tuple[Budget, np.random.Generator],
+    known: Sequence[Motion] = (),
 ) -> tuple[list[Motion], str]:
     """Return motions along or near paths, the best first, and why there is none if so.
 
@@ -72,12 +73,12 @@ def motions(
         request: What they were found for.
         ends: Both ends.
         problem: What was searched in.
-        budget: For descents.
-        rng: For hops.
+        means: Time for descents, and chance for hops.
+        known: Motions that compete, and are descended from as well.
     """
-    chosen = [paths[k] for k in thinned(len(paths))][:_MOST_STARTS]
-    wholes = [ends.joined(path) for path in chosen]
-    found = _smooth(wholes, request, ends, problem, (budget, rng))
+    wholes = [ends.joined(paths[k]) for k in thinned(len(paths))][:_MOST_STARTS]
+    begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
+    found = [*known, *_smooth(begun, request, ends, problem, means)]
     why_not = ""
     for whole, arrival in wholes[: 1 if found else KEPT]:
         try:
@@ -98,7 +99,7 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
     """
     whole, arrival = ends.joined(path)
     ways = (lambda: _along(whole, arrival, request, ends),) if swift else ()
-    exact = tuple(partial(_cut, whole, deviation, arrival, request, ends) for deviation in DEVIATIONS[1:])
+    exact = tuple(partial(_cut, whole, deviation, arrival, request) for deviation in DEVIATIONS[1:])
     for motion in (*ways, *exact):
         try:
             yield motion()
@@ -153,22 +154,20 @@ def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | 
         return None
     if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.objective):
         return None
-    return _timed(trajectory.path, trajectory, arrival, request, ends)
+    return _charged(trajectory.path, trajectory, arrival, request)
 
 
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
     """Time a polyline, each corner cut as far as the fast checker allows."""
     clear = ends.in_the_clear(arrival)
-    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request, ends)
+    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
 
 
-def _cut(
-    whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request, ends: Ends
-) -> Motion:
+def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline, its corners cut by so much."""
     scene = request.objective.scene
     trajectory = retime(whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed)
-    return _timed(whole, trajectory, arrival, request, ends)
+    return _charged(whole, trajectory, arrival, request)
 
 
 def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
@@ -186,7 +185,12 @@ def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
     return chosen
 
 
-def _timed(whole: Path, trajectory: Trajectory, arrival: int, request: Request, ends: Ends) -> Motion:
+def recharged(motion: Motion, request: Request) -> Motion:
+    """Return a motion as it was, charged for what was asked."""
+    return _charged(motion.path, motion.trajectory, motion.arrival, request)
+
+
+def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
     objective = request.objective
     if objective.scene.moving:
         trajectory, cost = best_departure(trajectory, objective, request.max_wait)
@@ -197,7 +201,7 @@ def _timed(whole: Path, trajectory: Trajectory, arrival: int, request: Request, 
         path=whole,
         trajectory=trajectory,
         cost=cost,
-        goal_index=ends.goal_index[arrival],
+        arrival=arrival,
         ranking=total + TIME_PRICE * trajectory.duration,
     )
 
