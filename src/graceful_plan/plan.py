@@ -137,7 +137,9 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         asked = replace(request, planner=beginning_with(known, request.planner))
         found = _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(found.paths, request, ends, problem, (budget, rng), known)
+        candidates, why_not = motions(
+            found.paths, request, ends, problem, (budget, rng), known, hops=not found.stopped
+        )
         judged = first_verified(candidates, request)
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:

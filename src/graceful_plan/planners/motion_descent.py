@@ -93,12 +93,14 @@ class MotionDescents:
         velocity: Limits of the joints [rad/s or m/s].
         acceleration: Limits of the joints [rad/s^2 or m/s^2].
         is_free: Whether nothing is hit along a curve that came from some start.
+        hops: Whether to use what time is left for hops.
     """
 
     space: _native.Space
     velocity: Float[Array, " nq"]
     acceleration: Float[Array, " nq"]
     is_free: Callable[[Spline, Start], bool]
+    hops: bool = True
 
     def run(self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator) -> list[Landed]:
         """Descend from all starts and hop, as far as the time allows; return free curves, the best first.
@@ -106,7 +108,7 @@ class MotionDescents:
         Without a time limit, the number of hops is fixed and the result does not depend on the clock.
         """
         with ThreadPoolExecutor(_WORKERS) as pool:
-            return _Search(self, starts, budget, rng, pool).run()
+            return _Descending(self, starts, budget, rng, pool).run()
 
     def descended(self, start: Start, stage: Stage, budget: Budget) -> _native.MotionDescent | None:
         """Descend from a path for one stage; None if there was no time for it."""
@@ -143,7 +145,7 @@ class MotionDescents:
 
 
 @dataclass
-class _Search:
+class _Descending:
     """Descents from coarse to fine, then hops."""
 
     descents: MotionDescents
@@ -157,7 +159,7 @@ class _Search:
         coarse = self._descended([(start, k) for k, start in enumerate(self.starts)], COARSE)
         self._land(self._descended([(start, k) for _, start, k in coarse[:4]], MIDDLE)[:2])
         hops = _MOST_HOPS if np.isfinite(self.budget.time_limit) else _UNTIMED_HOPS
-        for _ in range(0, hops, _WORKERS):
+        for _ in range(0, hops if self.descents.hops else 0, _WORKERS):
             if _out(self.budget) or not self.found:
                 break
             self._hop()

@@ -65,6 +65,8 @@ def motions(
     problem: SceneProblem,
     means: tuple[Budget, np.random.Generator],
     known: Sequence[Motion] = (),
+    *,
+    hops: bool = True,
 ) -> tuple[list[Motion], str]:
     """Return motions along or near paths, the best first, and why there is none if so.
 
@@ -75,10 +77,11 @@ def motions(
         problem: What was searched in.
         means: Time for descents, and chance for hops.
         known: Motions that compete, and are descended from as well.
+        hops: Whether to use up the time.
     """
     wholes = [ends.joined(paths[k]) for k in thinned(len(paths))][:_MOST_STARTS]
     begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
-    found = [*known, *_smooth(begun, request, ends, problem, means)]
+    found = [*known, *_smooth(begun, request, ends, problem, (*means, hops))]
     why_not = ""
     for whole, arrival in wholes[: 1 if found else KEPT]:
         try:
@@ -112,9 +115,10 @@ def _smooth(
     request: Request,
     ends: Ends,
     problem: SceneProblem,
-    means: tuple[Budget, np.random.Generator],
+    means: tuple[Budget, np.random.Generator, bool],
 ) -> list[Motion]:
     """Return smooth motions, where the objective is one that they can descend along."""
+    budget, rng, hops = means
     objective = request.objective.descended()
     if objective is None:
         return []
@@ -132,12 +136,13 @@ def _smooth(
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
+        hops=hops and objective.w > 0.0,
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [
         Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes
     ]
-    landed = descents.run(starts, *means)
+    landed = descents.run(starts, budget, rng)
     return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
 
 
