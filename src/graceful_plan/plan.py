@@ -73,7 +73,8 @@ def plan(
         start: Configuration [rad or m], or the name of a keyframe.
         goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
         scene: Robot, surroundings and what is carried.
-        w: Safety weight: how much motion [rad] a unit of impact times length is worth; default: the objective's, or 1.
+        w: Safety weight: how many radians of joint motion it is worth to spare one second in which a failure would do
+            harm of severity 1; default: the objective's, or 0.3.
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
@@ -137,9 +138,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         asked = replace(request, planner=beginning_with(known, request.planner))
         found = _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(
-            found.paths, request, ends, problem, (budget, rng), known, hops=not found.stopped
-        )
+        candidates, why_not = motions(found.paths, request, ends, problem, (budget, rng), known, hops=not found.stopped)
         judged = first_verified(candidates, request)
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:
@@ -165,9 +164,7 @@ def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budge
     return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL, share=share)
 
 
-def _solved(
-    judged: Judged, found: Search, request: Request, budget: Budget, stats: dict[str, float]
-) -> PlanResult:
+def _solved(judged: Judged, found: Search, request: Request, budget: Budget, stats: dict[str, float]) -> PlanResult:
     motion = judged.motion
     last = TracePoint(
         time=budget.elapsed, total=motion.cost.total, motion=motion.cost.motion, impact=motion.cost.impact
@@ -187,9 +184,7 @@ def _solved(
     )
 
 
-def _failed(
-    found: Search, refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]
-) -> PlanResult:
+def _failed(found: Search, refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]) -> PlanResult:
     ended = PlanStatus.CANCELLED if budget.cancelled() else PlanStatus.TIMEOUT
     trace = tuple(found.trace)
     if refused is None and why_not:

@@ -87,7 +87,9 @@ def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float)
     x = one.controls[1:-1].ravel()
     gradient = one.energy(x)[1].ravel()
     step = 1e-6
-    differences = np.array([(one.energy(x + step * e)[0] - one.energy(x - step * e)[0]) / (2.0 * step) for e in np.eye(len(x))])
+    differences = np.array(
+        [(one.energy(x + step * e)[0] - one.energy(x - step * e)[0]) / (2.0 * step) for e in np.eye(len(x))]
+    )
     error = np.abs(gradient - differences) / np.maximum(1.0, np.abs(differences).max())
     assert np.mean(error < 1e-4) > 0.9, np.sort(error)[-8:]
     cosine = gradient @ differences / np.linalg.norm(gradient) / np.linalg.norm(differences)

@@ -231,6 +231,7 @@ def spline(controls: Reals, u: Reals) -> Reals: ...
 def fastest(
     step: Reals, slope: Reals, bend: Reals, stop: NDArray[np.bool_], velocity: Reals, acceleration: Reals
 ) -> Reals: ...
+
 @final
 class Anytime:
     def __init__(

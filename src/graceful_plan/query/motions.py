@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -139,9 +140,7 @@ def _smooth(
         hops=hops and objective.w > 0.0,
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
-    starts = [
-        Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes
-    ]
+    starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
     landed = descents.run(starts, budget, rng)
     return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
 
@@ -180,7 +179,7 @@ def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
     q = merge_near_vertices(whole)
     chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
     kernels = request.objective.kernels
-    for wider, narrower in zip(DEVIATIONS, DEVIATIONS[1:], strict=False):
+    for wider, narrower in pairwise(DEVIATIONS):
         open_ = np.flatnonzero(chosen == wider)
         if len(open_) == 0:
             break
