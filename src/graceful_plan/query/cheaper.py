@@ -1,8 +1,8 @@
 """What a plan for a costly objective can have for little: motions for a cheaper one, which compete by the full J.
 
 Where failing arms count or what a hit does, a state costs many times what a drop does, so that a search in the same
-time sees little. A plan for drops alone is often better by the full objective than what that search finds. It is planned
-first, in a part of the time, and the search for the full objective begins with it.
+time sees little. A plan for drops alone is often better by the full objective than what that search finds. It is
+planned first, in a part of the time, and the search for the full objective begins with it.
 """
 
 from __future__ import annotations
