@@ -57,7 +57,7 @@ HARNESS_FLOORS = (
     {"rollouts"},
     {"scenario", "report"},
     {"validation"},
-    {"front_validation"},
+    {"comparison", "front_validation"},
     {"sweeps", "calibrations", "pictures"},
     {"failbench"},
     {"commands"},
