@@ -112,7 +112,7 @@ def test_every_exposure_plans(task, exposure):
 
 def test_speed_slows_down(task):
     fast, slow = (_quick(task, w=0.0, speed=speed) for speed in (1.0, 0.5))
-    assert slow.trajectory.duration == pytest.approx(2.0 * fast.trajectory.duration, rel=1e-3)
+    assert slow.trajectory.duration == pytest.approx(2.0 * fast.trajectory.duration, rel=0.02)
 
 
 # --- goals ------------------------------------------------------------------------------------------------------------

@@ -87,7 +87,9 @@ def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float)
     x = one.controls[1:-1].ravel()
     gradient = one.energy(x)[1].ravel()
     step = 1e-6
-    differences = np.array([(one.energy(x + step * e)[0] - one.energy(x - step * e)[0]) / (2.0 * step) for e in np.eye(len(x))])
+    differences = np.array(
+        [(one.energy(x + step * e)[0] - one.energy(x - step * e)[0]) / (2.0 * step) for e in np.eye(len(x))]
+    )
     error = np.abs(gradient - differences) / np.maximum(1.0, np.abs(differences).max())
     assert np.mean(error < 1e-4) > 0.9, np.sort(error)[-8:]
     cosine = gradient @ differences / np.linalg.norm(gradient) / np.linalg.norm(differences)
@@ -166,11 +168,12 @@ def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
 
     limits = task.scene.limits
     descents = MotionDescents(native_space(problem, objective), limits.velocity, limits.acceleration, is_free)
-    landed = descents.run([Start(path)], Budget(iterations=1))
+    rng = np.random.default_rng(0)
+    landed = descents.run([Start(path)], Budget(iterations=1), rng)
     assert landed and [one.value for one in landed] == sorted(one.value for one in landed)
     assert len(asked) >= 2 * len(landed)
-    assert not descents.run([], Budget(iterations=1))
-    assert not descents.run([Start(path)], Budget(time_limit=0.0))
+    assert not descents.run([], Budget(iterations=1), rng)
+    assert not descents.run([Start(path)], Budget(time_limit=0.0), rng)
 
 
 def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:

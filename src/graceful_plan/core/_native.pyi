@@ -210,6 +210,7 @@ class MotionDescent:
         acceleration: Reals,
         controls: int,
         density: int,
+        rough: bool = False,
         time_price: float,
         push: float = 1.0,
         tolerance: float = 1e-4,
@@ -230,6 +231,7 @@ def spline(controls: Reals, u: Reals) -> Reals: ...
 def fastest(
     step: Reals, slope: Reals, bend: Reals, stop: NDArray[np.bool_], velocity: Reals, acceleration: Reals
 ) -> Reals: ...
+
 @final
 class Anytime:
     def __init__(

@@ -46,8 +46,8 @@ class SceneSpace final : public Space {
   void impacts(const double* points, int n, double* out) override { impact_.rough_states(points, size_t(n), out); }
   double exposure(const double* a, const double* b) const override { return impact_.exposure(a, b); }
   bool has_state_slopes() const override { return true; }
-  void state_slopes(const double* q, const double* qd, int n, const StateSlopes& out) override {
-    impact_.state_slopes({q, qd, size_t(n)}, {out.impact, out.by_q, out.by_qd});
+  void state_slopes(const MovingStates& of, const StateSlopes& out) override {
+    impact_.state_slopes({of.q, of.qd, size_t(of.n)}, of.rough, {out.impact, out.by_q, out.by_qd});
   }
   bool has_slopes() const override { return impact_.has_gradients(); }
   void slopes(const Chain& chain, double step, bool rough, const ChainSlopes& out) override {
@@ -325,12 +325,12 @@ void bind_search(nb::module_& m) {
       .def(
           "__init__",
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
-             size_t density, double time_price, double push, double tolerance, double tight_start, double tight_end) {
+             size_t density, bool rough, double time_price, double push, double tolerance, double tight_start, double tight_end) {
             new (self) MotionDescentRun(space, path,
-                                        {point(velocity), point(acceleration), controls, density, time_price, push,
-                                         tolerance, tight_start, tight_end});
+                                        {point(velocity), point(acceleration), controls, density, rough, time_price,
+                                         push, tolerance, tight_start, tight_end});
           },
-          "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a, "time_price"_a,
+          "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a, "rough"_a = false, "time_price"_a,
           "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0, "tight_end"_a = 0.0, nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)

@@ -19,7 +19,8 @@ class Impact {
   virtual void moving_states(const States& states, double* impact) const { this->states(states.q, states.n, impact); }
   virtual bool asks_for_velocity() const { return false; }
   // The same with its derivatives with respect to q and to qd; by differences unless a model knows better.
-  virtual void state_slopes(const States& states, const Slopes& out) const {
+  virtual void state_slopes(const States& states, bool rough, const Slopes& out) const {
+    (void)rough;
     const size_t nq = size_t(core_.tables().n_joint), size = states.n * nq;
     Point moved(states.q, states.q + size), rates(states.qd, states.qd + size), impact(states.n);
     std::fill(out.d_qd, out.d_qd + size, 0.0);
@@ -64,7 +65,7 @@ class Impact {
     const States states = core_.states(q, qd);
     {
       nb::gil_scoped_release release;
-      state_slopes(states, out);
+      state_slopes(states, false, out);
     }
     return nb::make_tuple(values, by_q, by_qd);
   }
@@ -305,8 +306,9 @@ class DropImpact final : public Impact {
     core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), states, impact);
   }
   bool asks_for_velocity() const override { return true; }
-  void state_slopes(const States& states, const Slopes& out) const override {
-    core_.kernels().drop_gradient(core_.tables(), model_.tables(), severity_.data(), states, out);
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    const auto gradient = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
+    gradient(core_.tables(), model_.tables(), severity_.data(), states, out);
   }
   void edges(const Edges& edges, double* cost) const override {
     core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, edges, cost);
@@ -347,10 +349,10 @@ class SumImpact final : public Impact {
     for (size_t i = 0; i < states.n; ++i) impact[i] += other[i];
   }
   bool asks_for_velocity() const override { return first_.asks_for_velocity() || second_.asks_for_velocity(); }
-  void state_slopes(const States& states, const Slopes& out) const override {
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     const size_t size = states.n * size_t(core_.tables().n_joint);
     Point other(states.n), other_q(size), other_qd(size);
-    first_.state_slopes(states, out), second_.state_slopes(states, {other.data(), other_q.data(), other_qd.data()});
+    first_.state_slopes(states, rough, out), second_.state_slopes(states, rough, {other.data(), other_q.data(), other_qd.data()});
     for (size_t i = 0; i < states.n; ++i) out.value[i] += other[i];
     for (size_t i = 0; i < size; ++i) out.d_q[i] += other_q[i], out.d_qd[i] += other_qd[i];
   }
@@ -385,7 +387,9 @@ class TimedImpact final : public Impact {
   void rough_states(const double* q, size_t n, double* impact) const override { model_.rough_states(q, n, impact); }
   void moving_states(const States& states, double* impact) const override { model_.moving_states(states, impact); }
   bool asks_for_velocity() const override { return model_.asks_for_velocity(); }
-  void state_slopes(const States& states, const Slopes& out) const override { model_.state_slopes(states, out); }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    model_.state_slopes(states, rough, out);
+  }
   double exposure(const double* a, const double* b) const override { return slowest(a, b).seconds; }
   void edges(const Edges& edges, double* cost) const override {
     const size_t nq = speed_.size();

@@ -25,6 +25,7 @@ struct MotionSettings {
   Point velocity, acceleration;  // limits of the joints
   size_t controls = 16;
   size_t density = 6;        // samples between two knots
+  bool rough = false;        // impacts in single precision
   double time_price = 0.02;  // [rad/s]
   double push = 1.0;         // weight of the penalty, relative to J
   double tolerance = 1e-4;   // relative fall over some steps below which it is settled
@@ -317,7 +318,8 @@ class MotionDescent {
   // The integral of the impact over time, and derivatives but for those of the times.
   double fail(std::vector<double>& d_speed) {
     const size_t samples = row_.size();
-    space_.state_slopes(q_.data(), qd_.data(), int(samples), {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
+    space_.state_slopes({q_.data(), qd_.data(), int(samples), settings_.rough},
+                        {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
     double sum = 0;
     for (size_t k = 0; k < samples; ++k) {
       const double seconds = 0.5 * ((k > 0 ? pause_[k - 1] : 0.0) + (k + 1 < samples ? pause_[k] : 0.0));

@@ -21,6 +21,12 @@ struct Chain {
 struct ChainSlopes {
   double *cost, *by_from, *by_to;
 };
+// States row by row; `rough` if single precision will do.
+struct MovingStates {
+  const double *q, *qd;
+  int n;
+  bool rough;
+};
 // The impact of states and its derivatives with respect to q and to qd, row by row.
 struct StateSlopes {
   double *impact, *by_q, *by_qd;
@@ -55,7 +61,7 @@ struct Space {
   virtual void slopes(const Chain&, double, bool, const ChainSlopes&) {}
   // Of states that move.
   virtual bool has_state_slopes() const { return false; }
-  virtual void state_slopes(const double*, const double*, int, const StateSlopes&) {}
+  virtual void state_slopes(const MovingStates&, const StateSlopes&) {}
   // Signed clearances of configurations and their gradients; infinite where there is nothing to hit.
   virtual void clearances(const double*, int, double*, double*) {}
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
