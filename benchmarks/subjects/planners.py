@@ -12,7 +12,7 @@ import graceful_plan as gp
 from benchmarks import planning, report, suite
 from graceful_plan.compare import Run
 from graceful_plan.compare.reports.summary import gap
-from graceful_plan.compare.runs.best_paths import StaleBestPath
+from graceful_plan.compare.runs.best_motions import StaleBestMotion
 
 TITLE = "Planners: plan(w=1) on every task"
 DETAILS = Path(__file__).parents[1] / "planners.json"
@@ -81,7 +81,7 @@ def references(
         try:
             stored = planning.BEST.load(name, task)
             missing += [name] if stored is None else []
-        except StaleBestPath as error:
+        except StaleBestMotion as error:
             doubts.append(f"Refused: {error}")
         mine = [(run, seconds) for seconds, runs in found for run in runs if run.problem == name and run.solved]
         least = min(mine, key=lambda one: one[0].total, default=None)

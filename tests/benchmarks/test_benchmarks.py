@@ -10,7 +10,7 @@ import pytest
 from places import ROOT
 
 import graceful_plan as gp
-from graceful_plan.compare import BestPaths, Run
+from graceful_plan.compare import BestMotions, Run
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CHECK_STEP
 
@@ -34,9 +34,9 @@ def record() -> Run:
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch) -> BestPaths:
+def folder(tmp_path, monkeypatch) -> BestMotions:
     """Keep best paths elsewhere."""
-    paths = BestPaths(tmp_path / "best_known")
+    paths = BestMotions(tmp_path / "best_known")
     monkeypatch.setattr(planning, "BEST", paths)
     return paths
 
