@@ -15,7 +15,7 @@ from graceful_plan.compare.runs.runner import PlannerJob, warm_up
 W = 1.0
 """Safety weight of every benchmark that does not say otherwise."""
 BEST = BestMotions(Path(__file__).parent / "best_known", W)
-"""The best path known of every task."""
+"""The best motion known of every task."""
 
 
 def job(
