@@ -101,7 +101,7 @@ def test_what_a_descent_knows_is_what_the_trajectory_costs(task: gp.Task) -> Non
     one = descent(objective, bent(task, 0.0), controls=16)
     one.run(100, np.inf)
     trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints)
-    cost = gp.evaluate(trajectory, task.scene, Objective())
+    cost = gp.evaluate(trajectory, task.scene, Objective(w=1.0))
     if objective.kernels.free(trajectory.sample(0.01).q).all():  # nothing is charged for being too close
         assert one.value == pytest.approx(cost.total + TIME_PRICE * trajectory.duration, rel=0.03)
     assert one.duration == pytest.approx(trajectory.duration, rel=0.03)

@@ -60,7 +60,7 @@ class Stage:
     evaluations: int
 
 
-COARSE, MIDDLE, FINE = Stage(12, 3, True, 40), Stage(16, 5, True, 60), Stage(24, 6, False, 200)
+COARSE, MIDDLE, FINE = Stage(12, 3, True, 40), Stage(16, 5, True, 60), Stage(24, 6, True, 160)
 
 
 @final
@@ -154,6 +154,8 @@ class _Descending:
     rng: np.random.Generator
     pool: ThreadPoolExecutor
     found: list[Landed] = field(default_factory=list)
+    spare: list[Landed] = field(default_factory=list)
+    """Free curves of coarse descents: their J is a guess, so that they count only where nothing has landed."""
 
     def run(self) -> list[Landed]:
         coarse = self._descended([(start, k) for k, start in enumerate(self.starts)], COARSE)
@@ -163,7 +165,7 @@ class _Descending:
             if _out(self.budget) or not self.found:
                 break
             self._hop()
-        return sorted(self.found, key=lambda one: one.value)
+        return sorted(self.found or self.spare, key=lambda one: one.value)
 
     def _descended(self, jobs: Sequence[tuple[Start, int]], stage: Stage) -> list[tuple[float, Start, int]]:
         """Return values, curves as paths and where they came from, the best first; keep what is free already."""
@@ -175,7 +177,7 @@ class _Descending:
             curve = Spline(descent.controls)
             ended.append((descent.value, Start(Path(_resampled(curve)), start.tight_start, start.tight_end), k))
             if self.descents.is_free(curve, start):
-                self.found.append(Landed(curve, descent.value, k))
+                self.spare.append(Landed(curve, descent.value, k))
         return sorted(ended, key=lambda one: one[0])
 
     def _land(self, jobs: Sequence[tuple[float, Start, int]]) -> None:

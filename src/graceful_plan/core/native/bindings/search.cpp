@@ -54,8 +54,24 @@ class SceneSpace final : public Space {
     const Edges edges{chain.points, chain.points + dim, size_t(chain.n_edge), step};
     impact_.edge_gradients(edges, rough ? Sampling::kMean : Sampling::kBoth, {out.cost, out.by_from, out.by_to});
   }
-  void clearances(const double* points, int n, double* out, double* gradient) override {
-    core_.kernels().clearance(core_.tables(), {points, nullptr, size_t(n)}, out, gradient);
+  void clearances(const Probes& probes, double* out, double* gradient) override {
+    const size_t n = size_t(probes.n), nq = size_t(dim);
+    std::vector<uint8_t> free(n, 0);
+    if (std::isfinite(probes.wanted))
+      core_.kernels().free_states(core_.tables(), {probes.q, nullptr, n}, probes.wanted, free.data());
+    std::fill(out, out + n, std::numeric_limits<double>::infinity()), std::fill(gradient, gradient + n * nq, 0.0);
+    Point close;
+    for (size_t k = 0; k < n; ++k)
+      if (!free[k]) close.insert(close.end(), probes.q + k * nq, probes.q + (k + 1) * nq);
+    if (close.empty()) return;
+    Point value(close.size() / nq), slope(close.size());
+    core_.kernels().clearance(core_.tables(), {close.data(), nullptr, value.size()}, value.data(), slope.data());
+    for (size_t k = 0, i = 0; k < n; ++k) {
+      if (free[k]) continue;
+      out[k] = value[i];
+      std::copy_n(slope.data() + i * nq, nq, gradient + k * nq);
+      ++i;
+    }
   }
 
  private:

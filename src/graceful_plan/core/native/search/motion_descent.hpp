@@ -137,7 +137,8 @@ class MotionDescent {
   void want() {
     sample(x_);
     const size_t samples = row_.size();
-    space_.clearances(q_.data(), int(samples), clearance_.data(), by_clearance_.data());
+    const double everything = std::numeric_limits<double>::infinity();
+    space_.clearances({q_.data(), int(samples), everything}, clearance_.data(), by_clearance_.data());
     const double usual = space_.margin + kKeep;
     const auto relaxed = [&](double end, double length, double tight) {
       return length < tight ? end + (usual - end) * length / tight : usual;
@@ -337,8 +338,9 @@ class MotionDescent {
 
   double collide() {
     const size_t samples = row_.size();
-    space_.clearances(q_.data(), int(samples), clearance_.data(), by_clearance_.data());
-    const double unit = space_.margin + kKeep, weight = push_ * scale_ / double(samples);
+    const double unit = space_.margin + kKeep;
+    space_.clearances({q_.data(), int(samples), unit}, clearance_.data(), by_clearance_.data());
+    const double weight = push_ * scale_ / double(samples);
     double sum = 0;
     for (size_t k = 1; k + 1 < samples; ++k) {
       const double lack = (wanted_[k] - clearance_[k]) / unit;
