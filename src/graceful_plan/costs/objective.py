@@ -147,6 +147,8 @@ class SceneObjective:
 
     def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
         """Impact given a failure at each state, at rest without joint velocities [rad/s or m/s]."""
+        if qd is None and self.kernel is not None:
+            return self.kernel.states(q)
         return checked_state(self.objective.impact, moving_batch(self.scene, q, qd))
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
