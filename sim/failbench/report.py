@@ -16,7 +16,7 @@ from graceful_plan.array_types import Float
 
 Array = np.ndarray
 
-_SCHEMA = {"schema": "failbench.validation", "version": 1}
+_SCHEMA = {"schema": "failbench.validation", "version": 2}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,8 @@ class EntityReport:
     """What failures do to one entity.
 
     Args:
-        probability: Probability that a failure makes the robot, the carried object or its contents touch it.
+        probability: Probability that a failure makes the robot, the carried object or its contents touch it; of the
+            carried object itself, that it is damaged.
         impact: Its share of the observed impact.
         predicted: Its share of the predicted impact.
     """
@@ -43,8 +44,10 @@ class ValidationReport:
     | field       | meaning                                                                                         |
     |-------------|-------------------------------------------------------------------------------------------------|
     | scene       | name of the scene                                                                               |
-    | observed    | sum of the severities of what is touched, each entity once                                      |
+    | observed    | sum over components and entities of the severities of what is touched, with `own_loss` if the  |
+    |             | prediction counts it                                                                            |
     | energy      | the same, each severity times the probability that the energy of the touch does damage          |
+    | own_loss    | severity of the loss of the carried object itself, times the probability that it is damaged     |
     | secondary   | the same as `observed` for entities that other entities are knocked onto                        |
     | predicted   | mean of the planner's sum of P S over the times of the failures                                 |
     | by_fault    | observed impact of each fault, by "NAME/DEGREE"                                                 |
@@ -66,6 +69,7 @@ class ValidationReport:
     scene: str
     observed: Estimate
     energy: Estimate
+    own_loss: Estimate
     secondary: Estimate
     predicted: float
     by_fault: Mapping[str, Estimate]
@@ -90,6 +94,7 @@ class ValidationReport:
         rows = [
             ["observed impact", *_cells(self.observed)],
             ["  weighted by energy", *_cells(self.energy)],
+            ["  the object's own loss", *_cells(self.own_loss)],
             ["  secondary", *_cells(self.secondary)],
             ["predicted impact", self.predicted, ""],
             ["dropped", *_cells(self.dropped)],
@@ -111,7 +116,7 @@ class ValidationReport:
     def to_document(self) -> dict[str, Any]:
         """Return everything but the single failures as a document of plain values."""
         names = "scene predicted diverged n effective_n seed horizon confidence greatest".split()
-        estimates = ("observed", "energy", "secondary", "dropped", "spilled")
+        estimates = ("observed", "energy", "own_loss", "secondary", "dropped", "spilled")
         return {
             **_SCHEMA,
             **{name: getattr(self, name) for name in names},
