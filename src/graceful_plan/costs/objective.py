@@ -254,7 +254,7 @@ class SceneObjective:
             motion=motion,
             impact=float(parts.sum()),
             w=self.w,
-            impact_by_entity=dict(zip(self.scene.hazards, parts.sum(axis=0).tolist(), strict=True)),
+            impact_by_entity=dict(zip(impact.hazards(self.scene), parts.sum(axis=0).tolist(), strict=True)),
             impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
         )
 
