@@ -12,7 +12,7 @@ from failbench.fault.registry import faults
 from failbench.front_validation import FrontValidation, validate_front
 from failbench.pictures.playback import replay
 from failbench.recording.records import ContactEvent, Job, Rollout
-from failbench.recording.score import energy_impact, observed_impact, secondary_impact
+from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
 from failbench.report import EntityReport, ValidationReport
 from failbench.rollouts.rollout import run
 from failbench.rollouts.single import steps
@@ -51,6 +51,7 @@ __all__ = [
     "generate",
     "harm_ratio",
     "observed_impact",
+    "own_loss",
     "read_dataset",
     "replay",
     "resume",

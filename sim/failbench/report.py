@@ -19,7 +19,7 @@ Array = np.ndarray
 FAILURES_PER_HOUR = 1e-3
 """One failure in 1000 h: a round figure to state harm per executed task at, not a measured one. That harm is
 proportional to it, and ratios of it do not depend on it."""
-_SCHEMA = {"schema": "failbench.validation", "version": 1}
+_SCHEMA = {"schema": "failbench.validation", "version": 2}
 _SECONDS_PER_HOUR = 3600.0
 
 
@@ -28,7 +28,8 @@ class EntityReport:
     """What failures do to one entity.
 
     Args:
-        probability: Probability that a failure makes the robot, the carried object or its contents touch it.
+        probability: Probability that a failure makes the robot, the carried object or its contents touch it; of the
+            carried object itself, that it is damaged.
         impact: Its share of the observed impact.
         predicted: Its share of the predicted impact.
     """
@@ -48,8 +49,10 @@ class ValidationReport:
     | field       | meaning                                                                                         |
     |-------------|-------------------------------------------------------------------------------------------------|
     | scene       | name of the scene                                                                               |
-    | observed    | sum of the severities of what is touched, each entity once                                      |
+    | observed    | sum over components and entities of the severities of what is touched, with `own_loss` if the  |
+    |             | prediction counts it                                                                            |
     | energy      | the same, each severity times the probability that the energy of the touch does damage          |
+    | own_loss    | severity of the loss of the carried object itself, times the probability that it is damaged     |
     | secondary   | the same as `observed` for entities that other entities are knocked onto                        |
     | predicted   | mean of the planner's sum of P S over the times of the failures                                 |
     | duration    | of the motion [s]                                                                               |
@@ -73,6 +76,7 @@ class ValidationReport:
     scene: str
     observed: Estimate
     energy: Estimate
+    own_loss: Estimate
     secondary: Estimate
     predicted: float
     duration: float
@@ -114,6 +118,7 @@ class ValidationReport:
         rows = [
             ["observed impact", *_cells(self.observed)],
             ["  weighted by energy", *_cells(self.energy)],
+            ["  the object's own loss", *_cells(self.own_loss)],
             ["  secondary", *_cells(self.secondary)],
             ["predicted impact", self.predicted, ""],
             ["dropped", *_cells(self.dropped)],
@@ -140,7 +145,7 @@ class ValidationReport:
     def to_document(self) -> dict[str, Any]:
         """Return everything but the single failures as a document of plain values."""
         names = "scene predicted duration rate diverged n effective_n seed horizon confidence greatest".split()
-        estimates = ("observed", "energy", "secondary", "dropped", "spilled")
+        estimates = ("observed", "energy", "own_loss", "secondary", "dropped", "spilled")
         return {
             **_SCHEMA,
             **{name: getattr(self, name) for name in names},

@@ -20,6 +20,7 @@ from failbench.report import ValidationReport
 from failbench.scenario import scenarios
 from failbench.validation import chosen_faults, predicted_impact, validate
 from graceful_plan import ImpactCost, Objective, PlanningFailed, PlanResult, PlanStatus
+from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import SettingError, UnknownNameError
 
 _EXACT = 1e-9
@@ -53,7 +54,11 @@ def test_shares_add_up() -> None:
     assert list(found.by_fault) == ["gripper_failure/severe", "weak_grip/severe", "stuck_gripper/severe"]
     assert np.mean([e.mean for e in found.by_fault.values()]) == pytest.approx(found.observed.mean)
     assert {e.n for e in found.by_fault.values()} == {10}
-    assert list(found.by_entity) == list(scene().entities)
+    assert list(found.by_entity) == [*scene().entities, "green"]
+    own = found.by_entity["green"]
+    assert own.impact == found.own_loss
+    assert own.impact.mean == pytest.approx(scene().own_severity * own.probability.mean)
+    assert 0.0 < own.probability.mean < 1.0 and own.predicted > 0.0
     assert found.dropped.mean > 0.9
     assert found.observed.mean > 0.0
     assert found.energy.mean <= found.observed.mean
@@ -102,8 +107,7 @@ def test_the_prediction_is_taken_where_failures_begin(simulated: Callable[..., N
     for fraction, predicted in at.items():
         state = motion().at(motion().t[0] + fraction * motion().duration)
         q, qd = state.q, state.qd
-        severity = ImpactCost().severity(scene())
-        exact = np.sum(gp.interaction_probability(scene(), q, "footprint", qd) * severity)
+        exact = ImpactCost().state(moving_batch(scene(), q[None], qd[None]))[0]
         assert predicted == pytest.approx(exact, abs=_EXACT)
     both = [GripperFailure(when=AtFraction(fraction)) for fraction in at]
     assert validate(motion(), scene(), both, n=2).predicted == pytest.approx(np.mean(list(at.values())))
@@ -161,16 +165,31 @@ def early(job: Job) -> bool:
     return job.onset < 0.25 * motion().duration
 
 
-def test_severities_are_counted_once_and_the_worst_of_them(simulated: Callable[..., None]) -> None:
+def test_severities_of_components_and_entities_add_up(simulated: Callable[..., None]) -> None:
     simulated(lambda job: (event("red1"), event("red1", "body"), event("table")) if early(job) else ())
     found = validate(motion(), scene(), GripperFailure(), n=400)
-    assert found.observed.mean == pytest.approx(0.25 * 11.0)
+    # 10 for each touch of the red box, 1 for the table, and 2 for the object, which hit with 1 kJ.
+    assert found.observed.mean == pytest.approx(0.25 * 23.0)
     assert found.by_entity["red1"].probability.mean == pytest.approx(0.25)
-    assert found.by_entity["red1"].impact.mean == pytest.approx(2.5)
+    assert found.by_entity["red1"].impact.mean == pytest.approx(5.0)
     assert found.by_entity["table"].impact.mean == pytest.approx(0.25)
+    assert found.by_entity["green"].impact.mean == found.own_loss.mean == pytest.approx(0.5)
     assert found.by_entity["red2"].impact.mean == 0.0
     assert 0.0 < found.by_entity["red2"].probability.high < 0.01
-    assert found.observed.low < 2.75 < found.observed.high
+    assert found.observed.low < 5.75 < found.observed.high
+
+
+def test_the_objects_own_loss_counts_if_it_is_predicted(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: (event("table"),))
+    without = validate(motion(), scene(), GripperFailure(), n=20, prediction=ImpactCost(own_loss=False))
+    assert without.observed.mean == 1.0 and without.own_loss.mean == pytest.approx(2.0)
+    assert "green" not in without.by_entity
+    both = validate(motion(), scene(), GripperFailure(), n=20)
+    assert both.observed.mean == pytest.approx(3.0)
+    assert both.predicted == pytest.approx(without.predicted + both.by_entity["green"].predicted)
+    # Algorithm 1 does not know of it; what happens is observed all the same.
+    published = validate(motion(), scene(), GripperFailure(), n=20, prediction=ImpactCost(model="aabb"))
+    assert published.observed == both.observed and published.by_entity["green"].predicted == 0.0
 
 
 def test_secondary_touches_are_kept_apart(simulated: Callable[..., None]) -> None:
@@ -185,7 +204,7 @@ def test_diverged_rollouts_are_counted_and_in_no_mean(simulated: Callable[..., N
     simulated(lambda job: (event("red1"),), diverged=early)
     found = validate(motion(), scene(), GripperFailure(), n=40)
     assert (found.n, found.diverged, found.observed.n) == (40, 10, 30)
-    assert found.observed.mean == 10.0
+    assert found.observed.mean == pytest.approx(10.0 + scene().own_severity)
     assert np.count_nonzero(np.isnan(found.impacts)) == 10
     assert "10 diverged" in str(found)
     assert json.loads(found.to_json())["diverged"] == 10
@@ -205,7 +224,8 @@ def test_if_everything_diverges_nothing_is_known(simulated: Callable[..., None])
 
 def test_importance_sampling_is_unbiased(simulated: Callable[..., None]) -> None:
     simulated(lambda job: (event("red1"),) if early(job) else ())
-    found = validate(motion(), scene(), GripperFailure(), n=4000, importance=True)
+    without = ImpactCost(own_loss=False)
+    found = validate(motion(), scene(), GripperFailure(), n=4000, importance=True, prediction=without)
     assert found.observed.mean == pytest.approx(2.5, abs=0.05)
     assert found.by_entity["red1"].probability.mean == pytest.approx(0.25, abs=0.005)
     assert found.by_fault["gripper_failure/severe"] == found.observed

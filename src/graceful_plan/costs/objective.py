@@ -147,6 +147,8 @@ class SceneObjective:
 
     def states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"] | None = None) -> Float[Array, " n"]:
         """Impact given a failure at each state, at rest without joint velocities [rad/s or m/s]."""
+        if qd is None and self.kernel is not None:
+            return self.kernel.states(q)
         return checked_state(self.objective.impact, moving_batch(self.scene, q, qd))
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
@@ -250,7 +252,7 @@ class SceneObjective:
             motion=motion,
             impact=float(parts.sum()),
             w=self.w,
-            impact_by_entity=dict(zip(self.scene.hazards, parts.sum(axis=0).tolist(), strict=True)),
+            impact_by_entity=dict(zip(impact.hazards(self.scene), parts.sum(axis=0).tolist(), strict=True)),
             impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
         )
 

@@ -49,18 +49,22 @@ class Exposure:
         if objective.exposure == "waypoints":
             raise SettingError("exposure", objective.exposure, "'length' or 'time' for a roadmap")
         self.objective, self.scene, self.step, self.paces = objective, scene, step, paces
-        self.by_hazard = isinstance(objective.impact, ImpactCost)
+        impact = objective.impact
+        self.by_hazard = isinstance(impact, ImpactCost)
+        self.hazards: tuple[str, ...] = ()
         self.columns: tuple[tuple[str, str], ...] = (("", ""),)
-        if self.by_hazard:
-            counted = [name for name in scene.components if name in objective.impact.components]  # pyright: ignore[reportAttributeAccessIssue]
-            self.columns = tuple((name, hazard) for name in counted for hazard in scene.hazards)
+        if isinstance(impact, ImpactCost):
+            self.hazards = impact.hazards(scene)
+            counted = [name for name in scene.components if name in impact.components]
+            self.columns = tuple((name, hazard) for name in counted for hazard in self.hazards)
 
     def severity(self, scene: Scene) -> Float[Array, " column"]:
         """Severities of a scene by column, 0 of what it does not have; 1 if the impact is not one of severities."""
         impact = self.objective.impact
         if not (self.by_hazard and isinstance(impact, ImpactCost)):
             return np.ones(1)
-        known = dict(zip(product(scene.components, scene.hazards), impact.hazard_severity(scene).flat, strict=True))
+        pairs = product(scene.components, impact.hazards(scene))
+        known = dict(zip(pairs, impact.hazard_severity(scene).flat, strict=True))
         return np.array([known.get(column, 0.0) for column in self.columns], dtype=np.float64)
 
     def reported(self) -> Exposure:
@@ -85,7 +89,7 @@ class Exposure:
         motion, impact = float(prices.motion.sum()), float(parts.sum())
         if not self.by_hazard:
             return CostBreakdown(motion=motion, impact=impact, w=w)
-        components, hazards = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.scene.hazards, 0.0)
+        components, hazards = dict.fromkeys(self.scene.components, 0.0), dict.fromkeys(self.hazards, 0.0)
         for (component, hazard), part in zip(self.columns, parts.tolist(), strict=True):
             components[component] += part
             hazards[hazard] += part

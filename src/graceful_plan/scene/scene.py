@@ -159,6 +159,7 @@ class Scene(SceneFacts):
             components=components,
             entities=roles.find_entities(model, notes, robot, components),
             moving_severity=roles.moving_severities(model, notes, components),
+            own_severity=roles.own_severity(notes, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
             keyframes=find_keyframes(notes, len(joints)),
             allowed_contacts=declared_contacts(model, notes, tool_body),

@@ -129,6 +129,8 @@ constexpr const char* kSpillConstants[] = {  // in the order of SpillConstants
     "reach",           "run_off",    "edge",         "slosh",         "soft_speed", "soft_spread"};
 static_assert(sizeof(SpillConstants) == sizeof(kSpillConstants) / sizeof(kSpillConstants[0]) * sizeof(double));
 
+constexpr const char* kDropSeverities = "severities are not [row, entity] and one of the object itself";
+
 // The tables of what is carried and of what it may fall on, as Python hands them over.
 struct DropArrays {
   int link;
@@ -193,12 +195,22 @@ class DropModel {
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
+  // strength: of each surface; loss: sharpness, shifts (2), weights (2)
+  void add_loss(Reals strength, Reals loss) {
+    require(strength.size() == surface_.size() && loss.size() * sizeof(double) == sizeof(LossTables),
+            "tables of the loss of what is carried");
+    for (size_t k = 0; k < surface_.size(); ++k) surface_[k].strength = strength.data()[k];
+    std::copy(loss.data(), loss.data() + loss.size(), &tables_.loss.sharpness);
+    require(tables_.loss.sharpness > 0, "sharpness of damage");
+  }
+
   const Core& core() const { return core_; }
   const DropTables& tables() const { return tables_; }
 
+  // P by row and entity, and last that the object itself is damaged.
   auto probability(Reals q, Reals qd) const {
     double* out;
-    auto array = make<double>({core_.rows(q), size_t(kDropRows), size_t(tables_.n_entity)}, out);
+    auto array = make<double>({core_.rows(q), size_t(kDropRows * tables_.n_entity + 1)}, out);
     const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
     core_.kernels().drop(core_.tables(), tables_, states, out);
@@ -207,7 +219,7 @@ class DropModel {
   auto impact(Reals severity, Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
-    require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
+    require(severity.size() == size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), states, out);
@@ -219,7 +231,7 @@ class DropModel {
     auto values = make<double>({core_.rows(q)}, out.value);
     auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
-    require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
+    require(severity.size() == size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
     {
       nb::gil_scoped_release release;
@@ -269,6 +281,7 @@ class DropModel {
         s.inside[i] = 0.5 * (margin + std::sqrt(margin * margin + 1e-4));
         s.near[i] = std::max(s.reached[i], s.inside[i]);
       }
+      s.holds = std::min(s.carries[0], s.carries[1]) > tables_.size;
       require(surface_.empty() || s.top <= surface_.back().top, "surfaces ordered by height");
       surface_.push_back(s);
     }
@@ -293,7 +306,7 @@ class DropImpact final : public Impact {
  public:
   DropImpact(const DropModel& model, Reals severity, double slow, double fast)
       : Impact(model.core(), severity), model_(model), pace_{slow, fast} {
-    require(severity.size() == size_t(kDropRows * model.tables().n_entity), "severity is not [row, entity]");
+    require(severity.size() == size_t(kDropRows * model.tables().n_entity + 1), kDropSeverities);
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
   }
   void states(const double* q, size_t n, double* impact) const override {
