@@ -43,6 +43,7 @@ SUBJECTS = (
     "trajectory_prediction",
     "prevention",
     "damage_energy",
+    "own_loss",
     "transcription",
     "moving_entities",
     "tuning",
