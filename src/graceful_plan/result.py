@@ -77,7 +77,7 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class TracePoint:
-    """One improvement: seconds since the call, and the cost reached; of a path as a search charges it, or of a motion."""
+    """One improvement: seconds since the call, and the cost of a path as a search charges it, or of a motion."""
 
     time: float
     total: float
