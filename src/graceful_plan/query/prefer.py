@@ -1,6 +1,6 @@
 r"""Choosing and refining paths by a risk measure that does not add up along a path.
 
-Search minimises J = V + w S, where S = T E[impact] is exposure (T: length, or whatever the objective integrates over)
+Search minimises J = V + w S, where S = T E[impact] is exposure (T: time, or whatever the objective integrates over)
 times the mean impact of a failure. With another measure rho of the distribution of impact (`risk`), paths are preferred
 by
 
