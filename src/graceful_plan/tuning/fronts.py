@@ -1,8 +1,9 @@
 """pareto(): the front of motion against impact between two configurations, verified point by point.
 
-Candidates come from minimisations of V + w S for weights up and down, and are refined as a whole, so that the parts of
-the front that no weight leads to are found, too (`search`, `refine`). Every point of the front is timed, judged and
-charged anew (`judging`).
+Paths come from minimisations of V + w S for weights up and down (`search`). From them smooth motions descend along J of
+their own timing, for weights all along the front (`motion_front`). Where there is no way down, as for costs of one's
+own, the paths themselves are refined as a whole (`refine`), and timed with their corners cut. Every point of the front
+is judged, and charged as it is timed (`judging`).
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ _NODES = 800
 _PER_NODE = 5
 """Iterations that there have to be for each of them."""
 _SEARCHING = 0.35
-"""Share of the time for paths where motions descend from them."""
+"""Share of the time for paths where motions descend from them; half of the time is no better."""
 _WEIGHTS, _SWEEP = 4, 0.45
 """Weights in a sweep for such paths, and its share of their time."""
 MOST_POINTS = 1000

@@ -1,4 +1,4 @@
-"""From candidates to points of a front: each timed, judged and charged anew."""
+"""From candidates to points of a front: each judged, and charged as it is timed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from graceful_plan.tuning.points import ParetoPoint
 
 Array = np.ndarray
 
-_JUDGING = 0.05
+_JUDGING = 0.03
 """Seconds that timing and judging a point may take, at first guess."""
 LONGER = 2.5
 """How much longer it takes than for the shortest path: those around something have more corners to time."""
@@ -81,7 +81,7 @@ class FrontQuery:
     @property
     def descends(self) -> bool:
         """Whether smooth motions can descend along the objective."""
-        return self.request.objective.descended() is not None
+        return self.at(1.0).descended() is not None
 
     def point_along(self, candidate: Candidate) -> ParetoPoint | None:
         """Time a path with its corners cut, judge and charge it; None if the judge refuses it."""
@@ -124,22 +124,18 @@ class Judging(Generic[C]):
         self._passed: dict[int, ParetoPoint] = {}
         """Points by the identity of their candidates, which `_kept` keeps alive."""
         self._kept: list[C] = []
-        self._each = _JUDGING
+        self._each, self._timed = _JUDGING, False
         self.refused = 0
-
-    @property
-    def begun(self) -> bool:
-        """Whether any candidate has passed."""
-        return bool(self._passed)
 
     def reserve(self, limit: float) -> float:
         """Return how much of a time limit to keep for judging all points [s]."""
         return min(self._each * self._points, _JUDGING_SHARE * limit)
 
     def time_first(self) -> bool:
-        """Judge the shortest candidate to see how long that takes here and now, unless one has passed already."""
-        if self.begun or not len(self._archive):
+        """Judge the shortest candidate, once there is any, to see how long that takes here and now; whether it did."""
+        if self._timed or not len(self._archive):
             return False
+        self._timed = True
         began, shortest = time.perf_counter(), self._archive.candidates[0]
         point = self._point(shortest)
         if point is not None:
