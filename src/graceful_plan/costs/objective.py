@@ -227,16 +227,14 @@ class SceneObjective:
         if points.q.shape[1] != len(self.scene.joints):
             raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
         vertices = np.arange(len(points), dtype=np.float64)
-        if isinstance(path, Trajectory) and self.objective.exposure == "time":
-            return _timed_states(self.scene, path, start_time)
-        times = start_time + path.t if isinstance(path, Trajectory) else None
         if self.objective.exposure == "waypoints":
+            times = start_time + path.t if isinstance(path, Trajectory) else None
             return ChargedStates(StateBatch(self.scene, points.q, time=times), np.ones(len(points)), place=vertices)
+        if isinstance(path, Trajectory):
+            return _timed_states(self.scene, path, start_time, by_length=self.objective.exposure == "length")
         samples = self.samples(points.q[:-1], points.q[1:])
         measure = samples.length if self.objective.exposure == "length" else samples.duration
-        if times is not None:
-            times = np.interp(samples.place, vertices, times)
-        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed, times)
+        batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         return ChargedStates(batch, samples.weights(measure), place=samples.place)
 
     def samples(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeSamples:
@@ -332,12 +330,13 @@ def trajectory_batch(
     return StateBatch(scene, found.q, found.direction, found.speed, times, trajectory.at(t[:, None] + AHEAD).q)
 
 
-def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float) -> ChargedStates:
-    """Return states no farther apart than `COST_STEP`, with trapezoid weights [s]."""
+def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by_length: bool) -> ChargedStates:
+    """Return states no farther apart than `COST_STEP` at their own velocities, with trapezoid weights [s, or rad]."""
     pieces = np.maximum(1, np.ceil(trajectory.path.segment_lengths / COST_STEP)).astype(int)
     place = np.append(np.concatenate([np.zeros(0), *(k + np.arange(n) / n for k, n in enumerate(pieces))]), len(pieces))
     t = np.interp(place, np.arange(len(trajectory)), trajectory.t)
-    gaps = np.diff(t)
+    done = np.append(0.0, np.cumsum(trajectory.path.segment_lengths))
+    gaps = np.diff(np.interp(place, np.arange(len(trajectory)), done) if by_length else t)
     weight = np.zeros(len(t))
     weight[:-1] += 0.5 * gaps
     weight[1:] += 0.5 * gaps
