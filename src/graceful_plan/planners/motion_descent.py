@@ -32,6 +32,8 @@ _MORE = 40
 _WORKERS = 2
 _UNTIMED_HOPS = 4
 """Hops where no clock limits them."""
+_MIDDLE = 4
+"""Starts that go on after their coarse descent."""
 _MOST_HOPS = 2000
 _PROMISING = (1.2, 1.05)
 """After its coarse and its middle part, a hop goes on if J is no more than so many times that of the best."""
@@ -64,6 +66,23 @@ COARSE, MIDDLE, FINE = Stage(12, 3, True, 40), Stage(16, 5, True, 60), Stage(24,
 
 
 @final
+@dataclass(frozen=True)
+class Effort:
+    """How much a search for motions takes on.
+
+    | field   | meaning                                                                          |
+    |---------|----------------------------------------------------------------------------------|
+    | screens | whether starts descend coarsely first, and only the better ones go on            |
+    | fine    | how many then descend finely; with none, coarse curves are the result            |
+    | hops    | how many hops at most; as many as there is time for if None                      |
+    """
+
+    screens: bool = True
+    fine: int = 2
+    hops: int | None = None
+
+
+@final
 @dataclass(frozen=True, eq=False)
 class Start:
     """A path to descend from, and the parts of its length at both ends that are tight for the spheres [rad]."""
@@ -93,14 +112,14 @@ class MotionDescents:
         velocity: Limits of the joints [rad/s or m/s].
         acceleration: Limits of the joints [rad/s^2 or m/s^2].
         is_free: Whether nothing is hit along a curve that came from some start.
-        hops: Whether to use what time is left for hops.
+        effort: How much of what there is to do.
     """
 
     space: _native.Space
     velocity: Float[Array, " nq"]
     acceleration: Float[Array, " nq"]
     is_free: Callable[[Spline, Start], bool]
-    hops: bool = True
+    effort: Effort = Effort()
 
     def run(self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator) -> list[Landed]:
         """Descend from all starts and hop, as far as the time allows; return free curves, the best first.
@@ -158,11 +177,13 @@ class _Descending:
     """Free curves of coarse descents: their J is a guess, so that they count only where nothing has landed."""
 
     def run(self) -> list[Landed]:
-        coarse = self._descended([(start, k) for k, start in enumerate(self.starts)], COARSE)
-        self._land(self._descended([(start, k) for _, start, k in coarse[:4]], MIDDLE)[:2])
-        hops = _MOST_HOPS if np.isfinite(self.budget.time_limit) else _UNTIMED_HOPS
-        for _ in range(0, hops if self.descents.hops else 0, _WORKERS):
-            if _out(self.budget) or not self.found:
+        effort, jobs = self.descents.effort, [(0.0, start, k) for k, start in enumerate(self.starts)]
+        for stage, kept in ((COARSE, _MIDDLE), (MIDDLE, effort.fine)) if effort.screens else ():
+            jobs = self._descended([(start, k) for _, start, k in jobs], stage)[:kept]
+        self._land(jobs[: effort.fine])
+        most = _MOST_HOPS if np.isfinite(self.budget.time_limit) else _UNTIMED_HOPS
+        for _ in range(0, most if effort.hops is None else effort.hops, _WORKERS):
+            if _out(self.budget) or not self._elite():
                 break
             self._hop()
         return sorted(self.found or self.spare, key=lambda one: one.value)
@@ -186,7 +207,7 @@ class _Descending:
 
     def _hop(self) -> None:
         """Bend some of the best motions, and see whether they descend to better ones."""
-        elite = sorted(self.found, key=lambda one: one.value)[:_WORKERS]
+        elite = self._elite()
         best = elite[0].value
         chosen = [elite[0] if self.rng.uniform() < 0.5 else elite[-1] for _ in range(_WORKERS)]
         jobs = [(self._bent(one), one.start) for one in chosen]
@@ -195,7 +216,12 @@ class _Descending:
             jobs = [(start, k) for _, start, k in kept]
             if not jobs:
                 return
-        self._land([(0.0, start, k) for start, k in jobs])
+        self._land([(0.0, start, k) for start, k in jobs[: self.descents.effort.fine]])
+
+    def _elite(self) -> list[Landed]:
+        """What hops begin with: the best that have landed, or of coarse descents where none are to land."""
+        found = self.found if self.descents.effort.fine else self.spare
+        return sorted(found, key=lambda one: one.value)[:_WORKERS]
 
     def _bent(self, one: Landed) -> Start:
         """Bend a curve at a random place, by a random size and in a random direction."""

@@ -8,7 +8,7 @@ other, and with the polylines that were found, by J of the trajectory.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import TIME_PRICE, Landed, MotionDescents, Start
+from graceful_plan.planners.motion_descent import TIME_PRICE, Effort, Landed, MotionDescents, Start
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -82,7 +82,8 @@ def motions(
     """
     wholes = [ends.joined(paths[k]) for k in thinned(len(paths))][:_MOST_STARTS]
     begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
-    found = [*known, *_smooth(begun, request, ends, problem, (*means, hops))]
+    effort = Effort() if hops else Effort(hops=0)
+    found = [*known, *smooth(begun, request, ends, problem, means, effort=effort)]
     why_not = ""
     for whole, arrival in wholes[: 1 if found else KEPT]:
         try:
@@ -111,15 +112,25 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
             continue
 
 
-def _smooth(
+def smooth(
     wholes: Sequence[tuple[Path, int]],
     request: Request,
     ends: Ends,
     problem: SceneProblem,
-    means: tuple[Budget, np.random.Generator, bool],
+    means: tuple[Budget, np.random.Generator],
+    *,
+    effort: Effort,
 ) -> list[Motion]:
-    """Return smooth motions, where the objective is one that they can descend along."""
-    budget, rng, hops = means
+    """Return smooth motions that descended from paths, the most promising first; none if the objective has no descents.
+
+    Args:
+        wholes: Paths from the real start to a real goal, and which arrival each takes.
+        request: What to descend along.
+        ends: Both ends.
+        problem: What was searched in.
+        means: Time for descents, and chance for hops.
+        effort: How much of what there is to do.
+    """
     objective = request.objective.descended()
     if objective is None:
         return []
@@ -137,11 +148,11 @@ def _smooth(
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
-        hops=hops and objective.w > 0.0,
+        effort=effort if objective.w > 0.0 else replace(effort, hops=0),
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
-    landed = descents.run(starts, budget, rng)
+    landed = descents.run(starts, *means)
     return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
 
 
