@@ -1,16 +1,16 @@
 r"""Risk: how bad the consequences of a failure can be, not only how bad they are on average.
 
 Given that the robot fails once, at a moment that is uniform over a motion, the impact is a random number: the sum over
-entities of the severity of what happens to each. `risk` computes its distribution from an interaction model:
+components and entities of the severities of what happens. `risk` computes its distribution from an interaction model:
 
 * The failure is of one kind (the gripper lets go, a motor dies): `InteractionModel.sources`, weighted as its
   `fault_shares` say. A model without weights has one kind, of which its sources exclude each other.
 * Given the state and the kind, entities are hit independently of one another. That is an assumption: an object that
   breaks the first glass may well break the next, or be stopped by it.
-* To an entity that several components hit, the worst of them counts, as FailBench counts. What has one cause happens
-  together, a mug falls with its coffee:
+* What several components do to an entity adds up, as in the planner's impact, which therefore is the mean of this
+  distribution. What has one cause happens together, a mug falls with its coffee:
 
-  .. math:: P(L_e \ge s) = \max_{c:\ S_{ce} \ge s} P_{ce}
+  .. math:: P(L_e \ge s) = \max_{C:\ \sum_{c \in C} S_{ce} \ge s} \ \min_{c \in C} P_{ce}
 
 * The impact at a state is the sum of these, by convolution, mixed over kinds; over the motion, mixed over its states.
 
@@ -39,7 +39,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import MEAN_PACE, Objective, trajectory_batch
+from graceful_plan.costs.objective import Objective, trajectory_batch
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import Path
@@ -120,7 +120,7 @@ class Risk:
 
     @cached_property
     def expected(self) -> float:
-        """Mean impact, each entity counted once; the planner's I adds up components."""
+        """Mean impact, that which the planner charges."""
         return float(self.value @ self.probability)
 
     @cached_property
@@ -185,18 +185,18 @@ def risk(
     impact: ImpactCost | None = None,
     *,
     level: float = 0.9,
-    pace: float = MEAN_PACE,
+    speed: float = 1.0,
     start_time: float = 0.0,
 ) -> Risk:
     """Compute the distribution of impact, given that the robot fails once along a motion.
 
     Args:
         motion: A trajectory, which fails at a time uniform over its duration, at the velocity that it has then; or a
-            path or configurations [n, nq], which fail at a place uniform over the length.
+            path or configurations [n, nq], which fail at a moment uniform over the time that it will take.
         scene: The scene, with what is carried attached.
         impact: Interaction model and components; those of plain `Objective()` if None.
         level: Of VaR and CVaR, in [0, 1): 0.9 is for the worst tenth.
-        pace: How fast a path is travelled; see `Objective.pace`.
+        speed: In (0, 1]: at what fraction of the velocity limits a path is travelled; see `evaluate`.
         start_time: What to add to a trajectory's times to have those of entities that move [s]; see `evaluate`.
 
     Raises:
@@ -206,9 +206,11 @@ def risk(
     check_level(level)
     if not np.isfinite(start_time):
         raise SettingError("start_time", start_time, "a finite time [s]")
+    if not 0.0 < speed <= 1.0:
+        raise SettingError("speed", speed, "a fraction in (0, 1]")
     cost = Objective().impact if impact is None else impact
     law = HarmLaw(cost, scene)
-    objective = Objective(impact=cost, pace=pace).bind(scene)
+    objective = Objective(impact=cost).bind(scene, (speed, speed))
     points = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
     charged = objective.charged_states(points)  # also refuses what does not fit the scene
     if isinstance(points, Trajectory):
@@ -217,10 +219,10 @@ def risk(
         batch, weight = charged.batch, charged.weight
     else:  # a path without length
         batch, weight = StateBatch(scene, points.q[:1]), np.ones(1)
-    mass, possible = law.mixture(batch, weight)
+    mass, worst = law.mixture(batch, weight)
     kept = (mass > 0.0) | (law.value == 0.0)
     probability = mass[kept] / mass.sum()
-    return Risk(law.value[kept], probability, level, float(law.worst @ possible), law.exact)
+    return Risk(law.value[kept], probability, level, float(worst.sum()), law.exact)
 
 
 def check_level(level: object) -> None:

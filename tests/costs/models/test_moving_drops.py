@@ -218,7 +218,9 @@ def test_sources_add_up(scene):
     for model in ("footprint", "aabb"):
         cost = gp.ImpactCost(model=model, components=("body", "carried", "contents"))
         np.testing.assert_allclose(sum(cost.sources(batch).values()), cost.probability(batch), atol=1e-12)
-        assert cost.probability(batch).shape == (1, len(scene.components), len(batch.scene.hazards))
+        assert cost.probability(batch).shape == (1, len(scene.components), len(cost.hazards(batch.scene)))
+        own = model == "footprint"
+        assert cost.hazards(batch.scene)[len(batch.scene.hazards) :] == ((batch.scene.carried.body,) if own else ())
 
 
 def test_the_core_guides_searches_about_right(scene):
@@ -227,7 +229,7 @@ def test_the_core_guides_searches_about_right(scene):
     q0 = np.column_stack([rng.uniform(-0.4, 0.6, (60, 2)), rng.uniform(-0.2, 0.2, 60), rng.uniform(-3, 3, 60)])
     q1 = q0 + rng.normal(scale=0.2, size=q0.shape)
     objective = gp.Objective(impact=gp.ImpactCost(model="footprint"))
-    kernel = objective.impact.kernel(moving, objective.paces)
+    kernel = objective.impact.kernel(moving, objective.bind(moving).paces)
     assert kernel is not None
     alone = objective.bind(moving.with_severity({"target": 0.0}))
     core = alone.edges(q0, q1)[:, 1]

@@ -21,9 +21,13 @@ namespace GP_ISA {
 constexpr double kTail = 29.0;      // scales of noise beyond which nothing happens: e^-29 is 3e-13
 constexpr double kHeld = 60.0;      // exponents are held within
 constexpr double kNothing = 1e-13;  // a probability that does not matter
+constexpr double kRare = 1e-11;     // of which there are few to be added up
 constexpr double kTiny = 1e-300;
 #include "impact/drop.hpp"
+#include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
+#include "impact/own_loss_gradient.hpp"
+#include "impact/tumble_gradient.hpp"
 #include "impact/spill.hpp"
 #include "impact/spill_gradient.hpp"
 #include "impact/impact_of_drop.hpp"
@@ -35,9 +39,13 @@ constexpr double kTiny = 1e-300;
 // The drop model in single precision, with shorter tails.
 namespace rough {
 using D = Single;
-constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kTiny = 1e-30;  // products of five e^kHeld are finite
+constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
+                 kTiny = 1e-30;  // products of five e^kHeld are finite
 #include "impact/drop.hpp"
+#include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
+#include "impact/own_loss_gradient.hpp"
+#include "impact/tumble_gradient.hpp"
 #include "impact/spill.hpp"
 #include "impact/spill_gradient.hpp"
 #include "impact/impact_of_drop.hpp"
@@ -196,8 +204,8 @@ static inline void paced_edge_costs(const Tables& tables, const double* pace, co
 // --- the drop model -------------------------------------------------------------------------------------------------
 
 static void drop(const Tables& tables, const DropTables& drop, const States& states, double* probability) {
-  D P[kDropRows * kMaxEntities];
-  const size_t count = size_t(kDropRows * drop.n_entity);
+  D P[kDropRows * kMaxEntities + 1];
+  const size_t count = size_t(kDropRows * drop.n_entity + 1);
   for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
     drop_probability(tables, drop, nullptr, qs, rates, P);
     for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i)

@@ -87,12 +87,13 @@ struct DropPart {
   double offset[3], R[9], half[3];  // in the axes of the link; offset from the centre of mass
 };
 
-struct Surface {         // a target: a box turned about the vertical
-  int32_t entity, turn;  // turn: equal for equal axes
+struct Surface {                // a target: a box turned about the vertical
+  int32_t entity, turn, holds;  // turn: equal for equal axes; holds: wide enough for the object to end a fall there
   double centre[2], axis[2], half[2], diagonal, carries[2], bottom, top;
   double bound[2];               // half sizes of the box around it in W
   double reached[2], inside[2];  // half sizes for the centre of what tumbles over it: hits it, is caught by it
   double near[2];                // the larger of these
+  double strength;               // ln of the energy per mass at which half of what falls on it is damaged [J/kg]
 };
 
 // Constants of the model; the order is that of kDropConstants in impact.hpp.
@@ -124,6 +125,12 @@ struct SpillTables {
   SpillConstants use[kDropRows - 1];
 };
 
+// What its fall does to the object itself; the logarithm of the share of the energy that acts is one of two numbers.
+struct LossTables {
+  double sharpness;  // of damage over the logarithm of the energy; 0 if nothing is known
+  double shift[2], weight[2];
+};
+
 struct DropTables {
   int32_t n_part, n_surface, n_level, n_entity, link, frame, main;
   double centre[3], size, radius;  // radius: of a ball around the centre of mass that holds all parts
@@ -132,6 +139,7 @@ struct DropTables {
   const int32_t* level_start;  // first surface of each level, and their number at the end
   const double* speed;         // per joint: how fast it is along an edge whose slowest joint it is
   DropConstants constants;
+  LossTables loss;
   SpillTables spill;
 };
 

@@ -237,6 +237,13 @@ class BodyImpact final : public Impact {
   void rough_states(const double* q, size_t n, double* impact) const override {
     core_.kernels().body_impact(core_.tables(), model_.rough_tables(), harm(), {q, nullptr, n}, impact);
   }
+  void moving_states(const States& states, double* impact) const override {
+    core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), states, impact);
+  }
+  bool asks_for_velocity() const override { return true; }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    core_.kernels().body_gradient(core_.tables(), rough ? model_.rough_tables() : model_.tables(), harm(), states, out);
+  }
   void edges(const Edges& edges, double* cost) const override {
     EdgeStates sampled(core_, model_.speed(), pace_, edges, Sampling::kExact);
     core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), sampled.states(), sampled.impact.data());
