@@ -38,14 +38,14 @@ def test_a_solved_plan_is_what_it_says(task):
     np.testing.assert_array_equal(trajectory.q[0], task.start)
     np.testing.assert_array_equal(trajectory.q[-1], task.goal[result.goal_index])
     assert result.verdict.passed and {"collision", "goal", "rest"} <= set(result.verdict.checks)
-    assert result.cost == gp.evaluate(result.path, task.scene, gp.Objective(w=1.0))
+    assert result.cost == gp.evaluate(trajectory, task.scene, gp.Objective(w=1.0))
     assert trajectory.joints == task.scene.joints
 
 
 def test_a_verdict_recomputes_the_cost_of_the_published_model_only(task):
     result = _quick(task, w=1.0, objective=gp.Objective(impact=gp.ImpactCost(model="aabb")))
     assert result.verdict.passed and "cost" in result.verdict.checks
-    slow = reference_cost(result.path, task.scene)
+    slow = reference_cost(result.trajectory, task.scene)
     assert result.cost.total == pytest.approx(slow.total, rel=0.01)
     assert "cost" not in _quick(task, w=1.0).verdict.checks
 
@@ -55,8 +55,8 @@ def test_the_trace_improves_up_to_the_result(task):
     result = _quick(task, callback=seen.append)
     totals = [point.total for point in result.trace]
     assert totals == sorted(totals, reverse=True) and len(totals) > 1
-    assert list(result.trace) == seen
-    assert result.trace[-1].total == pytest.approx(result.cost.total, rel=5e-3)
+    assert set(result.trace) <= set(seen) and result.trace[-1] == seen[-1]
+    assert result.trace[-1].total == result.cost.total
 
 
 def test_w_trades_motion_for_impact(task):
@@ -112,7 +112,7 @@ def test_every_exposure_plans(task, exposure):
 
 def test_speed_slows_down(task):
     fast, slow = (_quick(task, w=0.0, speed=speed) for speed in (1.0, 0.5))
-    assert slow.trajectory.duration == pytest.approx(2.0 * fast.trajectory.duration, rel=1e-3)
+    assert slow.trajectory.duration == pytest.approx(2.0 * fast.trajectory.duration, rel=0.02)
 
 
 # --- goals ------------------------------------------------------------------------------------------------------------
@@ -236,7 +236,8 @@ def test_a_callback_can_stop_the_search(task):
     calls = []
     result = _quick(task, time_limit=20.0, callback=lambda point: calls.append(point) or len(calls) >= 2)
     assert result.status is gp.PlanStatus.SOLVED
-    assert len(result.trace) == 2 and result.stats["total_time"] < 15.0
+    assert len(calls) == 2 and result.stats["total_time"] < 15.0
+    assert set(calls) >= set(result.trace[:-1]) and result.trace[-1].total == result.cost.total
 
 
 def test_two_plans_at_once(task):
@@ -357,12 +358,12 @@ def test_time_limits_that_puzzle_are_refused(time_limit):
 def test_other_arguments_that_puzzle_are_refused():
     for w in ("1", 1e300, float("inf")):
         with pytest.raises(SettingError, match="w = "):
-            checked_objective(None, w, 1.0)
+            checked_objective(None, w)
     for seed in (-1, "a", 1.5):
         with pytest.raises(SettingError, match="seed"):
             checked_seed(seed)
     with pytest.raises(SettingError, match="objective"):
-        checked_objective(gp.JointLength(), None, 1.0)
+        checked_objective(gp.JointLength(), None)
     with pytest.raises(SettingError, match=r"an instance: RRTStar\(\)"):
         checked_planner(gp.RRTStar)
 

@@ -6,6 +6,7 @@ It uses what is public in `graceful_plan`, which never imports it.
 from failbench.basics.errors import ExecutionRefused
 from failbench.basics.onset import AtFraction, AtTime, Uniform
 from failbench.basics.statistics import Estimate
+from failbench.comparison import compare, harm_ratio
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
 from failbench.front_validation import FrontValidation, validate_front
@@ -21,7 +22,7 @@ from failbench.simulated.plant import Plant
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.sweeps.dataset import Dataset, read_dataset
 from failbench.sweeps.sweep import generate, resume
-from failbench.validation import compare, validate
+from failbench.validation import validate
 
 __all__ = [
     "AtFraction",
@@ -48,6 +49,7 @@ __all__ = [
     "execute",
     "faults",
     "generate",
+    "harm_ratio",
     "observed_impact",
     "own_loss",
     "read_dataset",

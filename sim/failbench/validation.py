@@ -2,7 +2,8 @@
 
 Both have one unit, severity per failure, and one rule, the sum over components and entities, one of which is the
 carried object itself. Observed: the mean over rollouts of the summed severities of what was touched. Predicted: the
-mean of the planner's sum of P S over the times at which the same faults begin.
+mean of the planner's sum of P S over the times at which the same faults begin. Times the failures while the motion
+lasts, either is the harm to be expected of an executed task.
 """
 
 from __future__ import annotations
@@ -20,14 +21,13 @@ from failbench.basics.statistics import (
     Estimate,
     check_confidence,
     effective_sample_size,
-    estimate_difference,
     estimate_mean,
     estimate_probability,
 )
 from failbench.fault.fault import Fault
 from failbench.recording.records import Job, Rollout
 from failbench.recording.score import energy_impact, impact_by_entity, own_damage, own_loss, secondary_impact
-from failbench.report import EntityReport, ValidationReport
+from failbench.report import FAILURES_PER_HOUR, EntityReport, ValidationReport
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid
 from failbench.scenario import scenarios as find_scenarios
@@ -62,6 +62,7 @@ def validate(
     threads: int | None = None,
     settings: SimSettings | None = None,
     prediction: ImpactCost | None = None,
+    rate: float = FAILURES_PER_HOUR,
     confidence: float = 0.95,
     progress: Progress | None = None,
 ) -> ValidationReport:
@@ -80,6 +81,7 @@ def validate(
         settings: How it is simulated.
         prediction: The impact cost that predicts; None for the planner's default. If the loss of the carried object
             itself does not count there (`ImpactCost.own_loss`), it does not count in what is observed, either.
+        rate: Failures per hour of motion, of all those faults together; harm per executed task is proportional to it.
         confidence: Of the intervals.
         progress: Called now and then with the number of rollouts done and of all.
 
@@ -94,6 +96,7 @@ def validate(
     check_whole("n", n, 1, MOST)
     check_whole("seed", seed, 0)
     check_confidence(confidence)
+    _check_rate(rate)
     execution = execute(motion, build_world(scene, settings))
     cost = ImpactCost() if prediction is None else prediction
 
@@ -109,63 +112,8 @@ def validate(
         if progress is not None:
             progress(len(rollouts), len(jobs))
     expected = np.mean([predict(_onsets(fault, execution.duration)).mean(axis=0) for fault in faults], axis=0)
-    return _report(
-        scene, faults, jobs, rollouts, _Expected(cost, expected), seed=seed, horizon=horizon, confidence=confidence
-    )
-
-
-def compare(
-    first: Motion | ValidationReport,
-    second: Motion | ValidationReport,
-    scene: Scene | None = None,
-    scenarios: Scenarios = "drop/*/severe",
-    *,
-    n: int = 400,
-    horizon: float = 1.0,
-    seed: int = 0,
-    threads: int | None = None,
-    settings: SimSettings | None = None,
-    confidence: float = 0.95,
-    progress: Progress | None = None,
-) -> Estimate:
-    """Estimate by how much more harm failures of the first motion do than the same failures of the second.
-
-    Every failure of one is paired with the failure of the other that has the same fault, the same quantile of its onset
-    and the same random numbers, so that much of their luck cancels. Motions are validated; of reports, only
-    `confidence` still matters.
-
-    Raises:
-        SettingError: If the failures of two reports are not the same.
-    """
-    reports = [
-        motion
-        if isinstance(motion, ValidationReport)
-        else validate(
-            motion,
-            _needed(scene),
-            scenarios,
-            n=n,
-            horizon=horizon,
-            seed=seed,
-            threads=threads,
-            settings=settings,
-            confidence=confidence,
-            progress=progress,
-        )
-        for motion in (first, second)
-    ]
-    failures = [[(job.fault, job.seed, job.weight, report.horizon) for job in report.jobs] for report in reports]
-    if failures[0] != failures[1]:
-        raise SettingError(
-            "second", reports[1].seed, "the same faults, n, seed and horizon, and no importance sampling"
-        )
-    impacts = [report.impacts for report in reports]
-    paired = ~np.isnan(impacts[0] + impacts[1])
-    worst = max(report.greatest for report in reports)
-    weights = np.array([job.weight for job in reports[0].jobs])[paired]
-    return estimate_difference(
-        impacts[0][paired], impacts[1][paired], (0.0, worst), weights=weights, confidence=confidence
-    )
+    failures = _Failures(faults, jobs, rollouts, _Expected(cost, expected))
+    return _report(scene, failures, execution.duration, rate, seed=seed, horizon=horizon, confidence=confidence)
 
 
 def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
@@ -187,6 +135,11 @@ def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
     if not found:
         raise SettingError("scenarios", tuple(given), "at least one pattern or fault")
     return tuple(found)
+
+
+def _check_rate(rate: float) -> None:
+    if not 0.0 <= rate < np.inf:
+        raise SettingError("rate", rate, "failures per hour, a finite number >= 0")
 
 
 def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
@@ -223,17 +176,26 @@ class _Expected(NamedTuple):
     impact: Float[Array, " hazard"]
 
 
+class _Failures(NamedTuple):
+    """What was to fail, what came of it, and what was expected."""
+
+    faults: Sequence[Fault]
+    jobs: tuple[Job, ...]
+    rollouts: Sequence[Rollout]
+    expected: _Expected
+
+
 def _report(
     scene: Scene,
-    faults: Sequence[Fault],
-    jobs: tuple[Job, ...],
-    rollouts: Sequence[Rollout],
-    expected: _Expected,
+    failures: _Failures,
+    duration: float,
+    rate: float,
     *,
     seed: int,
     horizon: float,
     confidence: float,
 ) -> ValidationReport:
+    faults, jobs, rollouts, expected = failures
     valid = np.array([rollout.status == "completed" for rollout in rollouts])
     weights = np.array([job.weight for job in jobs])
     own, table = expected.cost.own_loss and scene.carried is not None, expected.cost.fragility
@@ -271,6 +233,8 @@ def _report(
         own_loss=mean([own_loss(rollout, scene, table) for rollout in rollouts], scene.own_severity),
         secondary=mean([secondary_impact(rollout, scene) for rollout in rollouts]),
         predicted=float(expected.impact.sum()),
+        duration=duration,
+        rate=rate,
         by_fault={label: mean(impacts, among=valid & mine) for label, mine in struck.items()},
         by_entity=by_entity,
         dropped=fraction([rollout.dropped for rollout in rollouts]),
@@ -312,9 +276,3 @@ def _labels(faults: Sequence[Fault]) -> dict[str, Fault]:
             label = f"{name} ({number})"
         found[label] = fault
     return found
-
-
-def _needed(scene: Scene | None) -> Scene:
-    if scene is None:
-        raise SettingError("scene", None, "the scene of the motions")
-    return scene

@@ -11,8 +11,7 @@ import numpy as np
 from graceful_plan.analysis.risk_measures import RiskMeasure
 from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
-from graceful_plan.costs.objective import Objective
-from graceful_plan.path import Path
+from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -26,14 +25,16 @@ from graceful_plan.query.arguments import (
     checked_time_limit,
     checked_wait,
 )
+from graceful_plan.query.cheaper import beginning_with, known_motions
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
-from graceful_plan.query.finish import Finished, finish
+from graceful_plan.query.finish import Judged, first_verified
 from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.query.motions import along, motions
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import Callback, Search, search
-from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.query.search import ALL, KEPT, Callback, Search, search
+from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
@@ -41,6 +42,8 @@ Array = np.ndarray
 
 _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
+_SEARCHING = 0.6
+"""Share of the time for searching; the rest is for descents of the best paths as motions."""
 _RESERVE = 0.1
 """Seconds kept for timing and verification, at most a quarter of the time limit: they take 0.03 to 0.08."""
 _TIMING_RESERVE = RESERVE + 0.2
@@ -70,7 +73,8 @@ def plan(
         start: Configuration [rad or m], or the name of a keyframe.
         goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
         scene: Robot, surroundings and what is carried.
-        w: Safety weight: how much motion [rad] a unit of impact times length is worth; default: the objective's, or 1.
+        w: Safety weight: how many radians of joint motion it is worth to spare one second in which a failure would do
+            harm of severity 1; default: the objective's, or 0.3.
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
@@ -82,7 +86,7 @@ def plan(
             along a path; of the paths found the best by the measure is taken and refined by it (see `prefer`).
         max_wait: How long the robot may wait before it goes [s], in a scene where something moves (see `departure`);
             the trajectory then begins with a stretch at rest.
-        callback: Called with every improvement; returning True ends the search.
+        callback: Called with every improvement, at last with the motion itself; returning True ends the search.
         cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
             ends, and the best path so far is timed and judged as ever. Without one the status is CANCELLED.
 
@@ -94,7 +98,7 @@ def plan(
     """
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
-    bound = checked_objective(objective, w, share).bind(scene)  # compiles the scene
+    bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene
     request = Request(
         planner=checked_planner(planner),
         objective=bound,
@@ -119,8 +123,8 @@ def plan(
 
 
 def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.random.Generator) -> PlanResult:
-    """Search, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
-    found, refused = Search(), None
+    """Search, time, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
+    found, refused, why_not = Search(), None, ""
     stats: dict[str, float] = {}
     for margin, check_step in _CAUTION:
         problem = SceneProblem(
@@ -130,17 +134,24 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
-        found = _searched(request, problem, ends, budget, rng)
+        known = known_motions(request, problem, ends, budget, rng)
+        asked = replace(request, planner=beginning_with(known, request.planner))
+        found = _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        for path in reversed(found.paths):
-            whole, index = ends.joined(path)
-            done = finish(whole, request, ends.in_the_clear(index))
-            if done.verdict.passed:
-                return _solved(whole, done, found, ends.goal_index[index], stats)
-            refused = refused or done
+        candidates, why_not = motions(found.paths, request, ends, problem, (budget, rng), known, hops=not found.stopped)
+        judged = first_verified(candidates, request)
+        for path in reversed(found.paths[-KEPT:]):
+            if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:
+                break
+            judged = first_verified(along(path, request, ends, swift=False), request) or judged
+        if judged is not None and judged.verdict.passed:
+            return replace(
+                _solved(judged, found, request, budget, stats), goal_index=ends.goal_index[judged.motion.arrival]
+            )
+        refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
-    return _failed(found, refused, budget, stats)
+    return _failed(found, refused, why_not, budget, stats)
 
 
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
@@ -149,30 +160,38 @@ def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budge
         return request.preference.search(request.planner, problem, budget, rng, request.callback)
     if request.objective.scene.moving:
         return search_among_moving(request, problem, ends, budget, rng)
-    return search(request.planner, problem, request.objective, budget, rng, request.callback)
+    share = 1.0 if request.objective.descended() is None else _SEARCHING
+    return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL, share=share)
 
 
-def _solved(path: Path, done: Finished, found: Search, index: int, stats: dict[str, float]) -> PlanResult:
+def _solved(judged: Judged, found: Search, request: Request, budget: Budget, stats: dict[str, float]) -> PlanResult:
+    motion = judged.motion
+    last = TracePoint(
+        time=budget.elapsed, total=motion.cost.total, motion=motion.cost.motion, impact=motion.cost.impact
+    )
+    if request.callback is not None and not found.stopped:
+        request.callback(last)
+    # Paths are charged at the paces of a search. Those that promised more than any motion has kept are no improvements.
+    trace = (*(point for point in found.trace if point.total > last.total), last)
     return PlanResult(
         status=PlanStatus.SOLVED,
-        path=path,
-        trajectory=done.trajectory,
-        cost=done.cost,
-        verdict=done.verdict,
-        trace=tuple(found.trace),
-        goal_index=index,
+        path=motion.path,
+        trajectory=motion.trajectory,
+        cost=motion.cost,
+        verdict=judged.verdict,
+        trace=trace,
         stats=stats,
     )
 
 
-def _failed(found: Search, refused: Finished | None, budget: Budget, stats: dict[str, float]) -> PlanResult:
+def _failed(found: Search, refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]) -> PlanResult:
     ended = PlanStatus.CANCELLED if budget.cancelled() else PlanStatus.TIMEOUT
+    trace = tuple(found.trace)
+    if refused is None and why_not:
+        return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=why_not, trace=trace, stats=stats)
     if refused is None:
         status = ended if budget.exhausted else PlanStatus.INFEASIBLE
         return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", stats=stats)
-    trace = tuple(found.trace)
-    if not refused.verdict.checks:
-        return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=refused.problem, trace=trace, stats=stats)
     objections = "; ".join(f"{name}: {refused.verdict.checks[name].detail}" for name in refused.verdict.failures)
     detail = f"the judge refused every path found; the best for {objections}"
     return PlanResult(status=ended, detail=detail, verdict=refused.verdict, trace=trace, stats=stats)

@@ -11,6 +11,7 @@ import graceful_plan as gp
 from graceful_plan.costs.consequence import Damage
 from graceful_plan.costs.cost import NonFiniteCostError, StateBatch, checked_state
 from graceful_plan.costs.models.published.box_overlap import BoxOverlap
+from graceful_plan.costs.objective import MEAN_PACE, search_paces
 from graceful_plan.exceptions import CostError, SettingError, ShapeError, UnknownNameError
 
 
@@ -52,7 +53,7 @@ def _path(task, n=6, seed=0):
 
 def test_a_constant_impact_is_proportional_to_length(task):
     path = _path(task)
-    cost = gp.evaluate(path, task.scene, gp.Objective(impact=Constant(2.0), w=3.0))
+    cost = gp.evaluate(path, task.scene, gp.Objective(impact=Constant(2.0), w=3.0, exposure="length"))
     assert cost.motion == pytest.approx(path.length, rel=1e-12)
     assert cost.impact == pytest.approx(2.0 * path.length, rel=1e-12)
     assert cost.total == pytest.approx(7.0 * path.length, rel=1e-12)
@@ -189,7 +190,7 @@ def test_misuse_names_the_culprit():
 
 
 def test_a_custom_cost_plugs_in(task):
-    objective = gp.Objective(impact=Height(), w=1.0)
+    objective = gp.Objective(impact=Height(), w=1.0, exposure="length")
     low = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=600)
     assert low.status is gp.PlanStatus.SOLVED
     straight = gp.evaluate(gp.Path(np.stack([task.start, low.path.q[-1]])), task.scene, objective)
@@ -198,7 +199,8 @@ def test_a_custom_cost_plugs_in(task):
 
 def test_paces_have_their_mean_and_need_speeds_only(task):
     path = _path(task)
-    slow, fast = (gp.evaluate(path, task.scene, gp.Objective(impact=Speed(), pace=pace)).impact for pace in (0.2, 0.4))
+    by_length = gp.Objective(impact=Speed(), exposure="length")
+    slow, fast = (gp.evaluate(path, task.scene, by_length, speed=speed).impact for speed in (0.2, 0.4))
     limit = np.linalg.norm(np.diff(path.q, axis=0), axis=1)
     limit /= np.max(np.abs(np.diff(path.q, axis=0)) / task.scene.limits.velocity, axis=1)
     at_limit = float(limit @ np.linalg.norm(np.diff(path.q, axis=0), axis=1))
@@ -206,14 +208,17 @@ def test_paces_have_their_mean_and_need_speeds_only(task):
     assert slow == pytest.approx(0.2 * at_limit, rel=0.02)
     found = {
         model: {
-            gp.evaluate(path, task.scene, gp.Objective(impact=gp.ImpactCost(model=model), pace=pace)).impact
-            for pace in (0.0, 0.3, 1.0)
+            gp.evaluate(
+                path, task.scene, gp.Objective(impact=gp.ImpactCost(model=model), exposure="length"), speed=speed
+            ).impact
+            for speed in (0.1, 0.3, 1.0)
         }
         for model in ("aabb", "footprint")
     }
     assert len(found["aabb"]) == 1 and len(found["footprint"]) == 3
-    with pytest.raises(SettingError, match=r"pace = 1\.5"):
-        gp.Objective(pace=1.5)
+    with pytest.raises(SettingError, match=r"speed = 1\.5"):
+        gp.evaluate(path, task.scene, speed=1.5)
+    assert np.mean(search_paces(0.5)) == pytest.approx(0.5 * MEAN_PACE)
 
 
 LEAVES = (gp.ImpactCost, gp.JointLength, gp.Footprint, BoxOverlap, Damage)

@@ -14,10 +14,11 @@ import pytest
 
 import graceful_plan as gp
 from failbench import AtFraction, ContactEvent, Fault, Job, Rollout, Uniform
+from failbench.comparison import compare
 from failbench.fault.registry import GripperFailure, Noise, PowerLoss
 from failbench.report import ValidationReport
 from failbench.scenario import scenarios
-from failbench.validation import chosen_faults, compare, predicted_impact, validate
+from failbench.validation import chosen_faults, predicted_impact, validate
 from graceful_plan import ImpactCost, Objective, PlanningFailed, PlanResult, PlanStatus
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import SettingError, UnknownNameError
@@ -73,16 +74,6 @@ def test_configurations_are_timed_first() -> None:
     q = motion().sample(0.5).q
     found = validate(q, scene(), GripperFailure(), n=2, horizon=0.1)
     assert found.n == 2
-
-
-def test_pairs_share_their_random_numbers() -> None:
-    first, second = report(0.0), report(2.0)
-    difference = compare(first, second)
-    assert difference.mean == pytest.approx(first.observed.mean - second.observed.mean)
-    assert difference == compare(motion(0.0), motion(2.0), scene(), "drop/*/severe", n=30, horizon=0.5)
-    back = compare(second, first)
-    assert (back.mean, back.low, back.high) == pytest.approx((-difference.mean, -difference.high, -difference.low))
-    assert compare(first, first).mean == 0.0
 
 
 def test_importance_sampling_estimates_the_same() -> None:
@@ -249,6 +240,19 @@ def test_progress_reaches_the_end(simulated: Callable[..., None]) -> None:
     assert seen == sorted(seen)
 
 
+def test_harm_per_task_is_that_per_failure_times_the_failures(simulated: Callable[..., None]) -> None:
+    simulated(lambda job: (event("red1"),) if early(job) else ())
+    found = validate(motion(), scene(), GripperFailure(), n=40, rate=3.6)
+    assert found.duration == pytest.approx(motion().duration)
+    assert found.failures_per_task == pytest.approx(3.6 / 3600.0 * motion().duration)
+    assert found.observed_per_task.mean == pytest.approx(found.observed.mean * found.failures_per_task)
+    assert found.observed_per_task.high == pytest.approx(found.observed.high * found.failures_per_task)
+    assert found.predicted_per_task == pytest.approx(found.predicted * found.failures_per_task)
+    assert "at 3.6 failures/h" in str(found)
+    never = validate(motion(), scene(), GripperFailure(), n=4, rate=0.0)
+    assert never.observed_per_task.high == 0.0 < never.observed.high
+
+
 # --- what fails ------------------------------------------------------------------------------------------------------
 
 
@@ -276,15 +280,12 @@ def test_misuse_is_refused() -> None:
         validate(motion(), scene(), n=0)
     with pytest.raises(SettingError, match=r"confidence = 1\.0"):
         validate(motion(), scene(), n=1, confidence=1.0)
+    with pytest.raises(SettingError, match=r"rate = -1\.0, expected failures per hour"):
+        validate(motion(), scene(), n=1, rate=-1.0)
     with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
         validate(motion(), scene(), Noise(targets=("elbow",)), n=1)
     with pytest.raises(PlanningFailed, match="TIMEOUT"):
         validate(PlanResult(status=PlanStatus.TIMEOUT), scene())
-    with pytest.raises(SettingError, match="scene = None, expected the scene of the motions"):
-        compare(motion(), motion())
-    other = dataclasses.replace(report(), jobs=report().jobs[:-1])
-    with pytest.raises(SettingError, match="the same faults, n, seed and horizon"):
-        compare(report(), other)
 
 
 # --- reading it ------------------------------------------------------------------------------------------------------
@@ -295,6 +296,8 @@ def test_the_table_says_what_was_hit() -> None:
     assert "tabletop: 30 failures, 0.5 s after each, seed 0\n" in text
     assert re.search(r"^observed impact +\S+ +\[\S+, \S+\]$", text, flags=re.MULTILINE)
     assert re.search(r"^predicted impact +\d", text, flags=re.MULTILINE)
+    assert re.search(r"^per task of \S+ s at 0\.001 failures/h +mean +95 %$", text, flags=re.MULTILINE)
+    assert re.search(r"^observed harm +\S+ +\[\S+, \S+\]$", text, flags=re.MULTILINE)
     for name, entity in report().by_entity.items():
         shown = re.search(rf"^{name} ", text, flags=re.MULTILINE) is not None
         assert shown == bool(entity.probability.mean > 0.0 or entity.predicted > 0.0)
@@ -305,7 +308,9 @@ def test_the_document_holds_everything(tmp_path: Path) -> None:
     assert (tmp_path / "report.json").read_text() == text
     document = json.loads(text)
     fields = {field.name for field in dataclasses.fields(ValidationReport)} - {"jobs", "impacts"}
-    assert document.keys() == fields | {"schema", "version"}
+    assert document.keys() == fields | {"schema", "version", "per_task"}
+    assert document["per_task"]["observed"] == dataclasses.asdict(report().observed_per_task)
+    assert document["per_task"]["predicted"] == report().predicted_per_task
     assert document["observed"] == dataclasses.asdict(report().observed)
     assert document["by_entity"]["red1"]["predicted"] == report().by_entity["red1"].predicted
 

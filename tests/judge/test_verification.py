@@ -310,7 +310,7 @@ def test_no_verdict_speaks_of_a_cost_that_was_not_recomputed() -> None:
     assert result.trajectory is not None and result.path is not None
     falsified = replace(result.cost, motion=0.9 * result.cost.motion)
     for cost, failures in ((result.cost, ()), (falsified, ("cost",))):
-        assert verify(result.trajectory, task.scene, cost=cost, cost_path=result.path).failures == failures
+        assert verify(result.trajectory, task.scene, cost=cost, exposure="length").failures == failures
 
 
 def test_a_motion_of_another_robot_is_refused(scene: Scene) -> None:
@@ -353,15 +353,15 @@ def test_partial_overlap_by_hand(scene: Scene) -> None:
 
 def test_exposures(scene: Scene) -> None:
     path = _path((0.0, -0.7), (0.0, -0.6))
-    length = reference_cost(path, scene)
+    length = reference_cost(path, scene, exposure="length")
     time = reference_cost(path, scene, exposure="time")
     # One joint at its limit of 2 rad/s: half a second a radian.
     assert length.impact > 0.0
     assert time.impact == pytest.approx(0.5 * length.impact)
     ends = [reference_cost(Path(path.q[i : i + 1]), scene, exposure="waypoints").impact for i in (0, 1)]
     assert reference_cost(path, scene, exposure="waypoints").impact == pytest.approx(sum(ends))
-    assert reference_cost(path.reversed(), scene).impact == pytest.approx(length.impact)
-    along = reference_cost(_timed(path, scene), scene)
+    assert reference_cost(path.reversed(), scene, exposure="length").impact == pytest.approx(length.impact)
+    along = reference_cost(_timed(path, scene), scene, exposure="length")
     assert (along.motion, along.impact) == pytest.approx((length.motion, length.impact), rel=1e-3)
     assert sum(length.impact_by_entity.values()) == pytest.approx(length.impact)
 

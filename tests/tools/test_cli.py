@@ -124,7 +124,7 @@ def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
 
 def test_explain_says_where_the_impact_comes_from(run, motion, tmp_path):
     picture = tmp_path / "explanation.png"
-    code, out, _ = run("explain", str(motion), "--model", "footprint", "--exposure", "time", "--output", str(picture))
+    code, out, _ = run("explain", str(motion), "--model", "footprint", "--exposure", "length", "--output", str(picture))
     assert code == cli.DONE
     assert out.startswith("impact ")
     assert " onto " in out

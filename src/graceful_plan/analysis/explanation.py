@@ -149,8 +149,7 @@ def explain(
     """Take the impact of a motion apart.
 
     Args:
-        motion: What to explain; of the result of a plan, what its cost is charged for: the path, or the trajectory if
-            the exposure is time or something moves.
+        motion: What to explain; of the result of a plan, its trajectory, which its cost is that of.
         scene: The scene, with what is carried attached.
         objective: What charges it; the default `Objective()` if None.
         start_time: What to add to a trajectory's times to have those of the scene's predictions [s].
@@ -167,7 +166,10 @@ def explain(
         raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
     if not np.isfinite(start_time):
         raise SettingError("start_time", start_time, "a finite time [s]")
-    motion = _charged(motion, scene, objective)
+    if isinstance(motion, PlanResult):
+        if motion.trajectory is None:
+            raise PlanningFailed(motion)
+        motion = motion.trajectory
     bound = objective.bind(scene)
     charged = bound.charged_states(motion, start_time)
     along = _Along(charged, motion)
@@ -189,15 +191,6 @@ def explain(
         by_entity=by_entity,
         contributions=_contributions(scene, along, objective.impact, sources),
     )
-
-
-def _charged(motion: Path | Trajectory | PlanResult, scene: Scene, objective: Objective) -> Path | Trajectory:
-    if not isinstance(motion, PlanResult):
-        return motion
-    found = motion.trajectory if objective.exposure == "time" or scene.moving else motion.path
-    if found is None:
-        raise PlanningFailed(motion)
-    return found
 
 
 @final

@@ -39,7 +39,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import MEAN_PACE, Objective, trajectory_batch
+from graceful_plan.costs.objective import Objective, trajectory_batch
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import Path
@@ -185,18 +185,18 @@ def risk(
     impact: ImpactCost | None = None,
     *,
     level: float = 0.9,
-    pace: float = MEAN_PACE,
+    speed: float = 1.0,
     start_time: float = 0.0,
 ) -> Risk:
     """Compute the distribution of impact, given that the robot fails once along a motion.
 
     Args:
         motion: A trajectory, which fails at a time uniform over its duration, at the velocity that it has then; or a
-            path or configurations [n, nq], which fail at a place uniform over the length.
+            path or configurations [n, nq], which fail at a moment uniform over the time that it will take.
         scene: The scene, with what is carried attached.
         impact: Interaction model and components; those of plain `Objective()` if None.
         level: Of VaR and CVaR, in [0, 1): 0.9 is for the worst tenth.
-        pace: How fast a path is travelled; see `Objective.pace`.
+        speed: In (0, 1]: at what fraction of the velocity limits a path is travelled; see `evaluate`.
         start_time: What to add to a trajectory's times to have those of entities that move [s]; see `evaluate`.
 
     Raises:
@@ -206,9 +206,11 @@ def risk(
     check_level(level)
     if not np.isfinite(start_time):
         raise SettingError("start_time", start_time, "a finite time [s]")
+    if not 0.0 < speed <= 1.0:
+        raise SettingError("speed", speed, "a fraction in (0, 1]")
     cost = Objective().impact if impact is None else impact
     law = HarmLaw(cost, scene)
-    objective = Objective(impact=cost, pace=pace).bind(scene)
+    objective = Objective(impact=cost).bind(scene, (speed, speed))
     points = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
     charged = objective.charged_states(points)  # also refuses what does not fit the scene
     if isinstance(points, Trajectory):

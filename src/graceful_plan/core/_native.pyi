@@ -114,6 +114,7 @@ class Impact:
     """A model of the impact with severities; has no constructor of its own."""
 
     def states(self, q: Reals) -> Reals: ...
+    def state_slopes(self, q: Reals, qd: Reals) -> tuple[Reals, Reals, Reals]: ...
     def edges(self, q0: Reals, q1: Reals, step: float) -> Reals: ...
     def edge_gradients(self, q0: Reals, q1: Reals, step: float) -> tuple[Reals, Reals, Reals] | None: ...
 
@@ -128,6 +129,10 @@ class DropImpact(Impact):
 @final
 class SumImpact(Impact):
     def __init__(self, first: Impact, second: Impact) -> None: ...
+
+@final
+class TimedImpact(Impact):
+    def __init__(self, model: Impact, speed: Reals) -> None: ...
 
 @final
 class BodyImpact(Impact):
@@ -194,6 +199,39 @@ class Descent:
     def value(self) -> float: ...
     @property
     def energy(self) -> float: ...
+
+@final
+class MotionDescent:
+    def __init__(
+        self,
+        space: Space,
+        *,
+        path: Reals,
+        velocity: Reals,
+        acceleration: Reals,
+        controls: int,
+        density: int,
+        rough: bool = False,
+        time_price: float,
+        push: float = 1.0,
+        tolerance: float = 1e-4,
+        tight_start: float = 0.0,
+        tight_end: float = 0.0,
+    ) -> None: ...
+    def run(self, steps: int, seconds: float) -> int: ...
+    def harden(self) -> None: ...
+    @property
+    def controls(self) -> Reals: ...
+    def energy(self, controls: Reals) -> tuple[float, Reals]: ...
+    @property
+    def value(self) -> float: ...
+    @property
+    def duration(self) -> float: ...
+
+def spline(controls: Reals, u: Reals) -> Reals: ...
+def fastest(
+    step: Reals, slope: Reals, bend: Reals, stop: NDArray[np.bool_], velocity: Reals, acceleration: Reals
+) -> Reals: ...
 
 @final
 class Anytime:

@@ -192,15 +192,20 @@ class ImpactKernel:
         """Return both models of one scene added up."""
         return ImpactKernel(self.kernels, _native.SumImpact(self.native, other.native))
 
+    def timed(self, speed: Float[Array, " nq"]) -> ImpactKernel:
+        """Return the same model with edges that count by their time, the joints at these speeds [rad/s or m/s]."""
+        return ImpactKernel(self.kernels, _native.TimedImpact(self.native, _reals(speed)))
+
     def states(self, q: ArrayLike) -> Float[Array, "*batch"]:
         """Expected severity given a failure at q, at rest."""
         flat, batch = self.kernels.rows("q", q)
         return self.native.states(flat).reshape(batch)
 
     def edges(self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP) -> Float[Array, "*batch 2"]:
-        """Length [rad] and integral of the impact over length of each straight edge, by the trapezoid rule.
+        """Length [rad] of each straight edge, and the integral of the impact over length or, if timed, over time [s].
 
-        A model that knows velocities takes those of an edge whose slowest joint moves as fast as it may.
+        By the trapezoid rule. A model that knows velocities takes those of an edge whose slowest joint moves as fast as
+        it may.
         """
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
         return self.native.edges(first, second, step).reshape(*batch, 2)

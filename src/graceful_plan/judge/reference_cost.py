@@ -90,7 +90,7 @@ def reference_cost(
     *,
     w: float = 1.0,
     components: Sequence[str] = ("carried", "contents"),
-    exposure: Exposure = "length",
+    exposure: Exposure = "time",
     step: float = 0.0025,
 ) -> CostBreakdown:
     """Compute joint-space length plus weighted impact of a motion.
@@ -100,7 +100,7 @@ def reference_cost(
         scene: Where.
         w: Safety weight.
         components: Components whose failure counts; those that the scene does not have are left out.
-        exposure: Integrate over "length" or "time", or sum over "waypoints". A path is timed at the joints' velocity
+        exposure: Integrate over "time" or "length", or sum over "waypoints". A path is timed at the joints' velocity
             limits.
         step: Longest piece of the trapezoid rule [rad].
     """
@@ -129,8 +129,8 @@ def _points(
     """Sample the motion: configurations and times [s]."""
     if isinstance(motion, Path):
         q = motion.q if exposure == "waypoints" else motion.resampled(step).q
-        pace = (np.abs(np.diff(q, axis=0)) / velocity).max(axis=1, initial=0.0)
-        return q, np.concatenate([[0.0], np.cumsum(pace)])
+        seconds = (np.abs(np.diff(q, axis=0)) / velocity).max(axis=1, initial=0.0)
+        return q, np.concatenate([[0.0], np.cumsum(seconds)])
     if exposure == "waypoints" or len(motion) == 1:
         return motion.q, motion.t
     parts = np.maximum(1, np.ceil(motion.path.segment_lengths / step)).astype(int)

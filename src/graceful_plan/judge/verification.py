@@ -42,7 +42,7 @@ def verify(
     cost: CostBreakdown | None = None,
     cost_path: Path | None = None,
     components: Sequence[str] = ("carried", "contents"),
-    exposure: Exposure = "length",
+    exposure: Exposure = "time",
     step: float = 0.002,
     second_opinion: bool = False,
 ) -> Verdict:

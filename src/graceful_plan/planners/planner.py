@@ -147,7 +147,13 @@ class Budget:
         return True
 
     @contextmanager
-    def share(self, seconds: float = np.inf, iterations: int | float = np.inf) -> Generator[Budget]:
+    def share(
+        self,
+        seconds: float = np.inf,
+        iterations: int | float = np.inf,
+        *,
+        until: Callable[[], bool] = lambda: False,
+    ) -> Generator[Budget]:
         """Hand out a part of what is left as a budget of its own, for a `with` block.
 
         The clock of the part is that of the whole. What the part spends counts here when the block ends, however it
@@ -156,12 +162,13 @@ class Budget:
         Args:
             seconds: At most so many of those left [s].
             iterations: At most so many of those left, rounded up; none are counted out if they are not limited at all.
+            until: Ends the part as if somebody cancelled it.
         """
         granted = min(max(0.0, iterations), self.remaining_iterations)
         part = Budget(
             time_limit=min(self.time_limit, self.elapsed + max(0.0, seconds)),
             iterations=None if np.isinf(granted) else int(np.ceil(granted)),
-            cancelled=self.cancelled,
+            cancelled=lambda: self.cancelled() or until(),
             started=self.started,
         )
         try:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
-from graceful_plan.costs.objective import MEAN_PACE, Objective
+from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
 from graceful_plan.scene.scene import Scene
@@ -47,12 +47,12 @@ def checked_risk(risk: object) -> RiskMeasure:
     return RiskMeasure(risk)
 
 
-def checked_objective(objective: object, w: object, speed: float) -> Objective:
-    """Return the objective to minimise, with the weight that was asked for; by default at the pace of that speed."""
+def checked_objective(objective: object, w: object) -> Objective:
+    """Return the objective to minimise, with the weight that was asked for."""
     if w is not None and not _is_real(w):
         raise SettingError("w", w, "a finite number, at least 0")
     if objective is None:
-        return Objective(w=1.0 if w is None else float(w), pace=MEAN_PACE * speed)  # type: ignore[arg-type]
+        return Objective() if w is None else Objective(w=float(w))  # type: ignore[arg-type]
     if not isinstance(objective, Objective):
         raise SettingError("objective", objective, "an Objective, such as Objective(motion=..., impact=...)")
     return objective if w is None else objective.with_weight(float(w))  # type: ignore[arg-type]

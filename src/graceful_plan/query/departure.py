@@ -91,7 +91,7 @@ def search_among_moving(
     The trace and what the callback is told are of the search as if nobody moved. The best path is at the end.
     """
     planner, objective, callback = request.planner, request.objective, request.callback
-    still = SceneObjective(objective.objective, objective.scene.without_moving())
+    still = SceneObjective(objective.objective, objective.scene.without_moving(), objective.paces)
     with budget.share(_STILL * budget.remaining_seconds, _STILL * budget.remaining_iterations) as part:
         found = search(planner, replace(problem, kernels=still.kernels), still, part, rng, callback, kept=ALL)
     paths = list(found.paths)

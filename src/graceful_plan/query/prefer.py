@@ -1,6 +1,6 @@
 r"""Choosing and refining paths by a risk measure that does not add up along a path.
 
-Search minimises J = V + w S, where S = T E[impact] is exposure (T: length, or whatever the objective integrates over)
+Search minimises J = V + w S, where S = T E[impact] is exposure (T: time, or whatever the objective integrates over)
 times the mean impact of a failure. With another measure rho of the distribution of impact (`risk`), paths are preferred
 by
 
@@ -28,13 +28,14 @@ from graceful_plan.analysis.risk_measures import RiskMeasure
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
-from graceful_plan.costs.objective import EdgeSamples, SceneObjective
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.questions import out_of_time
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.planners.shortcut import MOVES, Line, Replacement
 from graceful_plan.query.search import ALL, Callback, Search, search, thinned
+from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
@@ -80,15 +81,21 @@ class Preference:
         self.measure, self.objective = measure, objective
         self.law = HarmLaw(objective.objective.impact, objective.scene, most_sums=_SUMS)
 
-    def total(self, path: Path) -> float:
-        """J_rho of a path."""
+    def total(self, motion: Path | Trajectory) -> float:
+        """J_rho of a path, or of a trajectory at its times."""
+        if isinstance(motion, Trajectory) and self.objective.objective.exposure == "time":
+            charged = self.objective.charged_states(motion)
+            mass = charged.weight @ self.law.states(charged.batch)
+            length = np.array([self.objective.breakdown(motion).motion])
+            return float(self.totals(length, charged.weight.sum(keepdims=True), mass[None])[0])
+        path = motion.path if isinstance(motion, Trajectory) else motion
         parts = self.edges(path.q[:-1], path.q[1:])
         return float(self.totals(*(part.sum(axis=0, keepdims=True) for part in parts))[0])
 
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeRisk:
         """Evaluate straight edges from `q0` to `q1`, at samples no farther apart than `step` [rad]."""
         objective, scene = self.objective.objective, self.objective.scene
-        samples = EdgeSamples(q0, q1, scene.limits.velocity, objective.paces, step)
+        samples = self.objective.samples(q0, q1, step)
         batch = StateBatch(scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(objective.motion, batch), samples.length)
         if objective.exposure == "waypoints":

@@ -47,26 +47,34 @@ def search(
     callback: Callback | None = None,
     *,
     kept: int = KEPT,
+    share: float = 1.0,
 ) -> Search:
-    """Let the planner work until the budget ends, it stops, or the callback says so; keep the last improvements."""
+    """Let the planner work until the budget ends, it stops, or the callback says so; keep the last improvements.
+
+    Of the time, it takes no more than a share once there is a path.
+    """
     found = Search()
-    best = np.inf
-    for path in planner.solve(problem, objective, budget, rng):
-        if not is_solution(path, problem):
-            found.refused += 1
-            continue
-        edges = objective.edges(path.q[:-1], path.q[1:])
-        motion, impact = (float(v) for v in edges.sum(axis=0)) if len(edges) else (0.0, 0.0)
-        total = motion + objective.w * impact
-        if found.paths and total >= best:
-            continue
-        best = total
-        found.paths = [*found.paths[1 - kept :], path]
-        found.trace.append(TracePoint(time=budget.elapsed, total=total, motion=motion, impact=impact))
-        if callback is not None and callback(found.trace[-1]):
-            found.stopped = True
-            break
+    enough = budget.elapsed + share * budget.remaining_seconds
+    with budget.share(until=lambda: bool(found.paths) and budget.elapsed >= enough) as part:
+        for path in planner.solve(problem, objective, part, rng):
+            if not is_solution(path, problem):
+                found.refused += 1
+                continue
+            point = _charged(path, objective, budget)
+            if found.trace and point.total >= found.trace[-1].total:
+                continue
+            found.paths = [*found.paths[1 - kept :], path]
+            found.trace.append(point)
+            if callback is not None and callback(point):
+                found.stopped = True
+                break
     return found
+
+
+def _charged(path: Path, objective: SceneObjective, budget: Budget) -> TracePoint:
+    edges = objective.edges(path.q[:-1], path.q[1:])
+    motion, impact = (float(v) for v in edges.sum(axis=0)) if len(edges) else (0.0, 0.0)
+    return TracePoint(time=budget.elapsed, total=motion + objective.w * impact, motion=motion, impact=impact)
 
 
 def thinned(n: int) -> list[int]:

@@ -29,7 +29,7 @@ _MOST_PAIRS = 24
 def ground_of(exposure: Exposure) -> Ground:
     """Make the ground of a scene."""
     scene = exposure.scene
-    kernels, objective = compile_scene(scene).kernels, exposure.objective.bind(scene)
+    kernels, objective = compile_scene(scene).kernels, exposure.objective.bind(scene, exposure.paces)
     lower, upper = scene.limits.position.T
     return Ground(
         lower=lower,

@@ -8,6 +8,7 @@ zero on the straight rest. It is the blend of smallest curvature for the distanc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -21,6 +22,12 @@ SHORTEST_SEGMENT = 1e-5
 
 _BLENDED_SHARE = 0.475
 """Of a segment, what a blend at one end may take; what is left in the middle is not too short to be timed."""
+
+_INTERVALS = 100
+"""Of the coarsest grid of a curve, or some more."""
+
+_STRAIGHT = 1e-7
+"""Length of the turn of a unit tangent below which there is no corner."""
 
 _GRADING = np.array([1 / 16, 1 / 4])
 """Where to split an interval next to a rest, so that a short acceleration does not take the whole of it."""
@@ -45,14 +52,41 @@ class CurveGrid:
     """Samples of a curve at both ends of small intervals, where derivatives may differ from the left and the right."""
 
     s: Float[Array, " point"]
-    """Parameter of the grid points [rad]."""
+    """Parameter of the grid points: [rad] of a polyline, knots of a spline."""
     q: Float[Array, "point nq"]
     slope: Float[Array, "interval 2 nq"]
-    """dq/ds at the beginning and at the end of each interval."""
+    """dq/ds at the beginning and at the end of each interval [rad by the unit of s]."""
     bend: Float[Array, "interval 2 nq"]
-    """d2q/ds2 at the beginning and at the end of each interval [1/rad]."""
+    """d2q/ds2 at the beginning and at the end of each interval."""
     stop: Bool[Array, " point"]
     """Grid points where the motion must rest: the ends and sharp corners."""
+
+
+@runtime_checkable
+class Curve(Protocol):
+    """What can be timed."""
+
+    def grid(self, density: int) -> CurveGrid:
+        """Sample it, more finely the greater the density is; the motion rests at both ends."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Polyline:
+    """A polyline whose corners are rounded by parabolas.
+
+    Args:
+        pieces: Lines and parabolas, at least one.
+        end: Its last point, so that no rounding error is left there.
+    """
+
+    pieces: tuple[Piece, ...]
+    end: Float[Array, " nq"]
+
+    def grid(self, density: int) -> CurveGrid:
+        """Sample it for timing; see `Curve`."""
+        spacing = sum(piece.length for piece in self.pieces) / (_INTERVALS * density)
+        return sampled(self.pieces, self.end, spacing, density)
 
 
 def merge_near_vertices(path: Path) -> Float[Array, "n nq"]:
@@ -66,24 +100,22 @@ def merge_near_vertices(path: Path) -> Float[Array, "n nq"]:
     return np.array(kept)
 
 
-def rounded(path: Path, deviation: float) -> tuple[Piece, ...]:
+def rounded(path: Path, deviation: float | Float[Array, " corner"]) -> tuple[Piece, ...]:
     """Round the corners of a polyline by parabolas that stay within `deviation` [rad] of them.
 
     A blend takes less than half of each neighbouring segment. With a deviation of 0 the corners stay sharp.
     A path without length has no pieces.
+
+    Args:
+        path: The polyline.
+        deviation: One for all corners, or one for each inner vertex of `merge_near_vertices`.
     """
     q = merge_near_vertices(path)
     if len(q) < 2:
         return ()
-    lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
-    tangents = np.diff(q, axis=0) / lengths[:, None]
-    turns = np.diff(tangents, axis=0)
-    sharpness = np.linalg.norm(turns, axis=1)
-    # The middle of a parabola of reach d is d/4 * |turn| away from the corner.
-    room = _BLENDED_SHARE * np.minimum(lengths[:-1], lengths[1:])
-    reach = np.minimum(4.0 * deviation / np.maximum(sharpness, 1e-12), room)
-    reach = np.concatenate([[0.0], np.where(sharpness > 1e-7, reach, 0.0), [0.0]])
-    sharp = np.concatenate([[False], sharpness > 1e-7, [True]])
+    lengths, tangents, turns = _segments(q)
+    reach = np.concatenate([[0.0], _reach(lengths, turns, deviation), [0.0]])
+    sharp = np.concatenate([[False], np.linalg.norm(turns, axis=1) > _STRAIGHT, [True]])
     none = np.zeros(q.shape[1])
     pieces: list[Piece] = []
     for i, (length, tangent) in enumerate(zip(lengths, tangents, strict=True)):
@@ -93,6 +125,35 @@ def rounded(path: Path, deviation: float) -> tuple[Piece, ...]:
         if blended:
             pieces.append(Piece(2.0 * reach[i + 1], q[i + 1] - reach[i + 1] * tangent, tangent, turns[i], False))
     return tuple(pieces)
+
+
+def rounded_corners(q: Float[Array, "n nq"], deviation: float, samples: int = 9) -> Float[Array, "corner sample nq"]:
+    """Configurations on the parabolas that replace the corners of a polyline without near vertices."""
+    lengths, tangents, turns = _segments(q)
+    reach = _reach(lengths, turns, deviation)[:, None, None]
+    u = np.linspace(0.0, 2.0, samples)[None, :, None]
+    start = q[1:-1, None] - reach * tangents[:-1, None]
+    return start + reach * (u * tangents[:-1, None] + 0.25 * u * u * turns[:, None])
+
+
+def _segments(
+    q: Float[Array, "n nq"],
+) -> tuple[Float[Array, " edge"], Float[Array, "edge nq"], Float[Array, "corner nq"]]:
+    """Lengths and directions of the segments of a polyline, and how the direction turns at each inner vertex."""
+    lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    tangents = np.diff(q, axis=0) / lengths[:, None]
+    return lengths, tangents, np.diff(tangents, axis=0)
+
+
+def _reach(
+    lengths: Float[Array, " edge"], turns: Float[Array, "corner nq"], deviation: float | Float[Array, " corner"]
+) -> Float[Array, " corner"]:
+    """How far before and after each corner its parabola begins and ends [rad]."""
+    sharpness = np.linalg.norm(turns, axis=1)
+    # The middle of a parabola of reach d is d/4 * |turn| away from the corner.
+    room = _BLENDED_SHARE * np.minimum(lengths[:-1], lengths[1:])
+    reach = np.minimum(4.0 * deviation / np.maximum(sharpness, 1e-12), room)
+    return np.where(sharpness > _STRAIGHT, reach, 0.0)
 
 
 def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float, density: int = 1) -> CurveGrid:
@@ -109,7 +170,7 @@ def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float,
         turn = float(np.linalg.norm(piece.turn))
         least = 4 if turn == 0.0 else 2 + int(np.ceil(4.0 * min(1.0, turn)))
         n = max(density * least, 2 * int(np.ceil(piece.length / (2.0 * spacing))))
-        u = _places(n, from_rest=bool(stop[-1][-1]), to_rest=piece.stops_after) * piece.length
+        u = places(n, from_rest=bool(stop[-1][-1]), to_rest=piece.stops_after) * piece.length
         at = piece.tangent + np.outer(u / piece.length, piece.turn)
         q.append((piece.start + np.outer(u, piece.tangent) + np.outer(u * u / (2.0 * piece.length), piece.turn))[:-1])
         n = len(u) - 1
@@ -120,7 +181,7 @@ def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float,
     return CurveGrid(np.concatenate(s), np.concatenate([*q, end[None]]), *map(np.concatenate, (slope, bend, stop)))
 
 
-def _places(n: int, *, from_rest: bool, to_rest: bool) -> Float[Array, " point"]:
+def places(n: int, *, from_rest: bool, to_rest: bool) -> Float[Array, " point"]:
     """Split 0 to 1 into `n` even intervals, the outer ones more finely where the motion rests."""
     before = _GRADING / n if from_rest else []
     after = 1.0 - _GRADING[::-1] / n if to_rest else []

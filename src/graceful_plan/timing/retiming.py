@@ -14,7 +14,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
-from graceful_plan.timing.blend import CurveGrid, Piece, rounded, sampled
+from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, merge_near_vertices, rounded
 from graceful_plan.timing.topp import InverseDynamics, fastest, fastest_with_toppra
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -31,7 +31,7 @@ def retime(
     limits: Limits,
     joints: tuple[str, ...] | None = None,
     *,
-    deviation: float = 0.05,
+    deviation: float | Float[Array, " corner"] = 0.05,
     speed: float = 1.0,
     inverse_dynamics: InverseDynamics | None = None,
 ) -> Trajectory:
@@ -41,8 +41,8 @@ def retime(
         path: Polyline in configuration space; start and end are kept exactly.
         limits: Velocity and acceleration limits; torque limits too if `inverse_dynamics` is given.
         joints: Names of the joints; "0", "1"... if None.
-        deviation: How far the motion may cut a corner of the path [rad, Euclidean]. With 0 it follows the polyline
-            exactly and stops at every corner.
+        deviation: How far the motion may cut a corner of the path [rad, Euclidean], the same everywhere or one for each
+            inner vertex. With 0 it follows the polyline exactly and stops at the corner.
         speed: In (0, 1]: velocities are scaled by it, accelerations by its square.
         inverse_dynamics: Joint torques of (q, qd, qdd), to keep torque limits too.
 
@@ -61,14 +61,27 @@ def retime(
         raise ShapeError("path", path.q.shape, f"(n, {len(joints)} joints)")
     if not 0.0 < speed <= 1.0:
         raise SettingError("speed", speed, "0 < speed <= 1")
-    if not (np.isfinite(deviation) and deviation >= 0.0):
+    if not np.all(np.isfinite(deviation) & (np.asarray(deviation) >= 0.0)):
         raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
+    _check_corners(path, deviation)
     pieces = rounded(path, deviation)
     if not pieces:
         still = np.zeros((1, nq))
         return Trajectory(np.zeros(1), path.q[:1], still, still, joints)
+    return timed(Polyline(pieces, path.q[-1]), limits, joints, speed=speed, inverse_dynamics=inverse_dynamics)
+
+
+def timed(
+    curve: Curve,
+    limits: Limits,
+    joints: tuple[str, ...],
+    *,
+    speed: float = 1.0,
+    inverse_dynamics: InverseDynamics | None = None,
+) -> Trajectory:
+    """Travel a curve as fast as the limits allow, from rest to rest; otherwise as `retime`."""
     _check_limits(limits, joints)
-    return slowed(_refined(pieces, path.q[-1], _Robot(limits, joints, inverse_dynamics)), 1.0 / speed)
+    return slowed(_refined(curve, _Robot(limits, joints, inverse_dynamics)), 1.0 / speed)
 
 
 def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
@@ -80,6 +93,12 @@ def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
         trajectory.qdd / factor**2,
         trajectory.joints,
     )
+
+
+def _check_corners(path: Path, deviation: float | Float[Array, " corner"]) -> None:
+    corners = max(0, len(merge_near_vertices(path)) - 2)
+    if np.ndim(deviation) and np.shape(deviation) != (corners,):
+        raise ShapeError("deviation", np.shape(deviation), f"({corners},), the inner vertices of the path")
 
 
 def _check_limits(limits: Limits, joints: tuple[str, ...]) -> None:
@@ -102,19 +121,17 @@ class _Robot:
     """Torque limits are kept only with these."""
 
 
-def _refined(pieces: tuple[Piece, ...], end: Float[Array, " nq"], robot: _Robot) -> Trajectory:
+def _refined(curve: Curve, robot: _Robot) -> Trajectory:
     """Time a curve on finer and finer grids until it hardly exceeds a limit between their points."""
     for density in (1, 2, 4):
-        trajectory = _timed(pieces, end, robot, density)
+        trajectory = _on_grid(curve.grid(density), robot)
         factor = slowdown(trajectory, robot.limits, robot.inverse_dynamics)
         if factor <= ACCEPTED_SLOWDOWN:
             break
     return slowed(trajectory, factor * (1.0 + _ROUNDING))
 
 
-def _timed(pieces: tuple[Piece, ...], end: Float[Array, " nq"], robot: _Robot, density: int) -> Trajectory:
-    length = sum(piece.length for piece in pieces)
-    grid = sampled(pieces, end, length / (100.0 * density), density)
+def _on_grid(grid: CurveGrid, robot: _Robot) -> Trajectory:
     limits, torques = robot.limits, robot.inverse_dynamics
     velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
     if torques is None:

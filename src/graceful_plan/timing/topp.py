@@ -5,10 +5,9 @@ interval of the grid, every joint acceleration :math:`q' u + q'' x` is linear in
 :math:`x_{i+1} = x_i + 2 \Delta_i u_i`. A backward pass finds the largest x from which the end can still be reached at
 rest, a forward pass then goes as fast as that allows.
 
-Two implementations. `fastest` is for velocity and acceleration limits that are symmetric, between two rests: standing
-still is feasible everywhere, so the controllable sets are [0, beta_i], both passes are a minimum over linear functions,
-and no general LP solver is needed (nor the second that importing toppra takes). `fastest_with_toppra` hands the general
-problem, with gravity, to toppra.
+Two implementations. `fastest` is for velocity and acceleration limits that are symmetric, between two rests, in closed
+form in the core (`timing/speed_profile.hpp`), without the second that importing toppra takes. `fastest_with_toppra`
+hands the general problem, with gravity, to toppra.
 
 References:
     H. Pham, Q.-C. Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis",
@@ -25,12 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
+from graceful_plan.core import _native
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.timing.blend import CurveGrid
 
 Array = np.ndarray
-_UNBOUNDED = 1e12
-"""Stands for an infinite squared path speed; infinity itself would make 0 * inf."""
 InverseDynamics = Callable[[Array, Array, Array], Array]
 """Joint torques [N m] of (q, qd, qdd)."""
 
@@ -48,48 +46,9 @@ def fastest(
     Returns:
         ds/dt [rad/s].
     """
-    step = 2.0 * np.diff(grid.s)[:, None]
-    # Rows |A u + B x| <= limit of each interval: at its beginning, and at its end, where x + step u holds.
-    end_bend = grid.bend[:, 1]
-    A = np.concatenate([grid.slope[:, 0], grid.slope[:, 1] + step * end_bend], axis=1)
-    B = np.concatenate([grid.bend[:, 0], end_bend], axis=1)
-    A = np.where(np.abs(A) < 1e-12, 1e-12, A)
-    reach = np.concatenate([acceleration, acceleration]) / np.abs(A)
-    tilt = B / A
-    # The row allows -reach - tilt x <= u <= reach - tilt x.
-    cap = np.minimum(_velocity_cap(grid, velocity), np.append(_row_cap(reach, tilt), _UNBOUNDED))
-    cap[grid.stop] = 0.0
-
-    gain = 1.0 - step * tilt
-    shrink = np.where(gain > 0.0, 1.0 / np.where(gain > 0.0, gain, 1.0), 0.0)
-    slack = np.where(gain > 0.0, step * reach * shrink, _UNBOUNDED)
-    push = step * reach
-    # Not to undershoot standing still within the interval.
-    overturning = np.where(gain < 0.0, push / np.where(gain < 0.0, -gain, 1.0), _UNBOUNDED)
-    cap[:-1] = np.minimum(cap[:-1], overturning.min(axis=1))
-    controllable = cap.copy()
-    for i in range(len(step) - 1, -1, -1):
-        controllable[i] = min(cap[i], (shrink[i] * controllable[i + 1] + slack[i]).min())
-    x = controllable.copy()
-    for i in range(len(step)):
-        x[i + 1] = min(controllable[i + 1], (gain[i] * x[i] + push[i]).min())
-    return np.sqrt(np.maximum(x, 0.0))
-
-
-def _velocity_cap(grid: CurveGrid, velocity: Float[Array, " nq"]) -> Float[Array, " point"]:
-    """Largest squared path speed at which no joint exceeds its velocity limit."""
-    slope = np.abs(grid.slope)
-    fast = (velocity / np.where(slope > 0.0, slope, 1e-12)).min(axis=2) ** 2
-    fast = np.minimum(fast, _UNBOUNDED)
-    return np.minimum(np.append(fast[:, 0], _UNBOUNDED), np.append(_UNBOUNDED, fast[:, 1]))
-
-
-def _row_cap(reach: Float[Array, "interval row"], tilt: Float[Array, "interval row"]) -> Float[Array, " interval"]:
-    """Largest x for which some u meets all rows of an interval: no lower bound may pass an upper one."""
-    closing = tilt[:, :, None] - tilt[:, None, :]
-    room = reach[:, :, None] + reach[:, None, :]
-    pairs = np.where(closing > 0.0, room / np.where(closing > 0.0, closing, 1.0), _UNBOUNDED)
-    return pairs.min(axis=(1, 2))
+    slope, bend = (np.ascontiguousarray(x, dtype=np.float64) for x in (grid.slope, grid.bend))
+    limits = (np.ascontiguousarray(x, dtype=np.float64) for x in (velocity, acceleration))
+    return _native.fastest(np.diff(grid.s), slope, bend, grid.stop, *limits)
 
 
 def fastest_with_toppra(

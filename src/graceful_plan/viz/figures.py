@@ -11,7 +11,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.mixture.mixture import FALLING
-from graceful_plan.costs.objective import MEAN_PACE, Objective, SceneObjective
+from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
 from graceful_plan.path import Path
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.drop import drop_impact
@@ -44,7 +44,7 @@ def compare_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath,
 
     dense = {label: path.resampled(_STEP) for label, path in paths.items()}
     positions = {label: object_positions(scene, path) for label, path in dense.items()}
-    falling = Objective(impact=ImpactCost(components=FALLING), pace=MEAN_PACE * speed).bind(scene)
+    falling = Objective(impact=ImpactCost(components=FALLING)).bind(scene, search_paces(speed))
     with rc_context(STYLE):
         figure = Figure(figsize=(10.0, 4.7), dpi=200, layout="constrained")
         FigureCanvasAgg(figure)
@@ -74,7 +74,7 @@ def _impact_along(falling: SceneObjective, path: Path) -> Float[Array, " n"]:
     ahead = np.gradient(path.q, axis=0) if len(path) > 1 else np.zeros_like(path.q)
     limit = np.max(np.abs(ahead) / falling.scene.limits.velocity, axis=1, keepdims=True)
     fastest = ahead / np.where(limit > 0.0, limit, 1.0)
-    return np.mean([falling.states(path.q, pace * fastest) for pace in falling.objective.paces], axis=0)
+    return np.mean([falling.states(path.q, pace * fastest) for pace in falling.paces], axis=0)
 
 
 def _draw_from_above(

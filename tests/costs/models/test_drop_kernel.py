@@ -176,10 +176,10 @@ def test_planners_run_on_it():
     assert type(native_space(problem, objective)).__name__ == "SceneSpace"
     native = gp.plan(task.start, task.goal, task.scene, objective=objective.objective, iterations=1500)
     assert native.path is not None
-    assert native.cost.total == pytest.approx(objective.breakdown(native.path).total, rel=1e-9)
+    assert native.cost.total == pytest.approx(objective.breakdown(native.trajectory).total, rel=1e-9)
     # It pays: an ordinary plan is dearer by the same account.
     ordinary = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=1500)
-    assert ordinary.path is not None and objective.breakdown(ordinary.path).total > 1.05 * native.cost.total
+    assert ordinary.path is not None and objective.breakdown(ordinary.trajectory).total > 1.05 * native.cost.total
 
 
 def test_nothing_carried_harms_nobody():

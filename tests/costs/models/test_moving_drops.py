@@ -229,7 +229,7 @@ def test_the_core_guides_searches_about_right(scene):
     q0 = np.column_stack([rng.uniform(-0.4, 0.6, (60, 2)), rng.uniform(-0.2, 0.2, 60), rng.uniform(-3, 3, 60)])
     q1 = q0 + rng.normal(scale=0.2, size=q0.shape)
     objective = gp.Objective(impact=gp.ImpactCost(model="footprint"))
-    kernel = objective.impact.kernel(moving, objective.paces)
+    kernel = objective.impact.kernel(moving, objective.bind(moving).paces)
     assert kernel is not None
     alone = objective.bind(moving.with_severity({"target": 0.0}))
     core = alone.edges(q0, q1)[:, 1]

@@ -18,6 +18,7 @@ from graceful_plan.compare.problems.analytic import (
     disc,
     free_space,
 )
+from graceful_plan.costs.objective import search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.optimisers.chomp import CHOMP
@@ -28,6 +29,7 @@ from graceful_plan.planners.optimisers.path_energy import PathEnergy
 from graceful_plan.planners.optimisers.smoothness import Smoothness
 from graceful_plan.planners.planner import BoundObjective, Budget, Problem, path_total
 from graceful_plan.planners.questions import Questions
+from graceful_plan.planners.scene_problem import SceneProblem
 
 _WITHIN = 1.005
 _FINER = 50
@@ -313,8 +315,10 @@ def test_a_blocked_path_gives_nothing_to_fall_back_on() -> None:
 
 @pytest.fixture(scope="module")
 def initial(task: gp.Task) -> Path:
-    path = gp.plan(task.start, task.goal, task.scene, planner="rrt_connect", iterations=300, seed=1).path
-    assert path is not None
+    objective = gp.Objective().bind(task.scene)
+    problem = SceneProblem(kernels=objective.kernels, start=np.asarray(task.start), goals=np.atleast_2d(task.goal))
+    paths = gp.RRTConnect().solve(problem, objective, Budget(iterations=300), np.random.default_rng(1))
+    path = next(iter(paths))
     return path
 
 
@@ -323,9 +327,11 @@ def test_improves_a_path_in_a_scene_and_smearing_helps(task: gp.Task, initial: P
     totals = {}
     for widths in ((), (0.2, 0.06)):
         planner = gp.CHOMP(initial=initial, widths=widths, bend=None)
-        result = gp.plan(task.start, task.goal, task.scene, planner=planner, iterations=60)
-        assert result.status is gp.PlanStatus.SOLVED and result.verdict is not None and result.verdict.passed
-        assert result.cost is not None
-        totals[widths] = result.cost.total
-    assert totals[()] < gp.evaluate(initial, task.scene).total
-    assert totals[0.2, 0.06] < 0.8 * totals[()]
+        found: list[float] = []
+        objective = gp.Objective().bind(task.scene, search_paces())
+        problem = SceneProblem(kernels=objective.kernels, start=initial.q[0], goals=initial.q[-1:])
+        for path in planner.solve(problem, objective, Budget(iterations=60), np.random.default_rng(0)):
+            found.append(path_total(objective, path))
+        totals[widths] = min(found)
+    assert totals[()] < path_total(objective, initial)
+    assert totals[0.2, 0.06] < 0.9 * totals[()]

@@ -56,15 +56,22 @@ class Side:
         self.forward, self.questions = forward, questions
         self.test, self.refinement = test, refinement
 
-    def extend(self, near: int, q: Float[Array, " nq"], distance: float) -> int | None:
-        """Add `q` behind node `near` if the edge is free and its climb, as travelled, is accepted."""
+    def extend(self, near: int, q: Float[Array, " nq"], distance: float, level: float = 0.0) -> int | None:
+        """Add `q` behind node `near` if the edge is free and its climb, as travelled, is accepted.
+
+        Args:
+            near: A node.
+            q: What to add.
+            distance: Between the two [rad].
+            level: Climbs up to this state cost need no acceptance, for the way leads there in any case.
+        """
         here = self.tree.q[near]
         q0, q1 = (here, q) if self.forward else (q, here)
         if not self.questions.edge_free(q0, q1):
             return None
         cost = self.questions.state_cost(q)
-        ends = (self.tree.costs[near], cost) if self.forward else (cost, self.tree.costs[near])
-        if not self.test.accepts(*ends, distance):
+        before, after = (self.tree.costs[near], cost) if self.forward else (cost, self.tree.costs[near])
+        if not self.test.accepts(max(before, level), after, distance):
             return None
         return self.tree.add(q, cost, near)
 

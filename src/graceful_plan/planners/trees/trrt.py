@@ -8,16 +8,16 @@ an RRT. See `transition` for the papers and what differs.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from heapq import heappop, heappush
 from typing import ClassVar, final
 
 import numpy as np
 
 from graceful_plan.path import Path
-from graceful_plan.planners.planner import Problem
 from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.settings import fraction
 from graceful_plan.planners.trees.guided import Side, TransitionTrees
-from graceful_plan.planners.trees.tree import Tree
+from graceful_plan.planners.trees.tree import Tree, steer
 
 
 @final
@@ -49,27 +49,70 @@ class TRRT(TransitionTrees):
         """
         problem, reach = questions.problem, self.reach(questions.problem)
         side = self.side(True, questions, self.test(questions, rng))
+        goals = _Goals(side, reach)
         while questions.budget.spend():
-            node = side.explore(sample(problem, self.goal_bias, rng), reach)
-            goal = None if node is None else _reach_goal(side, node, reach)
-            if goal is not None:
-                return side.tree, Path(side.tree.branch(goal)).without_duplicates()
+            if rng.uniform() < self.goal_bias:
+                node = goals.approach(int(rng.integers(len(problem.goals))))
+            else:
+                node = side.explore(rng.uniform(problem.lower, problem.upper), reach)
+            end = None if node is None else goals.reached_from(node)
+            if end is not None:
+                return side.tree, Path(side.tree.branch(end)).without_duplicates()
         return side.tree, None
 
 
-def sample(problem: Problem, goal_bias: float, rng: np.random.Generator) -> np.ndarray:
-    """Draw a configuration within the limits, or one of the goals with probability `goal_bias`."""
-    if rng.uniform() < goal_bias:
-        return problem.goals[rng.integers(len(problem.goals))]
-    return rng.uniform(problem.lower, problem.upper)
+@final
+class _Goals:
+    """Steps towards goals, each tried once: the nearest node would have the same blocked or refused edge every time.
 
+    The state cost of the goal is a level that every path to it has to climb to. Where it is high, a tree that is tested
+    against it would fill all of the valley and never arrive.
 
-def _reach_goal(side: Side, node: int, reach: float) -> int | None:
-    """Step from `node` to the nearest goal if it is within `reach`."""
-    goals = side.questions.problem.goals
-    distances = np.linalg.norm(goals - side.tree.q[node], axis=1)
-    nearest = int(distances.argmin())
-    distance = float(distances[nearest])
-    if distance == 0.0:
+    Args:
+        side: The tree that grows towards the goals.
+        reach: Longest step [rad].
+    """
+
+    def __init__(self, side: Side, reach: float) -> None:
+        self._side, self._reach = side, reach
+        self._goals = side.questions.problem.goals
+        self._levels = side.questions.state_costs(self._goals)
+        self._untried: list[list[tuple[float, int]]] = [[] for _ in self._goals]  # heaps of distance and node
+        self._known = 0  # nodes that the heaps know
+        self._reached_for: set[tuple[int, int]] = set()  # last steps tried, as node and goal
+
+    def approach(self, goal: int) -> int | None:
+        """Extend the node nearest to a goal among those not tried yet by one step; return the new node."""
+        side, nodes = self._side, self._nodes(goal)
+        if not nodes:
+            return None
+        distance, near = heappop(nodes)
+        step = min(distance, self._reach)
+        q = steer(side.tree.q[near], self._goals[goal], distance, self._reach)
+        node = side.extend(near, q, step, self._levels[goal])
+        if node is not None:
+            side.refinement.added(step)
         return node
-    return side.extend(node, goals[nearest], distance) if distance <= reach else None
+
+    def reached_from(self, node: int) -> int | None:
+        """Step from a node to its nearest goal if that is within reach; return the node there."""
+        distances = np.linalg.norm(self._goals - self._side.tree.q[node], axis=1)
+        goal = int(distances.argmin())
+        distance = float(distances[goal])
+        if distance == 0.0:
+            return node
+        if distance > self._reach:
+            return None
+        self._reached_for.add((node, goal))
+        return self._side.extend(node, self._goals[goal], distance, self._levels[goal])
+
+    def _nodes(self, goal: int) -> list[tuple[float, int]]:
+        """Heap of the nodes not tried towards a goal, with their distances from it."""
+        tree, nodes = self._side.tree, self._untried[goal]
+        for node in range(self._known, len(tree)):
+            for q, heap in zip(self._goals, self._untried, strict=True):
+                heappush(heap, (float(np.linalg.norm(tree.q[node] - q)), node))
+        self._known = len(tree)
+        while nodes and (nodes[0][1], goal) in self._reached_for:
+            heappop(nodes)
+        return nodes

@@ -54,6 +54,7 @@ void bind_impact(nb::module_& m) {
       .def("dynamics", &BodyModel::dynamics, "q"_a);
   nb::class_<Impact>(m, "Impact")
       .def("states", &Impact::states_array, "q"_a)
+      .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a)
       .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a)
       .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact")
@@ -64,6 +65,8 @@ void bind_impact(nb::module_& m) {
   nb::class_<SumImpact, Impact>(m, "SumImpact")
       .def(nb::init<const Impact&, const Impact&>(), "first"_a, "second"_a, nb::keep_alive<1, 2>(),
            nb::keep_alive<1, 3>());
+  nb::class_<TimedImpact, Impact>(m, "TimedImpact")
+      .def(nb::init<const Impact&, Reals>(), "model"_a, "speed"_a, nb::keep_alive<1, 2>());
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")
       .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a,
            "fast"_a, nb::keep_alive<1, 2>());

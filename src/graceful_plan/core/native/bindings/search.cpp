@@ -6,6 +6,8 @@
 #include "search/anytime.hpp"
 #include "search/connect.hpp"
 #include "search/descent.hpp"
+#include "search/motion_descent.hpp"
+#include "timing/speed_profile.hpp"
 
 using namespace nb::literals;
 
@@ -42,13 +44,34 @@ class SceneSpace final : public Space {
     return true;
   }
   void impacts(const double* points, int n, double* out) override { impact_.rough_states(points, size_t(n), out); }
+  double exposure(const double* a, const double* b) const override { return impact_.exposure(a, b); }
+  bool has_state_slopes() const override { return true; }
+  void state_slopes(const MovingStates& of, const StateSlopes& out) override {
+    impact_.state_slopes({of.q, of.qd, size_t(of.n)}, of.rough, {out.impact, out.by_q, out.by_qd});
+  }
   bool has_slopes() const override { return impact_.has_gradients(); }
   void slopes(const Chain& chain, double step, bool rough, const ChainSlopes& out) override {
     const Edges edges{chain.points, chain.points + dim, size_t(chain.n_edge), step};
     impact_.edge_gradients(edges, rough ? Sampling::kMean : Sampling::kBoth, {out.cost, out.by_from, out.by_to});
   }
-  void clearances(const double* points, int n, double* out, double* gradient) override {
-    core_.kernels().clearance(core_.tables(), {points, nullptr, size_t(n)}, out, gradient);
+  void clearances(const Probes& probes, double* out, double* gradient) override {
+    const size_t n = size_t(probes.n), nq = size_t(dim);
+    std::vector<uint8_t> free(n, 0);
+    if (std::isfinite(probes.wanted))
+      core_.kernels().free_states(core_.tables(), {probes.q, nullptr, n}, probes.wanted, free.data());
+    std::fill(out, out + n, std::numeric_limits<double>::infinity()), std::fill(gradient, gradient + n * nq, 0.0);
+    Point close;
+    for (size_t k = 0; k < n; ++k)
+      if (!free[k]) close.insert(close.end(), probes.q + k * nq, probes.q + (k + 1) * nq);
+    if (close.empty()) return;
+    Point value(close.size() / nq), slope(close.size());
+    core_.kernels().clearance(core_.tables(), {close.data(), nullptr, value.size()}, value.data(), slope.data());
+    for (size_t k = 0, i = 0; k < n; ++k) {
+      if (free[k]) continue;
+      out[k] = value[i];
+      std::copy_n(slope.data() + i * nq, nq, gradient + k * nq);
+      ++i;
+    }
   }
 
  private:
@@ -172,6 +195,80 @@ class DescentRun {
   Descent descent_;
 };
 
+class MotionDescentRun {
+ public:
+  MotionDescentRun(Space& space, Reals path, const MotionSettings& settings)
+      : space_(space), descent_(checked(space, settings), path_in(space, path), settings) {}
+  // At most so many evaluations or seconds; after how many of them there was still something to gain.
+  int run(int steps, double seconds) {
+    nb::gil_scoped_release release;
+    Slice slice(steps, seconds);
+    int done = 0;
+    while (slice.next() && descent_.step()) ++done;
+    return done;
+  }
+  void harden() { descent_.harden(); }
+  Out<double> controls() const { return as_array(descent_.controls(), space_.dim); }
+  double value() const { return descent_.value(); }
+  double duration() const { return descent_.duration(); }
+  nb::tuple energy(Reals controls) {
+    std::vector<Point> rows(1);
+    const double value = descent_.energy(point(controls), rows[0]);
+    return nb::make_tuple(value, as_array(rows, int(rows[0].size())));
+  }
+
+ private:
+  static Space& checked(Space& space, const MotionSettings& settings) {
+    require(space.has_state_slopes(), "the space has no slopes of states");
+    require(settings.controls >= 4 && settings.controls <= 200 && settings.density >= 1, "settings of a descent");
+    require(settings.velocity.size() == size_t(space.dim) && settings.acceleration.size() == size_t(space.dim),
+            "limits of the joints");
+    return space;
+  }
+
+  Space& space_;
+  MotionDescent descent_;
+};
+
+// The largest speeds at the points of a curve, see timing/speed_profile.hpp.
+Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool, nb::ndim<1>, nb::c_contig> stop,
+                    Reals velocity, Reals acceleration) {
+  const size_t n = step.size(), dim = velocity.size();
+  require(slope.size() == 2 * n * dim && bend.size() == 2 * n * dim && stop.size() == n + 1 && n > 0 &&
+              acceleration.size() == dim,
+          "a curve");
+  SpeedProfile profile(point(velocity), point(acceleration));
+  const std::vector<uint8_t> rests(stop.data(), stop.data() + n + 1);
+  double* out;
+  auto array = make<double>({n + 1}, out);
+  nb::gil_scoped_release release;
+  const std::vector<double>& squared = profile.compute({n, dim, step.data(), slope.data(), bend.data(), rests.data()});
+  for (size_t i = 0; i <= n; ++i) out[i] = std::sqrt(squared[i]);
+  return array;
+}
+
+// A spline and its first two derivatives at some parameters: [3, n, dim].
+Out<double> spline(Reals controls, Reals u) {
+  require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
+  const SplineBasis basis(controls.shape(0));
+  const size_t n = u.size(), dim = controls.shape(1);
+  double* out;
+  auto array = make<double>({3, n, dim}, out);
+  std::fill(out, out + 3 * n * dim, 0.0);
+  for (size_t k = 0; k < n; ++k) {
+    require(u.data()[k] >= 0 && u.data()[k] <= double(basis.spans()), "a parameter of the spline");
+    const SplineBasis::Row row = basis.at(u.data()[k]);
+    for (size_t m = 0; m < SplineBasis::kOrder; ++m)
+      for (size_t j = 0; j < dim; ++j) {
+        const double c = controls.data()[(row.first + m) * dim + j];
+        out[k * dim + j] += row.value[m] * c;
+        out[(n + k) * dim + j] += row.slope[m] * c;
+        out[(2 * n + k) * dim + j] += row.bend[m] * c;
+      }
+  }
+  return array;
+}
+
 class AnytimePlanner {
  public:
   AnytimePlanner(Space& space, Reals start, Reals goals, const AnytimeSettings& settings, uint64_t seed)
@@ -240,6 +337,25 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
       .def_prop_ro("value", &DescentRun::value)
       .def_prop_ro("energy", &DescentRun::energy);
+  nb::class_<MotionDescentRun>(m, "MotionDescent")
+      .def(
+          "__init__",
+          [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
+             size_t density, bool rough, double time_price, double push, double tolerance, double tight_start, double tight_end) {
+            new (self) MotionDescentRun(space, path,
+                                        {point(velocity), point(acceleration), controls, density, rough, time_price,
+                                         push, tolerance, tight_start, tight_end});
+          },
+          "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a, "rough"_a = false, "time_price"_a,
+          "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0, "tight_end"_a = 0.0, nb::keep_alive<1, 2>())
+      .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
+      .def("harden", &MotionDescentRun::harden)
+      .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)
+      .def("energy", &MotionDescentRun::energy, "controls"_a)
+      .def_prop_ro("value", &MotionDescentRun::value)
+      .def_prop_ro("duration", &MotionDescentRun::duration);
+  m.def("spline", &spline, "controls"_a, "u"_a);
+  m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a);
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(
           "__init__",

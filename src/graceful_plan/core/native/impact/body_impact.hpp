@@ -161,6 +161,10 @@ class BodyImpact final : public Impact {
   void states(const double* q, size_t n, double* impact) const override {
     core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), {q, nullptr, n}, impact);
   }
+  void moving_states(const States& states, double* impact) const override {
+    core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), states, impact);
+  }
+  bool asks_for_velocity() const override { return true; }
   void edges(const Edges& edges, double* cost) const override {
     core_.kernels().body_edge_costs(core_.tables(), model_.tables(), harm(), pace_, edges, cost);
   }

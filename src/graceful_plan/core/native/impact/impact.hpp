@@ -15,6 +15,34 @@ class Impact {
   // The same, good enough to choose what to look at.
   virtual void rough_states(const double* q, size_t n, double* impact) const { states(q, n, impact); }
   virtual void edges(const Edges& edges, double* cost) const = 0;
+  // I of configurations that move; of a model that does not ask for velocities, that at rest.
+  virtual void moving_states(const States& states, double* impact) const { this->states(states.q, states.n, impact); }
+  virtual bool asks_for_velocity() const { return false; }
+  // The same with its derivatives with respect to q and to qd; by differences unless a model knows better.
+  virtual void state_slopes(const States& states, bool rough, const Slopes& out) const {
+    (void)rough;
+    const size_t nq = size_t(core_.tables().n_joint), size = states.n * nq;
+    Point moved(states.q, states.q + size), rates(states.qd, states.qd + size), impact(states.n);
+    std::fill(out.d_qd, out.d_qd + size, 0.0);
+    moving_states(states, out.value);
+    const auto differ = [&](Point& of, size_t j, double step, double* slope) {
+      for (size_t i = 0; i < states.n; ++i) of[i * nq + j] += step;
+      moving_states({moved.data(), rates.data(), states.n}, impact.data());
+      for (size_t i = 0; i < states.n; ++i) {
+        of[i * nq + j] -= step;
+        slope[i * nq + j] = (impact[i] - out.value[i]) / step;
+      }
+    };
+    for (size_t j = 0; j < nq; ++j) differ(moved, j, kNudge, out.d_q);
+    if (asks_for_velocity())
+      for (size_t j = 0; j < nq; ++j) differ(rates, j, kNudge, out.d_qd);
+  }
+  // What edges are integrated over.
+  virtual double exposure(const double* a, const double* b) const {
+    double d2 = 0;
+    for (int j = 0; j < core_.tables().n_joint; ++j) d2 += (b[j] - a[j]) * (b[j] - a[j]);
+    return std::sqrt(d2);
+  }
   // Whether edge_gradients() is known.
   virtual bool has_gradients() const { return false; }
   // edges() with the derivatives of S with respect to both ends.
@@ -27,6 +55,19 @@ class Impact {
     nb::gil_scoped_release release;
     states(q.data(), q.shape(0), out);
     return array;
+  }
+  // I of states that move, and its derivatives with respect to q and qd.
+  auto state_slopes_array(Reals q, Reals qd) const {
+    Slopes out;
+    auto values = make<double>({core_.rows(q)}, out.value);
+    auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
+         by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
+    const States states = core_.states(q, qd);
+    {
+      nb::gil_scoped_release release;
+      state_slopes(states, false, out);
+    }
+    return nb::make_tuple(values, by_q, by_qd);
   }
   // V and S, and the derivatives of S with respect to q0 and q1; None if there are none.
   nb::object edge_gradients_array(Reals q0, Reals q1, double step) const {
@@ -52,6 +93,8 @@ class Impact {
   }
 
  protected:
+  static constexpr double kNudge = 1e-4;  // of a difference [rad or rad/s]
+
   explicit Impact(const Core& core) : core_(core) {}
   Impact(const Core& core, const Reals& severity) : core_(core), severity_(point(severity)) {}
 
@@ -272,6 +315,14 @@ class DropImpact final : public Impact {
   void rough_states(const double* q, size_t n, double* impact) const override {
     core_.kernels().rough_drop_impact(core_.tables(), model_.tables(), severity_.data(), {q, nullptr, n}, impact);
   }
+  void moving_states(const States& states, double* impact) const override {
+    core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), states, impact);
+  }
+  bool asks_for_velocity() const override { return true; }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    const auto gradient = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
+    gradient(core_.tables(), model_.tables(), severity_.data(), states, out);
+  }
   void edges(const Edges& edges, double* cost) const override {
     core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, edges, cost);
   }
@@ -305,6 +356,19 @@ class SumImpact final : public Impact {
     first_.rough_states(q, n, impact), second_.rough_states(q, n, other.data());
     for (size_t i = 0; i < n; ++i) impact[i] += other[i];
   }
+  void moving_states(const States& states, double* impact) const override {
+    Point other(states.n);
+    first_.moving_states(states, impact), second_.moving_states(states, other.data());
+    for (size_t i = 0; i < states.n; ++i) impact[i] += other[i];
+  }
+  bool asks_for_velocity() const override { return first_.asks_for_velocity() || second_.asks_for_velocity(); }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    const size_t size = states.n * size_t(core_.tables().n_joint);
+    Point other(states.n), other_q(size), other_qd(size);
+    first_.state_slopes(states, rough, out), second_.state_slopes(states, rough, {other.data(), other_q.data(), other_qd.data()});
+    for (size_t i = 0; i < states.n; ++i) out.value[i] += other[i];
+    for (size_t i = 0; i < size; ++i) out.d_q[i] += other_q[i], out.d_qd[i] += other_qd[i];
+  }
   void edges(const Edges& edges, double* cost) const override {
     Point other(2 * edges.n);
     first_.edges(edges, cost), second_.edges(edges, other.data());
@@ -322,6 +386,63 @@ class SumImpact final : public Impact {
 
  private:
   const Impact &first_, &second_;
+};
+
+// A model whose edges count by the time that they take, and not by their length: T = max_j |q1_j - q0_j| / speed_j, with
+// the speeds that joints will have.
+class TimedImpact final : public Impact {
+ public:
+  TimedImpact(const Impact& model, const Reals& speed) : Impact(model.core()), model_(model), speed_(point(speed)) {
+    require(speed_.size() == size_t(core_.tables().n_joint), "speed");
+    for (double v : speed_) require(v > 0, "speed");
+  }
+  void states(const double* q, size_t n, double* impact) const override { model_.states(q, n, impact); }
+  void rough_states(const double* q, size_t n, double* impact) const override { model_.rough_states(q, n, impact); }
+  void moving_states(const States& states, double* impact) const override { model_.moving_states(states, impact); }
+  bool asks_for_velocity() const override { return model_.asks_for_velocity(); }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    model_.state_slopes(states, rough, out);
+  }
+  double exposure(const double* a, const double* b) const override { return slowest(a, b).seconds; }
+  void edges(const Edges& edges, double* cost) const override {
+    const size_t nq = speed_.size();
+    model_.edges(edges, cost);
+    for (size_t e = 0; e < edges.n; ++e)
+      if (cost[2 * e] > 0) cost[2 * e + 1] *= exposure(edges.q0 + e * nq, edges.q1 + e * nq) / cost[2 * e];
+  }
+  bool has_gradients() const override { return model_.has_gradients(); }
+  void edge_gradients(const Edges& edges, Sampling sampling, const EdgeSlopes& out) const override {
+    const size_t nq = speed_.size();
+    model_.edge_gradients(edges, sampling, out);
+    for (size_t e = 0; e < edges.n; ++e) {
+      const double *a = edges.q0 + e * nq, *b = edges.q1 + e * nq, length = out.cost[2 * e];
+      if (!(length > 0)) continue;
+      const Slowest by = slowest(a, b);
+      const double ratio = by.seconds / length, sum = out.cost[2 * e + 1];
+      for (size_t j = 0; j < nq; ++j) {
+        double turn = -ratio / (length * length) * (b[j] - a[j]);
+        if (j == by.joint) turn += (b[j] < a[j] ? -1.0 : 1.0) / (speed_[j] * length);
+        out.d_q0[e * nq + j] = ratio * out.d_q0[e * nq + j] - sum * turn;
+        out.d_q1[e * nq + j] = ratio * out.d_q1[e * nq + j] + sum * turn;
+      }
+      out.cost[2 * e + 1] *= ratio;
+    }
+  }
+
+ private:
+  struct Slowest {
+    double seconds;
+    size_t joint;
+  };
+  Slowest slowest(const double* a, const double* b) const {
+    Slowest by{0, 0};
+    for (size_t j = 0; j < speed_.size(); ++j)
+      if (const double seconds = std::abs(b[j] - a[j]) / speed_[j]; seconds > by.seconds) by = {seconds, j};
+    return by;
+  }
+
+  const Impact& model_;
+  const Point speed_;
 };
 
 }  // namespace gp

@@ -197,9 +197,12 @@ class Anytime {
   }
 
   double mean_impact() const {
-    double length = 0;
-    for (size_t i = 0; i + 1 < best_.q.size(); ++i) length += space_.distance(best_.q[i].data(), best_.q[i + 1].data());
-    return std::max(0.0, best_.total - length) / (space_.w * std::max(length, 1e-9));
+    double length = 0, exposure = 0;
+    for (size_t i = 0; i + 1 < best_.q.size(); ++i) {
+      const double *a = best_.q[i].data(), *b = best_.q[i + 1].data();
+      length += space_.distance(a, b), exposure += space_.exposure(a, b);
+    }
+    return std::max(0.0, best_.total - length) / (space_.w * std::max(exposure, 1e-9));
   }
 
   // The straight path, or a stretch of the best one, sent through the most promising of some random via points.
@@ -260,7 +263,7 @@ class Anytime {
     for (int k = 0; k < tried; ++k) {
       const double* via = points.data() + size_t(k) * dim;
       const double guess =
-          (space_.distance(a.data(), via) + space_.distance(via, b.data())) * (1 + space_.w * impact[k]);
+          space_.guess(a.data(), via, impact[k]) + space_.guess(via, b.data(), impact[k]);
       if (guess < least) least = guess, best = via;
     }
     return Point(best, best + dim);

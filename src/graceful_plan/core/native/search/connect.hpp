@@ -136,7 +136,7 @@ class Connect {
     if (std::isinf(impact_limit_)) return true;
     const bool forward = &tree == &a_;
     const double impact = forward ? space_.impact(from, to) : space_.impact(to, from);
-    return impact <= std::max(impact_limit_, unavoidable_[forward ? 0 : 1]) * space_.distance(from, to);
+    return impact <= std::max(impact_limit_, unavoidable_[forward ? 0 : 1]) * space_.exposure(from, to);
   }
   double edge_cost(const Tree& tree, const double* from, const double* to) {
     if (std::isinf(bound_)) return space_.distance(from, to);

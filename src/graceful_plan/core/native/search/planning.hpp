@@ -21,6 +21,22 @@ struct Chain {
 struct ChainSlopes {
   double *cost, *by_from, *by_to;
 };
+// States row by row; `rough` if single precision will do.
+struct MovingStates {
+  const double *q, *qd;
+  int n;
+  bool rough;
+};
+// Configurations row by row, and the clearance below which they matter.
+struct Probes {
+  const double* q;
+  int n;
+  double wanted;
+};
+// The impact of states and its derivatives with respect to q and to qd, row by row.
+struct StateSlopes {
+  double *impact, *by_q, *by_qd;
+};
 
 // What a planner sees of the world and of the cost J = V + w S.
 struct Space {
@@ -39,6 +55,8 @@ struct Space {
   virtual bool edge_certain(const double* a, const double* b) = 0;
   virtual double impact(const double* a, const double* b) = 0;         // S of an edge
   virtual void impacts(const double* points, int n, double* out) = 0;  // I of configurations, row by row
+  // What the impact is integrated over: how long or how much of it an edge is.
+  virtual double exposure(const double* a, const double* b) const { return distance(a, b); }
   // Leave of a displacement what does not move the tool; false if the space knows no tool.
   virtual bool keep_tool(const double*, double*) { return false; }
   // The smallest displacement that moves the tool by so much, to first order; false if the space knows no tool.
@@ -47,8 +65,12 @@ struct Space {
   virtual bool has_slopes() const { return false; }
   // Of edges sampled at so long steps; `rough` halves the work again.
   virtual void slopes(const Chain&, double, bool, const ChainSlopes&) {}
-  // Signed clearances of configurations and their gradients; infinite where there is nothing to hit.
-  virtual void clearances(const double*, int, double*, double*) {}
+  // Of states that move.
+  virtual bool has_state_slopes() const { return false; }
+  virtual void state_slopes(const MovingStates&, const StateSlopes&) {}
+  // Signed clearances of configurations and their gradients where they are below `wanted`, which is seen much faster
+  // than how far the rest is away; infinite elsewhere.
+  virtual void clearances(const Probes&, double*, double*) {}
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
   // Whether motion() is the length, so that distances bound the cost from below.
   virtual bool motion_is_length() const { return true; }
@@ -67,6 +89,10 @@ struct Space {
     const double v = motion(a, b);
     if (v >= limit) return std::numeric_limits<double>::infinity();
     return w > 0 ? v + w * impact(a, b) : v;
+  }
+  // About what an edge costs along which the impact is so much.
+  double guess(const double* a, const double* b, double mean_impact) const {
+    return distance(a, b) + w * mean_impact * exposure(a, b);
   }
   double extent() const { return distance(lower.data(), upper.data()); }
   // Whether the edges between the vertices `first` and `last` of a path are free and certain: the cheap question for

@@ -201,7 +201,7 @@ class Refiner {
       for (int k = 0; k < tried; ++k) {
         const double* q = moved.data() + size_t(k) * dim;
         const double guess =
-            (space_.distance(before.data(), q) + space_.distance(q, after.data())) * (1 + space_.w * impact[k]);
+            space_.guess(before.data(), q, impact[k]) + space_.guess(q, after.data(), impact[k]);
         if (guess < least) least = guess, best = k;
       }
     }

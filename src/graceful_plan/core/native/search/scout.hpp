@@ -90,8 +90,8 @@ class Scout {
     if (!fresh.empty()) space_.impacts(rows.data(), int(fresh.size()), impact.data());
     for (size_t k = 0; k < fresh.size(); ++k) {
       double to_goal = std::numeric_limits<double>::infinity();
-      for (const Point& goal : goals_) to_goal = std::min(to_goal, space_.distance(fresh[k].data(), goal.data()));
-      const double promise = (space_.distance(start_.data(), fresh[k].data()) + to_goal) * (1 + space_.w * impact[k]);
+      for (const Point& goal : goals_) to_goal = std::min(to_goal, space_.guess(fresh[k].data(), goal.data(), impact[k]));
+      const double promise = space_.guess(start_.data(), fresh[k].data(), impact[k]) + to_goal;
       sampled_.push_back({std::move(fresh[k]), impact[k], promise});
     }
     const size_t wanted = size_ * 2;
@@ -117,7 +117,7 @@ class Scout {
     for (size_t e = first; e < last; ++e) {
       Edge& edge = edges_[e];
       const double mean = 0.25 * (impact_[size_t(edge.a)] + impact_[size_t(edge.b)]) + 0.5 * middle[e - first];
-      edge.cost = space_.distance(nodes_[size_t(edge.a)].data(), nodes_[size_t(edge.b)].data()) * (1 + space_.w * mean);
+      edge.cost = space_.guess(nodes_[size_t(edge.a)].data(), nodes_[size_t(edge.b)].data(), mean);
     }
     priced_ = last;
     if (priced_ < edges_.size()) return;

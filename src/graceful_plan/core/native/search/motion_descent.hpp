@@ -1,0 +1,395 @@
+// Local improvement of a whole motion by what it costs as it will be executed: control points of a smooth curve,
+// travelled as fast as the joints' velocities and accelerations allow, descend along the gradient of
+//
+//   J = V + w (integral of I dt) + (a price of time) T,
+//
+// to which violations of clearance are added. The speed profile is part of the gradient: a corner costs what it costs
+// in time. Quasi-Newton steps (BFGS) with a line search for functions that have kinks, as the profile has where another
+// limit becomes the tightest.
+//
+// References:
+//   A. Lewis and M. Overton, "Nonsmooth optimization via quasi-Newton methods", Mathematical Programming 141, 2013.
+//   M. Zucker et al., "CHOMP: Covariant Hamiltonian optimization for motion planning", IJRR 32, 2013 (the metric that
+//   the steps begin with: what keeps neighbours together).
+#pragma once
+#include <deque>
+#include <limits>
+
+#include "search/planning.hpp"
+#include "timing/speed_profile.hpp"
+#include "timing/spline.hpp"
+
+namespace gp {
+
+struct MotionSettings {
+  Point velocity, acceleration;  // limits of the joints
+  size_t controls = 16;
+  size_t density = 6;        // samples between two knots
+  bool rough = false;        // impacts in single precision
+  double time_price = 0.02;  // [rad/s]
+  double push = 1.0;         // weight of the penalty, relative to J
+  double tolerance = 1e-4;   // relative fall over some steps below which it is settled
+  // Parts of the length at both ends within which less than the wanted clearance may be kept: there the path leaves and
+  // reaches places that are tight for the spheres.
+  double tight_start = 0, tight_end = 0;
+};
+
+class MotionDescent {
+ public:
+  // From a path in a space that has slopes of states.
+  MotionDescent(Space& space, const std::vector<Point>& path, const MotionSettings& settings)
+      : space_(space),
+        settings_(settings),
+        dim_(size_t(space.dim)),
+        basis_(settings.controls),
+        profile_(settings.velocity, settings.acceleration),
+        push_(settings.push) {
+    for (size_t k = 0; k <= basis_.spans() * settings.density; ++k)
+      row_.push_back(basis_.at(double(k) / double(settings.density)));
+    const size_t samples = row_.size();
+    q_.resize(samples * dim_), qd_ = impact_by_q_ = impact_by_qd_ = d_q_ = by_clearance_ = q_;
+    impact_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
+    step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0), stop_.front() = stop_.back() = 1;
+    slope_.resize(2 * dim_ * (samples - 1)), bend_ = d_slope_ = d_bend_ = slope_;
+    fit(path);
+    trial_ = x_;
+    want();
+    begin();
+  }
+
+  // One evaluation of the whole motion and its gradient; false once nothing is gained any more.
+  bool step() {
+    if (settled_) return false;
+    for (size_t i = 0; i < x_.size(); ++i) trial_[i] = clipped(i, x_[i] + share_ * direction_[i]);
+    const Evaluation found = evaluate(trial_, trial_gradient_);
+    double rise = 0, along = 0;
+    for (size_t i = 0; i < x_.size(); ++i)
+      rise += gradient_[i] * (trial_[i] - x_[i]), along += trial_gradient_[i] * direction_[i];
+    if (!(found.energy <= now_.energy + kArmijo * rise)) {
+      longest_ = share_, share_ = 0.5 * (shortest_ + longest_);
+    } else if (along < kWolfe * along_ && std::isinf(longest_) && share_ < kLongestShare) {
+      shortest_ = share_, share_ *= 2;
+      keep(found);
+    } else {
+      keep(found);
+      accept();
+      return !settled_;
+    }
+    if (++tried_ < kTries) return true;
+    if (kept_.energy < now_.energy)
+      accept();
+    else if (fresh_)
+      settled_ = true;
+    else
+      restart();
+    return !settled_;
+  }
+
+  // J, and what is charged for being too close.
+  double value() const { return now_.total; }
+  double duration() const { return now_.duration; }
+  // Press harder against what is in the way.
+  void harden() {
+    push_ *= 4.0;
+    begin();
+  }
+  std::vector<Point> controls() const {
+    std::vector<Point> points{first_};
+    for (size_t c = 0; c + 2 < settings_.controls; ++c)
+      points.emplace_back(x_.begin() + long(c * dim_), x_.begin() + long((c + 1) * dim_));
+    points.push_back(last_);
+    return points;
+  }
+  // What falls, at other inner control points, and its derivatives with respect to them; for tests.
+  double energy(const Point& controls, Point& gradient) { return evaluate(controls, gradient).energy; }
+
+ private:
+  struct Evaluation {
+    double energy, total, duration;
+  };
+  static constexpr double kKeep = 0.001;    // clearance to keep on top of the space's margin [m]
+  static constexpr double kLongest = 0.3;   // of a control point in one step [rad]
+  static constexpr double kArmijo = 1e-4, kWolfe = 0.9, kLongestShare = 8.0;
+  static constexpr int kTries = 10;         // of a line search
+  static constexpr size_t kLookBack = 6;    // steps
+
+  double clipped(size_t i, double value) const {
+    return std::clamp(value, space_.lower[i % dim_], space_.upper[i % dim_]);
+  }
+
+  // Control points where they would lie on the path.
+  void fit(const std::vector<Point>& path) {
+    first_ = path.front(), last_ = path.back();
+    std::vector<double> at{0.0};
+    for (size_t i = 0; i + 1 < path.size(); ++i)
+      at.push_back(at.back() + space_.distance(path[i].data(), path[i + 1].data()));
+    x_.clear();
+    size_t i = 0;
+    for (size_t c = 1; c + 1 < settings_.controls; ++c) {
+      const double s = at.back() * basis_.place(c);
+      while (i + 2 < path.size() && at[i + 1] < s) ++i;
+      const double gap = at[i + 1] - at[i], share = gap > 0 ? std::min(1.0, (s - at[i]) / gap) : 0.0;
+      for (size_t j = 0; j < dim_; ++j) x_.push_back(clipped(j, path[i][j] + share * (path[i + 1][j] - path[i][j])));
+    }
+  }
+
+  // How much clearance each sample is to keep: near tight ends what a straight line from theirs to the usual one says.
+  void want() {
+    sample(x_);
+    const size_t samples = row_.size();
+    const double everything = std::numeric_limits<double>::infinity();
+    space_.clearances({q_.data(), int(samples), everything}, clearance_.data(), by_clearance_.data());
+    const double usual = space_.margin + kKeep;
+    const auto relaxed = [&](double end, double length, double tight) {
+      return length < tight ? end + (usual - end) * length / tight : usual;
+    };
+    double whole = 0, length = 0;
+    for (size_t k = 0; k + 1 < samples; ++k) whole += space_.distance(&q_[k * dim_], &q_[(k + 1) * dim_]);
+    for (size_t k = 0; k < samples; ++k) {
+      wanted_[k] = std::min(relaxed(std::min(usual, clearance_.front()), length, settings_.tight_start),
+                            relaxed(std::min(usual, clearance_.back()), whole - length, settings_.tight_end));
+      if (k + 1 < samples) length += space_.distance(&q_[k * dim_], &q_[(k + 1) * dim_]);
+    }
+  }
+
+  void begin() {
+    recent_.clear();
+    scale_ = 0;
+    now_ = evaluate(x_, gradient_);
+    restart();
+  }
+
+  // Forget what was learnt of the curvature.
+  void restart() {
+    const size_t n = x_.size();
+    inverse_.assign(n * n, 0.0);
+    // V alone has about the curvature (controls / V) times second differences; the rest comes in proportion.
+    const double stiffness = double(settings_.controls - 1) / std::max(length_, 1e-3) *
+                             std::max(1.0, now_.energy / std::max(length_, 1e-3));
+    const size_t m = settings_.controls - 2;
+    for (size_t a = 0; a < m; ++a)
+      for (size_t b = 0; b < m; ++b)  // the inverse of second differences between two fixed ends
+        for (size_t j = 0; j < dim_; ++j)
+          inverse_[(a * dim_ + j) * n + b * dim_ + j] =
+              double((std::min(a, b) + 1) * (m - std::max(a, b))) / double(m + 1) / stiffness;
+    fresh_ = true, settled_ = false;
+    descend();
+  }
+
+  void keep(const Evaluation& found) {
+    if (tried_kept_ && found.energy >= kept_.energy) return;
+    kept_ = found, kept_x_ = trial_, kept_gradient_ = trial_gradient_, tried_kept_ = true;
+  }
+
+  void accept() {
+    learn();
+    recent_.push_back(now_.energy);
+    std::swap(x_, kept_x_), std::swap(gradient_, kept_gradient_);
+    now_ = kept_, fresh_ = false;
+    if (recent_.size() > kLookBack) {
+      settled_ = recent_.front() - now_.energy < settings_.tolerance * now_.energy;
+      recent_.pop_front();
+    }
+    if (!settled_) descend();
+  }
+
+  // The inverse of the curvature, by the update of Broyden, Fletcher, Goldfarb and Shanno.
+  void learn() {
+    const size_t n = x_.size();
+    Point s(n), y(n), Hy(n);
+    double sy = 0, yHy = 0, yy = 0;
+    for (size_t i = 0; i < n; ++i) {
+      s[i] = kept_x_[i] - x_[i], y[i] = kept_gradient_[i] - gradient_[i];
+      sy += s[i] * y[i], yy += y[i] * y[i];
+    }
+    if (!(sy > 1e-12 * std::sqrt(yy))) return;
+    for (size_t i = 0; i < n; ++i) {
+      double sum = 0;
+      for (size_t j = 0; j < n; ++j) sum += inverse_[i * n + j] * y[j];
+      Hy[i] = sum, yHy += y[i] * sum;
+    }
+    if (fresh_) {  // the scale of the first metric is a guess
+      const double scale = sy / yHy;
+      for (double& h : inverse_) h *= scale;
+      for (double& h : Hy) h *= scale;
+      yHy *= scale;
+    }
+    const double both = (1 + yHy / sy) / sy;
+    for (size_t i = 0; i < n; ++i)
+      for (size_t j = 0; j < n; ++j)
+        inverse_[i * n + j] += both * s[i] * s[j] - (Hy[i] * s[j] + s[i] * Hy[j]) / sy;
+  }
+
+  // The next direction to search along.
+  void descend() {
+    const size_t n = x_.size();
+    Point slope = gradient_;
+    for (size_t i = 0; i < n; ++i)  // nothing is gained by going on into a limit
+      if ((x_[i] <= space_.lower[i % dim_] && slope[i] > 0) || (x_[i] >= space_.upper[i % dim_] && slope[i] < 0))
+        slope[i] = 0;
+    direction_.assign(n, 0.0);
+    double longest = kLongest;
+    along_ = 0;
+    for (size_t i = 0; i < n; ++i) {
+      for (size_t j = 0; j < n; ++j) direction_[i] -= inverse_[i * n + j] * slope[j];
+      longest = std::max(longest, std::abs(direction_[i]));
+      along_ += direction_[i] * slope[i];
+    }
+    share_ = kLongest / longest;
+    shortest_ = 0, longest_ = std::numeric_limits<double>::infinity(), tried_ = 0, tried_kept_ = false;
+    kept_ = now_;
+    if (along_ < 0) return;
+    settled_ = fresh_;
+    if (!fresh_) restart();
+  }
+
+  void sample(const Point& x) {
+    const size_t n = settings_.controls;
+    const auto control = [&](size_t c) { return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim_]; };
+    for (size_t k = 0; k < row_.size(); ++k) {
+      const SplineBasis::Row& row = row_[k];
+      for (size_t j = 0; j < dim_; ++j) {
+        double q = 0, slope = 0, bend = 0;
+        for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
+          const double c = control(row.first + m)[j];
+          q += row.value[m] * c, slope += row.slope[m] * c, bend += row.bend[m] * c;
+        }
+        q_[k * dim_ + j] = q;
+        // A sample is the end of an interval and the beginning of the next one.
+        if (k > 0) slope_[((k - 1) * 2 + 1) * dim_ + j] = slope, bend_[((k - 1) * 2 + 1) * dim_ + j] = bend;
+        if (k + 1 < row_.size()) slope_[k * 2 * dim_ + j] = slope, bend_[k * 2 * dim_ + j] = bend;
+      }
+    }
+  }
+  const double* slope_at(size_t k) const {
+    return k + 1 < row_.size() ? &slope_[2 * k * dim_] : &slope_[(2 * k - 1) * dim_];
+  }
+
+  Evaluation evaluate(const Point& x, Point& gradient) {
+    const size_t samples = row_.size();
+    sample(x);
+    const CurveSamples curve{samples - 1, dim_, step_.data(), slope_.data(), bend_.data(), stop_.data()};
+    const std::vector<double>& squared = profile_.compute(curve);
+    speed_.resize(samples), pause_.resize(samples - 1);
+    double duration = 0;
+    for (size_t k = 0; k < samples; ++k) speed_[k] = std::sqrt(squared[k]);
+    for (size_t k = 0; k + 1 < samples; ++k)
+      duration += pause_[k] = 2 * step_[k] / std::max(speed_[k] + speed_[k + 1], kSlowest);
+    for (size_t k = 0; k < samples; ++k)
+      for (size_t j = 0; j < dim_; ++j) qd_[k * dim_ + j] = slope_at(k)[j] * speed_[k];
+
+    for (std::vector<double>* d : {&d_q_, &d_slope_, &d_bend_}) std::fill(d->begin(), d->end(), 0.0);
+    std::vector<double> d_speed(samples, 0.0);
+    const double length = lengthen();
+    const double harm = space_.w > 0 ? fail(d_speed) : 0.0;
+    for (size_t k = 0; k + 1 < samples; ++k) {
+      const double price = settings_.time_price + 0.5 * space_.w * (space_.w > 0 ? impact_[k] + impact_[k + 1] : 0.0);
+      const double by_speed = -price * pause_[k] / std::max(speed_[k] + speed_[k + 1], kSlowest);
+      d_speed[k] += by_speed, d_speed[k + 1] += by_speed;
+    }
+    for (size_t k = 0; k < samples; ++k)
+      d_speed[k] = stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed[k] / (2 * speed_[k]);  // now of the square
+    profile_.back(curve, d_speed, {d_slope_.data(), d_bend_.data()});
+    const double total = length_ + space_.w * harm + settings_.time_price * duration;
+    if (scale_ == 0) scale_ = total;
+    const double penalty = collide();
+    collect(gradient);
+    return {length + space_.w * harm + settings_.time_price * duration + penalty, total + penalty, duration};
+  }
+
+  // The length of the curve by its energy, which is least where samples are even: the length alone does not say where
+  // along the curve control points should be.
+  double lengthen() {
+    const size_t n = row_.size() - 1;
+    double energy = 0;
+    length_ = 0;
+    for (size_t k = 0; k < n; ++k) {
+      const double d = space_.distance(&q_[k * dim_], &q_[(k + 1) * dim_]);
+      energy += d * d, length_ += d;
+    }
+    const double value = std::sqrt(double(n) * energy), factor = value > 0 ? double(n) / value : 0.0;
+    for (size_t k = 0; k < n; ++k)
+      for (size_t j = 0; j < dim_; ++j) {
+        const double d = factor * (q_[(k + 1) * dim_ + j] - q_[k * dim_ + j]);
+        d_q_[k * dim_ + j] -= d, d_q_[(k + 1) * dim_ + j] += d;
+      }
+    return value;
+  }
+
+  // The integral of the impact over time, and derivatives but for those of the times.
+  double fail(std::vector<double>& d_speed) {
+    const size_t samples = row_.size();
+    space_.state_slopes({q_.data(), qd_.data(), int(samples), settings_.rough},
+                        {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
+    double sum = 0;
+    for (size_t k = 0; k < samples; ++k) {
+      const double seconds = 0.5 * ((k > 0 ? pause_[k - 1] : 0.0) + (k + 1 < samples ? pause_[k] : 0.0));
+      sum += seconds * impact_[k];
+      const double* slope = slope_at(k);
+      double* d_slope = k + 1 < samples ? &d_slope_[2 * k * dim_] : &d_slope_[(2 * k - 1) * dim_];
+      for (size_t j = 0; j < dim_; ++j) {
+        const double by_qd = space_.w * seconds * impact_by_qd_[k * dim_ + j];
+        d_q_[k * dim_ + j] += space_.w * seconds * impact_by_q_[k * dim_ + j];
+        d_slope[j] += by_qd * speed_[k], d_speed[k] += by_qd * slope[j];
+      }
+    }
+    return sum;
+  }
+
+  double collide() {
+    const size_t samples = row_.size();
+    const double unit = space_.margin + kKeep;
+    space_.clearances({q_.data(), int(samples), unit}, clearance_.data(), by_clearance_.data());
+    const double weight = push_ * scale_ / double(samples);
+    double sum = 0;
+    for (size_t k = 1; k + 1 < samples; ++k) {
+      const double lack = (wanted_[k] - clearance_[k]) / unit;
+      if (!(lack > 0)) continue;
+      // Beyond a few margins it grows evenly: how deep the nearest pair is says little then.
+      const double knee = 5.0, depth = std::min(lack, knee);
+      sum += weight * (depth * depth + 2 * knee * (lack - depth));
+      for (size_t j = 0; j < dim_; ++j) d_q_[k * dim_ + j] -= 2 * weight * depth / unit * by_clearance_[k * dim_ + j];
+    }
+    return sum;
+  }
+
+  // From derivatives at samples to those of control points.
+  void collect(Point& gradient) const {
+    gradient.assign(x_.size(), 0.0);
+    const size_t n = settings_.controls, samples = row_.size();
+    for (size_t k = 0; k < samples; ++k) {
+      const SplineBasis::Row& row = row_[k];
+      for (size_t m = 0; m < SplineBasis::kOrder; ++m) {
+        const size_t c = row.first + m;
+        if (c == 0 || c == n - 1) continue;
+        for (size_t j = 0; j < dim_; ++j) {
+          double d = row.value[m] * d_q_[k * dim_ + j];
+          if (k > 0) d += row.slope[m] * d_slope_[(2 * k - 1) * dim_ + j] + row.bend[m] * d_bend_[(2 * k - 1) * dim_ + j];
+          if (k + 1 < samples) d += row.slope[m] * d_slope_[2 * k * dim_ + j] + row.bend[m] * d_bend_[2 * k * dim_ + j];
+          gradient[(c - 1) * dim_ + j] += d;
+        }
+      }
+    }
+  }
+
+  static constexpr double kSlowest = 1e-9;
+
+  Space& space_;
+  const MotionSettings settings_;
+  const size_t dim_;
+  const SplineBasis basis_;
+  std::vector<SplineBasis::Row> row_;
+  SpeedProfile profile_;
+  double push_, scale_ = 0, length_ = 0;
+  Point first_, last_, x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;
+  Point q_, qd_, impact_, impact_by_q_, impact_by_qd_, d_q_, clearance_, by_clearance_, wanted_;
+  Point step_, slope_, bend_, d_slope_, d_bend_, speed_, pause_;
+  std::vector<uint8_t> stop_;
+  Evaluation now_{}, kept_{};
+  double share_ = 1, shortest_ = 0, longest_ = 0, along_ = 0;
+  int tried_ = 0;
+  bool settled_ = false, fresh_ = true, tried_kept_ = false;
+  std::deque<double> recent_;
+};
+
+}  // namespace gp

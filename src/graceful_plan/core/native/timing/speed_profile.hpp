@@ -1,0 +1,170 @@
+// How fast to go where on a curve: time-optimal path parametrisation by reachability analysis (TOPP-RA) between rests,
+// under symmetric limits of the joints' velocities and accelerations, and the derivatives of its result.
+//
+// With x the squared speed of the curve's parameter and u its acceleration, constant on each interval, every joint
+// acceleration slope u + bend x is linear in (u, x). Standing still is feasible everywhere, so that the set of x from
+// which the end can be reached is [0, beta]: both passes are a minimum over linear functions, no general LP.
+//
+// References:
+//   H. Pham and Q.-C. Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis",
+//   IEEE Transactions on Robotics 34, 2018.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+namespace gp {
+
+// A curve at both ends of each interval, since derivatives may differ from the left and the right.
+struct CurveSamples {
+  size_t n;            // intervals
+  size_t dim;          // joints
+  const double* step;  // [n] length of each interval, in terms of the parameter
+  const double *slope, *bend;  // [n, 2, dim] first and second derivative with respect to the parameter
+  const uint8_t* stop;         // [n + 1] where the motion has to rest
+};
+
+struct CurveSlopes {  // derivatives with respect to slope and bend, added up
+  double *slope, *bend;
+};
+
+class SpeedProfile {
+ public:
+  SpeedProfile(std::vector<double> velocity, std::vector<double> acceleration)
+      : velocity_(std::move(velocity)), acceleration_(std::move(acceleration)) {}
+
+  // The largest squared speeds at the n + 1 points.
+  const std::vector<double>& compute(const CurveSamples& curve) {
+    const size_t n = curve.n, rows = 2 * curve.dim;
+    A_.resize(n * rows), B_.resize(n * rows), reach_.resize(n * rows), tilt_.resize(n * rows);
+    beta_.assign(n + 1, kUnbounded), x_.resize(n + 1), bound_.assign(n + 1, {}), limited_.assign(n + 1, kBeta);
+    for (size_t i = 0; i < n; ++i) add_rows(curve, i);
+    for (size_t i = 0; i < n; ++i) cap(curve, i);
+    for (size_t i = 0; i <= n; ++i)
+      if (curve.stop[i]) beta_[i] = 0, bound_[i] = {};
+    for (size_t i = n; i-- > 0;) reach_back(curve, i);
+    x_[0] = beta_[0];
+    for (size_t i = 0; i < n; ++i) go_on(curve, i);
+    return x_;
+  }
+
+  // Derivatives of something whose derivatives with respect to the squared speeds are `d_x`; of the last compute().
+  void back(const CurveSamples& curve, std::vector<double> d_x, const CurveSlopes& out) const {
+    const size_t n = curve.n, rows = 2 * curve.dim;
+    std::vector<double> d_beta(n + 1, 0.0), d_reach(n * rows, 0.0), d_tilt(n * rows, 0.0);
+    for (size_t i = n; i-- > 0;) {
+      const double d = d_x[i + 1], S = 2 * curve.step[i];
+      if (limited_[i + 1] == kBeta) {
+        d_beta[i + 1] += d;
+        continue;
+      }
+      const size_t r = i * rows + size_t(limited_[i + 1]);
+      d_x[i] += (1 - S * tilt_[r]) * d;
+      d_tilt[r] -= S * x_[i] * d, d_reach[r] += S * d;
+    }
+    d_beta[0] += d_x[0];
+    for (size_t i = 0; i <= n; ++i) back_bound(curve, i, d_beta, d_reach, d_tilt, out);
+    for (size_t i = 0; i < n; ++i) back_rows(curve, i, d_reach, d_tilt, out);
+  }
+
+ private:
+  static constexpr double kUnbounded = 1e12, kLeast = 1e-12;
+  static constexpr int kBeta = -1;
+  enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain };
+  struct Bound {  // what limits beta: a joint at one side, two rows, one row
+    Kind kind = kFixed;
+    size_t first = 0, second = 0;
+  };
+
+  // |A u + B x| <= limit at the beginning of an interval, and at its end, where x + 2 step u holds.
+  void add_rows(const CurveSamples& curve, size_t i) {
+    const size_t dim = curve.dim;
+    const double *slope = curve.slope + 2 * dim * i, *bend = curve.bend + 2 * dim * i, S = 2 * curve.step[i];
+    for (size_t j = 0; j < dim; ++j) {
+      set_row(2 * dim * i + j, slope[j], bend[j], acceleration_[j]);
+      set_row(2 * dim * i + dim + j, slope[dim + j] + S * bend[dim + j], bend[dim + j], acceleration_[j]);
+    }
+  }
+  void set_row(size_t r, double a, double b, double limit) {
+    if (std::abs(a) < kLeast) a = kLeast;
+    A_[r] = a, B_[r] = b, reach_[r] = limit / std::abs(a), tilt_[r] = b / a;
+  }
+  void lower(size_t i, double value, Bound bound) {
+    if (value < beta_[i]) beta_[i] = value, bound_[i] = bound;
+  }
+  void cap(const CurveSamples& curve, size_t i) {
+    const size_t dim = curve.dim, rows = 2 * dim;
+    const double S = 2 * curve.step[i];
+    for (size_t side = 0; side < 2; ++side)
+      for (size_t j = 0; j < dim; ++j) {
+        const double fast = velocity_[j] / std::max(std::abs(curve.slope[rows * i + side * dim + j]), kLeast);
+        lower(i + side, fast * fast, {kVelocity, rows * i + side * dim + j, 0});
+      }
+    const double *reach = &reach_[rows * i], *tilt = &tilt_[rows * i];
+    for (size_t r = 0; r < rows; ++r) {
+      for (size_t s = 0; s < rows; ++s)  // no lower bound of u may pass an upper one
+        if ((tilt[r] - tilt[s]) * beta_[i] > reach[r] + reach[s])
+          lower(i, (reach[r] + reach[s]) / (tilt[r] - tilt[s]), {kPair, rows * i + r, rows * i + s});
+      const double gain = 1 - S * tilt[r];
+      if (gain < 0) lower(i, S * reach[r] / -gain, {kOverturn, rows * i + r, 0});  // not below rest within the interval
+    }
+  }
+  void reach_back(const CurveSamples& curve, size_t i) {
+    const size_t rows = 2 * curve.dim;
+    const double S = 2 * curve.step[i];
+    for (size_t r = rows * i; r < rows * (i + 1); ++r) {
+      const double gain = 1 - S * tilt_[r];
+      if (gain > 0) lower(i, (beta_[i + 1] + S * reach_[r]) / gain, {kChain, r, 0});
+    }
+  }
+  void go_on(const CurveSamples& curve, size_t i) {
+    const size_t rows = 2 * curve.dim;
+    const double S = 2 * curve.step[i];
+    double best = beta_[i + 1];
+    for (size_t k = 0; k < rows; ++k) {
+      const size_t r = rows * i + k;
+      const double next = (1 - S * tilt_[r]) * x_[i] + S * reach_[r];
+      if (next < best) best = next, limited_[i + 1] = int(k);
+    }
+    x_[i + 1] = std::max(best, 0.0);
+  }
+
+  void back_bound(const CurveSamples& curve, size_t i, std::vector<double>& d_beta, std::vector<double>& d_reach,
+                  std::vector<double>& d_tilt, const CurveSlopes& out) const {
+    const Bound& by = bound_[i];
+    const double d = d_beta[i];
+    if (d == 0 || by.kind == kFixed) return;
+    if (by.kind == kVelocity) {
+      const double slope = curve.slope[by.first];
+      if (std::abs(slope) > kLeast) out.slope[by.first] -= 2 * beta_[i] / slope * d;
+    } else if (by.kind == kPair) {
+      const double apart = tilt_[by.first] - tilt_[by.second];
+      d_reach[by.first] += d / apart, d_reach[by.second] += d / apart;
+      d_tilt[by.first] -= beta_[i] / apart * d, d_tilt[by.second] += beta_[i] / apart * d;
+    } else {
+      const double S = 2 * curve.step[i], gain = 1 - S * tilt_[by.first];
+      d_tilt[by.first] += S * beta_[i] / gain * d;
+      d_reach[by.first] += S / std::abs(gain) * d;
+      if (by.kind == kChain) d_beta[i + 1] += d / gain;
+    }
+  }
+  void back_rows(const CurveSamples& curve, size_t i, const std::vector<double>& d_reach,
+                 const std::vector<double>& d_tilt, const CurveSlopes& out) const {
+    const size_t dim = curve.dim;
+    for (size_t k = 0; k < 2 * dim; ++k) {
+      const size_t r = 2 * dim * i + k;
+      if (d_reach[r] == 0 && d_tilt[r] == 0) continue;
+      const double d_A = -(reach_[r] * d_reach[r] + tilt_[r] * d_tilt[r]) / A_[r], d_B = d_tilt[r] / A_[r];
+      out.slope[r] += d_A;  // rows are laid out as slopes are: the beginning's joints, then the end's
+      out.bend[r] += d_B + (k < dim ? 0.0 : 2 * curve.step[i] * d_A);
+    }
+  }
+
+  std::vector<double> velocity_, acceleration_;
+  std::vector<double> A_, B_, reach_, tilt_, beta_, x_;
+  std::vector<Bound> bound_;
+  std::vector<int> limited_;
+};
+
+}  // namespace gp

@@ -1,0 +1,226 @@
+"""From what a search found to timed motions, the best first.
+
+A search compares paths by what they cost at a mean pace. What counts is the motion as it will be executed: so the best
+paths become smooth curves that descend along J of their own timing (`MotionDescents`), and these are compared with each
+other, and with the polylines that were found, by J of the trajectory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.path import Path
+from graceful_plan.planners.motion_descent import TIME_PRICE, Effort, Landed, MotionDescents, Start
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.departure import best_departure
+from graceful_plan.query.ends import Ends
+from graceful_plan.query.request import Request
+from graceful_plan.query.search import KEPT, thinned
+from graceful_plan.result import CostBreakdown
+from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
+from graceful_plan.timing.retiming import retime, timed
+from graceful_plan.timing.spline import Spline
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
+"""How far the motion may cut a corner of a polyline [rad], from swift to exact; 0 stops at the corner."""
+_MOST_STARTS = 5
+"""Paths from which smooth motions begin."""
+_MOST_TIMED = 4
+"""Smooth motions that are compared by the J of their trajectories."""
+_LEAST_TIGHT = 0.15
+"""Least length at a tight end along which the spheres do not count [rad]."""
+_LOOKED_AT = 1000
+"""Configurations of a motion that are looked at with the fast checker."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A timed motion, not yet judged."""
+
+    path: Path
+    trajectory: Trajectory
+    cost: CostBreakdown
+    arrival: int
+    """Which of the ways to a goal it takes; see `Ends`."""
+    ranking: float
+    """What motions are compared by."""
+
+
+def motions(
+    paths: Sequence[Path],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
+    known: Sequence[Motion] = (),
+    *,
+    hops: bool = True,
+) -> tuple[list[Motion], str]:
+    """Return motions along or near paths, the best first, and why there is none if so.
+
+    Args:
+        paths: As found by a search, the best at the end.
+        request: What they were found for.
+        ends: Both ends.
+        problem: What was searched in.
+        means: Time for descents, and chance for hops.
+        known: Motions that compete, and are descended from as well.
+        hops: Whether to use up the time.
+    """
+    wholes = [ends.joined(paths[k]) for k in thinned(len(paths))][:_MOST_STARTS]
+    begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
+    effort = Effort() if hops else Effort(hops=0)
+    found = [*known, *smooth(begun, request, ends, problem, means, effort=effort)]
+    why_not = ""
+    for whole, arrival in wholes[: 1 if found else KEPT]:
+        try:
+            found.append(_along(whole, arrival, request, ends))
+        except RetimingError as error:
+            why_not = str(error)
+    return sorted(found, key=lambda motion: motion.ranking), why_not
+
+
+def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> Iterator[Motion]:
+    """Yield motions along a polyline that cut its corners less and less.
+
+    Args:
+        path: As found by a search.
+        request: What it was found for.
+        ends: Both ends.
+        swift: Whether to begin with corners cut as far as the fast checker allows.
+    """
+    whole, arrival = ends.joined(path)
+    ways = (lambda: _along(whole, arrival, request, ends),) if swift else ()
+    exact = tuple(partial(_cut, whole, deviation, arrival, request) for deviation in DEVIATIONS[1:])
+    for motion in (*ways, *exact):
+        try:
+            yield motion()
+        except RetimingError:
+            continue
+
+
+def smooth(
+    wholes: Sequence[tuple[Path, int]],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
+    *,
+    effort: Effort,
+) -> list[Motion]:
+    """Return smooth motions that descended from paths, the most promising first; none if the objective has no descents.
+
+    Args:
+        wholes: Paths from the real start to a real goal, and which arrival each takes.
+        request: What to descend along.
+        ends: Both ends.
+        problem: What was searched in.
+        means: Time for descents, and chance for hops.
+        effort: How much of what there is to do.
+    """
+    objective = request.objective.descended()
+    if objective is None:
+        return []
+    scene, speed = objective.scene, request.speed
+    kernels = problem.kernels
+
+    def is_free(curve: Spline, start: Start) -> bool:
+        q = curve.grid(1).q
+        done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+        clear = (done >= start.tight_start) & (done <= done[-1] - start.tight_end)
+        return bool(kernels.free(q[clear], 0.5 * problem.margin).all())
+
+    descents = MotionDescents(
+        space=native_space(problem, objective),
+        velocity=speed * scene.limits.velocity,
+        acceleration=speed**2 * scene.limits.acceleration,
+        is_free=is_free,
+        effort=effort if objective.w > 0.0 else replace(effort, hops=0),
+    )
+    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
+    starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
+    landed = descents.run(starts, *means)
+    return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def _tight(way: Path) -> float:
+    """How far from an end the spheres may come too close, if they do there [rad]; the judge looks at it exactly."""
+    return max(_LEAST_TIGHT, 3.0 * way.length) if way.length > 0.0 else 0.0
+
+
+def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
+    scene = request.objective.scene
+    try:
+        trajectory = timed(landed.curve, scene.limits, scene.joints, speed=request.speed)
+    except RetimingError:
+        return None
+    if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.objective):
+        return None
+    return _charged(trajectory.path, trajectory, arrival, request)
+
+
+def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
+    """Time a polyline, each corner cut as far as the fast checker allows."""
+    clear = ends.in_the_clear(arrival)
+    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
+
+
+def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
+    """Time a polyline, its corners cut by so much."""
+    scene = request.objective.scene
+    trajectory = retime(whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed)
+    return _charged(whole, trajectory, arrival, request)
+
+
+def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
+    """How far each corner may be cut so that nothing comes too close [rad]."""
+    q = merge_near_vertices(whole)
+    chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
+    kernels = request.objective.kernels
+    for wider, narrower in pairwise(DEVIATIONS):
+        open_ = np.flatnonzero(chosen == wider)
+        if len(open_) == 0:
+            break
+        corners = rounded_corners(q, wider)[open_]
+        free = kernels.free(corners.reshape(-1, q.shape[1])).reshape(corners.shape[:2]).all(axis=1)
+        chosen[open_[~free]] = narrower
+    return chosen
+
+
+def recharged(motion: Motion, request: Request) -> Motion:
+    """Return a motion as it was, charged for what was asked."""
+    return _charged(motion.path, motion.trajectory, motion.arrival, request)
+
+
+def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
+    objective = request.objective
+    if objective.scene.moving:
+        trajectory, cost = best_departure(trajectory, objective, request.max_wait)
+    else:
+        cost = objective.breakdown(trajectory)
+    total = cost.total if request.preference is None else request.preference.total(trajectory)
+    return Motion(
+        path=whole,
+        trajectory=trajectory,
+        cost=cost,
+        arrival=arrival,
+        ranking=total + TIME_PRICE * trajectory.duration,
+    )
+
+
+def _keeps_clear(trajectory: Trajectory, objective: SceneObjective) -> bool:
+    samples = trajectory.sample(max(trajectory.duration / _LOOKED_AT, 1e-3)).q
+    return bool(np.all(objective.kernels.free(samples)))
