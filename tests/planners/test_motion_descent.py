@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,7 @@ import graceful_plan as gp
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import TIME_PRICE, MotionDescents, Start
+from graceful_plan.planners.motion_descent import COARSE, FINE, MIDDLE, TIME_PRICE, Effort, MotionDescents, Start
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -172,6 +174,12 @@ def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
     landed = descents.run([Start(path)], Budget(iterations=1), rng)
     assert landed and [one.value for one in landed] == sorted(one.value for one in landed)
     assert len(asked) >= 2 * len(landed)
+    coarse = replace(descents, effort=Effort(fine=0, hops=0)).run([Start(path)], Budget(iterations=1), rng)
+    finely = replace(descents, effort=Effort(screens=False, fine=1, hops=0)).run(
+        [Start(path)], Budget(iterations=1), rng
+    )
+    assert {len(one.curve.controls) for one in coarse} <= {COARSE.controls, MIDDLE.controls}
+    assert [len(one.curve.controls) for one in finely] == [FINE.controls]
     assert not descents.run([], Budget(iterations=1), rng)
     assert not descents.run([Start(path)], Budget(time_limit=0.0), rng)
 
