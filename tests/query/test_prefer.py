@@ -75,8 +75,8 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
     step = cvar.law.value[1]
     for path in ways(problem, 3):
         found = gp.risk(path, task.scene, bound.objective.impact, level=0.8)
-        seconds = bound.charged_states(path).weight.sum()
-        by_cvar, by_worst = ((preference.total(path) - path.length) / seconds for preference in (cvar, worst))
+        charged = bound.objective.w * bound.charged_states(path).weight.sum()
+        by_cvar, by_worst = ((preference.total(path) - path.length) / charged for preference in (cvar, worst))
         # The grid that refinement uses errs towards more spread.
         assert found.cvar - 1e-6 <= by_cvar <= found.cvar + step
         assert by_worst == pytest.approx(found.worst, abs=2.0 * step)

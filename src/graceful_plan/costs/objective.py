@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, final, get_args
+from typing import final
 
 import numpy as np
 
@@ -42,7 +42,7 @@ MEAN_PACE = 0.7
 0.36 at half speed."""
 AT_LIMITS = (1.0, 1.0)
 """Paces of a path of which nothing is known: the slowest joint of each edge at its limit."""
-Exposure = Literal["time", "length", "waypoints"]
+EXPOSURES = ("time", "length", "waypoints")
 """Words for what the impact is integrated over."""
 PACE_SPREAD = 0.42
 """Standard deviation of that share, relative to its mean."""
@@ -74,13 +74,13 @@ class Objective:
     motion: Cost = JointLength()
     impact: Cost = ImpactCost()
     w: float = DEFAULT_WEIGHT
-    exposure: Exposure = "time"
+    exposure: str = "time"
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.w <= MAX_WEIGHT:
             raise SettingError("w", self.w, f"a number from 0 to {MAX_WEIGHT:g}")
-        if self.exposure not in get_args(Exposure):
-            raise SettingError("exposure", self.exposure, f"one of {', '.join(get_args(Exposure))}")
+        if self.exposure not in EXPOSURES:
+            raise SettingError("exposure", self.exposure, f"one of {', '.join(EXPOSURES)}")
         for name, cost in (("motion", self.motion), ("impact", self.impact)):
             if not isinstance(cost, Cost):
                 raise SettingError(name, cost, "a graceful_plan.Cost")

@@ -341,13 +341,15 @@ void bind_search(nb::module_& m) {
       .def(
           "__init__",
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
-             size_t density, bool rough, double time_price, double push, double tolerance, double tight_start, double tight_end) {
+             size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
+             double tight_end) {
             new (self) MotionDescentRun(space, path,
                                         {point(velocity), point(acceleration), controls, density, rough, time_price,
                                          push, tolerance, tight_start, tight_end});
           },
-          "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a, "rough"_a = false, "time_price"_a,
-          "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0, "tight_end"_a = 0.0, nb::keep_alive<1, 2>())
+          "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
+          "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
+          "tight_end"_a = 0.0, nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)

@@ -365,7 +365,8 @@ class SumImpact final : public Impact {
   void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     const size_t size = states.n * size_t(core_.tables().n_joint);
     Point other(states.n), other_q(size), other_qd(size);
-    first_.state_slopes(states, rough, out), second_.state_slopes(states, rough, {other.data(), other_q.data(), other_qd.data()});
+    first_.state_slopes(states, rough, out),
+        second_.state_slopes(states, rough, {other.data(), other_q.data(), other_qd.data()});
     for (size_t i = 0; i < states.n; ++i) out.value[i] += other[i];
     for (size_t i = 0; i < size; ++i) out.d_q[i] += other_q[i], out.d_qd[i] += other_qd[i];
   }
@@ -388,8 +389,8 @@ class SumImpact final : public Impact {
   const Impact &first_, &second_;
 };
 
-// A model whose edges count by the time that they take, and not by their length: T = max_j |q1_j - q0_j| / speed_j, with
-// the speeds that joints will have.
+// A model whose edges count by the time that they take, and not by their length: T = max_j |q1_j - q0_j| / speed_j,
+// with the speeds that joints will have.
 class TimedImpact final : public Impact {
  public:
   TimedImpact(const Impact& model, const Reals& speed) : Impact(model.core()), model_(model), speed_(point(speed)) {

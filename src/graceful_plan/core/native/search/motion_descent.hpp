@@ -49,7 +49,8 @@ class MotionDescent {
     const size_t samples = row_.size();
     q_.resize(samples * dim_), qd_ = impact_by_q_ = impact_by_qd_ = d_q_ = by_clearance_ = q_;
     impact_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
-    step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0), stop_.front() = stop_.back() = 1;
+    step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
+        stop_.front() = stop_.back() = 1;
     slope_.resize(2 * dim_ * (samples - 1)), bend_ = d_slope_ = d_bend_ = slope_;
     fit(path);
     trial_ = x_;
@@ -107,11 +108,11 @@ class MotionDescent {
   struct Evaluation {
     double energy, total, duration;
   };
-  static constexpr double kKeep = 0.001;    // clearance to keep on top of the space's margin [m]
-  static constexpr double kLongest = 0.3;   // of a control point in one step [rad]
+  static constexpr double kKeep = 0.001;   // clearance to keep on top of the space's margin [m]
+  static constexpr double kLongest = 0.3;  // of a control point in one step [rad]
   static constexpr double kArmijo = 1e-4, kWolfe = 0.9, kLongestShare = 8.0;
-  static constexpr int kTries = 10;         // of a line search
-  static constexpr size_t kLookBack = 6;    // steps
+  static constexpr int kTries = 10;       // of a line search
+  static constexpr size_t kLookBack = 6;  // steps
 
   double clipped(size_t i, double value) const {
     return std::clamp(value, space_.lower[i % dim_], space_.upper[i % dim_]);
@@ -164,8 +165,8 @@ class MotionDescent {
     const size_t n = x_.size();
     inverse_.assign(n * n, 0.0);
     // V alone has about the curvature (controls / V) times second differences; the rest comes in proportion.
-    const double stiffness = double(settings_.controls - 1) / std::max(length_, 1e-3) *
-                             std::max(1.0, now_.energy / std::max(length_, 1e-3));
+    const double stiffness =
+        double(settings_.controls - 1) / std::max(length_, 1e-3) * std::max(1.0, now_.energy / std::max(length_, 1e-3));
     const size_t m = settings_.controls - 2;
     for (size_t a = 0; a < m; ++a)
       for (size_t b = 0; b < m; ++b)  // the inverse of second differences between two fixed ends
@@ -216,8 +217,7 @@ class MotionDescent {
     }
     const double both = (1 + yHy / sy) / sy;
     for (size_t i = 0; i < n; ++i)
-      for (size_t j = 0; j < n; ++j)
-        inverse_[i * n + j] += both * s[i] * s[j] - (Hy[i] * s[j] + s[i] * Hy[j]) / sy;
+      for (size_t j = 0; j < n; ++j) inverse_[i * n + j] += both * s[i] * s[j] - (Hy[i] * s[j] + s[i] * Hy[j]) / sy;
   }
 
   // The next direction to search along.
@@ -245,7 +245,9 @@ class MotionDescent {
 
   void sample(const Point& x) {
     const size_t n = settings_.controls;
-    const auto control = [&](size_t c) { return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim_]; };
+    const auto control = [&](size_t c) {
+      return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim_];
+    };
     for (size_t k = 0; k < row_.size(); ++k) {
       const SplineBasis::Row& row = row_[k];
       for (size_t j = 0; j < dim_; ++j) {
@@ -364,7 +366,8 @@ class MotionDescent {
         if (c == 0 || c == n - 1) continue;
         for (size_t j = 0; j < dim_; ++j) {
           double d = row.value[m] * d_q_[k * dim_ + j];
-          if (k > 0) d += row.slope[m] * d_slope_[(2 * k - 1) * dim_ + j] + row.bend[m] * d_bend_[(2 * k - 1) * dim_ + j];
+          if (k > 0)
+            d += row.slope[m] * d_slope_[(2 * k - 1) * dim_ + j] + row.bend[m] * d_bend_[(2 * k - 1) * dim_ + j];
           if (k + 1 < samples) d += row.slope[m] * d_slope_[2 * k * dim_ + j] + row.bend[m] * d_bend_[2 * k * dim_ + j];
           gradient[(c - 1) * dim_ + j] += d;
         }
