@@ -20,12 +20,10 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.motions import Motion, motions, recharged
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import ALL, search
+from graceful_plan.query.restarts import search_for_motions
 
 _SHARE = 0.35
 """Of the budget for motions of the cheaper objective."""
-_SEARCHING = 0.5
-"""Of that, the share for searching."""
 
 
 def cheaper(objective: SceneObjective) -> SceneObjective | None:
@@ -54,8 +52,8 @@ def known_motions(
         return []
     asked = replace(request, objective=objective, preference=None, callback=None)
     with budget.share(_SHARE * budget.remaining_seconds, _SHARE * budget.remaining_iterations) as part:
-        found = search(asked.planner, problem, objective, part, rng, kept=ALL, share=_SEARCHING)
-        cheap = motions(found.paths, asked, ends, problem, (part, rng))[0]
+        found = search_for_motions(asked, problem, part, rng)
+        cheap = motions(found, asked, ends, problem, (part, rng))[0]
     return sorted((recharged(one, request) for one in cheap), key=lambda one: one.ranking)
 
 
