@@ -135,7 +135,8 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         )
         known = known_motions(request, problem, ends, budget, rng)
         asked = replace(request, planner=beginning_with(known, request.planner))
-        found = _searched(asked, problem, ends, budget, rng)
+        known_is_enough = bool(known) and request.preference is None and request.objective.descended() is not None
+        found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
         judged = first_verified(candidates, request)
@@ -148,7 +149,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
                 _solved(judged, found, request, budget, stats), goal_index=ends.goal_index[judged.motion.arrival]
             )
         refused = refused or judged
-        if budget.exhausted or found.stopped or not (found.paths or found.refused):
+        if budget.exhausted or found.stopped or not (found.paths or found.refused or known):
             break
     return _failed(found, refused, why_not, budget, stats)
 

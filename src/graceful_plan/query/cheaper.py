@@ -2,7 +2,8 @@
 
 Where failing arms count or what a hit does, a state costs many times what a drop does, so that a search in the same
 time sees little. A plan for drops alone is often better by the full objective than what that search finds. It is
-planned first, in a part of the time, and the search for the full objective begins with it.
+planned first, in a part of the time. Its motions descend along the full objective, or, if that has no descents, a
+search for it begins with them.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from graceful_plan.query.motions import Motion, motions, recharged
 from graceful_plan.query.request import Request
 from graceful_plan.query.restarts import search_for_motions
 
-_SHARE = 0.35
+_SHARE = 0.65
 """Of the budget for motions of the cheaper objective."""
+_KEPT = 2
+"""Of these motions; to charge one takes as long as many steps of a descent."""
 
 
 def cheaper(objective: SceneObjective) -> SceneObjective | None:
@@ -54,7 +57,7 @@ def known_motions(
     with budget.share(_SHARE * budget.remaining_seconds, _SHARE * budget.remaining_iterations) as part:
         found = search_for_motions(asked, problem, part, rng)
         cheap = motions(found, asked, ends, problem, (part, rng))[0]
-    return sorted((recharged(one, request) for one in cheap), key=lambda one: one.ranking)
+    return sorted((recharged(one, request) for one in cheap[:_KEPT]), key=lambda one: one.ranking)
 
 
 def beginning_with(known: list[Motion], planner: Planner) -> Planner:

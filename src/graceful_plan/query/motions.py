@@ -40,6 +40,8 @@ _MOST_STARTS = 5
 """Paths from which smooth motions begin."""
 _MOST_TIMED = 4
 """Smooth motions that are compared by the J of their trajectories."""
+_POLISH = Effort(screens=False)
+"""What is done with motions that are known to be good."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the spheres do not count [rad]."""
 _LOOKED_AT = 1000
@@ -82,10 +84,12 @@ def motions(
     wholes = [ends.joined(path) for path in [*chosen[:1], *searched.others, *chosen[1:]]]
     wholes = wholes[: max(_MOST_STARTS, 1 + len(searched.others))]
     begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
-    effort = Effort(bends=0, hops=0) if searched.stopped else Effort()
+    effort = Effort(bends=0, hops=0) if searched.stopped else Effort() if wholes else _POLISH
     found = [*known, *smooth(begun, request, ends, problem, means, effort=effort)]
     why_not = ""
-    for whole, arrival in wholes[: 1 if found else KEPT]:
+    promised = searched.trace[-1].total if searched.trace else np.inf
+    worth_timing = 0 if found and promised > min(motion.cost.total for motion in found) else 1 if found else KEPT
+    for whole, arrival in wholes[:worth_timing]:
         try:
             found.append(_along(whole, arrival, request, ends))
         except RetimingError as error:
