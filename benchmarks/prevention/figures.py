@@ -16,6 +16,8 @@ Array = np.ndarray
 
 MILLION = 1e6
 """Tasks that absolute harm is stated for."""
+_LOST = 0.01
+"""Part of the contents of which nobody notices the loss."""
 
 
 class Group(NamedTuple):
@@ -74,6 +76,11 @@ def _impact(motion: Motion, kind: str, least: float) -> float:
 def tasks_of(found: Found, group: Group) -> list[Headline]:
     """Return what is done of a group."""
     return [done for done in found.heads if done.task in group.tasks]
+
+
+def spilt_on_the_way(heads: Sequence[Headline], label: str) -> list[str]:
+    """List tasks whose healthy motion loses contents."""
+    return [done.task for done in heads if done.motions[label].kept < 1.0 - _LOST]
 
 
 def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str) -> Typical:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -24,6 +24,8 @@ from benchmarks.store import read_lines
 from failbench import Estimate, ExecutionRefused, SimSettings, ValidationReport
 from failbench.calibrations.failures import DROP
 from failbench.fault.fault import Fault
+from failbench.recording.spill import kept_volume
+from failbench.recording.vessel import find_vessel
 from failbench.report import FAILURES_PER_HOUR
 from failbench.scenario import usual_grasp
 from failbench.validation import chosen_faults
@@ -77,6 +79,7 @@ class Motion:
         refused: Why there is none, or why the healthy robot cannot carry it out; "" if it does.
         length: Joint-space length [rad].
         duration: [s].
+        kept: Part of the contents that the healthy robot arrives with; 1 if there are none.
         harm: By kind of failures, "drops" or "mixed".
     """
 
@@ -84,6 +87,7 @@ class Motion:
     refused: str = ""
     length: float = float("nan")
     duration: float = float("nan")
+    kept: float = float("nan")
     harm: Mapping[str, Harm] = field(default_factory=dict)
 
 
@@ -157,7 +161,8 @@ def do_headline(job: HeadlineJob) -> Headline:
         reports = {} if refused[label] else _reports(task, result, counts, grasp)
         paired = {} if reference is None else reference
         harm = {kind: _harm(own, paired.get(kind)) for kind, own in reports.items()}
-        motions[label] = _motion(result, objectives[label].w, refused[label], harm)
+        kept = float("nan") if refused[label] else _kept(task, result, grasp)
+        motions[label] = replace(_motion(result, objectives[label].w, refused[label], harm), kept=kept)
         reference = reports if label == NONE else reference
     rate = FAILURES_PER_HOUR
     return Headline(task=job.task, grasp=grasp, least=_least(task.scene), rate=rate, motions=motions)
@@ -221,6 +226,13 @@ def _refusal(task: gp.Task, result: gp.PlanResult, grasp: str) -> str:
     except ExecutionRefused as error:
         return str(error)
     return ""
+
+
+def _kept(task: gp.Task, result: gp.PlanResult, grasp: str) -> float:
+    """Return the part of the contents that is there after a healthy run."""
+    world = fb.build_world(task.scene, SimSettings(grasp=grasp))
+    vessel = find_vessel(world)
+    return 1.0 if vessel is None else kept_volume(world, fb.execute(result, world).states) / vessel.volume
 
 
 def _reports(

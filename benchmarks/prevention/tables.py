@@ -15,6 +15,7 @@ from benchmarks.prevention.figures import (
     at_weight,
     beyond,
     longer,
+    spilt_on_the_way,
     tasks_of,
     typical_less,
 )
@@ -62,6 +63,8 @@ def sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator[str]:
     yield _told("Not done", sorted(left))
     yield _told("Held by a weld", [done.task for done in found.heads if done.grasp == "weld"])
     yield _told("Not in", _refused(found))
+    for label in (NONE, *MODELS):
+        yield _told(f"Healthy motions that spill more than 1 %, {label}", spilt_on_the_way(found.heads, label))
     yield report.targets(_targets(found, sizes, len(asked)))
     for kind in KINDS:
         yield f"{kind.capitalize()}, at the default w:\n"

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import suite
-from benchmarks.prevention.figures import Found, Group, draw
+from benchmarks.prevention.figures import Found, Group, draw, spilt_on_the_way
 from benchmarks.prevention.runs import (
     ALL_FAULTS,
     CURVES,
     MODELS,
     NONE,
+    OURS,
     OWN_SECONDS,
     SECONDS,
     SEED,
@@ -47,7 +48,9 @@ ratios do not depend on the rate. "x less": harm at w = 0 over that of the plann
 them counts as a hit of the least severity of the scene: there is no ratio to nothing. Medians and geometric means are
 over tasks, the latter with the 95 % interval between percentiles of resampled tasks. "Worse": tasks with more harm per
 task than at w = 0 beyond the 95 % interval of the paired difference; "better" likewise. "{ALL_FAULTS}": the default
-model with that prior of faults.
+model with that prior of faults. What a healthy robot spills on its way is **not** in these figures: nothing is left to be spilt
+when it fails, so tasks of which a motion at w = 0 or of the default loses more than 1 % are left out of the groups "nothing
+spilt on the way".
 
 Common sense, as own costs: "keep away", the severity of everything around times exp(- distance / 0.15 m); "not above",
 the severity of everything straight below; "carry low", the height above what is below. Each is planned with over a
@@ -161,4 +164,6 @@ def _found(names: Mapping[str, Sequence[str]], heads: Path, curves: Path) -> Fou
             tasks = frozenset(name for name in all_of if suite.is_tabletop(name) in wanted)
             if tasks:
                 groups.append(Group(f"{key}{kind}", tasks))
+        spilt = set(spilt_on_the_way(done, NONE) + spilt_on_the_way(done, OURS))
+        groups.append(Group(f"{key}, nothing spilt on the way", frozenset(all_of) - spilt))
     return Found(done, {(x.task, x.cost): x for x in read_curves(curves) if x.task in order}, groups)
