@@ -1,0 +1,83 @@
+"""Descents of single paths in the native core, for planners that find paths in other ways."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.path import Path
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
+
+Array = np.ndarray
+
+_COARSE, _FINE = (14, 0.15), (40, 0.05)
+"""Pieces of the path and distance between samples of the impact [rad], as in `Auto`'s descents."""
+_COARSE_STEPS, _FINE_STEPS, _MORE_STEPS = 30, 100, 30
+"""Evaluations while coarse, while fine, and each time that the path was not free in the end."""
+_HARDENINGS = 2
+_SLICE = 5
+"""Evaluations between two looks at the clock: 1 to 10 ms."""
+_HOPELESS = 1.5
+"""A coarse path that costs so many times the best one is given up."""
+_HOPELESS_FINE = (30, 1.2)
+"""The same for a fine one, after so many evaluations; as in `Auto`."""
+
+
+@final
+class NativeDescents:
+    """Leads paths down along the gradient of J.
+
+    Args:
+        questions: To problem and objective.
+    """
+
+    def __init__(self, questions: Questions) -> None:
+        self._questions = questions
+        self._space = native_space(questions.problem, questions.objective)
+
+    @property
+    def possible(self) -> bool:
+        """Whether the core knows a gradient of the objective."""
+        problem, objective = self._questions.problem, self._questions.objective
+        ends = problem.start[None], problem.goals[:1]
+        return (
+            isinstance(objective, SceneObjective) and objective.w > 0.0 and objective.edge_gradients(*ends) is not None
+        )
+
+    def lowered(self, path: Path, best: float) -> Path | None:
+        """Return the free path that a descent from `path` ends with; None if it will not cost less than `best`.
+
+        Raises:
+            Interrupted: If the time is over.
+        """
+        q = np.ascontiguousarray(path.q)
+        descent = self._run(_native.Descent(self._space, q, *_COARSE), _COARSE_STEPS)
+        if descent.value > _HOPELESS * best:
+            return None
+        steps, factor = _HOPELESS_FINE
+        descent = self._run(_native.Descent(self._space, np.ascontiguousarray(descent.path), *_FINE), steps)
+        if descent.value > factor * best:
+            return None
+        self._run(descent, _FINE_STEPS - steps)
+        for _ in range(_HARDENINGS):
+            if self._is_free(descent.path):
+                break
+            descent.harden()
+            self._run(descent, _MORE_STEPS)
+        return Path(descent.path).without_duplicates() if self._is_free(descent.path) else None
+
+    def _run(self, descent: _native.Descent, steps: int) -> _native.Descent:
+        for _ in range(0, steps, _SLICE):
+            if out_of_time(self._questions.budget):
+                raise Interrupted
+            if descent.run(_SLICE) < _SLICE:
+                break
+        return descent
+
+    def _is_free(self, q: Float[Array, "vertex nq"]) -> bool:
+        return bool(self._questions.edges_free(q[:-1], q[1:]).all())
