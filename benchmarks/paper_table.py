@@ -214,7 +214,7 @@ def _row(
     protocol: Sequence[failbench.Rollout],
     at_stops: float,
 ) -> Row:
-    impact = np.array([observed_impact(rollout, scene) for rollout in rollouts])
+    impact = np.array([observed_impact(rollout, scene, own=False) for rollout in rollouts])
     bounds = 0.0, sum(entity.severity["carried"] for entity in scene.entities.values())
     middles = (np.arange(_TIMES) + 0.5) / _TIMES
     before = np.array([rollout.job.onset for rollout in rollouts]) < via_time(trajectory, stops)

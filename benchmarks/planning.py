@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from benchmarks import suite
-from graceful_plan.compare import BestPaths, Run
+from graceful_plan.compare import BestMotions, Run
 from graceful_plan.compare.problems.suite import ProblemNote
 from graceful_plan.compare.runs import workers
 from graceful_plan.compare.runs.planner_notes import PlannerNote
@@ -14,8 +14,8 @@ from graceful_plan.compare.runs.runner import PlannerJob, warm_up
 
 W = 1.0
 """Safety weight of every benchmark that does not say otherwise."""
-BEST = BestPaths(Path(__file__).parent / "best_known", W)
-"""The best path known of every task."""
+BEST = BestMotions(Path(__file__).parent / "best_known", W)
+"""The best motion known of every task."""
 
 
 def job(

@@ -43,6 +43,7 @@ SUBJECTS = (
     "trajectory_prediction",
     "prevention",
     "damage_energy",
+    "own_loss",
     "transcription",
     "moving_entities",
     "tuning",
@@ -61,7 +62,19 @@ RESULTS = Path(__file__).with_name("RESULTS.md")
 def main(arguments: list[str] | None = None) -> int:
     """Run subjects and return how many of them raised."""
     args = _parser().parse_args(arguments)
-    options = suite.Options(quick=args.quick, processes=args.processes, seconds=args.seconds)
+    options = suite.Options(
+        quick=args.quick,
+        processes=args.processes,
+        seconds=args.seconds,
+        tasks=tuple(args.tasks or ("*",)),
+        phase=args.phase,
+        drops=args.drops,
+        mixed=args.mixed,
+        curve_drops=args.curve_drops,
+        weights=tuple(args.weights) if args.weights else None,
+    )
+    # Of the processes that are started from here: with one each, threads of linear algebra only stand in the way.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     print(machine.described())
     failed = 0
     for name in args.subjects or [name for name in SUBJECTS if name not in ON_REQUEST]:
@@ -98,6 +111,13 @@ def _parser() -> argparse.ArgumentParser:
         "--processes", type=int, default=max(1, (os.cpu_count() or 1)), help="for planning jobs (default: one a core)"
     )
     parser.add_argument("--seconds", type=float, help="time limit of a run, for best_known, planners and optima")
+    own = parser.add_argument_group("of prevention")
+    own.add_argument("--tasks", action="append", metavar="PATTERN", help="of scene/task; may be given again")
+    own.add_argument("--phase", choices=("headline", "curves"), help="do only that one (default: both)")
+    own.add_argument("--drops", type=int, metavar="N", help="drops along each motion of the headline")
+    own.add_argument("--mixed", type=int, metavar="N", help="mixed failures along each of them")
+    own.add_argument("--curve-drops", type=int, metavar="N", help="drops along each motion of the curves")
+    own.add_argument("--weights", type=float, nargs="+", metavar="W", help="of the impact models in the curves")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""What the benchmarks run on: every task of every bundled scene, and jobs in processes."""
+"""What the benchmarks run on: every task of every bundled scene, those of `unseen/`, and jobs in processes."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cache
+from pathlib import Path
 from typing import TypeVar
 
 import graceful_plan as gp
 from graceful_plan.compare.runs import workers
+
+UNSEEN = Path(__file__).with_name("unseen")
+"""Scenes that no constant was fitted on: other furniture, other objects than the bundled ones."""
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -27,6 +32,18 @@ class Options:
     """Processes for planning jobs; never more than there are cores, or times mean nothing."""
     seconds: float | None = None
     """Time limit of a run [s], where the subject lets it be chosen."""
+    tasks: tuple[str, ...] = ("*",)
+    """Patterns of "scene/task" with * and ?: those of `prevention`, as are all below."""
+    phase: str | None = None
+    """"headline" or "curves"; both if None."""
+    drops: int | None = None
+    """Drops along each motion of the headline; the subject's own number if None, as below."""
+    mixed: int | None = None
+    """Mixed failures along each of them."""
+    curve_drops: int | None = None
+    """Drops along each motion of the curves."""
+    weights: tuple[float, ...] | None = None
+    """Weights of the impact models in the curves."""
 
     def pick(self, full: T, *, quick: T) -> T:
         """Return sizes for a full or for a quick run."""
@@ -35,8 +52,19 @@ class Options:
 
 @cache
 def scene(name: str) -> gp.Scene:
-    """Load a bundled scene once per process."""
-    return gp.load_scene(name)
+    """Load a bundled scene, or one of `unseen/`, once per process."""
+    return gp.load_scene(UNSEEN / f"{name}.yaml" if name in unseen_scenes() else name)
+
+
+def unseen_scenes() -> tuple[str, ...]:
+    """Names of the scenes in `unseen/`."""
+    return tuple(sorted(file.stem for file in UNSEEN.glob("*.yaml")))
+
+
+def is_tabletop(task_name: str) -> bool:
+    """Whether a task is one of a small arm over a low, crowded table; else it is one of a household."""
+    scene_name = task_name.split("/")[0]
+    return scene_name.startswith("tabletop") or scene_name in ("play_table", "lab_bench")
 
 
 def task(name: str) -> gp.Task:
@@ -46,8 +74,22 @@ def task(name: str) -> gp.Task:
 
 
 def task_names(options: Options | None = None) -> list[str]:
-    """Names "scene/task" of all tasks; of one task per scene if it is to be quick."""
-    per_scene = [[f"{name}/{task}" for task in scene(name).tasks] for name in gp.scenes()]
+    """Names "scene/task" of all tasks of the bundled scenes; of one task per scene if it is to be quick."""
+    return _tasks_of(gp.scenes(), options)
+
+
+def unseen_task_names(options: Options | None = None) -> list[str]:
+    """Names "scene/task" of all tasks in `unseen/`; of one task per scene if it is to be quick."""
+    return _tasks_of(unseen_scenes(), options)
+
+
+def chosen(names: Sequence[str], patterns: Sequence[str]) -> list[str]:
+    """Return the names that match one of the patterns, in their order."""
+    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+def _tasks_of(scenes: Sequence[str], options: Options | None) -> list[str]:
+    per_scene = [[f"{name}/{task}" for task in scene(name).tasks] for name in scenes]
     return [task for tasks in per_scene for task in (tasks[:1] if options and options.quick else tasks)]
 
 

@@ -30,7 +30,7 @@ def test_every_planner_takes_the_custom_cost(planner):
     result = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=planner, time_limit=1.0)
     assert result.status in (gp.PlanStatus.SOLVED, gp.PlanStatus.TIMEOUT)
     if result.status is gp.PlanStatus.SOLVED:
-        assert result.cost.impact == pytest.approx(gp.evaluate(result.path, task.scene, objective).impact)
+        assert result.cost.impact == pytest.approx(gp.evaluate(result.trajectory, task.scene, objective).impact)
 
 
 def test_a_patient_robot_spares_the_walking_person(capsys):

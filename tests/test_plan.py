@@ -112,7 +112,7 @@ def test_every_exposure_plans(task, exposure):
 
 def test_speed_slows_down(task):
     fast, slow = (_quick(task, w=0.0, speed=speed) for speed in (1.0, 0.5))
-    assert slow.trajectory.duration == pytest.approx(2.0 * fast.trajectory.duration, rel=1e-3)
+    assert slow.trajectory.duration == pytest.approx(2.0 * fast.trajectory.duration, rel=0.02)
 
 
 # --- goals ------------------------------------------------------------------------------------------------------------
@@ -236,7 +236,8 @@ def test_a_callback_can_stop_the_search(task):
     calls = []
     result = _quick(task, time_limit=20.0, callback=lambda point: calls.append(point) or len(calls) >= 2)
     assert result.status is gp.PlanStatus.SOLVED
-    assert len(result.trace) == 2 and result.stats["total_time"] < 15.0
+    assert len(calls) == 2 and result.stats["total_time"] < 15.0
+    assert set(calls) >= set(result.trace[:-1]) and result.trace[-1].total == result.cost.total
 
 
 def test_two_plans_at_once(task):

@@ -33,7 +33,8 @@ BASICS = {"_version", "array_types", "exceptions", "path", "yaml_file"}
 FLOORS = (
     {"basics"},
     {"scene"},
-    {"core", "timing"},
+    {"core"},
+    {"timing"},
     {"result"},
     {"documents"},
     {"costs"},
@@ -56,7 +57,7 @@ HARNESS_FLOORS = (
     {"rollouts"},
     {"scenario", "report"},
     {"validation"},
-    {"front_validation"},
+    {"comparison", "front_validation"},
     {"sweeps", "calibrations", "pictures"},
     {"failbench"},
     {"commands"},

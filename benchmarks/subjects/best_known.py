@@ -1,4 +1,4 @@
-"""Look for the best path of every task with every planner, and keep it. Can be interrupted and resumed."""
+"""Look for the best motion of every task with every planner, and keep it. Can be interrupted and resumed."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import graceful_plan as gp
 from benchmarks import planning, report, suite
-from graceful_plan.compare import BestPath
-from graceful_plan.compare.runs.best_paths import Attempt
+from graceful_plan.compare import BestMotion
+from graceful_plan.compare.runs.best_motions import Attempt
 from graceful_plan.compare.runs.runner import PlannerJob
 
 TITLE = "Best known: the least total cost of every task"
@@ -20,7 +20,7 @@ SEEDS = 4
 MEASURED = f"""\
 The default planner for {LONG:g} s with one seed and for {SHORT:g} s with {SEEDS - 1} more, every other planner for
 {SHORT:g} s with one seed, unless `--seconds` sets one limit for all; runs that are listed in a file are not repeated.
-The best verified path of each task is in `benchmarks/best_known/` and is judged again, cost and collisions, whenever
+The best verified motion of each task is in `benchmarks/best_known/` and is judged again, cost and collisions, whenever
 it is read. Runs of the planner table that are better replace it too, which is why a run named here may be shorter.
 """
 
@@ -42,7 +42,7 @@ def run(options: suite.Options) -> str:
     return f"{MEASURED}\n{report.table(HEADER, [_row(name, best[name], done[name]) for name in tasks])}"
 
 
-HEADER = ("task", "J", "motion", "impact", "found by", "runs", "runs without a path", "second best planner")
+HEADER = ("task", "J", "motion", "impact", "found by", "runs", "runs without a motion", "second best planner")
 
 
 def _schedule(tasks: list[str], options: suite.Options) -> list[PlannerJob]:
@@ -62,7 +62,7 @@ def _was_done(job: PlannerJob, runs: list[Attempt]) -> bool:
     return any(run.planner == label and run.seed == seed and run.seconds >= job.seconds for run in runs)
 
 
-def _row(name: str, best: BestPath | None, runs: list[Attempt]) -> list[str]:
+def _row(name: str, best: BestMotion | None, runs: list[Attempt]) -> list[str]:
     failed = sum(run.total is None for run in runs)
     if best is None:
         return [name, "none", "", "", "", str(len(runs)), str(failed), ""]

@@ -12,6 +12,7 @@ from benchmarks import report, suite
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, drop_kernel
+from graceful_plan.costs.objective import search_paces
 
 Array = np.ndarray
 
@@ -81,7 +82,7 @@ def _rates(scene: gp.Scene, n: int) -> dict[str, float]:
     falls = np.array([name == "carried" for name in scene.components])[:, None]
     drop = drop_kernel(scene, DropSettings.shipped())
     only = np.ones((len(ROWS), every)) * (np.arange(len(ROWS)) == 0)[:, None]
-    paces = gp.Objective().paces
+    paces = search_paces()
     alone = gp.Footprint().kernel(scene, severity * falls, paces)
     mixture = gp.Footprint(faults="service_robot").kernel(scene, severity, paces)
     assert alone is not None and mixture is not None

@@ -12,25 +12,21 @@ import graceful_plan as gp
 from benchmarks import planning, report, suite
 from graceful_plan.compare import Run
 from graceful_plan.compare.reports.summary import gap
-from graceful_plan.compare.runs.best_paths import StaleBestPath
+from graceful_plan.compare.runs.best_motions import StaleBestMotion
 
 TITLE = "Planners: plan(w=1) on every task"
 DETAILS = Path(__file__).parents[1] / "planners.json"
-CHECKPOINTS = (0.1, 1.0, 5.0)
-"""When gaps are read from the trace [s]."""
 GAP_AT_MOST = 0.05
 MEASURED = """\
-Whole calls of `plan(w=1)`, scenes loaded and compiled before. "Gap" is how much the total cost J lies above the best
-known of the task: the lesser of what `best_known/` holds and the best of this very run. "First": when the search had
-its first path. Gaps at {at} s are read from the trace of one call with a limit of {limit:g} s, whose result was
-SOLVED; a run without a path by then, or that was not SOLVED, counts as infinite, and "none" is the median of more
-than half such runs. The default's own calls have `time_limit=1.0`, and their gap is that of the path returned,
-verification within the second.
+Whole calls of `plan(w=1)`, scenes loaded and compiled before. "Gap" is how much J of the motion that is returned lies
+above the best known of the task: the lesser of what `best_known/` holds and the best of this very run. "First": when
+the search had its first path. A run that was not SOLVED counts as infinite, and "none" is the median of more than half
+such runs. All planners have {limit:g} s; the default's own calls have `time_limit=1.0`, verification within the second.
 """
 
 
 def run(options: suite.Options) -> str:
-    """Run all planners, then the default by itself; better paths than known are kept if this is no quick run."""
+    """Run all planners, then the default by itself; better motions than known are kept if this is no quick run."""
     seeds = 1
     limit, default_seeds = options.pick((5.0, 10), quick=(1.0, 2))
     limit = options.seconds or limit
@@ -48,19 +44,19 @@ def run(options: suite.Options) -> str:
     best, doubts = references([(1.0, own), (limit, table)], tasks, keep=not options.quick)
     if not options.quick:
         DETAILS.write_text(json.dumps(_details(table, best, limit), indent=1) + "\n")
-    at = tuple(seconds for seconds in CHECKPOINTS if seconds <= limit)
     parts = [
-        MEASURED.format(at=", ".join(f"{seconds:g}" for seconds in at), limit=limit),
+        MEASURED.format(limit=limit),
         "".join(f"- {doubt}\n" for doubt in doubts),
         report.targets(_targets(own, best)),
         f"### The default, time_limit=1.0, {default_seeds} seeds\n",
         _default_table(own, best),
         f"### All planners over all tasks, {seeds} seeds, {limit:g} s, {options.processes} at a time\n",
-        _planner_table(table, best, at),
+        _planner_table(table, best),
+        "### Median gap, planner by task\n",
+        _task_table(table, best),
+        "### Solved and median time to first [ms], planner by task\n",
+        _first_table(table, tasks),
     ]
-    for seconds in at:
-        parts += [f"### Median gap at {seconds:g} s, planner by task\n", _task_table(table, best, seconds)]
-    parts += ["### Solved and median time to first [ms], planner by task\n", _first_table(table, tasks)]
     return "\n".join(parts)
 
 
@@ -81,7 +77,7 @@ def references(
         try:
             stored = planning.BEST.load(name, task)
             missing += [name] if stored is None else []
-        except StaleBestPath as error:
+        except StaleBestMotion as error:
             doubts.append(f"Refused: {error}")
         mine = [(run, seconds) for seconds, runs in found for run in runs if run.problem == name and run.solved]
         least = min(mine, key=lambda one: one[0].total, default=None)
@@ -93,10 +89,6 @@ def references(
     if missing:
         doubts.append(f"No best known before this run, so that its own best counts: {', '.join(missing)}")
     return best, doubts
-
-
-def _median_gap(records: list[Run], best: dict[str, float], seconds: float) -> float:
-    return float(np.median([gap(r.total_at(seconds), best[r.problem]) for r in records])) if records else np.nan
 
 
 def _targets(own: list[Run], best: dict[str, float]) -> Iterator[report.Target]:
@@ -112,7 +104,8 @@ def _targets(own: list[Run], best: dict[str, float]) -> Iterator[report.Target]:
 
 
 def _median_of(records: list[Run], best: dict[str, float]) -> float:
-    return float(np.median([gap(r.total, best[r.problem]) if r.solved else np.inf for r in records]))
+    gaps = [gap(r.total, best[r.problem]) if r.solved else np.inf for r in records]
+    return float(np.median(gaps)) if gaps else np.nan
 
 
 def _of(records: list[Run], task: str | None = None, planner: str | None = None) -> list[Run]:
@@ -135,18 +128,17 @@ def _default_table(own: list[Run], best: dict[str, float]) -> str:
     return report.table(header, rows)
 
 
-def _planner_table(records: list[Run], best: dict[str, float], at: tuple[float, ...]) -> str:
+def _planner_table(records: list[Run], best: dict[str, float]) -> str:
     rows = []
     for planner in gp.PLANNERS:
         mine = _of(records, planner=planner)
-        gaps = (report.percent(_median_gap(mine, best, seconds)) for seconds in at)
-        rows.append((planner, _solved(mine), _first(mine), *gaps))
-    return report.table(("planner", "solved", "first [ms]", *(f"gap at {seconds:g} s" for seconds in at)), rows)
+        rows.append((planner, _solved(mine), _first(mine), report.percent(_median_of(mine, best))))
+    return report.table(("planner", "solved", "first [ms]", "gap"), rows)
 
 
-def _task_table(records: list[Run], best: dict[str, float], seconds: float) -> str:
+def _task_table(records: list[Run], best: dict[str, float]) -> str:
     rows = (
-        (task, *(report.percent(_median_gap(_of(records, task, planner), best, seconds)) for planner in gp.PLANNERS))
+        (task, *(report.percent(_median_of(_of(records, task, planner), best)) for planner in gp.PLANNERS))
         for task in best
     )
     return report.table(("task", *gp.PLANNERS), rows)
@@ -176,7 +168,7 @@ def _solved(records: list[Run]) -> str:
 
 
 def _details(records: list[Run], best: dict[str, float], limit: float) -> dict[str, object]:
-    """Everything about every run but its path, for those who want other statistics."""
+    """Everything about every run but its motion, for those who want other statistics."""
     runs = [
         {
             "task": r.problem,
@@ -188,12 +180,11 @@ def _details(records: list[Run], best: dict[str, float], limit: float) -> dict[s
             "seconds": _finite(r.seconds),
             "total": _finite(r.total),
             "first": _finite(r.first),
-            "total_at": {f"{seconds:g}": _finite(r.total_at(seconds)) for seconds in CHECKPOINTS},
         }
         for r in sorted(records, key=lambda r: (r.problem, r.planner, r.seed))
     ]
     known_totals = {task: _finite(total) for task, total in best.items()}
-    return {"schema": 1, "w": planning.W, "best_known": known_totals, "runs": runs}
+    return {"schema": 2, "w": planning.W, "best_known": known_totals, "runs": runs}
 
 
 def _finite(value: float) -> float | None:

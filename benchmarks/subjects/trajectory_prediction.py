@@ -23,8 +23,8 @@ Array = np.ndarray
 TITLE = "Drop model: predicted and observed impact, motion by motion"
 MEASURED = """\
 Scenes, motions and drops as in `drop_prediction`, with other seeds; motions of all kinds of a scene are mixed.
-Observed: mean over the drops of a motion of the summed severities of what the object or its contents touched, the worst
-of the two for each entity. Predicted: mean of the same over the onsets. "Spearman", "Kendall": rank correlations within
+Observed: mean over the drops of a motion of the severities of what the object and its contents touched, summed over
+components and entities. Predicted: mean of the same over the onsets. "Spearman", "Kendall": rank correlations within
 a scene; "slope" and "Pearson" of the line of observed over predicted. "Halves": Spearman's correlation of the impacts
 observed in two halves of the drops, stepped up to all of them (Spearman-Brown): no prediction can be expected to exceed
 its square root. Intervals are 95 %, motions drawn with replacement.
@@ -128,7 +128,7 @@ def _do(job: tuple[int, FailureJob]) -> JudgedMotion | None:
         return None
     scene = what.load(what.scene).tasks[what.task].scene
     severity = gp.ImpactCost().severity(scene) * drops.counted
-    impact = (drops.hit * severity).max(axis=1).sum(axis=1)
+    impact = (drops.hit * severity).sum(axis=(1, 2))
     return JudgedMotion(
         number=number,
         label=f"{what.task}, {what.kind}",
@@ -141,19 +141,13 @@ def _do(job: tuple[int, FailureJob]) -> JudgedMotion | None:
 
 
 def expected(P: Array, severity: Array) -> float:
-    """Mean over states of the sum over entities of the worst that one of the components does.
-
-    Components that have one cause strike together as far as they can: what the less likely one hits, the other hits.
+    """Mean over states of the sum over components and entities, as planners charge it.
 
     Args:
         P: Of contacts [n, component, entity].
         severity: Of contacts [component, entity].
     """
-    order = np.argsort(-severity, axis=0)
-    levels = np.take_along_axis(severity, order, axis=0)
-    at_least = np.maximum.accumulate(np.take_along_axis(np.clip(P, 0.0, 1.0), order[None], axis=1), axis=1)
-    steps = levels - np.vstack([levels[1:], np.zeros((1, levels.shape[1]))])
-    return float(np.einsum("nce,ce->n", at_least, steps).mean())
+    return float(np.einsum("nce,ce->n", P, severity).mean())
 
 
 def _aimed(scene: gp.Scene, drops: Failures) -> Array:

@@ -6,12 +6,13 @@ It uses what is public in `graceful_plan`, which never imports it.
 from failbench.basics.errors import ExecutionRefused
 from failbench.basics.onset import AtFraction, AtTime, Uniform
 from failbench.basics.statistics import Estimate
+from failbench.comparison import compare, harm_ratio
 from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
 from failbench.front_validation import FrontValidation, validate_front
 from failbench.pictures.playback import replay
 from failbench.recording.records import ContactEvent, Job, Rollout
-from failbench.recording.score import energy_impact, observed_impact, secondary_impact
+from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
 from failbench.report import EntityReport, ValidationReport
 from failbench.rollouts.rollout import run
 from failbench.rollouts.single import steps
@@ -21,7 +22,7 @@ from failbench.simulated.plant import Plant
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.sweeps.dataset import Dataset, read_dataset
 from failbench.sweeps.sweep import generate, resume
-from failbench.validation import compare, validate
+from failbench.validation import validate
 
 __all__ = [
     "AtFraction",
@@ -48,7 +49,9 @@ __all__ = [
     "execute",
     "faults",
     "generate",
+    "harm_ratio",
     "observed_impact",
+    "own_loss",
     "read_dataset",
     "replay",
     "resume",

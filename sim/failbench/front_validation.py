@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from failbench.basics.errors import ExecutionRefused
-from failbench.report import ValidationReport
+from failbench.report import FAILURES_PER_HOUR, ValidationReport
 from failbench.simulated.world import SimSettings
 from failbench.validation import Scenarios, validate
 from graceful_plan import ParetoFront, Scene, documents
@@ -47,12 +47,14 @@ class FrontValidation:
         points: From the shortest motion to that of least impact.
         n: Failures along each.
         seed: Of everything random; all points share their random numbers.
+        rate: Failures per hour of motion.
     """
 
     scene: str
     points: tuple[PointValidation, ...]
     n: int
     seed: int
+    rate: float = FAILURES_PER_HOUR
 
     @property
     def rank_correlation(self) -> float:
@@ -76,26 +78,37 @@ class FrontValidation:
                 "impact": point.impact,
                 "predicted": None if point.report is None else point.report.predicted,
                 "observed": None if point.report is None else asdict(point.report.observed),
+                "duration": None if point.report is None else point.report.duration,
+                "observed_per_task": None if point.report is None else asdict(point.report.observed_per_task),
                 "refused": point.refused,
             }
             for point in self.points
         ]
         tau = self.rank_correlation
-        return {**_SCHEMA, "scene": self.scene, "n": self.n, "seed": self.seed, "kendall_tau": tau, "points": points}
+        return {
+            **_SCHEMA,
+            "scene": self.scene,
+            "n": self.n,
+            "seed": self.seed,
+            "rate": self.rate,
+            "kendall_tau": tau,
+            "points": points,
+        }
 
     def __str__(self) -> str:
         rows = []
         for point in self.points:
             row: list[object] = [f"{point.motion:.4g}", point.impact]
             if point.report is None:
-                row += ["-", "refused", point.refused]
+                row += ["-", "refused", point.refused, "-", "-"]
             else:
                 seen = point.report.observed
                 row += [point.report.predicted, seen.mean, f"[{seen.low:.3g}, {seen.high:.3g}]"]
+                row += [f"{point.report.duration:.3g} s", point.report.observed_per_task.mean]
             rows.append(row)
         head = f"{self.scene}: {self.n} failures along each of {len(self.points)} motions, seed {self.seed}; "
-        head += f"Kendall's tau of predicted and observed impact {self.rank_correlation:.2f}"
-        columns = ["motion V", "impact S", "predicted per failure", "observed", ""]
+        head += f"Kendall's tau of predicted and observed impact {self.rank_correlation:.2f}; {self.rate:g} failures/h"
+        columns = ["motion V", "impact S", "predicted per failure", "observed", "", "duration", "observed per task"]
         return f"{head}\n\n{documents.table(columns, rows)}"
 
 
@@ -109,6 +122,7 @@ def validate_front(
     seed: int = 0,
     threads: int | None = None,
     settings: SimSettings | None = None,
+    rate: float = FAILURES_PER_HOUR,
     confidence: float = 0.95,
     progress: Callable[[int, int], None] | None = None,
 ) -> FrontValidation:
@@ -123,6 +137,7 @@ def validate_front(
         seed: Of everything random.
         threads: Threads of the simulation.
         settings: How it is simulated.
+        rate: Failures per hour of motion, for the harm per executed task.
         confidence: Of the intervals.
         progress: Called with the number of motions done and of all.
 
@@ -145,6 +160,7 @@ def validate_front(
                 seed=seed,
                 threads=threads,
                 settings=settings,
+                rate=rate,
                 confidence=confidence,
             )
             points.append(PointValidation(motion=point.motion, impact=point.impact, report=report))
@@ -152,4 +168,4 @@ def validate_front(
             points.append(PointValidation(motion=point.motion, impact=point.impact, refused=str(error)))
         if progress is not None:
             progress(done, len(loaded))
-    return FrontValidation(scene=scene.notes.name, points=tuple(points), n=n, seed=seed)
+    return FrontValidation(scene=scene.notes.name, points=tuple(points), n=n, seed=seed, rate=rate)

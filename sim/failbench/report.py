@@ -16,7 +16,11 @@ from graceful_plan.array_types import Float
 
 Array = np.ndarray
 
-_SCHEMA = {"schema": "failbench.validation", "version": 1}
+FAILURES_PER_HOUR = 1e-3
+"""One failure in 1000 h: a round figure to state harm per executed task at, not a measured one. That harm is
+proportional to it, and ratios of it do not depend on it."""
+_SCHEMA = {"schema": "failbench.validation", "version": 2}
+_SECONDS_PER_HOUR = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +28,8 @@ class EntityReport:
     """What failures do to one entity.
 
     Args:
-        probability: Probability that a failure makes the robot, the carried object or its contents touch it.
+        probability: Probability that a failure makes the robot, the carried object or its contents touch it; of the
+            carried object itself, that it is damaged.
         impact: Its share of the observed impact.
         predicted: Its share of the predicted impact.
     """
@@ -38,15 +43,20 @@ class EntityReport:
 class ValidationReport:
     """Observed impact of failures along a motion beside the predicted. Made by `validate`.
 
-    Impacts are severities per failure. Diverged rollouts are in no estimate; they are counted.
+    Impacts are severities per failure. Failures come per hour, so what an executed task has to expect is that times the
+    number of failures while it lasts: `observed_per_task`. Diverged rollouts are in no estimate; they are counted.
 
     | field       | meaning                                                                                         |
     |-------------|-------------------------------------------------------------------------------------------------|
     | scene       | name of the scene                                                                               |
-    | observed    | sum of the severities of what is touched, each entity once                                      |
+    | observed    | sum over components and entities of the severities of what is touched, with `own_loss` if the  |
+    |             | prediction counts it                                                                            |
     | energy      | the same, each severity times the probability that the energy of the touch does damage          |
+    | own_loss    | severity of the loss of the carried object itself, times the probability that it is damaged     |
     | secondary   | the same as `observed` for entities that other entities are knocked onto                        |
     | predicted   | mean of the planner's sum of P S over the times of the failures                                 |
+    | duration    | of the motion [s]                                                                               |
+    | rate        | failures per hour of motion                                                                     |
     | by_fault    | observed impact of each fault, by "NAME/DEGREE"                                                 |
     | by_entity   | share of each entity                                                                            |
     | dropped     | fraction of the rollouts in which the carried object left the gripper                           |
@@ -66,8 +76,11 @@ class ValidationReport:
     scene: str
     observed: Estimate
     energy: Estimate
+    own_loss: Estimate
     secondary: Estimate
     predicted: float
+    duration: float
+    rate: float
     by_fault: Mapping[str, Estimate]
     by_entity: Mapping[str, EntityReport]
     dropped: Estimate
@@ -83,6 +96,21 @@ class ValidationReport:
     jobs: tuple[Job, ...]
     impacts: Float[Array, " n"]
 
+    @property
+    def failures_per_task(self) -> float:
+        """Failures to be expected while the motion is executed once."""
+        return self.rate * self.duration / _SECONDS_PER_HOUR
+
+    @property
+    def observed_per_task(self) -> Estimate:
+        """Observed impact to be expected of executing the motion once."""
+        return self.observed.scaled(self.failures_per_task)
+
+    @property
+    def predicted_per_task(self) -> float:
+        """Predicted impact to be expected of executing the motion once."""
+        return self.predicted * self.failures_per_task
+
     def __str__(self) -> str:
         share = f"{100.0 * self.confidence:g} %"
         head = f"{self.scene}: {self.n} failures, {self.horizon:g} s after each, seed {self.seed}"
@@ -90,10 +118,15 @@ class ValidationReport:
         rows = [
             ["observed impact", *_cells(self.observed)],
             ["  weighted by energy", *_cells(self.energy)],
+            ["  the object's own loss", *_cells(self.own_loss)],
             ["  secondary", *_cells(self.secondary)],
             ["predicted impact", self.predicted, ""],
             ["dropped", *_cells(self.dropped)],
             ["spilled", *_cells(self.spilled)],
+        ]
+        tasks = [
+            ["observed harm", *_cells(self.observed_per_task)],
+            ["predicted harm", self.predicted_per_task, ""],
         ]
         faults = [[name, *_cells(estimate)] for name, estimate in self.by_fault.items()]
         touched = [item for item in self.by_entity.items() if item[1].probability.mean > 0.0 or item[1].predicted]
@@ -101,6 +134,7 @@ class ValidationReport:
         entities = [[name, *_cells(e.probability), *_cells(e.impact), e.predicted] for name, e in worst]
         tables = [
             documents.table(["per failure", "mean", share], rows),
+            documents.table([f"per task of {self.duration:.3g} s at {self.rate:g} failures/h", "mean", share], tasks),
             documents.table(["fault", "observed impact", share], faults),
         ]
         if entities:
@@ -110,12 +144,13 @@ class ValidationReport:
 
     def to_document(self) -> dict[str, Any]:
         """Return everything but the single failures as a document of plain values."""
-        names = "scene predicted diverged n effective_n seed horizon confidence greatest".split()
-        estimates = ("observed", "energy", "secondary", "dropped", "spilled")
+        names = "scene predicted duration rate diverged n effective_n seed horizon confidence greatest".split()
+        estimates = ("observed", "energy", "own_loss", "secondary", "dropped", "spilled")
         return {
             **_SCHEMA,
             **{name: getattr(self, name) for name in names},
             **{name: asdict(getattr(self, name)) for name in estimates},
+            "per_task": {"observed": asdict(self.observed_per_task), "predicted": self.predicted_per_task},
             "by_fault": {name: asdict(estimate) for name, estimate in self.by_fault.items()},
             "by_entity": {name: asdict(entity) for name, entity in self.by_entity.items()},
             "versions": dict(self.versions),

@@ -1,13 +1,16 @@
 """Does the robot do as little harm when it fails as the planner says? Observed impact beside predicted, with intervals.
 
-Both have one unit: severity per failure. Observed: the mean over rollouts of the summed severities of what was touched.
-Predicted: the mean of the planner's sum of P S over the times at which the same faults begin.
+Both have one unit, severity per failure, and one rule, the sum over components and entities, one of which is the
+carried object itself. Observed: the mean over rollouts of the summed severities of what was touched. Predicted: the
+mean of the planner's sum of P S over the times at which the same faults begin. Times the failures while the motion
+lasts, either is the harm to be expected of an executed task.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,14 +21,13 @@ from failbench.basics.statistics import (
     Estimate,
     check_confidence,
     effective_sample_size,
-    estimate_difference,
     estimate_mean,
     estimate_probability,
 )
 from failbench.fault.fault import Fault
 from failbench.recording.records import Job, Rollout
-from failbench.recording.score import energy_impact, observed_impact, secondary_impact, worst_severities
-from failbench.report import EntityReport, ValidationReport
+from failbench.recording.score import energy_impact, impact_by_entity, own_damage, own_loss, secondary_impact
+from failbench.report import FAILURES_PER_HOUR, EntityReport, ValidationReport
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid
 from failbench.scenario import scenarios as find_scenarios
@@ -35,6 +37,7 @@ from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import trajectory_batch
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.harm.fragility import FragilityTable
 
 Array = np.ndarray
 
@@ -59,6 +62,7 @@ def validate(
     threads: int | None = None,
     settings: SimSettings | None = None,
     prediction: ImpactCost | None = None,
+    rate: float = FAILURES_PER_HOUR,
     confidence: float = 0.95,
     progress: Progress | None = None,
 ) -> ValidationReport:
@@ -75,7 +79,9 @@ def validate(
         importance: Draw onsets more often where harm is predicted, instead of evenly; then no other motion shares them.
         threads: Threads of the simulation; None for one a core. The result does not depend on it.
         settings: How it is simulated.
-        prediction: The impact cost that predicts; None for the planner's default.
+        prediction: The impact cost that predicts; None for the planner's default. If the loss of the carried object
+            itself does not count there (`ImpactCost.own_loss`), it does not count in what is observed, either.
+        rate: Failures per hour of motion, of all those faults together; harm per executed task is proportional to it.
         confidence: Of the intervals.
         progress: Called now and then with the number of rollouts done and of all.
 
@@ -90,6 +96,7 @@ def validate(
     check_whole("n", n, 1, MOST)
     check_whole("seed", seed, 0)
     check_confidence(confidence)
+    _check_rate(rate)
     execution = execute(motion, build_world(scene, settings))
     cost = ImpactCost() if prediction is None else prediction
 
@@ -105,61 +112,8 @@ def validate(
         if progress is not None:
             progress(len(rollouts), len(jobs))
     expected = np.mean([predict(_onsets(fault, execution.duration)).mean(axis=0) for fault in faults], axis=0)
-    return _report(scene, faults, jobs, rollouts, expected, seed=seed, horizon=horizon, confidence=confidence)
-
-
-def compare(
-    first: Motion | ValidationReport,
-    second: Motion | ValidationReport,
-    scene: Scene | None = None,
-    scenarios: Scenarios = "drop/*/severe",
-    *,
-    n: int = 400,
-    horizon: float = 1.0,
-    seed: int = 0,
-    threads: int | None = None,
-    settings: SimSettings | None = None,
-    confidence: float = 0.95,
-    progress: Progress | None = None,
-) -> Estimate:
-    """Estimate by how much more harm failures of the first motion do than the same failures of the second.
-
-    Every failure of one is paired with the failure of the other that has the same fault, the same quantile of its onset
-    and the same random numbers, so that much of their luck cancels. Motions are validated; of reports, only
-    `confidence` still matters.
-
-    Raises:
-        SettingError: If the failures of two reports are not the same.
-    """
-    reports = [
-        motion
-        if isinstance(motion, ValidationReport)
-        else validate(
-            motion,
-            _needed(scene),
-            scenarios,
-            n=n,
-            horizon=horizon,
-            seed=seed,
-            threads=threads,
-            settings=settings,
-            confidence=confidence,
-            progress=progress,
-        )
-        for motion in (first, second)
-    ]
-    failures = [[(job.fault, job.seed, job.weight, report.horizon) for job in report.jobs] for report in reports]
-    if failures[0] != failures[1]:
-        raise SettingError(
-            "second", reports[1].seed, "the same faults, n, seed and horizon, and no importance sampling"
-        )
-    impacts = [report.impacts for report in reports]
-    paired = ~np.isnan(impacts[0] + impacts[1])
-    worst = max(report.greatest for report in reports)
-    weights = np.array([job.weight for job in reports[0].jobs])[paired]
-    return estimate_difference(
-        impacts[0][paired], impacts[1][paired], (0.0, worst), weights=weights, confidence=confidence
-    )
+    failures = _Failures(faults, jobs, rollouts, _Expected(cost, expected))
+    return _report(scene, failures, execution.duration, rate, seed=seed, horizon=horizon, confidence=confidence)
 
 
 def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
@@ -183,6 +137,11 @@ def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
     return tuple(found)
 
 
+def _check_rate(rate: float) -> None:
+    if not 0.0 <= rate < np.inf:
+        raise SettingError("rate", rate, "failures per hour, a finite number >= 0")
+
+
 def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
     """Raise SettingError if nothing can come of any of the faults."""
     if scene.carried is None and all(set(fault.targets or fault.TARGETS) == {"gripper"} for fault in faults):
@@ -192,10 +151,17 @@ def _check_droppable(faults: Sequence[Fault], scene: Scene) -> None:
 def predicted_impact(
     trajectory: Trajectory, scene: Scene, times: Float[Array, " n"], cost: ImpactCost
 ) -> Float[Array, "n entity"]:
-    """Predict the impact of a failure at some times after the start of a trajectory [s], by entity of the scene."""
+    """Predict the impact of a failure at some times after the start of a trajectory [s].
+
+    Returns:
+        By entity of the scene, without those that move; last the carried object itself, if its loss counts.
+    """
     batch = trajectory_batch(scene, trajectory, trajectory.t[0] + times)
-    probability = cost.interaction.probability(batch)
-    return np.einsum("nce,ce->ne", probability, cost.severity(scene))
+    shares, own = np.einsum("nce,ce->ne", cost.interaction.probability(batch), cost.severity(scene)), cost.own(scene)
+    if own is None:
+        return shares
+    lost = np.asarray(sum(cost.interaction.own_loss(batch, own.fragility).values()))
+    return np.column_stack([shares, own.severity * lost])
 
 
 def _onsets(fault: Fault, duration: float) -> Float[Array, " n"]:
@@ -203,21 +169,39 @@ def _onsets(fault: Fault, duration: float) -> Float[Array, " n"]:
     return np.array([fault.when.onset(u, duration) for u in quantile_grid()])
 
 
+class _Expected(NamedTuple):
+    """What was predicted, and by what."""
+
+    cost: ImpactCost
+    impact: Float[Array, " hazard"]
+
+
+class _Failures(NamedTuple):
+    """What was to fail, what came of it, and what was expected."""
+
+    faults: Sequence[Fault]
+    jobs: tuple[Job, ...]
+    rollouts: Sequence[Rollout]
+    expected: _Expected
+
+
 def _report(
     scene: Scene,
-    faults: Sequence[Fault],
-    jobs: tuple[Job, ...],
-    rollouts: Sequence[Rollout],
-    expected: Float[Array, " entity"],
+    failures: _Failures,
+    duration: float,
+    rate: float,
     *,
     seed: int,
     horizon: float,
     confidence: float,
 ) -> ValidationReport:
+    faults, jobs, rollouts, expected = failures
     valid = np.array([rollout.status == "completed" for rollout in rollouts])
     weights = np.array([job.weight for job in jobs])
-    shares = np.array([_severities(rollout, scene) for rollout in rollouts]).reshape(len(jobs), len(scene.entities))
-    greatest = max((s for entity in scene.entities.values() for s in entity.severity.values()), default=0.0)
+    own, table = expected.cost.own_loss and scene.carried is not None, expected.cost.fragility
+    shares = _shares(scene, rollouts, table, own=own)
+    touches = [s for entity in scene.entities.values() for s in entity.severity.values()]
+    greatest = max([*touches, scene.own_severity if own else 0.0])
 
     def mean(values: ArrayLike, bound: float = greatest, among: Bool[Array, " n"] = valid) -> Estimate:
         observed = np.asarray(values, dtype=float)[among]
@@ -226,23 +210,33 @@ def _report(
     def fraction(hits: ArrayLike) -> Estimate:
         return estimate_probability(np.asarray(hits)[valid], weights=weights[valid], confidence=confidence)
 
-    impacts = np.array([observed_impact(rollout, scene) for rollout in rollouts])
+    impacts = shares.sum(axis=1)
+    by_entity = {
+        entity.name: EntityReport(
+            probability=fraction([_touches(rollout, entity.name) for rollout in rollouts]),
+            impact=mean(shares[:, i], sum(entity.severity.values())),
+            predicted=float(expected.impact[i]),
+        )
+        for i, entity in enumerate(scene.entities.values())
+    }
+    if own and scene.carried is not None:
+        by_entity[scene.carried.body] = EntityReport(
+            probability=mean([own_damage(rollout, scene, table) for rollout in rollouts], 1.0),
+            impact=mean(shares[:, -1], scene.own_severity),
+            predicted=float(expected.impact[len(scene.entities) :].sum()),  # 0 if the model does not know it
+        )
     struck = {label: np.array([job.fault == fault for job in jobs]) for label, fault in _labels(faults).items()}
     return ValidationReport(
         scene=scene.notes.name,
         observed=mean(impacts),
-        energy=mean([energy_impact(rollout, scene) for rollout in rollouts]),
+        energy=mean([energy_impact(rollout, scene, table, own=own) for rollout in rollouts]),
+        own_loss=mean([own_loss(rollout, scene, table) for rollout in rollouts], scene.own_severity),
         secondary=mean([secondary_impact(rollout, scene) for rollout in rollouts]),
-        predicted=float(expected.sum()),
+        predicted=float(expected.impact.sum()),
+        duration=duration,
+        rate=rate,
         by_fault={label: mean(impacts, among=valid & mine) for label, mine in struck.items()},
-        by_entity={
-            entity.name: EntityReport(
-                probability=fraction([_touches(rollout, entity.name) for rollout in rollouts]),
-                impact=mean(shares[:, i], max(entity.severity.values(), default=0.0)),
-                predicted=float(expected[i]),
-            )
-            for i, entity in enumerate(scene.entities.values())
-        },
+        by_entity=by_entity,
         dropped=fraction([rollout.dropped for rollout in rollouts]),
         spilled=mean([rollout.spilled for rollout in rollouts], 1.0),
         diverged=int(np.count_nonzero(~valid)),
@@ -258,10 +252,13 @@ def _report(
     )
 
 
-def _severities(rollout: Rollout, scene: Scene) -> list[float]:
-    """Return each entity's share in the observed impact of a rollout."""
-    worst = worst_severities(rollout, scene)
-    return [worst.get(name, 0.0) for name in scene.entities]
+def _shares(
+    scene: Scene, rollouts: Sequence[Rollout], fragility: FragilityTable, *, own: bool
+) -> Float[Array, "n hazard"]:
+    """Return each entity's share in the observed impacts, and last that of the carried object itself if it counts."""
+    names = [*scene.entities, *([scene.carried.body] if own and scene.carried is not None else [])]
+    found = [impact_by_entity(rollout, scene, fragility, own=own) for rollout in rollouts]
+    return np.array([[impact.get(name, 0.0) for name in names] for impact in found]).reshape(-1, len(names))
 
 
 def _touches(rollout: Rollout, entity: str) -> bool:
@@ -279,9 +276,3 @@ def _labels(faults: Sequence[Fault]) -> dict[str, Fault]:
             label = f"{name} ({number})"
         found[label] = fault
     return found
-
-
-def _needed(scene: Scene | None) -> Scene:
-    if scene is None:
-        raise SettingError("scene", None, "the scene of the motions")
-    return scene

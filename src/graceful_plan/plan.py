@@ -25,6 +25,7 @@ from graceful_plan.query.arguments import (
     checked_time_limit,
     checked_wait,
 )
+from graceful_plan.query.cheaper import beginning_with, known_motions
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
@@ -72,7 +73,8 @@ def plan(
         start: Configuration [rad or m], or the name of a keyframe.
         goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
         scene: Robot, surroundings and what is carried.
-        w: Safety weight: how much motion [rad] a unit of impact times length is worth; default: the objective's, or 1.
+        w: Safety weight: how many radians of joint motion it is worth to spare one second in which a failure would do
+            harm of severity 1; default: the objective's, or 0.3.
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
@@ -132,16 +134,20 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
         )
-        found = _searched(request, problem, ends, budget, rng)
+        known = known_motions(request, problem, ends, budget, rng)
+        asked = replace(request, planner=beginning_with(known, request.planner))
+        found = _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(found.paths, request, ends, problem, budget)
+        candidates, why_not = motions(found.paths, request, ends, problem, (budget, rng), known, hops=not found.stopped)
         judged = first_verified(candidates, request)
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:
                 break
             judged = first_verified(along(path, request, ends, swift=False), request) or judged
         if judged is not None and judged.verdict.passed:
-            return _solved(judged, found, request, budget, stats)
+            return replace(
+                _solved(judged, found, request, budget, stats), goal_index=ends.goal_index[judged.motion.arrival]
+            )
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
             break
@@ -158,9 +164,7 @@ def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budge
     return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL, share=share)
 
 
-def _solved(
-    judged: Judged, found: Search, request: Request, budget: Budget, stats: dict[str, float]
-) -> PlanResult:
+def _solved(judged: Judged, found: Search, request: Request, budget: Budget, stats: dict[str, float]) -> PlanResult:
     motion = judged.motion
     last = TracePoint(
         time=budget.elapsed, total=motion.cost.total, motion=motion.cost.motion, impact=motion.cost.impact
@@ -176,14 +180,11 @@ def _solved(
         cost=motion.cost,
         verdict=judged.verdict,
         trace=trace,
-        goal_index=motion.goal_index,
         stats=stats,
     )
 
 
-def _failed(
-    found: Search, refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]
-) -> PlanResult:
+def _failed(found: Search, refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]) -> PlanResult:
     ended = PlanStatus.CANCELLED if budget.cancelled() else PlanStatus.TIMEOUT
     trace = tuple(found.trace)
     if refused is None and why_not:

@@ -77,7 +77,7 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class TracePoint:
-    """One improvement of an anytime planner: seconds since the call, and the cost reached."""
+    """One improvement: seconds since the call, and the cost of a path as a search charges it, or of a motion."""
 
     time: float
     total: float
@@ -119,11 +119,13 @@ class PlanResult:
 
     status: PlanStatus
     path: Path | None = None
+    """Geometry of the motion: the samples of a smooth one, or the polyline whose corners it cuts."""
     trajectory: Trajectory | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
-    """The planner's own figure; the judge recomputes it only where the verdict has a check "cost"."""
+    """Of the trajectory, as `evaluate` has it; the judge recomputes it only where the verdict has a check "cost"."""
     verdict: Verdict = field(default_factory=Verdict)
     trace: tuple[TracePoint, ...] = ()
+    """Improvements of the search, but for those that promised more than the motion has kept, and at last the motion."""
     detail: str = ""
     """What the status means here: the pair in contact and its depth, the joint at its limit..."""
     goal_index: int | None = None

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from graceful_plan.analysis.gantry import centre_of_mass, gantry_scene
 from graceful_plan.analysis.impact_maps import DIRECTIONS
+from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 from graceful_plan.viz.impact_maps import draw_impact_map
 
@@ -63,6 +64,14 @@ class DropsHalfTheTime(gp.InteractionModel):
 
     def sources(self, batch):
         drop = gp.ImpactCost(model="footprint").interaction.probability(batch)
+        return {"drop": self.share * drop, "collapse": np.full_like(drop, 1.0 - self.share)}
+
+    @property
+    def knows_own_loss(self):
+        return True
+
+    def own_loss(self, batch, fragility):
+        drop = gp.Footprint().own_loss(batch, fragility)["drop"]
         return {"drop": self.share * drop, "collapse": np.full_like(drop, 1.0 - self.share)}
 
     def fault_shares(self):
@@ -123,8 +132,8 @@ def test_a_cell_says_what_the_robot_would_be_told(name, model):
         )
         if found.blocked.all():
             continue
-        P = gp.interaction_probability(scene, q, model)
-        impact = (P * gp.ImpactCost(components=_FALLING).severity(scene)).sum(axis=0)
+        cost = gp.ImpactCost(model=model, components=_FALLING)
+        impact = (cost.probability(gp.StateBatch(scene, q[None]))[0] * cost.hazard_severity(scene)).sum(axis=0)
         np.testing.assert_allclose(found.by_entity[0, 0], impact, atol=_ROUNDING * max(1.0, impact.max()))
         seen += impact.sum() > 0.1
     assert seen >= 2
@@ -147,7 +156,8 @@ def test_a_cell_with_a_velocity_says_what_the_robot_would_be_told(x, speed, dire
     data = scene.data_at([0.0, 0.0, 0.0])
     q = np.array([x, 0.05, 0.3 + 0.04]) - data.subtree_com[scene.model.body("load").id]
     qd = speed * np.array([np.cos(direction), np.sin(direction), 0.0])
-    expected = gp.interaction_probability(scene, q, "footprint", qd)[1] * gp.ImpactCost().severity(scene)[1]
+    cost = gp.ImpactCost()
+    expected = (cost.probability(moving_batch(scene, q[None], qd[None]))[0] * cost.hazard_severity(scene)).sum(axis=0)
     np.testing.assert_allclose(found.by_entity[0, 0], expected, atol=1e-9)
 
 
@@ -189,8 +199,20 @@ def test_it_flies_on_in_its_direction():
 def test_entities_add_up_and_the_ground_is_not_one():
     found = gp.impact_map(boxes((0.0, 0.0), (0.3, 0.0)), height=0.3, speed=0.3, resolution=0.05)
     np.testing.assert_allclose(found.impact, found.by_entity.sum(axis=-1))
-    assert found.entities == ("target0", "target1")
-    assert found.by_entity.shape == (len(found.y), len(found.x), 2)
+    assert found.entities == ("target0", "target1", "load")
+    assert found.by_entity.shape == (len(found.y), len(found.x), 3)
+    without = gp.impact_map(
+        boxes((0.0, 0.0), (0.3, 0.0)), gp.ImpactCost(own_loss=False), height=0.3, speed=0.3, resolution=0.05
+    )
+    assert without.entities == ("target0", "target1")
+    np.testing.assert_array_equal(without.by_entity, found.by_entity[..., :2])
+
+
+def test_what_falls_deeper_is_damaged_more():
+    """0.2 m onto the box, 0.4 m onto the ground."""
+    found = gp.impact_map(boxes((0.0, 0.0)), height=0.4, bounds=(-0.5, 0.5, -0.01, 0.01), resolution=0.02)
+    own = found.by_entity[0, :, found.entities.index("load")]
+    assert own[0] == pytest.approx(own[-1]) and own[0] > 1.2 * own[len(own) // 2] > 0.0
 
 
 def test_only_what_falls_and_counts_is_in_it():
@@ -290,7 +312,7 @@ def test_the_document_says_the_same():
     impact = np.array(document["impact"], dtype=float)
     np.testing.assert_array_equal(impact, found.impact)
     assert found.blocked.any()
-    assert document["by_entity"].keys() == {"target0"}
+    assert document["by_entity"].keys() == {"target0", "load"}
     assert (document["height"], document["speed"], document["direction"]) == (0.05, 0.2, 1.0)
 
 
@@ -364,4 +386,5 @@ def test_nothing_stands_on_anything():
         gp.impact_map(scene, height=0.3)
     with pytest.raises(SettingError, match=r"bounds = None, .*no entities are so high"):
         gp.impact_map(scene, height=0.3, surface=0.0)
-    assert not gp.impact_map(scene, height=0.3, surface=0.0, bounds=one_cell((0.0, 0.0))).impact.any()
+    found = gp.impact_map(scene, height=0.3, surface=0.0, bounds=one_cell((0.0, 0.0)))
+    assert found.entities == ("load",) and found.impact.all()

@@ -21,6 +21,7 @@ from graceful_plan.analysis.harm_law import HarmLaw
 from graceful_plan.analysis.risk_measures import RiskMeasure, conditional_value_at_risk, risk
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import CostError, NonFiniteError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.scene.scene import Scene
 
@@ -129,7 +130,7 @@ def test_entities_are_independent_given_the_kind_of_failure(scene: Scene) -> Non
     np.testing.assert_allclose(states.sum(axis=1), 1.0)
 
 
-def test_the_worst_component_counts() -> None:
+def test_components_add_up_and_strike_together() -> None:
     scene = gp.load_scene("desk").tasks["bring_coffee"].scene
     components = list(scene.components)
     name, entity = next(
@@ -138,8 +139,23 @@ def test_the_worst_component_counts() -> None:
     P = np.zeros((len(components), len(scene.entities)))
     P[components.index("carried"), name], P[components.index("contents"), name] = 0.5, 0.2
     found = risk(np.zeros((1, len(scene.joints))), scene, gp.ImpactCost(model=Given((P,))))
-    np.testing.assert_allclose(found.value, [0.0, entity.severity["carried"], entity.severity["contents"]])
+    carried, contents = entity.severity["carried"], entity.severity["contents"]
+    np.testing.assert_allclose(found.value, [0.0, carried, carried + contents])
     np.testing.assert_allclose(found.probability, [0.5, 0.3, 0.2])
+    assert found.expected == pytest.approx(0.5 * carried + 0.2 * contents)
+    assert found.conceivable == carried + contents
+
+
+@pytest.mark.parametrize(("name", "task"), [("desk", "bring_coffee"), ("tabletop", "green_to_blue")])
+def test_the_mean_is_what_the_planner_charges(name: str, task: str) -> None:
+    found = gp.load_scene(name).tasks[task]
+    impact, scene = gp.ImpactCost(), found.scene
+    q = np.linspace(found.start, np.atleast_2d(found.goal)[0], 20)
+    law = HarmLaw(impact, scene)
+    means = law.states(StateBatch(scene, q)) @ law.value
+    np.testing.assert_allclose(means, impact.state(StateBatch(scene, q)), rtol=1e-6)
+    without = HarmLaw(gp.ImpactCost(own_loss=False), scene).states(StateBatch(scene, q))
+    assert (law.states(StateBatch(scene, q))[:, 0] <= without[:, 0] + 1e-12).all()
 
 
 @given(st.integers(0, 10**6), st.floats(0.0, 0.99))
@@ -209,8 +225,8 @@ def test_a_trajectory_fails_at_the_velocity_that_it_has() -> None:
     motion = gp.plan(task.start, task.goal, task.scene, 0.0, iterations=500).unwrap()
     found = risk(motion, task.scene, impact)
     state = motion.at(motion.t[0] + (np.arange(2000) + 0.5) / 2000 * motion.duration)
-    P = gp.interaction_probability(task.scene, state.q, "footprint", state.qd)
-    assert found.expected == pytest.approx(np.einsum("nce,ce->n", P, impact.severity(task.scene)).mean(), rel=0.01)
+    expected = impact.state(moving_batch(task.scene, state.q, state.qd)).mean()
+    assert found.expected == pytest.approx(expected, rel=0.01)
     slower = gp.Trajectory(10 * motion.t, motion.q, motion.qd / 10, motion.qdd / 100, motion.joints)
     assert risk(slower, task.scene, impact).expected != pytest.approx(found.expected, rel=0.02)
 

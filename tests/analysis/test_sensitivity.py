@@ -70,7 +70,7 @@ def test_identical_paths_share_everything(task: gp.Task, paths: dict[str, gp.Pat
 
 
 def test_no_severity_no_sensitivity(task: gp.Task, paths: dict[str, gp.Path]) -> None:
-    harmless = task.scene.with_severity(dict.fromkeys(task.scene.entities, 0.0))
+    harmless = task.scene.with_severity(dict.fromkeys([*task.scene.entities, "carried"], 0.0))
     report = severity_sensitivity(paths, harmless, OBJECTIVE, spread=2.0, n=50)
     assert not report.impact.any() and not report.impact_interval.any()
     assert report.best[np.argmin(report.motion)] == 1.0 and (report.tau == 1.0).all()

@@ -44,6 +44,23 @@ def test_gradients_are_those_of_the_costs(scene, task, step):
     check(gp.Objective(w=1.3).bind(scene), *random_edges(scene, 60), step)
 
 
+def test_arms_that_fail_have_gradients_that_descend():
+    scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
+    q0, q1 = random_edges(scene, 24, seed=4)
+    objective = gp.Objective(impact=gp.ImpactCost(gp.Footprint(faults="arm"))).bind(scene)
+    cost, d_q0, d_q1 = objective.edge_gradients(q0, q1, 0.03)
+    kernel, step = objective.kernel, 1e-3  # single precision
+    np.testing.assert_allclose(cost, kernel.edges(q0, q1, 0.03), rtol=1e-5, atol=1e-6)
+    for given, moved in (
+        (d_q0, lambda unit: kernel.edges(q0 + unit, q1, 0.03)),
+        (d_q1, lambda unit: kernel.edges(q0, q1 + unit, 0.03)),
+    ):
+        units = step * np.eye(q0.shape[1])
+        slope = np.stack([(moved(u) - moved(-u)) @ [1.0, objective.w] / (2.0 * step) for u in units], axis=1)
+        cosine = (given * slope).sum(axis=1) / np.linalg.norm(given, axis=1) / np.linalg.norm(slope, axis=1)
+        assert np.quantile(cosine, 0.1) > 0.9 and np.median(cosine) > 0.98
+
+
 def test_those_who_move_have_their_part():
     still = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     scene = still.with_moving(walker())

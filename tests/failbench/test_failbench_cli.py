@@ -82,9 +82,13 @@ def test_validate_prints_observed_and_predicted(run, motion):
     code, out, err = run(*argv, "--trajectory", str(motion))
     assert (code, err) == (cli.DONE, "")
     assert "observed impact" in out and "predicted impact" in out
-    code, out, _ = run(*argv, "--json")
+    assert "s at 0.001 failures/h" in out and "observed harm" in out
+    code, out, _ = run(*argv, "--json", "--rate", "2")
     assert code == cli.DONE
-    assert json.loads(out)["n"] == 4
+    document = json.loads(out)
+    assert (document["n"], document["rate"]) == (4, 2.0)
+    failures = 2.0 * document["duration"] / 3600.0
+    assert document["per_task"]["observed"]["mean"] == pytest.approx(document["observed"]["mean"] * failures)
 
 
 def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):

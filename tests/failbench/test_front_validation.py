@@ -37,6 +37,8 @@ def test_documents_and_tables_hold_both(found):
     for entry, point in zip(document["points"], found.points, strict=True):
         assert entry["predicted"] == point.report.predicted
         assert entry["observed"]["mean"] == point.report.observed.mean
+        assert entry["observed_per_task"]["mean"] == point.report.observed_per_task.mean
+        assert entry["duration"] == point.report.duration > 0.0
     assert str(found).count("\n") == 3 + len(found.points)
 
 

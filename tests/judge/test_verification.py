@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from graceful_plan import ImpactCost, Objective, plan
-from graceful_plan.exceptions import ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.exact import Judge, first_collision, state_contacts
 from graceful_plan.judge.motion_samples import motion_samples, reach
 from graceful_plan.judge.reference_cost import reference_cost, reference_probability
@@ -364,6 +364,8 @@ def test_exposures(scene: Scene) -> None:
     along = reference_cost(_timed(path, scene), scene, exposure="length")
     assert (along.motion, along.impact) == pytest.approx((length.motion, length.impact), rel=1e-3)
     assert sum(length.impact_by_entity.values()) == pytest.approx(length.impact)
+    with pytest.raises(SettingError, match="exposure = 'distance', expected one of time, length, waypoints"):
+        reference_cost(path, scene, exposure="distance")
 
 
 # --- torques ----------------------------------------------------------------------------------------------------------

@@ -63,7 +63,6 @@ def ways(problem: SceneProblem, n: int = 12) -> list[gp.Path]:
 
 @pytest.mark.parametrize("exposure", ["length", "time", "waypoints"])
 def test_the_expectation_is_the_objective(task: gp.Task, problem: SceneProblem, exposure: str) -> None:
-    """What is carried is empty here, so that no entity is counted twice."""
     bound = gp.Objective(impact=gp.ImpactCost(model="footprint"), exposure=exposure, w=2.0).bind(task.scene)
     preference = Preference(gp.RiskMeasure("expectation"), bound)
     for path in ways(problem, 3):
@@ -76,8 +75,8 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
     step = cvar.law.value[1]
     for path in ways(problem, 3):
         found = gp.risk(path, task.scene, bound.objective.impact, level=0.8)
-        seconds = bound.charged_states(path).weight.sum()
-        by_cvar, by_worst = ((preference.total(path) - path.length) / seconds for preference in (cvar, worst))
+        charged = bound.objective.w * bound.charged_states(path).weight.sum()
+        by_cvar, by_worst = ((preference.total(path) - path.length) / charged for preference in (cvar, worst))
         # The grid that refinement uses errs towards more spread.
         assert found.cvar - 1e-6 <= by_cvar <= found.cvar + step
         assert by_worst == pytest.approx(found.worst, abs=2.0 * step)
@@ -113,7 +112,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
-    given = {"objective": objective, "iterations": 300, "seed": 2}
+    given = {"objective": objective, "iterations": 300, "seed": 0}
     plain = gp.plan(task.start, task.goal, task.scene, **given)
     chosen, again = (gp.plan(task.start, task.goal, task.scene, risk=kind, **given) for _ in range(2))
     assert chosen.status is gp.PlanStatus.SOLVED and chosen.verdict.passed

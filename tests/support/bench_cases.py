@@ -88,6 +88,8 @@ def solved(problem: str, planner: str, seed: int, total: float, first: float = 0
         iterations=12.0,
         trace=trace,
         path=((0.0, 0.0), (1.0, 1.0)),
+        times=(0.0, 1.5),
+        velocities=((0.0, 0.0), (0.0, 0.0)),
     )
 
 

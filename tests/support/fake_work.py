@@ -77,6 +77,7 @@ def rollout_row(number: int) -> dict:
         "weight": 1.0,
         "status": "diverged" if number == 3 else "completed",
         "observed_impact": 0.1 * number,
+        "own_loss": 0.05 * number,
         "energy_impact": 0.01 * number,
         "secondary_impact": None if number == 3 else 0.0,
         "contacts": 1,

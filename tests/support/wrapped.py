@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import graceful_plan as gp
+from graceful_plan.scene.harm.fragility import FragilityTable
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,13 @@ class Wrapped(gp.InteractionModel):
 
     def sources(self, batch: gp.StateBatch) -> Mapping[str, np.ndarray]:
         return self.model.sources(batch)
+
+    @property
+    def knows_own_loss(self) -> bool:
+        return self.model.knows_own_loss
+
+    def own_loss(self, batch: gp.StateBatch, fragility: FragilityTable) -> Mapping[str, np.ndarray]:
+        return self.model.own_loss(batch, fragility)
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         return self.model.fault_shares()

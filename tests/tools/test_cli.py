@@ -35,7 +35,7 @@ def test_plan_json_is_one_document_and_reproducible(run):
     a, b = (json.loads(out) for _, out, _ in (first, second))
     assert a["status"] == "SOLVED"
     assert a["verdict"]["passed"]
-    assert a["cost"]["total"] == pytest.approx(a["cost"]["motion"] + a["cost"]["impact"])
+    assert a["cost"]["total"] == pytest.approx(a["cost"]["motion"] + a["cost"]["w"] * a["cost"]["impact"])
     assert a["path"] == b["path"]
 
 
@@ -124,7 +124,7 @@ def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
 
 def test_explain_says_where_the_impact_comes_from(run, motion, tmp_path):
     picture = tmp_path / "explanation.png"
-    code, out, _ = run("explain", str(motion), "--model", "footprint", "--exposure", "time", "--output", str(picture))
+    code, out, _ = run("explain", str(motion), "--model", "footprint", "--exposure", "length", "--output", str(picture))
     assert code == cli.DONE
     assert out.startswith("impact ")
     assert " onto " in out
@@ -184,7 +184,7 @@ def test_demo_writes_picture_and_trajectories_and_lowers_the_impact(run, tmp_pat
     assert "Beside the shortest motion" in out
     assert "motion + w * impact" in out
     made = {file.name for file in (tmp_path / "made").iterdir()}
-    wanted = {"demo.png", "trajectory_w0.csv", "trajectory_w0.json", "trajectory_w1.csv", "trajectory_w1.json"}
+    wanted = {"demo.png", "trajectory_w0.csv", "trajectory_w0.json", "trajectory_w0.3.csv", "trajectory_w0.3.json"}
     assert wanted <= made <= wanted | {"view.png"}
     assert all(name in out for name in made)
 

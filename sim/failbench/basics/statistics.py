@@ -43,6 +43,16 @@ class Estimate:
     def __str__(self) -> str:
         return f"{self.mean:.3g} [{self.low:.3g}, {self.high:.3g}]"
 
+    def scaled(self, factor: float) -> Estimate:
+        """Return the estimate of `factor` times what is estimated.
+
+        Raises:
+            SettingError: Unless the factor is a finite number >= 0.
+        """
+        if not 0.0 <= factor < math.inf:
+            raise SettingError("factor", factor, "a finite number >= 0")
+        return Estimate(factor * self.mean, factor * self.low, factor * self.high, self.n)
+
 
 def wilson(hits: int, n: int, confidence: float = 0.95) -> Estimate:
     """Estimate a probability from `hits` out of `n` alike and independent trials, with Wilson's interval.
@@ -131,6 +141,65 @@ def estimate_difference(
         raise ShapeError("second", b.shape, f"{a.shape}: pairs")
     widest = bounds[1] - bounds[0]
     return estimate_mean(a - b, (-widest, widest), weights=weights, confidence=confidence)
+
+
+def estimate_ratio(
+    first: ArrayLike,
+    second: ArrayLike,
+    bounds: tuple[float, float],
+    *,
+    weights: ArrayLike | None = None,
+    confidence: float = 0.95,
+) -> Estimate:
+    """Estimate the mean of `first` over the mean of `second` from pairs that share their random numbers.
+
+    The interval is a t interval of the logarithm, linearised. As in `estimate_mean` it is guarded: the lower end is
+    that of the pairs and one more in which `first` is at its lower and `second` at its upper bound, the upper end the
+    other way round.
+
+    Args:
+        first: Observations, >= 0.
+        second: Observations under the same random numbers, pair by pair, >= 0.
+        bounds: The least and the greatest value that an observation may be expected to have, >= 0.
+        weights: Of the pairs.
+        confidence: Probability that the interval covers the truth.
+
+    Returns:
+        The estimate; infinite if only the second mean is 0, NaN from 0 to infinity if both are.
+    """
+    check_confidence(confidence)
+    a, b = finite_array("first", first, ndim=1), finite_array("second", second, ndim=1)
+    if a.shape != b.shape:
+        raise ShapeError("second", b.shape, f"{a.shape}: pairs")
+    w = np.ones(len(a)) if weights is None else finite_array("weights", weights, ndim=1)
+    if w.shape != a.shape:
+        raise ShapeError("weights", w.shape, f"{a.shape}, a weight for each pair")
+    if not 0.0 <= bounds[0] <= bounds[1] or min(a.min(initial=0.0), b.min(initial=0.0)) < 0.0:
+        raise SettingError("bounds", bounds, "observations and bounds >= 0, the lower bound first")
+    if w.sum() == 0.0:
+        return Estimate(math.nan, 0.0, math.inf, len(a))
+    ratio = _quotient(float(w @ a), float(w @ b))
+    least, greatest = bounds[0], max(bounds[1], a.max(), b.max())
+    low = _log_limit(np.append(a, least), np.append(b, greatest), np.append(w, w.max()), confidence, -1.0)
+    high = _log_limit(np.append(a, greatest), np.append(b, least), np.append(w, w.max()), confidence, 1.0)
+    if math.isnan(ratio):
+        return Estimate(ratio, 0.0, math.inf, len(a))
+    return Estimate(ratio, min(low, ratio), max(high, ratio), len(a))
+
+
+def _quotient(a: float, b: float) -> float:
+    return a / b if b > 0.0 else math.nan if a == 0.0 else math.inf
+
+
+def _log_limit(
+    a: Float[Array, " n"], b: Float[Array, " n"], w: Float[Array, " n"], confidence: float, side: float
+) -> float:
+    """Return the lower (-1) or upper (1) end of the interval of a ratio of weighted means."""
+    first, second = float(np.average(a, weights=w)), float(np.average(b, weights=w))
+    if first == 0.0 or second == 0.0:
+        return 0.0 if side < 0.0 else math.inf
+    spread = w / w.mean() * (a / first - b / second)
+    return first / second * math.exp(_t_limit(spread, confidence, side))
 
 
 def effective_sample_size(weights: ArrayLike) -> float:

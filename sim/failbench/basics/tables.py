@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 1
+VERSION = 2
 """Of the tables' layout; it grows when a column is added, removed or changes its meaning."""
+ADDED = {"own_loss": 2}
+"""Columns that came later than with version 1, with the version that they came with."""
 
 
 class Column(NamedTuple):
@@ -35,7 +37,8 @@ ROLLOUTS = (
     Column("seed", "int64", "", "of everything random in the rollout"),
     Column("weight", "double", "", "of the rollout in means: density of onsets asked about over density drawn from"),
     Column("status", "string", "", "completed, or diverged if the simulation blew up"),
-    Column("observed_impact", "double", "", "sum of the severities of the entities touched; null if diverged"),
+    Column("observed_impact", "double", "", "severities of all touches of entities, and own_loss; null if diverged"),
+    Column("own_loss", "double", "", "severity of the carried object's loss times P(it is damaged); null if diverged"),
     Column("energy_impact", "double", "", "the same, times the probability of damage at that energy; null if diverged"),
     Column("secondary_impact", "double", "", "severities of what only other entities touched; null if diverged"),
     Column("dropped", "bool", "", "whether the carried object left the gripper; null if diverged"),
@@ -68,7 +71,7 @@ CONTACTS = (
 TABLES = {"rollouts": ROLLOUTS, "contacts": CONTACTS}
 
 
-def arrow_schema(table: str) -> pa.Schema:
+def arrow_schema(table: str, version: int = VERSION) -> pa.Schema:
     """Return a table's Arrow schema, with unit and meaning of each column in its field's metadata."""
     import pyarrow as pa
 
@@ -85,5 +88,6 @@ def arrow_schema(table: str) -> pa.Schema:
         [
             pa.field(column.name, types[column.type], metadata={"unit": column.unit, "meaning": column.meaning})
             for column in TABLES[table]
+            if ADDED.get(column.name, 1) <= version
         ]
     )

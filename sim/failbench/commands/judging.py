@@ -10,6 +10,7 @@ import graceful_plan as gp
 from failbench.commands.options import add_command, add_motion, motion_of
 from failbench.commands.output import Answer, Bar
 from failbench.front_validation import validate_front
+from failbench.report import FAILURES_PER_HOUR
 from failbench.scenario import usual_grasp
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.work import scene_of
@@ -30,6 +31,7 @@ def add(commands: Any) -> None:
     judge.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     judge.add_argument("--task", help="task of the scene (default: its first)")
     judge.add_argument("-n", type=int, default=400, help="number of failures (default 400)")
+    _add_rate(judge)
     judge.add_argument("--importance", action="store_true", help="fail more often where harm is predicted")
     add_motion(judge)
 
@@ -41,9 +43,19 @@ def add(commands: Any) -> None:
     front.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
     front.add_argument("--task", help="task of the scene (default: its first)")
     front.add_argument("-n", type=int, default=200, help="number of failures along each motion (default 200)")
+    _add_rate(front)
     front.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
     front.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
     front.add_argument("--grasp", choices=("fingers", "weld"), help="what holds the object")
+
+
+def _add_rate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=FAILURES_PER_HOUR,
+        help=f"failures per hour of motion, for the harm per executed task (default {FAILURES_PER_HOUR:g})",
+    )
 
 
 def _validate(args: argparse.Namespace) -> Answer:
@@ -60,6 +72,7 @@ def _validate(args: argparse.Namespace) -> Answer:
             horizon=args.horizon,
             seed=args.seed,
             importance=args.importance,
+            rate=args.rate,
             settings=SimSettings(control=args.control, grasp=motion.grasp or "fingers"),
             progress=bar.show,
         )
@@ -77,6 +90,7 @@ def _validate_front(args: argparse.Namespace) -> Answer:
             n=args.n,
             horizon=args.horizon,
             seed=args.seed,
+            rate=args.rate,
             settings=SimSettings(grasp=grasp),
             progress=bar.show,
         )

@@ -13,7 +13,7 @@ from graceful_plan.array_types import Float, Int
 
 Array = np.ndarray
 
-NOBODY, ROBOT, CARRIED = -1, -2, -3
+NOBODY, ROBOT, CARRIED, OBSTACLE = -1, -2, -3, -4
 """Owners of geoms besides the entities, which are numbered from 0."""
 
 
@@ -116,6 +116,7 @@ class Closeup:
 
 def _owners(world: World) -> Int[Array, " geom"]:
     owner = np.full(world.model.ngeom, NOBODY)
+    owner[np.isin(world.model.geom_bodyid, world.obstacles)] = OBSTACLE
     for i, entity in enumerate(world.scene.entities.values()):
         owner[list(entity.geoms)] = i
     for name, number in (("body", ROBOT), ("carried", CARRIED)):

@@ -14,7 +14,7 @@ import numpy as np
 
 from failbench.recording.aftermath import Aftermath
 from failbench.recording.bounds import Bounds
-from failbench.recording.closeup import CARRIED, ROBOT, Closeup
+from failbench.recording.closeup import CARRIED, OBSTACLE, ROBOT, Closeup
 from failbench.recording.records import ContactEvent
 from failbench.recording.secondary import Secondary
 from failbench.recording.spill import Spill
@@ -53,7 +53,8 @@ class Recorder:
 
     Args:
         world: Where.
-        baseline: Components and entities that touch in the healthy run; they do not count.
+        baseline: Components and entities that touch in the healthy run; they do not count, but as landings of the
+            carried object.
         qpos: Positions at the onset.
         qvel: Velocities at the onset.
         kept: Volume that the healthy run leaves in the container, see `spill.kept_volume` [m^3]; by default what the
@@ -75,9 +76,10 @@ class Recorder:
         self._done = 0
         self._block = [np.zeros((len(qpos), BLOCK, n)) for n in (world.model.nsensordata, qpos.shape[1], qvel.shape[1])]
         self._filled = 0
-        counted = [i for i, pair in enumerate(world.pairs) if pair not in baseline]
-        self._pairs = [world.pairs[i] for i in counted]
-        self._adr = world.sensor_adr[counted]
+        counted = [i for i, pair in enumerate(world.pairs) if pair not in baseline or pair[0] == "carried"]
+        self._pairs = [world.pairs[i] for i in counted] + [("carried", "")] * len(world.obstacle_adr)
+        self._adr = np.concatenate([world.sensor_adr[counted], world.obstacle_adr])
+        self._landings = baseline | {("carried", "")}
         unique = list(dict.fromkeys(self._pairs))
         self._pair = np.array([unique.index(pair) for pair in self._pairs], dtype=int)
         self._hits: list[dict[tuple[str, str], _Hit]] = [{} for _ in qpos]
@@ -116,12 +118,14 @@ class Recorder:
     def finish(self, sim: int) -> dict[str, Any]:
         """Return what became of one simulation: the fields of a Rollout that are consequences."""
         self._flush()
-        events = [self._event(pair, hit) for pair, hit in self._hits[sim].items()]
+        touches = {pair: self._event(pair, hit) for pair, hit in self._hits[sim].items()}
+        events = [event for pair, event in touches.items() if pair not in self._landings]
+        landings = sorted((touches[pair] for pair in touches.keys() & self._landings), key=_order)
         spilled, reached = self._spill.finish(sim, self._last[0][sim])
         events += self._secondary.events(sim) + reached
         fields = self._aftermath.fields(self._onset[0][sim], self._last[0][sim])
-        events.sort(key=lambda event: (event.time, event.entity, event.striker))
-        return fields | {"events": tuple(events), "spilled": spilled}
+        events.sort(key=_order)
+        return fields | {"events": tuple(events), "landings": tuple(landings), "spilled": spilled}
 
     def _flush(self) -> None:
         if self._filled:
@@ -185,7 +189,7 @@ class Recorder:
                 hit.peak, hit.force, hit.strongest = float(size[row, peak]), force[row, peak].copy(), before(peak)
 
     def _event(self, pair: tuple[str, str], hit: _Hit) -> ContactEvent:
-        striker, entity = _OWNER[pair[0]], self._closeup.entities.index(pair[1])
+        striker, entity = _OWNER[pair[0]], self._closeup.entities.index(pair[1]) if pair[1] else OBSTACLE
         self._closeup.place(*hit.first)
         touch = self._closeup.touch(striker, entity)
         peak = hit.peak
@@ -204,3 +208,7 @@ class Recorder:
             speed=0.0 if touch is None else touch.speed,
             energy=0.0 if touch is None else touch.energy,
         )
+
+
+def _order(event: ContactEvent) -> tuple[float, str, str]:
+    return event.time, event.entity, event.striker

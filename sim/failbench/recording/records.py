@@ -78,6 +78,8 @@ class Rollout:
         onset: When the fault began, after the start of the trajectory [s]: the checkpoint nearest to the job's.
         status: "completed", or "diverged" if the simulation blew up; then there are no consequences, but a `state`.
         events: Contacts that the healthy run does not have, in the order of their first touch.
+        landings: What else the carried object touched: obstacles that are no entity ("" in their place), and entities
+            that it touches in the healthy run, too. They harm nobody but the object itself.
         fell: Movable entities that ended more than 5 cm lower than they began.
         tipped: Movable entities that ended more than 30 degrees off their initial axis.
         left_support: Movable entities that ended without touching what they stood on.
@@ -91,6 +93,7 @@ class Rollout:
     onset: float
     status: str = "completed"
     events: tuple[ContactEvent, ...] = ()
+    landings: tuple[ContactEvent, ...] = ()
     fell: tuple[str, ...] = ()
     tipped: tuple[str, ...] = ()
     left_support: tuple[str, ...] = ()

@@ -1,4 +1,9 @@
-"""What a rollout cost, in the unit of the planner's prediction: severities of the entities that were touched."""
+"""What a rollout cost, in the planner's unit and by its rule: severities of all that happened, added up.
+
+Each component counts against each entity that it touched, once. The carried object itself is one of the entities: what
+it falls on damages it with a probability that depends on the energy of the touch, and of several touches the one counts
+that damages it the most, since it either bears that or does not.
+"""
 
 from __future__ import annotations
 
@@ -10,28 +15,34 @@ from graceful_plan import Scene
 from graceful_plan.scene.harm.fragility import FragilityTable
 
 
-def observed_impact(rollout: Rollout, scene: Scene) -> float:
-    """Return the sum of the severities of all entities that a component touched, each once.
+def observed_impact(rollout: Rollout, scene: Scene, *, own: bool = True) -> float:
+    """Return the sum of severities over components and the entities that they touched.
 
-    Where several components touched an entity, the worst of them counts.
+    Args:
+        rollout: What happened.
+        scene: Where.
+        own: Whether the carried object itself is one of the entities, see `own_loss`.
     """
-    return math.fsum(worst_severities(rollout, scene).values())
+    return math.fsum(impact_by_entity(rollout, scene, own=own).values())
 
 
-def energy_impact(rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None) -> float:
+def energy_impact(
+    rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None, *, own: bool = True
+) -> float:
     """Return the same, with each severity times the probability of damage at the energy of the first touch.
 
     Args:
         rollout: What happened.
         scene: Where.
         fragility: How easily things are damaged; the shipped table by default.
+        own: Whether the carried object itself is one of the entities.
     """
     table = FragilityTable.shipped() if fragility is None else fragility
 
     def damage(category: str, event: ContactEvent) -> float:
         return table.probability(category, event.striker, event.energy)
 
-    return math.fsum(worst_severities(rollout, scene, damage).values())
+    return math.fsum(impact_by_entity(rollout, scene, table, own=own, factor=damage).values())
 
 
 def secondary_impact(rollout: Rollout, scene: Scene) -> float:
@@ -45,20 +56,54 @@ def secondary_impact(rollout: Rollout, scene: Scene) -> float:
     return math.fsum(scene.entities[name].severity[component] for name in knocked)
 
 
-def worst_severities(
-    rollout: Rollout, scene: Scene, factor: Callable[[str, ContactEvent], float] = lambda category, event: 1.0
-) -> dict[str, float]:
-    """Return each touched entity's share in the impact: the worst that a component did to it.
+def own_loss(rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None) -> float:
+    """Return the severity of the loss of the carried object itself, times the probability that it is damaged.
 
     Args:
         rollout: What happened.
         scene: Where.
+        fragility: How easily; the shipped table by default.
+    """
+    return scene.own_severity * own_damage(rollout, scene, fragility)
+
+
+def own_damage(rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None) -> float:
+    """Return the probability that what the carried object touched damages it; 0 if nothing is carried."""
+    if scene.carried is None:
+        return 0.0
+    table = FragilityTable.shipped() if fragility is None else fragility
+    kind = scene.components["carried"].component_class
+    touches = [event for event in rollout.events if event.striker == "carried" and not event.secondary]
+    found = [
+        table.loss(kind, scene.entities[event.entity].category if event.entity else "", event.energy)
+        for event in (*touches, *rollout.landings)
+    ]
+    return max(found, default=0.0)
+
+
+def impact_by_entity(
+    rollout: Rollout,
+    scene: Scene,
+    fragility: FragilityTable | None = None,
+    *,
+    own: bool = True,
+    factor: Callable[[str, ContactEvent], float] = lambda category, event: 1.0,
+) -> dict[str, float]:
+    """Return each touched entity's share in the impact, that of the carried object itself last, under its own name.
+
+    Args:
+        rollout: What happened.
+        scene: Where.
+        fragility: How easily the carried object is damaged; the shipped table by default.
+        own: Whether it is one of the entities.
         factor: What each severity is multiplied by, of an entity's class and a contact.
     """
-    worst: dict[str, float] = {}
+    found: dict[str, float] = {}
     for event in rollout.events:
         if not event.secondary:
             entity = scene.entities[event.entity]
             value = entity.severity[event.striker] * factor(entity.category, event)
-            worst[event.entity] = max(value, worst.get(event.entity, 0.0))
-    return worst
+            found[event.entity] = found.get(event.entity, 0.0) + value
+    if own and scene.carried is not None:
+        found[scene.carried.body] = own_loss(rollout, scene, fragility)
+    return found

@@ -73,7 +73,9 @@ class World:
     | robot          | the parts that can break                                                             |
     | pairs          | component and entity of each contact sensor; one for every body of an entity         |
     | sensor_adr     | where in sensordata each contact sensor begins: count, force in W, position in W     |
+    | obstacle_adr   | the same of sensors of the carried object against what is no entity                  |
     | entity_bodies  | bodies of each entity                                                                |
+    | obstacles      | bodies that collide and are no entity, nor robot or carried                          |
     | movable        | body of each entity that can move freely                                             |
     | striker_bodies | bodies of the components "body" and "carried"                                        |
     | carried_body   | body of the carried object; -1 if there is none                                      |
@@ -86,7 +88,9 @@ class World:
     robot: Robot
     pairs: tuple[tuple[str, str], ...]
     sensor_adr: Int[Array, " pair"]
+    obstacle_adr: Int[Array, " obstacle"]
     entity_bodies: Mapping[str, tuple[int, ...]]
+    obstacles: tuple[int, ...]
     movable: Mapping[str, int]
     striker_bodies: Mapping[str, tuple[int, ...]]
     carried_body: int
@@ -117,6 +121,9 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
     _name_bodies(spec)
     _set_options(spec, scene, settings)
     pairs = _add_sensors(spec, model, strikers, entities)
+    obstacles = _obstacles(scene, entities)
+    carried = {name: bodies for name, bodies in strikers.items() if name == "carried"}
+    landings = _add_sensors(spec, model, carried, {"": obstacles})
     for name in scene.joints:
         _add_lock(spec, name, settings.timestep)
     if scene.carried is not None:
@@ -132,7 +139,9 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
         robot=robot,
         pairs=tuple(pair for pair, _ in pairs),
         sensor_adr=np.array([int(simulated.sensor(name).adr[0]) for _, name in pairs], dtype=int),
+        obstacle_adr=np.array([int(simulated.sensor(name).adr[0]) for _, name in landings], dtype=int),
         entity_bodies=MappingProxyType(entities),
+        obstacles=obstacles,
         movable=MappingProxyType(_movable(model, entities)),
         striker_bodies=MappingProxyType(strikers),
         carried_body=-1 if scene.carried is None else int(model.body(scene.carried.body).id),
@@ -148,6 +157,17 @@ def _actuator_of(model: mujoco.MjModel, joint: int, name: str) -> int:
     if int(model.actuator_dyntype[found[0]]) != int(mujoco.mjtDyn.mjDYN_NONE):
         raise UnsupportedError(f"the actuator of {name!r} has dynamics of its own; FailBench drives those without")
     return int(found[0])
+
+
+def _obstacles(scene: Scene, entities: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """Return the bodies with geoms that collide which are neither robot nor carried nor in an entity."""
+    model = scene.model
+    known = set(scene.robot_bodies).union(*entities.values())
+    if scene.carried is not None:
+        root = int(model.body(scene.carried.body).id)
+        known.update(body for body in range(model.nbody) if int(model.body_rootid[body]) == root)
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return tuple(sorted(set(model.geom_bodyid[collides].tolist()) - known))
 
 
 def _name_bodies(spec: mujoco.MjSpec) -> None:

@@ -98,6 +98,8 @@ def write_dataset(folder: Path, rows: Iterable[Rows], about: Mapping[str, Any]) 
 def read_dataset(folder: str | Path) -> Dataset:
     """Read a dataset and check all of it: every part is there, none is too many, and each is what was written.
 
+    Columns that an earlier version did not have are null.
+
     Raises:
         FormatError: If it is unfinished, damaged, or of another version; the message names the file.
         MissingExtra: If pyarrow is not installed.
@@ -113,7 +115,7 @@ def read_dataset(folder: str | Path) -> Dataset:
             raise FormatError(str(file), f"it is not in {MANIFEST}")
     tables: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
     for file, part in parts.items():
-        tables[file.parent.name].append(_read_part(file, part))
+        tables[file.parent.name].append(_read_part(file, part, manifest["version"]))
     return Dataset(**{name: pa.concat_tables(found) for name, found in tables.items()}, manifest=manifest)
 
 
@@ -132,8 +134,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise FormatError(str(file), f"damaged: {error}") from None
     if not isinstance(manifest, dict) or manifest.get("schema") != _SCHEMA:
         raise FormatError(str(file), "no manifest of a dataset")
-    if manifest.get("version") != VERSION:
-        raise FormatError(str(file), f"version {manifest.get('version')!r}; this version reads {VERSION}")
+    if manifest.get("version") not in range(1, VERSION + 1):
+        raise FormatError(str(file), f"version {manifest.get('version')!r}; this version reads 1 to {VERSION}")
     if manifest.get("sha256") != _self_checksum(manifest):
         raise FormatError(str(file), "damaged: its checksum does not fit")
     return manifest
@@ -213,7 +215,7 @@ def _files(folder: Path) -> Iterator[Path]:
             yield from sorted((folder / table).iterdir())
 
 
-def _read_part(file: Path, part: Mapping[str, Any]) -> pa.Table:
+def _read_part(file: Path, part: Mapping[str, Any], version: int) -> pa.Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -227,8 +229,12 @@ def _read_part(file: Path, part: Mapping[str, Any]) -> pa.Table:
         raise FormatError(str(file), "damaged: its checksum does not fit")
     # The very bytes that were checked are the ones that are read.
     read = pq.read_table(pa.BufferReader(content))
-    if not read.schema.equals(arrow_schema(file.parent.name)) or read.num_rows != part["rows"]:
+    if not read.schema.equals(arrow_schema(file.parent.name, version)) or read.num_rows != part["rows"]:
         raise FormatError(str(file), f"not the columns or rows of {file.parent.name}")
+    schema = arrow_schema(file.parent.name)
+    for place, name in enumerate(schema.names):
+        if name not in read.schema.names:
+            read = read.add_column(place, schema.field(name), pa.nulls(read.num_rows, schema.field(name).type))
     return read
 
 

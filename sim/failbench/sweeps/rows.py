@@ -8,7 +8,7 @@ from typing import Any
 
 from failbench.fault.registry import to_document
 from failbench.recording.records import Rollout
-from failbench.recording.score import energy_impact, observed_impact, secondary_impact
+from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
 from failbench.simulated.execution import Execution
 from graceful_plan import Scene
 
@@ -41,9 +41,10 @@ def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
 def _consequences(rollout: Rollout, scene: Scene) -> dict[str, Any]:
     """Return what can be averaged; null where nothing is known, so that nobody takes it for harmless."""
     if rollout.status == "diverged":
-        return dict.fromkeys(("observed_impact", "energy_impact", "secondary_impact", "dropped", "spilled"))
+        return dict.fromkeys(("observed_impact", "own_loss", "energy_impact", "secondary_impact", "dropped", "spilled"))
     return {
         "observed_impact": _number(observed_impact(rollout, scene)),
+        "own_loss": _number(own_loss(rollout, scene)),
         "energy_impact": _number(energy_impact(rollout, scene)),
         "secondary_impact": _number(secondary_impact(rollout, scene)),
         "dropped": bool(rollout.dropped),

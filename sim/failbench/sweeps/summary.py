@@ -23,10 +23,12 @@ def families(scenarios: Iterable[Scenario]) -> str:
 def rollouts(rows: Rows, scene: Scene) -> str:
     """Return what rollouts did, all in all and to each entity, with intervals of 95 %."""
     valid = [row for row in rows["rollouts"] if row["status"] == "completed"]
-    worst = max((s for entity in scene.entities.values() for s in entity.severity.values()), default=0.0)
+    touches = [s for entity in scene.entities.values() for s in entity.severity.values()]
+    worst = max([*touches, scene.own_severity])
     lines: list[list[object]] = []
     for name, bound in (
         ("observed_impact", worst),
+        ("own_loss", scene.own_severity),
         ("energy_impact", worst),
         ("secondary_impact", worst),
         ("spilled", 1.0),

@@ -21,6 +21,7 @@ from graceful_plan.costs.objective import ChargedStates, Objective
 from graceful_plan.exceptions import CostError, SettingError
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult
+from graceful_plan.scene.elements import Carried
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -183,7 +184,7 @@ def explain(
     return Explanation(
         cost=cost,
         exposure=objective.exposure,
-        entities=scene.hazards,
+        entities=objective.impact.hazards(scene),
         place=along.place,
         time=along.time,
         weight=charged.weight,
@@ -220,12 +221,13 @@ def _contributions(
 ) -> tuple[Contribution, ...]:
     """Return the parts of the impact by source, component and entity, the largest first."""
     severity, faults = objective.hazard_severity(scene), objective.interaction.fault_shares()
+    components, hazards = tuple(scene.components), objective.hazards(scene)
     parts = {name: np.tensordot(along.weight, P, axes=1) * severity for name, P in sources.items()}
     total = math.fsum(float(part.sum()) for part in parts.values())
     rows = [
-        _contribution(along, name, (int(c), int(e)), sources[name][:, c, e], float(severity[c, e]), total)
+        _contribution(along, name, (components[c], hazards[e]), sources[name][:, c, e], float(severity[c, e]), total)
         for name, part in parts.items()
-        for c, e in np.argwhere(part > 0.0)
+        for c, e in np.argwhere(part > 0.0).tolist()
     ]
     rows = [replace(row, faults=_normalised(faults.get(row.source, {}))) for row in rows]
     return tuple(sorted(rows, key=lambda row: -row.impact))
@@ -234,18 +236,18 @@ def _contributions(
 def _contribution(
     along: _Along,
     source: str,
-    index: tuple[int, int],
+    hit: tuple[str, str],
     probability: Float[Array, " n"],
     severity: float,
     total: float,
 ) -> Contribution:
     scene = along.batch.scene
-    component, entity = tuple(scene.components)[index[0]], scene.hazards[index[1]]
+    component, entity = hit
     mass = along.weight * probability * severity
     first, last = shortest_stretch(along.place, mass, STRETCH)
     worst = int(np.argmax(probability))
     return Contribution(
-        event=_phrase(source, component, "the object" if scene.carried is None else scene.carried.body, entity),
+        event=_phrase(source, component, scene.carried, entity),
         entity=entity,
         component=component,
         source=source,
@@ -304,7 +306,10 @@ _PHRASES: Mapping[str, Mapping[str, str]] = {
 """What happens, by source and component."""
 
 
-def _phrase(source: str, component: str, object_name: str, entity: str) -> str:
+def _phrase(source: str, component: str, carried: Carried | None, entity: str) -> str:
+    if carried is not None and entity == carried.body:
+        return f"{entity} itself, by its fall" if source == "drop" else f"{entity} itself ({source})"
+    object_name = "the object" if carried is None else carried.body
     other = f"{component} onto {{entity}} ({source})"
     return _PHRASES.get(source, {}).get(component, other).format(object=object_name, entity=entity)
 

@@ -1,12 +1,13 @@
 """The distribution of the impact of a failure at a state: entities added up by convolution; see `risk` for what it is.
 
-Distributions are over all sums of severities that are possible, one for each entity. If they are too many, they are on
-an even grid, and what falls between two of its values is split between them.
+Distributions are over all sums of severities that are possible: for each entity, of any of the components that harm it.
+If they are too many, they are on an even grid, and what falls between two of its values is split between them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple, final
 
 import numpy as np
@@ -40,7 +41,7 @@ class _Kind(NamedTuple):
     """A kind of failure: its probability, given a failure, and P(L >= s) given this kind, by entity."""
 
     weight: float
-    at_least: list[Float[Array, "n level"]]
+    at_least: list[Float[Array, "n _"]]
 
 
 @final
@@ -54,7 +55,6 @@ class HarmLaw:
 
     Attributes:
         value: Impacts that are possible, increasing from 0.
-        worst: Greatest severity of each entity that can be harmed.
         exact: Whether all sums of severities are among the values.
     """
 
@@ -64,9 +64,8 @@ class HarmLaw:
         self._cost = cost
         severity = cost.hazard_severity(scene)
         self._entities = np.flatnonzero(severity.max(axis=0, initial=0.0) > 0.0)
-        self._severity = severity[:, self._entities]
-        self._levels = [np.unique(column[column > 0.0]) for column in self._severity.T]
-        self.worst = np.array([levels[-1] for levels in self._levels])
+        self._subsets = [_subsets(column) for column in severity[:, self._entities].T]
+        self._levels = [np.unique(sums) for _, sums in self._subsets]
         self.value, self.exact = _sums(self._levels, _MOST_SUMS if most_sums is None else most_sums)
         self._moves = {s: _moves(self.value, s, self.exact) for levels in self._levels for s in levels.tolist()}
 
@@ -81,17 +80,18 @@ class HarmLaw:
     def mixture(
         self, batch: StateBatch, weight: Float[Array, " n"]
     ) -> tuple[Float[Array, " atom"], Float[Array, " entity"]]:
-        """Weighted sum of the distributions at states, and which entities have any chance of being harmed (0 or 1)."""
+        """Weighted sum of the distributions at states, and the worst that may happen to each entity at any of them."""
         kinds = self._kinds(batch)
         mass = self._harmless(kinds) * weight.sum()
-        possible = np.zeros(len(self._entities))
+        worst = np.zeros(len(self._entities))
         for share, at_least in kinds:
             for first in range(0, len(batch), _CHUNK):
                 rows = slice(first, first + _CHUNK)
                 part = self._convolved([reached[rows] for reached in at_least], len(weight[rows]))
                 mass = mass + share * (weight[rows] @ part)
-            possible = np.maximum(possible, [float(reached.any()) for reached in at_least])
-        return mass, possible
+            reached = [levels * part.any(axis=0) for levels, part in zip(self._levels, at_least, strict=True)]
+            worst = np.maximum(worst, [levels.max() for levels in reached])
+        return mass, worst
 
     def _harmless(self, kinds: Sequence[_Kind]) -> Float[Array, " atom"]:
         """What is left of the probability of a failure when it is none of these kinds."""
@@ -110,22 +110,24 @@ class HarmLaw:
             return [_Kind(weights[name], self._at_least([share / weights[name]])) for name, share in shares.items()]
         return [_Kind(1.0, self._at_least(list(shares.values())))] if shares else []
 
-    def _at_least(self, shares: Sequence[Float[Array, "n component entity"]]) -> list[Float[Array, "n level"]]:
-        """Return P(L >= s) for each entity that can be harmed and each of its severities s, increasing.
+    def _at_least(self, shares: Sequence[Float[Array, "n component entity"]]) -> list[Float[Array, "n _"]]:
+        """Return P(L >= s) for each entity that can be harmed and each of its sums of severities s, increasing.
 
         Args:
             shares: Probabilities of causes that exclude each other; at least one.
         """
         found = []
-        for e, levels in enumerate(self._levels):
+        for e, (levels, (subsets, sums)) in enumerate(zip(self._levels, self._subsets, strict=True)):
             reached = np.zeros((len(shares[0]), len(levels)))
             for share in shares:
+                # Components strike together: with the least likely one of some, all of these do.
+                together = np.stack([share[:, list(subset), e].min(axis=1) for subset in subsets], axis=1)
                 for k, s in enumerate(levels):
-                    reached[:, k] += share[:, self._severity[:, e] >= s, e].max(axis=1)
+                    reached[:, k] += together[:, sums >= s].max(axis=1)
             found.append(np.clip(reached, 0.0, 1.0))
         return found
 
-    def _convolved(self, at_least: Sequence[Float[Array, "n level"]], n: int) -> Float[Array, "n atom"]:
+    def _convolved(self, at_least: Sequence[Float[Array, "n _"]], n: int) -> Float[Array, "n atom"]:
         """Add up independent entities, one after the other."""
         mass = np.zeros((n, len(self.value)))
         mass[:, 0] = 1.0
@@ -144,8 +146,15 @@ class HarmLaw:
         return mass
 
 
-def _sums(levels: Sequence[Float[Array, " level"]], most: int) -> tuple[Float[Array, " atom"], bool]:
-    """Return all sums of one severity, or none, of each entity; an even grid over their range if they are too many."""
+def _subsets(severity: Float[Array, " component"]) -> tuple[list[tuple[int, ...]], Float[Array, " subset"]]:
+    """Return all sets of components that have a severity, and the sums of theirs."""
+    members = np.flatnonzero(severity > 0.0).tolist()
+    subsets = [subset for size in range(1, len(members) + 1) for subset in combinations(members, size)]
+    return subsets, np.round([severity[list(subset)].sum() for subset in subsets], 9)
+
+
+def _sums(levels: Sequence[Float[Array, " _"]], most: int) -> tuple[Float[Array, " atom"], bool]:
+    """Return all sums of one level, or none, of each entity; an even grid over their range if they are too many."""
     value = np.zeros(1)
     for severities in levels:
         sums = np.add.outer(np.append(0.0, severities), value).ravel()

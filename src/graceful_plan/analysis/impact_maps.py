@@ -30,6 +30,7 @@ from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.motion_samples import reach
 from graceful_plan.path import finite_array
+from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -55,7 +56,7 @@ class ImpactMap:
     | y         | centres of the cells                                                        | m    | ny            |
     | impact    | sum of P S given that the object is let go; NaN where it cannot be          |      | ny nx         |
     | by_entity | the same by entity                                                          |      | ny nx entity  |
-    | entities  | names of the entities                                                       |      | entity        |
+    | entities  | names of the entities, and of the object itself if its own loss counts      |      | entity        |
     | carried   | name of the object                                                          |      |               |
     | surface   | height in W above which `height` counts                                     | m    |               |
     | height    | of the object's lowest point above the surface                              | m    |               |
@@ -171,15 +172,16 @@ def impact_map(
     places = np.column_stack([grid, np.full(len(grid), base + height - _lowest(gantry))])
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS if direction is None else np.array([direction])
     free = ~_blocked(gantry, places)
-    by_entity = np.full((len(places), len(scene.entities)), np.nan)
+    harmed = (*gantry.entities, *([scene.carried.body] if impact.counts_own_loss(gantry) else []))
+    by_entity = np.full((len(places), len(harmed)), np.nan)
     by_entity[free] = _mean_impact(gantry, impact, places[free], float(speed), angles if speed else angles[:1])
-    by_entity = by_entity.reshape(len(y), len(x), len(scene.entities))
+    by_entity = by_entity.reshape(len(y), len(x), len(harmed))
     return ImpactMap(
         x=x,
         y=y,
         impact=np.where(free.reshape(len(y), len(x)), by_entity.sum(axis=-1), np.nan),
         by_entity=by_entity,
-        entities=tuple(gantry.entities),
+        entities=harmed,
         carried=scene.carried.body,
         surface=base,
         height=float(height),
@@ -287,22 +289,36 @@ def _mean_impact(
     """Mean impact over directions of motion, by entity."""
     falls = np.array([name in FALLING for name in gantry.components])
     severity = impact.severity(gantry) * falls[:, None]
-    total = np.zeros((len(places), len(gantry.entities)))
+    own = impact.own(gantry)
+    total = np.zeros((len(places), len(gantry.entities) + (own is not None)))
     for angle in angles:
         direction = np.array([np.cos(angle), np.sin(angle), 0.0])
         for start in range(0, len(places), _CHUNK):
             c = places[start : start + _CHUNK]
             batch = StateBatch(gantry, c, np.broadcast_to(direction, c.shape), np.full(len(c), speed))
-            total[start : start + _CHUNK] += np.einsum("nce,ce->ne", _let_go(impact.interaction, batch), severity)
+            parts = [np.einsum("nce,ce->ne", _let_go(impact.interaction, batch), severity)]
+            if own is not None:
+                parts.append(own.severity * _lost(impact.interaction, batch, own.fragility)[:, None])
+            total[start : start + _CHUNK] += np.concatenate(parts, axis=1)
     return total / len(angles)
 
 
 def _let_go(interaction: InteractionModel, batch: StateBatch) -> Float[Array, "n component entity"]:
     """P given that the gripper lets go, even if the model knows of other failures."""
+    weight = _drops(interaction)
+    return interaction.probability(batch) if weight is None else interaction.sources(batch)["drop"] / weight
+
+
+def _lost(interaction: InteractionModel, batch: StateBatch, fragility: FragilityTable) -> Float[Array, " n"]:
+    """P that the object itself is damaged, given the same."""
+    lost, weight = interaction.own_loss(batch, fragility), _drops(interaction)
+    return np.asarray(sum(lost.values())) if weight is None else lost["drop"] / weight
+
+
+def _drops(interaction: InteractionModel) -> float | None:
+    """Weight of drops among the failures; None if the model does not tell any apart."""
     faults = interaction.fault_shares().get("drop")
-    if faults is None:
-        return interaction.probability(batch)
-    weight = math.fsum(faults.values())
-    if not weight > 0.0:
+    weight = None if faults is None else math.fsum(faults.values())
+    if weight is not None and not weight > 0.0:
         raise SettingError("impact", interaction, "a model in which the gripper can let go")
-    return interaction.sources(batch)["drop"] / weight
+    return weight

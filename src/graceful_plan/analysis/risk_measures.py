@@ -1,16 +1,16 @@
 r"""Risk: how bad the consequences of a failure can be, not only how bad they are on average.
 
 Given that the robot fails once, at a moment that is uniform over a motion, the impact is a random number: the sum over
-entities of the severity of what happens to each. `risk` computes its distribution from an interaction model:
+components and entities of the severities of what happens. `risk` computes its distribution from an interaction model:
 
 * The failure is of one kind (the gripper lets go, a motor dies): `InteractionModel.sources`, weighted as its
   `fault_shares` say. A model without weights has one kind, of which its sources exclude each other.
 * Given the state and the kind, entities are hit independently of one another. That is an assumption: an object that
   breaks the first glass may well break the next, or be stopped by it.
-* To an entity that several components hit, the worst of them counts, as FailBench counts. What has one cause happens
-  together, a mug falls with its coffee:
+* What several components do to an entity adds up, as in the planner's impact, which therefore is the mean of this
+  distribution. What has one cause happens together, a mug falls with its coffee:
 
-  .. math:: P(L_e \ge s) = \max_{c:\ S_{ce} \ge s} P_{ce}
+  .. math:: P(L_e \ge s) = \max_{C:\ \sum_{c \in C} S_{ce} \ge s} \ \min_{c \in C} P_{ce}
 
 * The impact at a state is the sum of these, by convolution, mixed over kinds; over the motion, mixed over its states.
 
@@ -120,7 +120,7 @@ class Risk:
 
     @cached_property
     def expected(self) -> float:
-        """Mean impact, each entity counted once; the planner's I adds up components."""
+        """Mean impact, that which the planner charges."""
         return float(self.value @ self.probability)
 
     @cached_property
@@ -219,10 +219,10 @@ def risk(
         batch, weight = charged.batch, charged.weight
     else:  # a path without length
         batch, weight = StateBatch(scene, points.q[:1]), np.ones(1)
-    mass, possible = law.mixture(batch, weight)
+    mass, worst = law.mixture(batch, weight)
     kept = (mass > 0.0) | (law.value == 0.0)
     probability = mass[kept] / mass.sum()
-    return Risk(law.value[kept], probability, level, float(law.worst @ possible), law.exact)
+    return Risk(law.value[kept], probability, level, float(worst.sum()), law.exact)
 
 
 def check_level(level: object) -> None:

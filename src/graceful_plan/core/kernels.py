@@ -202,9 +202,10 @@ class ImpactKernel:
         return self.native.states(flat).reshape(batch)
 
     def edges(self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP) -> Float[Array, "*batch 2"]:
-        """Length [rad] and integral of the impact of each straight edge, over its length [rad] or, if timed, its time [s].
+        """Length [rad] of each straight edge, and the integral of the impact over length or, if timed, over time [s].
 
-        By the trapezoid rule. A model that knows velocities takes those of an edge whose slowest joint moves as fast as it may.
+        By the trapezoid rule. A model that knows velocities takes those of an edge whose slowest joint moves as fast as
+        it may.
         """
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
         return self.native.edges(first, second, step).reshape(*batch, 2)
@@ -215,7 +216,7 @@ class ImpactKernel:
         """`edges`, and the derivatives of the integral of the impact with respect to `q0` and `q1`.
 
         None if the model has none. At kinks (another joint becomes the slowest, two surfaces are equally likely) the
-        derivative is that of one side.
+        derivative is that of one side. Where arms may fail it is only close: see `BodyModel.impact_gradient`.
         """
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
         found = self.native.edge_gradients(first, second, step)

@@ -30,6 +30,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.interaction import InteractionModel
+from graceful_plan.costs.models.drop.loss import carried_mass
 from graceful_plan.costs.models.drop.release import heights, release
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.moving.model import MovingModel
@@ -79,6 +80,15 @@ class Damage(NativeModel):
         damage = damage_probability(batch, self.fragility)
         return {name: share * damage for name, share in self.contact.sources(batch).items()}
 
+    @property
+    def knows_own_loss(self) -> bool:
+        """Whether the model of contacts does."""
+        return self.contact.knows_own_loss
+
+    def own_loss(self, batch: StateBatch, fragility: FragilityTable) -> Mapping[str, Float[Array, " n"]]:
+        """Return that of the model of contacts, which is about damage in any case."""
+        return self.contact.own_loss(batch, fragility)
+
     def moving(self) -> MovingModel:
         """Return that of the model of contacts: of entities that move, every contact counts."""
         return moving_model(self.contact)
@@ -117,7 +127,7 @@ def arrival_energy(batch: StateBatch) -> Float[Array, "n entity"]:
     state = release(batch, tables)
     low = heights(state, tables)[0].min(axis=1)
     height = np.maximum(low[:, None] - _tops(batch.scene, tables), 0.0)
-    return _mass(batch.scene) * (_GRAVITY * height + 0.5 * (state.v**2).sum(axis=1)[:, None])
+    return carried_mass(batch.scene) * (_GRAVITY * height + 0.5 * (state.v**2).sum(axis=1)[:, None])
 
 
 def damaged_by_carried(energy: Float[Array, " n"], fragility: Fragility) -> Float[Array, " n"]:
@@ -156,9 +166,3 @@ def _tops(scene: Scene, tables: DropTables) -> Float[Array, " entity"]:
         own = tables.target_height[tables.target_entity == entity, 1]
         top[entity] = own.max(initial=-np.inf) if len(own) else np.inf
     return top
-
-
-def _mass(scene: Scene) -> float:
-    """Mass of what is carried with all that rides on it [kg]."""
-    assert scene.carried is not None  # asked only then
-    return float(scene.model.body_subtreemass[scene.model.body(scene.carried.body).id])

@@ -17,7 +17,7 @@ from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.interaction import InteractionModel
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.costs.models.published.box_overlap import BoxOverlap
-from graceful_plan.costs.native_model import NativeModel, moving_model
+from graceful_plan.costs.native_model import NativeModel, OwnLoss, moving_model
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene.elements import COMPONENTS
 from graceful_plan.scene.harm.fragility import FragilityTable
@@ -33,6 +33,11 @@ OF_MODEL = ("those of the model",)
 """Stands for components that are not given: none at all is something else."""
 
 
+def _struck_itself(scene: Scene) -> Float[Array, " component"]:
+    """1 for the component that harms the carried object itself: it is the object."""
+    return np.array([float(name == "carried") for name in scene.components])
+
+
 @final
 @dataclass(frozen=True)
 class ImpactCost(Cost):
@@ -41,12 +46,17 @@ class ImpactCost(Cost):
     P is the probability of a contact, or that of damage, where a hard contact counts more than a soft one. The latter
     has neither gradient nor native kernel: planners fall back to NumPy and do far fewer iterations in the same time.
 
+    One of the entities is the carried object itself, under its own name: S says how bad its loss is (row "carried" of
+    the table of severities), P is that its fall damages it, by the height of the fall and by what it comes down on.
+
     Args:
         model: An interaction model, or the word for one of `MODELS`.
         components: Which parts of the robot count: "body", "carried", "contents"; by default those that the model
             says (`InteractionModel.components`); () for none. Those that a scene does not have contribute nothing.
         consequence: What P is about: "contact"; "energy", damage by the energy of the contact and the shipped table of
             fragilities (`costs.consequence`); or a table of one's own.
+        own_loss: Whether the loss of the carried object itself counts, with models that know of it; Algorithm 1 does
+            not. By the shipped table of fragilities, or that which `consequence` is.
 
     Raises:
         UnknownNameError: If there is no such model, component or consequence.
@@ -55,6 +65,7 @@ class ImpactCost(Cost):
     model: str | InteractionModel = "footprint"
     components: tuple[str, ...] = OF_MODEL
     consequence: str | FragilityTable = "contact"
+    own_loss: bool = True
 
     def __post_init__(self) -> None:
         if isinstance(self.model, str) and self.model not in MODELS:
@@ -80,7 +91,7 @@ class ImpactCost(Cost):
         contact = MODELS[self.model]() if isinstance(self.model, str) else self.model
         if self.consequence == "contact":
             return contact
-        return Damage(contact, FragilityTable.shipped() if isinstance(self.consequence, str) else self.consequence)
+        return Damage(contact, self.fragility)
 
     def severity(self, scene: Scene) -> Float[Array, "component entity"]:
         """S of each of the scene's components against each entity, zero for components that do not count."""
@@ -90,35 +101,65 @@ class ImpactCost(Cost):
         ]
         return np.array(rows, dtype=np.float64).reshape(len(scene.components), len(scene.entities))
 
+    def counts_own_loss(self, scene: Scene) -> bool:
+        """Whether the loss of the carried object itself is one of the hazards."""
+        carried = scene.carried is not None and "carried" in self.components
+        return self.own_loss and carried and self.interaction.knows_own_loss
+
+    def hazards(self, scene: Scene) -> tuple[str, ...]:
+        """Names of all whose harm counts: entities, entities that move, and last the carried object itself."""
+        if scene.carried is None or not self.counts_own_loss(scene):
+            return scene.hazards
+        return (*scene.hazards, scene.carried.body)
+
     def hazard_severity(self, scene: Scene) -> Float[Array, "component hazard"]:
-        """S of each component against each entity and, after these, each moving entity: see `Scene.hazards`."""
+        """S of each component against each of `hazards`; the object itself is harmed by the component "carried"."""
         moving = [
             [severity[name] if name in self.components else 0.0 for severity in scene.moving_severity.values()]
             for name in scene.components
         ]
         shape = len(scene.components), len(scene.moving)
-        return np.concatenate([self.severity(scene), np.array(moving, dtype=np.float64).reshape(shape)], axis=1)
+        parts = [self.severity(scene), np.array(moving, dtype=np.float64).reshape(shape)]
+        if self.counts_own_loss(scene):
+            parts.append(scene.own_severity * _struck_itself(scene)[:, None])
+        return np.concatenate(parts, axis=1)
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component hazard"]:
-        """P of each component against each entity and each moving entity, given a failure at each state."""
-        still = self.interaction.probability(batch)
-        if not batch.scene.moving:
-            return still
-        moving = sum(moving_model(self.interaction).sources(batch, self.components).values())
-        return np.concatenate([still, np.asarray(moving)], axis=2)
+        """P of each component against each of `hazards`, given a failure at each state."""
+        parts, scene = [self.interaction.probability(batch)], batch.scene
+        if scene.moving:
+            parts.append(np.asarray(sum(moving_model(self.interaction).sources(batch, self.components).values())))
+        if self.counts_own_loss(scene):
+            parts.append(np.asarray(sum(self._own_sources(batch).values())))
+        return np.concatenate(parts, axis=2)
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component hazard"]]:
         """Return `probability` by what goes wrong."""
-        still, scene = self.interaction.sources(batch), batch.scene
-        if not scene.moving:
-            return still
-        moving = moving_model(self.interaction).sources(batch, self.components)
+        scene = batch.scene
+        parts = [(self.interaction.sources(batch), len(scene.entities))]
+        if scene.moving:
+            parts.append((moving_model(self.interaction).sources(batch, self.components), len(scene.moving)))
+        if self.counts_own_loss(scene):
+            parts.append((self._own_sources(batch), 1))
         rows = len(batch), len(scene.components)
-        none, none_moving = np.zeros((*rows, len(scene.entities))), np.zeros((*rows, len(scene.moving)))
         return {
-            name: np.concatenate([still.get(name, none), moving.get(name, none_moving)], axis=2)
-            for name in dict.fromkeys([*still, *moving])
+            name: np.concatenate([part.get(name, np.zeros((*rows, columns))) for part, columns in parts], axis=2)
+            for name in dict.fromkeys(name for part, _ in parts for name in part)
         }
+
+    def _own_sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component 1"]]:
+        """P that the carried object itself is damaged, by what goes wrong."""
+        found, row = self.interaction.own_loss(batch, self.fragility), _struck_itself(batch.scene)
+        return {name: P[:, None, None] * row[:, None] for name, P in found.items()}
+
+    @property
+    def fragility(self) -> FragilityTable:
+        """How easily things are damaged."""
+        return FragilityTable.shipped() if isinstance(self.consequence, str) else self.consequence
+
+    def own(self, scene: Scene) -> OwnLoss | None:
+        """What the loss of the carried object itself counts in a scene, None if it does not."""
+        return OwnLoss(scene.own_severity, self.fragility) if self.counts_own_loss(scene) else None
 
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Expected severity given a failure at each state."""
@@ -126,16 +167,20 @@ class ImpactCost(Cost):
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
         """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""
-        if batch.scene.moving:
+        model, scene = self.interaction, batch.scene
+        if isinstance(model, NativeModel):
+            found = self.gradients(batch)
+            return None if found is None else found[0]
+        if scene.moving or self.counts_own_loss(scene):
             return None
-        return self.interaction.gradient(batch, self.severity(batch.scene))
+        return model.gradient(batch, self.severity(scene))
 
     def gradients(self, batch: StateBatch) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
         """Derivatives with respect to q and to the joint velocities [s/rad], None if the model has none."""
         model = self.interaction
         if batch.scene.moving or not isinstance(model, NativeModel):
             return None
-        return model.gradients(batch, self.severity(batch.scene))
+        return model.gradients(batch, self.severity(batch.scene), self.own(batch.scene))
 
     def widened(self, metres: float) -> ImpactCost | None:
         """Return a cost that smears hits by so much more, None if there is none; see `NativeModel.widened`."""
@@ -149,10 +194,12 @@ class ImpactCost(Cost):
         Of entities that move it is only close: see `MovingModel.kernels`.
         """
         model = self.interaction
-        still = model.kernel(scene, self.severity(scene), paces) if isinstance(model, NativeModel) else None
+        if not isinstance(model, NativeModel):
+            return None
+        still = model.kernel(scene, self.severity(scene), paces, self.own(scene))
         if still is None or not scene.moving:
             return still
-        severity = self.hazard_severity(scene)[:, len(scene.entities) :]
+        severity = self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)]
         moving = moving_model(model).kernels(scene, severity, paces)
         return None if moving is None else reduce(add, moving, still)
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.placement import Placement
@@ -25,7 +25,7 @@ from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
-Exposure = Literal["length", "time", "waypoints"]
+EXPOSURES = ("time", "length", "waypoints")
 
 _LEAST_AREA = 1e-12
 """Of a body seen from above [m^2]."""
@@ -90,7 +90,7 @@ def reference_cost(
     *,
     w: float = 1.0,
     components: Sequence[str] = ("carried", "contents"),
-    exposure: Exposure = "time",
+    exposure: str = "time",
     step: float = 0.0025,
 ) -> CostBreakdown:
     """Compute joint-space length plus weighted impact of a motion.
@@ -103,7 +103,12 @@ def reference_cost(
         exposure: Integrate over "time" or "length", or sum over "waypoints". A path is timed at the joints' velocity
             limits.
         step: Longest piece of the trapezoid rule [rad].
+
+    Raises:
+        SettingError: If there is no such exposure.
     """
+    if exposure not in EXPOSURES:
+        raise SettingError("exposure", exposure, f"one of {', '.join(EXPOSURES)}")
     names = [name for name in components if name in scene.components]
     q, t = _points(motion, step, exposure, scene.limits.velocity)
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
@@ -124,7 +129,7 @@ def reference_cost(
 
 
 def _points(
-    motion: Path | Trajectory, step: float, exposure: Exposure, velocity: Float[Array, " nq"]
+    motion: Path | Trajectory, step: float, exposure: str, velocity: Float[Array, " nq"]
 ) -> tuple[Float[Array, "n nq"], Float[Array, " n"]]:
     """Sample the motion: configurations and times [s]."""
     if isinstance(motion, Path):

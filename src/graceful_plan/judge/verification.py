@@ -16,7 +16,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import ShapeError
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.motion_samples import MotionSamples, motion_samples
-from graceful_plan.judge.reference_cost import Exposure, reference_cost
+from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.second_opinion import opinion_of_fcl
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, Verdict
@@ -42,7 +42,7 @@ def verify(
     cost: CostBreakdown | None = None,
     cost_path: Path | None = None,
     components: Sequence[str] = ("carried", "contents"),
-    exposure: Exposure = "time",
+    exposure: str = "time",
     step: float = 0.002,
     second_opinion: bool = False,
 ) -> Verdict:
@@ -68,6 +68,7 @@ def verify(
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.
+        SettingError: If there is no such exposure.
     """
     nq = len(scene.joints)
     if motion.q.shape[1] != nq:
@@ -174,7 +175,7 @@ def _pose(goal: PoseGoal, q: Float[Array, " nq"], scene: Scene, at: float) -> Ch
 
 
 def _cost(
-    cost: CostBreakdown, motion: Path | Trajectory, scene: Scene, components: Sequence[str], exposure: Exposure
+    cost: CostBreakdown, motion: Path | Trajectory, scene: Scene, components: Sequence[str], exposure: str
 ) -> Check:
     own = reference_cost(motion, scene, w=cost.w, components=components, exposure=exposure)
     # With a small weight the impact would hardly be checked, yet it is reported.

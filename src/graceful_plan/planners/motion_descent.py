@@ -1,14 +1,15 @@
 """Smooth motions from paths: control points of a spline descend along J of the motion as it will be executed.
 
 The work is done in the core (`search/motion_descent.hpp`), where the speed profile is part of the gradient. Descents
-from several paths, on several numbers of control points, run side by side; those that fall behind are given up.
+from several paths go from coarse to fine, side by side, and only the better ones go on. What time is left is for hops:
+the best motions, bent at random, descend again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -23,24 +24,62 @@ Array = np.ndarray
 
 TIME_PRICE = 0.05
 """What a second of motion counts on top of J [rad/s]: it decides between motions of about the same J."""
-CONTROLS = (16, 24, 12, 32)
-"""Numbers of control points that are tried for each path, one after the other."""
-_DENSITY = 6
-"""Samples between two knots."""
-_ROUND = 25
-"""Evaluations of a descent between two looks at the others."""
-_PATIENCE = 40
-"""Evaluations after which a descent is compared with the best one."""
-_HOPELESS = 1.25
-"""A descent is given up if its J is so many times that of the best one then."""
-_MOST = 300
-"""Evaluations of one descent."""
+_ROUND = 20
+"""Evaluations of a descent between two looks at the clock."""
 _HARDENINGS = 3
 """How often a descent that ends too close to something is pressed harder away from it, for `_MORE` evaluations each."""
 _MORE = 40
 _WORKERS = 2
-_UNTIMED = 12
-"""Descents where no clock limits them."""
+_UNTIMED_HOPS = 4
+"""Hops where no clock limits them."""
+_MIDDLE = 4
+"""Starts that go on after their coarse descent."""
+_MOST_HOPS = 2000
+_PROMISING = (1.2, 1.05)
+"""After its coarse and its middle part, a hop goes on if J is no more than so many times that of the best."""
+_BEND = (0.1, 1.0)
+"""Least and greatest size of the bend of a hop [rad]."""
+_RESAMPLED = 64
+"""Points of a curve from which the next descent begins."""
+
+
+@final
+@dataclass(frozen=True)
+class Stage:
+    """How finely a motion descends, and how long.
+
+    | field       | meaning                                        |
+    |-------------|------------------------------------------------|
+    | controls    | control points                                 |
+    | density     | samples between two knots                      |
+    | rough       | whether impacts are in single precision        |
+    | evaluations | of the motion and its gradient, at most        |
+    """
+
+    controls: int
+    density: int
+    rough: bool
+    evaluations: int
+
+
+COARSE, MIDDLE, FINE = Stage(12, 3, True, 40), Stage(16, 5, True, 60), Stage(24, 6, True, 160)
+
+
+@final
+@dataclass(frozen=True)
+class Effort:
+    """How much a search for motions takes on.
+
+    | field   | meaning                                                                          |
+    |---------|----------------------------------------------------------------------------------|
+    | screens | whether starts descend coarsely first, and only the better ones go on            |
+    | fine    | how many then descend finely; with none, coarse curves are the result            |
+    | hops    | how many hops at most; as many as there is time for if None                      |
+    """
+
+    screens: bool = True
+    fine: int = 2
+    hops: int | None = None
 
 
 @final
@@ -73,33 +112,25 @@ class MotionDescents:
         velocity: Limits of the joints [rad/s or m/s].
         acceleration: Limits of the joints [rad/s^2 or m/s^2].
         is_free: Whether nothing is hit along a curve that came from some start.
+        effort: How much of what there is to do.
     """
 
     space: _native.Space
     velocity: Float[Array, " nq"]
     acceleration: Float[Array, " nq"]
     is_free: Callable[[Spline, Start], bool]
+    effort: Effort = Effort()
 
-    def run(self, starts: Sequence[Start], budget: Budget) -> list[Landed]:
-        """Descend from all starts, as far as the time allows; return free curves, the best first.
+    def run(self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator) -> list[Landed]:
+        """Descend from all starts and hop, as far as the time allows; return free curves, the best first.
 
-        Without a time limit, the number of descents is fixed and the result does not depend on the clock.
+        Without a time limit, the number of hops is fixed and the result does not depend on the clock.
         """
-        jobs = [(k, controls) for controls in CONTROLS for k in range(len(starts))]
-        timed = bool(np.isfinite(budget.time_limit))
-        if not timed:
-            jobs = jobs[:_UNTIMED]
-        found: list[Landed] = []
-        best = _Best()
-
-        def work(job: tuple[int, int]) -> Landed | None:
-            return self._descended(starts[job[0]], job, best if timed else _Best(), budget)
-
         with ThreadPoolExecutor(_WORKERS) as pool:
-            found += [one for one in pool.map(work, jobs) if one is not None]
-        return sorted(found, key=lambda one: one.value)
+            return _Descending(self, starts, budget, rng, pool).run()
 
-    def _descended(self, start: Start, job: tuple[int, int], best: _Best, budget: Budget) -> Landed | None:
+    def descended(self, start: Start, stage: Stage, budget: Budget) -> _native.MotionDescent | None:
+        """Descend from a path for one stage; None if there was no time for it."""
         if _out(budget):
             return None
         descent = _native.MotionDescent(
@@ -107,38 +138,117 @@ class MotionDescents:
             path=np.ascontiguousarray(start.path.q),
             velocity=self.velocity,
             acceleration=self.acceleration,
-            controls=job[1],
-            density=_DENSITY,
+            controls=stage.controls,
+            density=stage.density,
+            rough=stage.rough,
             time_price=TIME_PRICE,
             tight_start=start.tight_start,
             tight_end=start.tight_end,
         )
-        for done in self._rounds(descent, _MOST, budget):
-            if done >= _PATIENCE and descent.value > _HOPELESS * best.value:
-                return None
-        for _ in range(_HARDENINGS):
+        _go_on(descent, stage.evaluations, budget)
+        return descent
+
+    def landed(self, start: Start, index: int, budget: Budget) -> Landed | None:
+        """Descend finely and press away from what is too close; None if that does not help."""
+        descent = self.descended(start, FINE, budget)
+        if descent is None:
+            return None
+        for hardening in range(_HARDENINGS + 1):
             curve = Spline(descent.controls)
             if self.is_free(curve, start):
-                best.value = min(best.value, descent.value)
-                return Landed(curve, descent.value, job[0])
-            descent.harden()
-            for _ in self._rounds(descent, _MORE, budget):
-                pass
+                return Landed(curve, descent.value, index)
+            if hardening < _HARDENINGS:
+                descent.harden()
+                _go_on(descent, _MORE, budget)
         return None
-
-    def _rounds(self, descent: _native.MotionDescent, most: int, budget: Budget) -> Iterator[int]:
-        done = 0
-        while done < most and not _out(budget):
-            now = descent.run(_ROUND, budget.remaining_seconds)
-            done += _ROUND
-            yield done
-            if now < _ROUND:
-                return
 
 
 @dataclass
-class _Best:
-    value: float = np.inf
+class _Descending:
+    """Descents from coarse to fine, then hops."""
+
+    descents: MotionDescents
+    starts: Sequence[Start]
+    budget: Budget
+    rng: np.random.Generator
+    pool: ThreadPoolExecutor
+    found: list[Landed] = field(default_factory=list)
+    spare: list[Landed] = field(default_factory=list)
+    """Free curves of coarse descents: their J is a guess, so that they count only where nothing has landed."""
+
+    def run(self) -> list[Landed]:
+        effort, jobs = self.descents.effort, [(0.0, start, k) for k, start in enumerate(self.starts)]
+        for stage, kept in ((COARSE, _MIDDLE), (MIDDLE, effort.fine)) if effort.screens else ():
+            jobs = self._descended([(start, k) for _, start, k in jobs], stage)[:kept]
+        self._land(jobs[: effort.fine])
+        most = _MOST_HOPS if np.isfinite(self.budget.time_limit) else _UNTIMED_HOPS
+        for _ in range(0, most if effort.hops is None else effort.hops, _WORKERS):
+            if _out(self.budget) or not self._elite():
+                break
+            self._hop()
+        return sorted(self.found or self.spare, key=lambda one: one.value)
+
+    def _descended(self, jobs: Sequence[tuple[Start, int]], stage: Stage) -> list[tuple[float, Start, int]]:
+        """Return values, curves as paths and where they came from, the best first; keep what is free already."""
+        ended: list[tuple[float, Start, int]] = []
+        done = self.pool.map(lambda job: self.descents.descended(job[0], stage, self.budget), jobs)
+        for descent, (start, k) in zip(done, jobs, strict=True):
+            if descent is None:
+                continue
+            curve = Spline(descent.controls)
+            ended.append((descent.value, Start(Path(_resampled(curve)), start.tight_start, start.tight_end), k))
+            if self.descents.is_free(curve, start):
+                self.spare.append(Landed(curve, descent.value, k))
+        return sorted(ended, key=lambda one: one[0])
+
+    def _land(self, jobs: Sequence[tuple[float, Start, int]]) -> None:
+        done = self.pool.map(lambda job: self.descents.landed(job[1], job[2], self.budget), jobs)
+        self.found += [one for one in done if one is not None]
+
+    def _hop(self) -> None:
+        """Bend some of the best motions, and see whether they descend to better ones."""
+        elite = self._elite()
+        best = elite[0].value
+        chosen = [elite[0] if self.rng.uniform() < 0.5 else elite[-1] for _ in range(_WORKERS)]
+        jobs = [(self._bent(one), one.start) for one in chosen]
+        for stage, most in zip((COARSE, MIDDLE), _PROMISING, strict=True):
+            kept = [one for one in self._descended(jobs, stage) if one[0] < most * best]
+            jobs = [(start, k) for _, start, k in kept]
+            if not jobs:
+                return
+        self._land([(0.0, start, k) for start, k in jobs[: self.descents.effort.fine]])
+
+    def _elite(self) -> list[Landed]:
+        """What hops begin with: the best that have landed, or of coarse descents where none are to land."""
+        found = self.found if self.descents.effort.fine else self.spare
+        return sorted(found, key=lambda one: one.value)[:_WORKERS]
+
+    def _bent(self, one: Landed) -> Start:
+        """Bend a curve at a random place, by a random size and in a random direction."""
+        q = _resampled(one.curve)
+        s = np.linspace(0.0, 1.0, len(q))[:, None]
+        centre, width = self.rng.uniform(0.1, 0.9), self.rng.uniform(0.15, 0.5)
+        direction = self.rng.normal(size=q.shape[1])
+        least, most = _BEND
+        size = least * (most / least) ** self.rng.uniform() / np.linalg.norm(direction)
+        bump = np.maximum(0.0, 1.0 - ((s - centre) / width) ** 2) ** 2 * np.minimum(1.0, 8.0 * s * (1.0 - s))
+        start = self.starts[one.start]
+        return Start(Path(q + size * bump * direction), start.tight_start, start.tight_end)
+
+
+def _resampled(curve: Spline) -> Float[Array, "n nq"]:
+    u = np.linspace(0.0, len(curve.controls) - 3.0, _RESAMPLED)
+    q = _native.spline(np.ascontiguousarray(curve.controls), u)[0]
+    q[0], q[-1] = curve.controls[0], curve.controls[-1]
+    return q
+
+
+def _go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:
+    done = 0
+    while done < evaluations and not _out(budget):
+        if descent.run(_ROUND, budget.remaining_seconds) < _ROUND:
+            return
+        done += _ROUND
 
 
 def _out(budget: Budget) -> bool:

@@ -8,8 +8,9 @@ other, and with the polylines that were found, by J of the trajectory.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import TIME_PRICE, Landed, MotionDescents, Start
+from graceful_plan.planners.motion_descent import TIME_PRICE, Effort, Landed, MotionDescents, Start
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -39,6 +40,8 @@ _MOST_STARTS = 5
 """Paths from which smooth motions begin."""
 _MOST_TIMED = 4
 """Smooth motions that are compared by the J of their trajectories."""
+_LEAST_TIGHT = 0.15
+"""Least length at a tight end along which the spheres do not count [rad]."""
 _LOOKED_AT = 1000
 """Configurations of a motion that are looked at with the fast checker."""
 
@@ -50,13 +53,21 @@ class Motion:
     path: Path
     trajectory: Trajectory
     cost: CostBreakdown
-    goal_index: int
+    arrival: int
+    """Which of the ways to a goal it takes; see `Ends`."""
     ranking: float
     """What motions are compared by."""
 
 
 def motions(
-    paths: Sequence[Path], request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+    paths: Sequence[Path],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
+    known: Sequence[Motion] = (),
+    *,
+    hops: bool = True,
 ) -> tuple[list[Motion], str]:
     """Return motions along or near paths, the best first, and why there is none if so.
 
@@ -65,11 +76,14 @@ def motions(
         request: What they were found for.
         ends: Both ends.
         problem: What was searched in.
-        budget: For descents.
+        means: Time for descents, and chance for hops.
+        known: Motions that compete, and are descended from as well.
+        hops: Whether to use up the time.
     """
-    chosen = [paths[k] for k in thinned(len(paths))][:_MOST_STARTS]
-    wholes = [ends.joined(path) for path in chosen]
-    found = _smooth(wholes, request, ends, problem, budget)
+    wholes = [ends.joined(paths[k]) for k in thinned(len(paths))][:_MOST_STARTS]
+    begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
+    effort = Effort() if hops else Effort(hops=0)
+    found = [*known, *smooth(begun, request, ends, problem, means, effort=effort)]
     why_not = ""
     for whole, arrival in wholes[: 1 if found else KEPT]:
         try:
@@ -90,7 +104,7 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
     """
     whole, arrival = ends.joined(path)
     ways = (lambda: _along(whole, arrival, request, ends),) if swift else ()
-    exact = tuple(partial(_cut, whole, deviation, arrival, request, ends) for deviation in DEVIATIONS[1:])
+    exact = tuple(partial(_cut, whole, deviation, arrival, request) for deviation in DEVIATIONS[1:])
     for motion in (*ways, *exact):
         try:
             yield motion()
@@ -98,10 +112,25 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
             continue
 
 
-def _smooth(
-    wholes: Sequence[tuple[Path, int]], request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+def smooth(
+    wholes: Sequence[tuple[Path, int]],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
+    *,
+    effort: Effort,
 ) -> list[Motion]:
-    """Return smooth motions, where the objective is one that they can descend along."""
+    """Return smooth motions that descended from paths, the most promising first; none if the objective has no descents.
+
+    Args:
+        wholes: Paths from the real start to a real goal, and which arrival each takes.
+        request: What to descend along.
+        ends: Both ends.
+        problem: What was searched in.
+        means: Time for descents, and chance for hops.
+        effort: How much of what there is to do.
+    """
     objective = request.objective.descended()
     if objective is None:
         return []
@@ -119,14 +148,17 @@ def _smooth(
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
+        effort=effort if objective.w > 0.0 else replace(effort, hops=0),
     )
-    starts = [
-        Start(whole, ends.departure.length, ends.arrivals[arrival].length)
-        for whole, arrival in wholes
-        if whole.length > 0.0
-    ]
-    landed = descents.run(starts, budget)
+    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
+    starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
+    landed = descents.run(starts, *means)
     return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def _tight(way: Path) -> float:
+    """How far from an end the spheres may come too close, if they do there [rad]; the judge looks at it exactly."""
+    return max(_LEAST_TIGHT, 3.0 * way.length) if way.length > 0.0 else 0.0
 
 
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
@@ -137,22 +169,20 @@ def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | 
         return None
     if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.objective):
         return None
-    return _timed(trajectory.path, trajectory, arrival, request, ends)
+    return _charged(trajectory.path, trajectory, arrival, request)
 
 
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
     """Time a polyline, each corner cut as far as the fast checker allows."""
     clear = ends.in_the_clear(arrival)
-    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request, ends)
+    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
 
 
-def _cut(
-    whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request, ends: Ends
-) -> Motion:
+def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline, its corners cut by so much."""
     scene = request.objective.scene
     trajectory = retime(whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed)
-    return _timed(whole, trajectory, arrival, request, ends)
+    return _charged(whole, trajectory, arrival, request)
 
 
 def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
@@ -160,7 +190,7 @@ def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
     q = merge_near_vertices(whole)
     chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
     kernels = request.objective.kernels
-    for wider, narrower in zip(DEVIATIONS, DEVIATIONS[1:], strict=False):
+    for wider, narrower in pairwise(DEVIATIONS):
         open_ = np.flatnonzero(chosen == wider)
         if len(open_) == 0:
             break
@@ -170,7 +200,12 @@ def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
     return chosen
 
 
-def _timed(whole: Path, trajectory: Trajectory, arrival: int, request: Request, ends: Ends) -> Motion:
+def recharged(motion: Motion, request: Request) -> Motion:
+    """Return a motion as it was, charged for what was asked."""
+    return _charged(motion.path, motion.trajectory, motion.arrival, request)
+
+
+def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
     objective = request.objective
     if objective.scene.moving:
         trajectory, cost = best_departure(trajectory, objective, request.max_wait)
@@ -181,7 +216,7 @@ def _timed(whole: Path, trajectory: Trajectory, arrival: int, request: Request, 
         path=whole,
         trajectory=trajectory,
         cost=cost,
-        goal_index=ends.goal_index[arrival],
+        arrival=arrival,
         ranking=total + TIME_PRICE * trajectory.duration,
     )
 

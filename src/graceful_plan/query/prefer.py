@@ -1,12 +1,12 @@
 r"""Choosing and refining paths by a risk measure that does not add up along a path.
 
-Search minimises J = V + w S, where S = T E[impact] is exposure (T: length, or whatever the objective integrates over)
+Search minimises J = V + w S, where S = T E[impact] is exposure (T: time, or whatever the objective integrates over)
 times the mean impact of a failure. With another measure rho of the distribution of impact (`risk`), paths are preferred
 by
 
 .. math:: J_\rho = V + w\, T\, \rho(\mathrm{impact} \mid \mathrm{failure})
 
-which for rho = E, each entity counted once, is J. It has no optimal substructure: whether a detour pays depends on all
+which for rho = E is J. It has no optimal substructure: whether a detour pays depends on all
 of the rest of the path, so tree searches with it are wrong. Therefore it decides only at the end: of the improvements
 that a search by J came across, the one of least J_rho is taken and refined by local moves that lower J_rho. What is
 far from all of these paths is not found, even if it were better by J_rho. The path returned may be worse by J than

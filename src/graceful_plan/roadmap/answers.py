@@ -30,7 +30,7 @@ class QueryResult:
     status: QueryStatus
     path: Path | None = None
     cost: CostBreakdown = field(default_factory=CostBreakdown)
-    """What the path costs, as `evaluate` has it; the search compared edges by coarser samples."""
+    """What the path costs, as `evaluate` has it; edges were compared by coarser samples, at the paces of motions."""
     goal_index: int | None = None
     """Which of several goals was reached."""
     detail: str = ""

@@ -10,7 +10,6 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
-from graceful_plan.costs.objective import search_paces
 from graceful_plan.planners.roadmaps.growth import Ground
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.goals import Configuration, Goal
@@ -30,7 +29,7 @@ _MOST_PAIRS = 24
 def ground_of(exposure: Exposure) -> Ground:
     """Make the ground of a scene."""
     scene = exposure.scene
-    kernels, objective = compile_scene(scene).kernels, exposure.objective.bind(scene, search_paces())
+    kernels, objective = compile_scene(scene).kernels, exposure.objective.bind(scene, exposure.paces)
     lower, upper = scene.limits.position.T
     return Ground(
         lower=lower,

@@ -129,7 +129,7 @@ class Roadmap:
         if len(steps) == 0:
             return QueryResult(status=QueryStatus.NOT_CONNECTED)
         path = joined.path(steps)
-        cost = self.exposure.breakdown(self.exposure.finely().price(path.q[:-1], path.q[1:]), severities, weight)
+        cost = self.exposure.breakdown(self.exposure.reported().price(path.q[:-1], path.q[1:]), severities, weight)
         index = ends.goal_index[int(np.flatnonzero(joined.goals == joined.graph.head[steps[-1]])[0])]
         return QueryResult(status=QueryStatus.FOUND, path=path, cost=cost, goal_index=index)
 
@@ -146,8 +146,8 @@ class Roadmap:
         """Find the paths of the roadmap none of which another one of it dominates in motion and impact.
 
         Weighted sums reach the convex hull of a front only; this is all of it. The search is exact in the costs that
-        the roadmap has stored. The costs that are returned are computed by finer samples, and a path that turns out to
-        be dominated is left out.
+        the roadmap has stored, at the paces of real motions. The costs that are returned are those of `evaluate`, and a
+        path that turns out to be dominated by them is left out.
 
         Args:
             start: As for `query`.
@@ -177,7 +177,7 @@ class Roadmap:
         if not found.edges:
             return []
         steps, place = np.unique(np.concatenate(found.edges), return_inverse=True)
-        fine = self.exposure.finely().price(*joined.ends_of(steps))
+        fine = self.exposure.reported().price(*joined.ends_of(steps))
         both = np.stack([fine.motion, fine.impact(severities)], axis=1)[place]
         lengths = [len(path) for path in found.edges]
         totals = np.array([part.sum(axis=0) for part in np.split(both, np.cumsum(lengths)[:-1])])

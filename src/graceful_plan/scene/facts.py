@@ -37,6 +37,7 @@ class SceneFacts:
     | components       | by name: "body" (the links that move), "carried", "contents"                    |
     | entities         | by name: what can be harmed and stays where it is                               |
     | moving_severity  | by name of a moving entity, then by component                                   |
+    | own_severity     | of the loss of the carried object itself; 0 if nothing is carried               |
     | unlabelled       | bodies that are obstacles and nothing else, since nobody said what they are     |
     | keyframes        | configurations by name                                                          |
     | allowed_contacts | what may touch                                                                  |
@@ -53,6 +54,7 @@ class SceneFacts:
     components: Mapping[str, Component]
     entities: Mapping[str, Entity]
     moving_severity: Mapping[str, Mapping[str, float]]
+    own_severity: float
     unlabelled: tuple[str, ...]
     keyframes: Mapping[str, Float[Array, " nq"]]
     allowed_contacts: tuple[AllowedContact, ...]

@@ -25,7 +25,7 @@ from graceful_plan.scene.elements import (
     Notes,
     ObjectNote,
 )
-from graceful_plan.scene.harm.severity import SeverityTable, check_severity
+from graceful_plan.scene.harm.severity import ITSELF, SeverityTable, check_severity
 from graceful_plan.scene.model_parts import colliding_geoms, find, names, subtree
 from graceful_plan.scene.moving import MovingEntity
 
@@ -144,6 +144,15 @@ def moving_severities(
                 raise SceneError(f"the name of the moving entity {name!r} is taken by a body of the scene")
             found[name] = _severity_against(name, entity, by_entity, table, components)
     return MappingProxyType(found)
+
+
+def own_severity(notes: Notes, components: Mapping[str, Component]) -> float:
+    """Return how bad the loss of the carried object itself is; 0 if nothing is carried, or no table says it."""
+    if "carried" not in components:
+        return 0.0
+    _, by_class = _split_overrides(notes)
+    row = notes.severity.with_overrides(by_class).rows.get(ITSELF, {})
+    return row.get(components["carried"].component_class, 0.0)
 
 
 def _severity_against(

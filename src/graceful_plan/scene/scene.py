@@ -159,6 +159,7 @@ class Scene(SceneFacts):
             components=components,
             entities=roles.find_entities(model, notes, robot, components),
             moving_severity=roles.moving_severities(model, notes, components),
+            own_severity=roles.own_severity(notes, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
             keyframes=find_keyframes(notes, len(joints)),
             allowed_contacts=declared_contacts(model, notes, tool_body),
@@ -255,6 +256,7 @@ class Scene(SceneFacts):
         Args:
             severity: A whole table, or replacements: by entity, a number or numbers by component ("body", "carried",
                 "contents"); by entity class, a number or numbers by component class. A name that is both is the entity.
+                The class "carried" is the carried object itself.
 
         Raises:
             UnknownNameError: If a name is neither an entity nor a class.

@@ -16,6 +16,7 @@ def summary(scene: SceneFacts, tasks: Mapping[str, str]) -> str:
         *([scene.notes.description] if scene.notes.description else []),
         "components:",
         *(f"  {c.name:<9} {c.component_class:<13} {_geoms(scene, c.geoms)}" for c in scene.components.values()),
+        *([] if scene.carried is None else [f"severity of the loss of {scene.carried.body}: {scene.own_severity:g}"]),
         "entities (severity of " + ", ".join(columns) + "):",
         *(
             f"  {e.name:<20} {e.category:<11} " + "  ".join(f"{e.severity[c]:5g}" for c in columns)

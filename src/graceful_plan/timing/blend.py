@@ -136,7 +136,9 @@ def rounded_corners(q: Float[Array, "n nq"], deviation: float, samples: int = 9)
     return start + reach * (u * tangents[:-1, None] + 0.25 * u * u * turns[:, None])
 
 
-def _segments(q: Float[Array, "n nq"]) -> tuple[Float[Array, " edge"], Float[Array, "edge nq"], Float[Array, "corner nq"]]:
+def _segments(
+    q: Float[Array, "n nq"],
+) -> tuple[Float[Array, " edge"], Float[Array, "edge nq"], Float[Array, "corner nq"]]:
     """Lengths and directions of the segments of a polyline, and how the direction turns at each inner vertex."""
     lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
     tangents = np.diff(q, axis=0) / lengths[:, None]

@@ -40,7 +40,7 @@ def add_to(commands: Any) -> None:
         "--known",
         type=FilePath,
         metavar="FILE",
-        help="best_known.yaml of another comparison, or a folder of best paths",
+        help="best_known.yaml of another comparison, or a folder of best motions",
     )
     bench.add_argument("--export", default="", metavar="csv,parquet,arena", help="tables, and OMPL's Planner Arena")
     bench.add_argument("--report-only", action="store_true", help="run nothing; report what --out holds")

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import graceful_plan as gp
+from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.result import TracePoint
 
 SCENE = "tabletop"
-WEIGHTS = {"w = 0 (shortest)": 0.0, "w = 1 (fails gracefully)": 1.0}
+WEIGHTS = {"w = 0 (shortest)": 0.0, f"w = {DEFAULT_WEIGHT:g} (fails gracefully)": DEFAULT_WEIGHT}
 SPEED = 0.3
 """Fraction of the velocity limits: as slowly as a robot moves near people."""
 
@@ -48,7 +49,7 @@ def _change(before: float, after: float, what: str, unit: str = "") -> str:
 
 
 def run(output: Path, *, callback: Callable[[TracePoint], None] | None = None, **budget: Any) -> DemoResults:
-    """Plan the first task of `tabletop` with w = 0 and w = 1; write trajectories and pictures into `output`.
+    """Plan the first task of `tabletop` with w = 0 and the default w; write trajectories and pictures into `output`.
 
     Args:
         output: Folder; made if it does not exist.

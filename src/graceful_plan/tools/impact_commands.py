@@ -27,7 +27,7 @@ def add_to(commands: Any) -> None:
     add_scene(explain)
     add_model(explain, gp.ImpactCost().model)
     explain.add_argument(
-        "--exposure", default="length", help="what the impact is integrated over: length, time, waypoints"
+        "--exposure", default="time", help="what the impact is integrated over: time (default), length, waypoints"
     )
     explain.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import graceful_plan as gp
 from graceful_plan import documents
+from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.exceptions import SettingError
 from graceful_plan.tools.console import (
     DONE,
@@ -27,7 +28,7 @@ from graceful_plan.tuning.fronts import ChoiceStatus
 
 def add_to(commands: Any) -> None:
     """Add these commands to those of the parser."""
-    demo = add_command(commands, "demo", _demo, "plan 'tabletop' with w = 0 and w = 1, compare, draw")
+    demo = add_command(commands, "demo", _demo, "plan 'tabletop' with w = 0 and the default w, compare, draw")
     demo.add_argument("--output", type=FilePath, default=FilePath("graceful_plan_demo"), help="folder for what is made")
     add_budget(demo)
 
@@ -35,7 +36,8 @@ def add_to(commands: Any) -> None:
     add_scene(plan)
     plan.add_argument("--start", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
-    plan.add_argument("--w", type=float, default=1.0, help="safety weight; 0 is an ordinary planner (default 1)")
+    weight = f"safety weight; 0 is an ordinary planner (default {DEFAULT_WEIGHT:g})"
+    plan.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
     plan.add_argument("--planner", default="auto", help="see `graceful-plan planners`")
     plan.add_argument("--output", type=FilePath, metavar="FILE", help="write the trajectory to FILE.json or FILE.csv")
     add_budget(plan)
@@ -43,7 +45,7 @@ def add_to(commands: Any) -> None:
     evaluate = add_command(commands, "evaluate", _evaluate, "judge a path or trajectory from any planner")
     evaluate.add_argument("motion", type=FilePath, help="JSON file with a path or a trajectory")
     add_scene(evaluate)
-    evaluate.add_argument("--w", type=float, default=1.0, help="safety weight of the total (default 1)")
+    evaluate.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
 
     tune = add_command(commands, "tune", _tune, "find the front of motion against impact, to choose a safety weight")
     tune.add_argument("scene", nargs="?", default="tabletop", help="bundled scene or scene file (default tabletop)")

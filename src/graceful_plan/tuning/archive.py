@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import Generic, Protocol, TypeVar, final, runtime_checkable
 
 import numpy as np
 
@@ -99,12 +99,25 @@ def charged(objective: BoundObjective, q0: Float[Array, "n nq"], q1: Float[Array
     return costs
 
 
+@runtime_checkable
+class Costed(Protocol):
+    """What may be on a front."""
+
+    @property
+    def cost(self) -> Float[Array, " 2"]:
+        """Motion and impact."""
+        ...
+
+
+C = TypeVar("C", bound=Costed)
+
+
 @final
-class Archive:
+class Archive(Generic[C]):
     """The candidates that no other is better than, sorted by motion."""
 
     def __init__(self) -> None:
-        self.candidates: list[Candidate] = []
+        self.candidates: list[C] = []
         self._motion: list[float] = []
 
     def __len__(self) -> int:
@@ -115,7 +128,7 @@ class Archive:
         """Motion and impact of each."""
         return np.array([c.cost for c in self.candidates]).reshape(-1, 2)
 
-    def offer(self, candidate: Candidate) -> bool:
+    def offer(self, candidate: C) -> bool:
         """Keep a candidate, and drop those that it is better than, unless one of them is as good."""
         motion, impact = candidate.cost.tolist()
         at = bisect.bisect_right(self._motion, motion)
@@ -129,16 +142,16 @@ class Archive:
         self._motion[begin:end] = [motion]
         return True
 
-    def drop(self, candidate: Candidate) -> None:
+    def drop(self, candidate: C) -> None:
         """Forget a candidate that turned out to be of no use."""
         at = next(i for i, other in enumerate(self.candidates) if other is candidate)
         del self.candidates[at], self._motion[at]
 
-    def best_for(self, w: float) -> Candidate:
+    def best_for(self, w: float) -> C:
         """Return the candidate of least V + w S."""
         return self.candidates[int(np.argmin(self.costs @ np.array([1.0, w])))]
 
-    def chosen(self, count: int) -> list[Candidate]:
+    def chosen(self, count: int) -> list[C]:
         """Return the candidates, at most so many, that stand for all of them best; see `best_subset`."""
         return [self.candidates[i] for i in best_subset(self.costs, count)]
 
@@ -189,3 +202,12 @@ def widest_gaps(costs: Float[Array, "n 2"], count: int) -> Sequence[int]:
         return []
     steps = np.abs(np.diff(scaled(costs), axis=0))
     return np.argsort(-steps[:, 0] * steps[:, 1], kind="stable")[:count].tolist()
+
+
+def coarse_to_fine(n: int) -> list[int]:
+    """Order 0 to n - 1: both ends, then the middle, then the middles of the halves, and so on."""
+    order, step = [0, n - 1] if n > 1 else list(range(n)), 1
+    while len(order) < n:
+        step *= 2
+        order += [i for i in (round((n - 1) * k / step) for k in range(1, step, 2)) if i not in order]
+    return order

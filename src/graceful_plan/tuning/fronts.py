@@ -1,16 +1,17 @@
 """pareto(): the front of motion against impact between two configurations, verified point by point.
 
-Candidates come from minimisations of V + w S for weights up and down, and are refined as a whole, so that the parts of
-the front that no weight leads to are found, too (`search`, `refine`). Every point of the front is timed, judged and
-charged anew (`judging`).
+Paths come from minimisations of V + w S for weights up and down (`search`). From them smooth motions descend along J of
+their own timing, for weights all along the front (`motion_front`). Where there is no way down, as for costs of one's
+own, the paths themselves are refined as a whole (`refine`), and timed with their corners cut. Every point of the front
+is judged, and charged as it is timed (`judging`).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, replace
+from typing import Any, final
 
 import numpy as np
 
@@ -37,9 +38,10 @@ from graceful_plan.result import PlanStatus
 from graceful_plan.roadmap import Roadmap
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
-from graceful_plan.tuning.archive import Archive
+from graceful_plan.tuning.archive import Archive, Candidate
 from graceful_plan.tuning.front_problem import FrontProblem, Seeds
-from graceful_plan.tuning.judging import FrontQuery, Judging
+from graceful_plan.tuning.judging import LONGER, MOTION_LONGER, FrontQuery, Judging
+from graceful_plan.tuning.motion_front import FrontMotion, MotionFront
 from graceful_plan.tuning.pareto_front import Choice, ChoiceStatus, ParetoFront
 from graceful_plan.tuning.points import ParetoPoint, front_of
 from graceful_plan.tuning.search import FrontSettings, search_front
@@ -54,6 +56,10 @@ _NODES = 800
 """Of the roadmap that the search begins with."""
 _PER_NODE = 5
 """Iterations that there have to be for each of them."""
+_SEARCHING = 0.35
+"""Share of the time for paths where motions descend from them; half of the time is no better."""
+_WEIGHTS, _SWEEP = 4, 0.45
+"""Weights in a sweep for such paths, and its share of their time."""
 MOST_POINTS = 1000
 
 
@@ -65,6 +71,10 @@ class FrontProgress:
     time: float
     stage: str
     candidates: int
+
+
+Tell = Callable[[FrontProgress], bool | None]
+"""Told now and then; returning True ends the search."""
 
 
 def pareto(
@@ -79,7 +89,7 @@ def pareto(
     iterations: int | None = None,
     seed: int = 0,
     speed: float = 1.0,
-    callback: Callable[[FrontProgress], bool | None] | None = None,
+    callback: Tell | None = None,
 ) -> ParetoFront:
     """Find the front of motion against impact, to choose a safety weight by what it costs and what it buys.
 
@@ -134,47 +144,80 @@ class _Tuner:
 
     def __init__(self, query: FrontQuery, points: int, budget: Budget) -> None:
         self.query, self.points, self.budget = query, points, budget
-        self.archive = Archive()
-        self.judging = Judging(query, self.archive, points)
+        ends = query.ends
+        self.problem = SceneProblem(
+            kernels=ends.compiled.kernels,
+            start=ends.departure.q[-1],
+            goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+            margin=min(_MARGIN, 0.5 * ends.clearance),
+        )
+        self.paths: Archive[Candidate] = Archive()
+        self.motions: Archive[FrontMotion] = Archive()
+        self.path_judging = Judging(self.paths, query.point_along, points, LONGER)
+        self.motion_judging = Judging(self.motions, query.point_of, points, MOTION_LONGER)
 
-    def front(self, rng: np.random.Generator, callback: Callable[[FrontProgress], bool | None] | None) -> ParetoFront:
-        """Search, then judge."""
-        limit = self.budget.time_limit
-        settings = FrontSettings(planner=self.query.request.planner, capacity=max(8, self.points))
-        sought = self._sought(int(rng.integers(2**31)))
-        with self.budget.share(self.budget.remaining_seconds - self.judging.reserve(limit)) as part:
-            for stage in search_front(sought, settings, self.archive, part, rng):
-                if not self.judging.begun and len(self.archive) and np.isfinite(limit):
-                    self.judging.time_shortest()
-                    part.time_limit = limit - self.judging.reserve(limit)
-                now = FrontProgress(time=part.elapsed, stage=stage, candidates=len(self.archive))
-                if callback is not None and callback(now):
-                    break
+    def front(self, rng: np.random.Generator, callback: Tell | None) -> ParetoFront:
+        """Search for paths, let motions descend from them if there is a way down, then judge."""
+        stopped = self._search(rng, callback)
         searched = self.budget.elapsed
-        found = front_of(self.judging.front(self.budget))
+        points = self._descend(rng, None if stopped else callback, stopped) if self.query.descends else []
+        found = front_of(points or self.path_judging.front(self.budget))
         stats = {
             "search_time": searched,
             "total_time": self.budget.elapsed,
             "iterations": float(self.budget.spent),
-            "candidates": float(len(self.archive)),
-            "refused": float(self.judging.refused),
+            "candidates": float(len(self.paths)),
+            "refused": float(self.refused),
         }
         status, detail = self._outcome(found)
         name = self.query.request.objective.scene.notes.name
         return ParetoFront(status=status, points=found, detail=detail, scene=name, stats=stats)
 
+    @property
+    def refused(self) -> int:
+        """How many paths and motions the judge refused."""
+        return self.path_judging.refused + self.motion_judging.refused
+
+    def _search(self, rng: np.random.Generator, callback: Tell | None) -> bool:
+        """Fill the archive of paths; returns whether the callback ended that."""
+        settings = FrontSettings(planner=self.query.request.planner, capacity=max(8, self.points))
+        if self.query.descends:  # the motions are refined instead
+            settings = replace(settings, weights=_WEIGHTS, sweep=_SWEEP, refines=False)
+        sought = self._sought(int(rng.integers(2**31)))
+        share = _SEARCHING if self.query.descends else 1.0
+        reserve = self.path_judging.reserve(self.budget.time_limit)
+        with self.budget.share(share * (self.budget.remaining_seconds - reserve)) as part:
+            for stage in search_front(sought, settings, self.paths, part, rng):
+                if not self.query.descends:
+                    self._keep_time_for(self.path_judging, part)
+                if callback is not None and callback(self._progress(stage, len(self.paths))):
+                    return True
+        return False
+
+    def _descend(self, rng: np.random.Generator, callback: Tell | None, stopped: bool) -> list[ParetoPoint]:
+        """Fill the archive of motions, and judge these."""
+        descents = MotionFront(self.query, self.problem, self.motions, self.points)
+        reserve = self.motion_judging.reserve(self.budget.time_limit)
+        with self.budget.share(self.budget.remaining_seconds - reserve) as part:
+            for stage in descents.fill(self.paths, part, rng, gaps=not stopped):
+                self._keep_time_for(self.motion_judging, part)
+                if callback is not None and callback(self._progress(stage, len(self.motions))):
+                    break
+        return self.motion_judging.front(self.budget)
+
+    def _keep_time_for(self, judging: Judging[Any], part: Budget) -> None:
+        """Let a part of the budget end so early that there is time to judge all points, once that is known."""
+        if np.isfinite(self.budget.time_limit) and judging.time_first():
+            part.time_limit = self.budget.time_limit - judging.reserve(self.budget.time_limit)
+
+    def _progress(self, stage: str, candidates: int) -> FrontProgress:
+        return FrontProgress(time=self.budget.elapsed, stage=stage, candidates=candidates)
+
     def _sought(self, seed: int) -> FrontProblem:
-        ends = self.query.ends
-        margin = min(_MARGIN, 0.5 * ends.clearance)
-        problem = SceneProblem(
-            kernels=ends.compiled.kernels,
-            start=ends.departure.q[-1],
-            goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
-            margin=margin,
-        )
+        problem = self.problem
 
         def certain(q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-            return problem.kernels.edges_free(q0, q1, FINE_STEP, margin)
+            return problem.kernels.edges_free(q0, q1, FINE_STEP, problem.margin)
 
         seeds = self._roadmap(problem, seed)
         return FrontProblem(problem=problem, objective_at=self.query.at, certain=certain, seeds=seeds)
@@ -204,7 +247,7 @@ class _Tuner:
     def _outcome(self, found: tuple[ParetoPoint, ...]) -> tuple[PlanStatus, str]:
         if found:
             return PlanStatus.SOLVED, ""
-        if self.judging.refused:
-            return PlanStatus.TIMEOUT, f"the judge refused all {self.judging.refused} paths that it was shown"
+        if self.refused:
+            return PlanStatus.TIMEOUT, f"the judge refused all {self.refused} paths that it was shown"
         status = PlanStatus.TIMEOUT if self.budget.exhausted else PlanStatus.INFEASIBLE
         return status, f"no path after {self.budget.elapsed:.3f} s"

@@ -1,29 +1,63 @@
-"""From candidates to points of a front: each timed, judged and charged anew."""
+"""From candidates to points of a front: each judged, and charged as it is timed."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Generic, final
 
+import numpy as np
+
+from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.finish import first_verified
-from graceful_plan.query.motions import along
+from graceful_plan.query.motions import Motion, along
 from graceful_plan.query.request import Request
-from graceful_plan.tuning.archive import Archive, Candidate
+from graceful_plan.tuning.archive import Archive, C, Candidate, coarse_to_fine
 from graceful_plan.tuning.points import ParetoPoint
 
-_JUDGING = 0.05
+Array = np.ndarray
+
+_JUDGING = 0.03
 """Seconds that timing and judging a point may take, at first guess."""
-_LONGER = 2.5
-"""How much longer it takes than for the shortest path."""
+LONGER = 2.5
+"""How much longer it takes than for the shortest path: those around something have more corners to time."""
+MOTION_LONGER = 1.5
+"""How much longer to judge a smooth motion takes than to judge the shortest one: 1.1 to 1.4 times, measured."""
 _JUDGING_SHARE = 0.35
 """Share of the time limit that is kept for it at most."""
 _LATE = 3
 """Candidates that are judged after the time limit if none has passed."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrontMotion:
+    """A timed motion that is not yet judged.
+
+    Args:
+        motion: The motion.
+        made_by: What found it: "descent", or what found the path if it is a path with its corners cut.
+        made_with: The weight it descended by, or what the path was made with.
+    """
+
+    motion: Motion
+    made_by: str
+    made_with: float
+    cost: Float[Array, " 2"] = field(init=False)
+    """Motion and impact of its trajectory."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cost", np.array([self.motion.cost.motion, self.motion.cost.impact]))
+
+    @property
+    def whole(self) -> tuple[Path, int]:
+        """Where other motions may begin to descend, and which arrival it takes."""
+        return self.motion.path, self.motion.arrival
 
 
 @final
@@ -44,84 +78,89 @@ class FrontQuery:
         objective = self.request.objective
         return objective.objective.with_weight(w).bind(objective.scene, objective.paces)
 
-    def point(self, candidate: Candidate) -> ParetoPoint | None:
-        """Time, judge and charge a candidate; None if the judge refuses it."""
-        judged = first_verified(along(Path(candidate.q), self.request, self.ends), self.request)
+    @property
+    def descends(self) -> bool:
+        """Whether smooth motions can descend along the objective."""
+        return self.at(1.0).descended() is not None
+
+    def point_along(self, candidate: Candidate) -> ParetoPoint | None:
+        """Time a path with its corners cut, judge and charge it; None if the judge refuses it."""
+        motions = along(Path(candidate.q), self.request, self.ends)
+        return self._point(motions, candidate.made_by, candidate.made_with)
+
+    def point_of(self, one: FrontMotion) -> ParetoPoint | None:
+        """Judge a motion; None if the judge refuses it."""
+        return self._point([one.motion], one.made_by, one.made_with)
+
+    def _point(self, motions: Iterable[Motion], made_by: str, made_with: float) -> ParetoPoint | None:
+        judged = first_verified(motions, self.request)
         if judged is None or not judged.verdict.passed:
             return None
         return ParetoPoint(
             path=judged.motion.path,
             trajectory=judged.motion.trajectory,
-            cost=judged.motion.cost,
+            cost=replace(judged.motion.cost, w=self.request.objective.w),
             verdict=judged.verdict,
-            made_by=candidate.made_by,
-            made_with=candidate.made_with,
+            made_by=made_by,
+            made_with=made_with,
         )
 
 
 @final
-class Judging:
+class Judging(Generic[C]):
     """What of an archive has been judged.
 
     Args:
-        query: What was asked for.
         archive: Candidates; those that are refused are dropped from it.
+        point: Judges a candidate; None if it does not pass.
         points: Most points of the front.
+        longer: How much longer it takes than for the shortest candidate.
     """
 
-    def __init__(self, query: FrontQuery, archive: Archive, points: int) -> None:
-        self._query, self._archive, self._points = query, archive, points
+    def __init__(
+        self, archive: Archive[C], point: Callable[[C], ParetoPoint | None], points: int, longer: float
+    ) -> None:
+        self._archive, self._point, self._points, self._longer = archive, point, points, longer
         self._passed: dict[int, ParetoPoint] = {}
         """Points by the identity of their candidates, which `_kept` keeps alive."""
-        self._kept: list[Candidate] = []
-        self._each = _JUDGING
+        self._kept: list[C] = []
+        self._each, self._timed = _JUDGING, False
         self.refused = 0
-
-    @property
-    def begun(self) -> bool:
-        """Whether any candidate has passed."""
-        return bool(self._passed)
 
     def reserve(self, limit: float) -> float:
         """Return how much of a time limit to keep for judging all points [s]."""
         return min(self._each * self._points, _JUDGING_SHARE * limit)
 
-    def time_shortest(self) -> None:
-        """Judge the shortest path to see how long that takes here and now."""
+    def time_first(self) -> bool:
+        """Judge the shortest candidate, once there is any, to see how long that takes here and now; whether it did."""
+        if self._timed or not len(self._archive):
+            return False
+        self._timed = True
         began, shortest = time.perf_counter(), self._archive.candidates[0]
-        point = self._query.point(shortest)
+        point = self._point(shortest)
         if point is not None:
             self._pass(shortest, point)
-        # Paths around something have more corners to time and more places to look at than the shortest.
-        self._each = max(_JUDGING, _LONGER * (time.perf_counter() - began))
+        self._each = self._longer * (time.perf_counter() - began)
+        return True
 
     def front(self, budget: Budget) -> list[ParetoPoint]:
         """Judge the candidates that stand for all best; others take the place of those that are refused."""
         while True:
             chosen = self._archive.chosen(self._points)
             # From coarse to fine: whenever time is over, what was judged covers the front.
-            waiting = [chosen[i] for i in _coarse_to_fine(len(chosen)) if id(chosen[i]) not in self._passed]
+            waiting = [chosen[i] for i in coarse_to_fine(len(chosen)) if id(chosen[i]) not in self._passed]
             if not waiting:
                 return [self._passed[id(candidate)] for candidate in chosen]
             for candidate in waiting:
                 if budget.elapsed >= budget.time_limit and (self._passed or self.refused >= _LATE):
                     return list(self._passed.values())
-                point = self._query.point(candidate)
+                point = self._point(candidate)
                 if point is None:
                     self._archive.drop(candidate)
                     self.refused += 1
                     break
                 self._pass(candidate, point)
 
-    def _pass(self, candidate: Candidate, point: ParetoPoint) -> None:
+    def _pass(self, candidate: C, point: ParetoPoint) -> None:
         self._passed[id(candidate)] = point
         self._kept.append(candidate)
-
-
-def _coarse_to_fine(n: int) -> list[int]:
-    """Order 0 to n - 1: both ends, then the middle, then the middles of the halves, and so on."""
-    order, step = [0, n - 1] if n > 1 else list(range(n)), 1
-    while len(order) < n:
-        step *= 2
-        order += [i for i in (round((n - 1) * k / step) for k in range(1, step, 2)) if i not in order]
-    return order

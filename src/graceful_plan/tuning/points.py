@@ -26,10 +26,11 @@ class ParetoPoint:
     Args:
         path: Its geometry.
         trajectory: With times.
-        cost: Recomputed from the path, or from the trajectory if the exposure is time.
+        cost: Recomputed from the trajectory.
         verdict: What the independent judge says of the trajectory; passed.
-        made_by: What found it: "weight", a minimisation of V + w S; "gap", a minimisation between two neighbours;
-            "roadmap", an exact search on a roadmap.
+        made_by: What found it: "descent", of a smooth motion along V + w S. Of a path with its corners cut: "weight", a
+            minimisation of V + w S; "gap", a minimisation between two neighbours; "roadmap", an exact search on a
+            roadmap.
         made_with: The weight w; of a gap, the impact S that had to be undercut.
         weights: From which to which safety weight it has the least V + w S of the front; None: at none.
     """

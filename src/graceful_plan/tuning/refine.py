@@ -81,7 +81,7 @@ class Refinement:
     """
 
     def __init__(
-        self, sought: FrontProblem, archive: Archive, budget: Budget, rng: np.random.Generator, capacity: int
+        self, sought: FrontProblem, archive: Archive[Candidate], budget: Budget, rng: np.random.Generator, capacity: int
     ) -> None:
         self.problem, self.objective, self.certain = sought.problem, sought.objective_at(1.0), sought.certain
         self.archive, self.budget, self.rng, self.capacity = archive, budget, rng, capacity
@@ -142,7 +142,7 @@ def _has_derivatives(objective: BoundObjective, problem: Problem) -> bool:
     return found is not None and bool(np.allclose(found[0][:, 0], np.linalg.norm(q1 - q0, axis=1)))
 
 
-def weighted(archive: Archive, found: Sequence[Candidate] = ()) -> list[Aimed]:
+def weighted(archive: Archive[Candidate], found: Sequence[Candidate] = ()) -> list[Aimed]:
     """Send candidates down V + w S: those found, and the best by weights below, at and above each of a range."""
     motion, impact = archive.candidates[0].cost.tolist()
     if not impact > 0.0:

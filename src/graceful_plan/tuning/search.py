@@ -21,8 +21,6 @@ Array = np.ndarray
 
 _SHORTEST = 0.06
 """Share of the budget for the shortest path."""
-_SWEEP = 0.2
-"""Share of the budget for one sweep over the weights."""
 _ONLY = 0.5
 """Share of the budget for the shortest path if it has no impact."""
 _SEEDS = 0.12
@@ -38,18 +36,22 @@ class FrontSettings:
         planner: Minimises V + w S; if it has a field `initial`, it is told where to begin.
         weights: Weights in each sweep.
         capacity: Paths that are refined at a time.
+        sweep: Share of the budget for one sweep over the weights.
+        refines: Whether to refine paths as a front between the sweeps.
     """
 
     planner: Planner
     weights: int = 7
     capacity: int = 24
+    sweep: float = 0.2
+    refines: bool = True
 
 
 def search_front(
-    sought: FrontProblem, settings: FrontSettings, archive: Archive, budget: Budget, rng: np.random.Generator
+    sought: FrontProblem, settings: FrontSettings, archive: Archive[Candidate], budget: Budget, rng: np.random.Generator
 ) -> Iterator[str]:
     """Fill an archive until the budget ends; yields the name of the stage after every step. Every path is free."""
-    search = _Search(sought, settings.planner, archive, budget, rng)
+    search = _Search(sought, settings, archive, budget, rng)
     yield from search.shortest()
     if not len(archive):
         return
@@ -61,7 +63,7 @@ def search_front(
     if sought.seeds is not None and not budget.exhausted:
         search.begin(sought.seeds)
         yield "roadmap"
-        for _ in refinement.turn((), rounds=1):
+        for _ in refinement.turn((), rounds=1) if settings.refines else ():
             yield "refine"
     for turn in range(1_000_000):
         # The sweeps go up and down in turns, each over weights that lie between those of the one before.
@@ -72,9 +74,9 @@ def search_front(
         for w in weights[:: -1 if turn % 2 else 1].tolist():
             if budget.exhausted or archive.candidates[0].cost[1] <= 0.0:
                 return
-            found += search.at(w, _SWEEP / len(weights))
+            found += search.at(w, settings.sweep / len(weights))
             yield "sweep"
-        for _ in refinement.turn(found):
+        for _ in refinement.turn(found) if settings.refines else ():
             yield "refine"
         if budget.spent == before:
             return
@@ -100,9 +102,14 @@ class _Search:
     """Minimisations of V + w S, one weight after the other."""
 
     def __init__(
-        self, sought: FrontProblem, planner: Planner, archive: Archive, budget: Budget, rng: np.random.Generator
+        self,
+        sought: FrontProblem,
+        settings: FrontSettings,
+        archive: Archive[Candidate],
+        budget: Budget,
+        rng: np.random.Generator,
     ) -> None:
-        self.sought, self.planner, self.archive, self.budget, self.rng = sought, planner, archive, budget, rng
+        self.sought, self.settings, self.archive, self.budget, self.rng = sought, settings, archive, budget, rng
         self.whole = budget.remaining_seconds, budget.remaining_iterations
 
     def shortest(self) -> Iterator[str]:
@@ -114,7 +121,7 @@ class _Search:
             yield "shortest"
             if self.budget.spent == before:
                 return
-            share = _SWEEP
+            share = self.settings.sweep
 
     def begin(self, seeds: Seeds) -> None:
         """Offer paths from elsewhere."""
@@ -129,7 +136,8 @@ class _Search:
     def at(self, w: float, share: float) -> list[Candidate]:
         """Let the planner work for a share of the whole budget; offer all that it finds, and return the best."""
         objective = self.sought.objective_at(w)
-        planner = begun_at(self.planner, Path(self.archive.best_for(w).q)) if len(self.archive) else self.planner
+        planner = self.settings.planner
+        planner = begun_at(planner, Path(self.archive.best_for(w).q)) if len(self.archive) else planner
         best: list[Candidate] = []
         with self.budget.share(share * self.whole[0], share * self.whole[1]) as part:
             for path in planner.solve(self.sought.problem, objective, part, self.rng):

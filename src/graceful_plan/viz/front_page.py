@@ -116,6 +116,9 @@ def _entities(scene: Scene) -> list[dict[str, Any]]:
                 **{view: [_outline(points, view) for points in parts] for view in _VIEWS},
             }
         )
+    if scene.carried is not None:  # drawn along the path
+        itself = {"name": scene.carried.body, "category": "carried", "severity": scene.own_severity}
+        found.append({**itself, **{view: [] for view in _VIEWS}})
     return found
 
 

@@ -6,17 +6,15 @@ import time
 
 import numpy as np
 import pytest
-from bench_cases import own_planner, suite_file
+from bench_cases import own_planner, solved, suite_file
 
 import graceful_plan as gp
-from graceful_plan import PlanResult, PlanStatus
 from graceful_plan import compare as bench
 from graceful_plan.compare.runs import runner, workers
 from graceful_plan.compare.runs.comparison import settle
 from graceful_plan.compare.runs.measures import FARTHEST, JERK_STEP, exact_clearance, jerk
-from graceful_plan.compare.runs.runner import aligned_trace, run
+from graceful_plan.compare.runs.runner import run
 from graceful_plan.judge.exact import state_contacts
-from graceful_plan.result import CostBreakdown, TracePoint
 
 # --- jerk and clearance ----------------------------------------------------------------------------------------------
 
@@ -91,34 +89,10 @@ def test_clearance_of_a_motion_is_the_least_of_its_configurations():
 # --- traces ----------------------------------------------------------------------------------------------------------
 
 
-def result_of(total, *trace):
-    points = tuple(TracePoint(time=0.1 * i, total=t, motion=t - 0.5, impact=0.5) for i, t in enumerate(trace, 1))
-    cost = CostBreakdown(motion=total - 0.5, impact=0.5)
-    return PlanResult(status=PlanStatus.SOLVED, cost=cost, trace=points)
-
-
-@pytest.mark.parametrize(
-    ("total", "trace", "expected"),
-    [
-        (2.0, (4.0, 2.0), [(0.1, 4.0), (0.2, 2.0)]),
-        (4.0, (4.0, 2.0), [(0.1, 4.0)]),  # the judge refused the better path
-        (2.5, (4.0, 2.0), [(0.1, 4.5), (0.2, 2.5)]),  # ways out at both ends
-        (1.0, (4.0, 2.0), [(0.1, 4.0), (0.2, 2.0), (0.9, 1.0)]),  # improved after the search
-        (1.0, (), [(0.9, 1.0)]),
-    ],
-)
-def test_traces_end_with_the_result(total, trace, expected):
-    points = aligned_trace(result_of(total, *trace), 0.9)
-    np.testing.assert_allclose([(p.time, p.total) for p in points], expected)
-    assert all(p.motion + p.impact == pytest.approx(p.total) for p in points)
-
-
 def test_totals_over_time():
-    found = bench.Run(
-        problem="a", planner="b", seed=0, status="SOLVED", trace=aligned_trace(result_of(2.0, 4.0, 2.0), 0.9)
-    )
-    assert found.totals_at([0.0, 0.1, 0.15, 0.2, 9.0]).tolist() == [math.inf, 4.0, 4.0, 2.0, 2.0]
-    lost = bench.Run(problem="a", planner="b", seed=0, status="TIMEOUT", trace=found.trace)
+    found = solved("a", "b", 0, 2.0, first=0.01)
+    assert found.totals_at([0.0, 0.01, 0.05, 0.1, 9.0]).tolist() == [math.inf, 4.0, 4.0, 2.0, 2.0]
+    lost = dataclasses.replace(found, status="TIMEOUT")
     assert lost.totals_at([9.0]).tolist() == [math.inf]
 
 
@@ -135,11 +109,12 @@ def test_a_task_is_planned_and_measured(tmp_path):
     found = run(job)
     assert found.status == "SOLVED"
     task = gp.load_scene("tabletop").tasks[job.problem.item]
-    path = gp.Path(np.array(found.path))
-    assert found.total == pytest.approx(gp.evaluate(path, task.scene).total)
-    assert found.total == pytest.approx(found.trace[-1].total)
-    assert found.length == pytest.approx(path.length)
-    assert 0.0 < found.first <= found.seconds
+    trajectory = found.trajectory(task.scene.joints)
+    assert trajectory is not None and gp.verify(trajectory, task.scene, start=task.start, goal=task.goal).passed
+    assert found.total == pytest.approx(gp.evaluate(trajectory, task.scene, gp.Objective(w=job.w)).total)
+    assert found.total == found.trace[-1].total < min((point.total for point in found.trace[:-1]), default=math.inf)
+    assert (found.length, found.duration) == (pytest.approx(trajectory.path.length), trajectory.duration)
+    assert 0.0 < found.first <= found.trace[0].time <= found.seconds
     assert 0.0 < found.jerk_rms < found.jerk_peak
     assert 0.0 < found.clearance < 1.0
     assert found.certified <= min(found.clearance, found.self_clearance) + 1e-6
@@ -151,6 +126,7 @@ def test_the_straight_line_is_optimal_where_nothing_is_in_the_way(here):
     assert [x.status for x in found] == ["SOLVED", "INFEASIBLE"]
     assert found[0].total == pytest.approx(1.5 * math.sqrt(2.0))
     assert math.isnan(found[0].clearance) and math.isnan(found[0].jerk_peak)
+    assert found[0].trajectory(("x", "y")) is None
 
 
 def test_paths_that_lead_nowhere_do_not_count(here):

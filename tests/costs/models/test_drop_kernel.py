@@ -9,6 +9,7 @@ import pytest
 from drop_twin import dropped
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_loss_twin import own_loss
 from wrapped import Wrapped
 
 import graceful_plan as gp
@@ -17,12 +18,15 @@ from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import CONSTANTS, DropKernel, drop_kernel
+from graceful_plan.costs.models.drop.loss import loss_tables
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.spill.constants import SpillSettings
 from graceful_plan.costs.models.spill.tables import spill_tables
+from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import NonFiniteError, ShapeError
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
 
 _P = 1e-11  # probabilities: what is left out to save time, and rounding; the bar is 1e-9
@@ -58,14 +62,12 @@ def _kernel_of(scene, isa):
     compiled, tables = compile_scene(scene), drop_tables(scene)
     kernels = Kernels(compiled.robot, compiled.world, compiled.hazards, isa=isa)
     contents = None if scene.contents is None else (spill_tables(scene), SpillSettings.shipped())
-    constants = SETTINGS.of(tables.shape_class)
-    return DropKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents)
+    constants, loss = SETTINGS.of(tables.shape_class), loss_tables(scene, FragilityTable.shipped())
+    return DropKernel(tables, constants, kernels, scene.limits.velocity, len(scene.entities), contents, loss)
 
 
 def _numpy(scene, q, qd):
-    speed = np.linalg.norm(qd, axis=1)
-    direction = qd / np.where(speed > 0.0, speed, 1.0)[:, None]
-    return dropped(StateBatch(scene, q, direction, speed)).entity
+    return dropped(moving_batch(scene, q, qd)).entity
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +89,11 @@ def test_the_kernel_is_the_specification(name):
         q, qd = _states(task.scene, 150, seed=k)
         q[-50:] = np.linspace(task.start, task.goal[0], 50)
         qd[-25:] = 0.0
-        found = drop_kernel(task.scene, SETTINGS).probability(q, qd)
+        kernel = drop_kernel(task.scene, SETTINGS)
+        found, lost = kernel.probability(q, qd), kernel.own_loss(q, qd)
         np.testing.assert_allclose(found[:, 0], _numpy(task.scene, q, qd), atol=_P)
-        assert found[:, 0].max() > 0.5
+        np.testing.assert_allclose(lost, own_loss(moving_batch(task.scene, q, qd)), atol=_P)
+        assert found[:, 0].max() > 0.5 and lost.max() > (0.5 if task.scene.carried.object_class != "sharp" else 0.01)
 
 
 @given(seed=st.integers(0, 10_000), scale=st.floats(0.2, 4.0), fastest=st.floats(0.0, 20.0))
@@ -101,12 +105,13 @@ def test_constants_of_all_sizes(scene, seed, scale, fastest):
     values["catch"] = min(1.0, values["catch"])
     constants = type(SETTINGS.box)(**values)
     compiled = compile_scene(scene)
-    found = DropKernel(tables, constants, compiled.kernels, scene.limits.velocity, len(scene.entities))
+    loss = loss_tables(scene, FragilityTable.shipped())
+    found = DropKernel(tables, constants, compiled.kernels, scene.limits.velocity, len(scene.entities), loss=loss)
     q, qd = _states(scene, 40, seed, fastest)
     same = DropSettings(box=constants, cylinder=constants, plate=constants, ball=constants)
-    speed = np.linalg.norm(qd, axis=1)
-    batch = StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+    batch = moving_batch(scene, q, qd)
     np.testing.assert_allclose(found.probability(q, qd)[:, 0], dropped(batch, same).entity, atol=1e-9)
+    np.testing.assert_allclose(found.own_loss(q, qd), own_loss(batch, same), atol=1e-9)
 
 
 @pytest.mark.parametrize("isa", instruction_sets())
@@ -114,6 +119,7 @@ def test_instruction_sets_agree(scene, kernel, isa):
     other = _kernel_of(scene, isa)
     q, qd = _states(scene, 301, seed=1)
     np.testing.assert_allclose(other.probability(q, qd)[:, 0], kernel.probability(q, qd)[:, 0], atol=_P)
+    np.testing.assert_allclose(other.own_loss(q, qd), kernel.own_loss(q, qd), atol=_P)
     x = np.concatenate([np.linspace(-700.0, 700.0, 4001), np.linspace(-1.0, 1.0, 999), [0.0, 5e-324, -5e-324]])
     exponential, logarithm = other.kernels.core.elementary(x)
     np.testing.assert_allclose(exponential, np.exp(x), rtol=1e-13)
@@ -129,6 +135,8 @@ def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
     assert np.array_equal(shaped.reshape(whole.shape), whole)
     assert np.array_equal(kernel.probability(q), kernel.probability(q, np.zeros_like(q)))
     assert kernel.probability(q[:0]).shape == (0, 3, len(scene.entities))
+    lost = kernel.own_loss(q.reshape(3, 7, -1), qd.reshape(3, 7, -1))
+    assert np.array_equal(lost, kernel.own_loss(q, qd).reshape(3, 7))
 
 
 # --- what planners are charged ----------------------------------------------------------------------------------------
@@ -141,6 +149,13 @@ def test_impact_is_the_sum_over_entities(scene, kernel):
     moving, still = (np.einsum("nre,re->n", kernel.probability(q, rates), severity) for rates in (qd, None))
     np.testing.assert_allclose(kernel.impact(q, severity, qd), moving, atol=1e-12)
     np.testing.assert_allclose(kernel.with_severity(severity).states(q), still, atol=1e-12)
+    moving, still = moving + 3.0 * kernel.own_loss(q, qd), still + 3.0 * kernel.own_loss(q)
+    np.testing.assert_allclose(kernel.impact(q, severity, qd, own=3.0), moving, atol=1e-12)
+    np.testing.assert_allclose(kernel.with_severity(severity, own=3.0).states(q), still, atol=1e-12)
+    alone = kernel.impact(q, np.zeros_like(severity), qd, own=1.0)
+    np.testing.assert_allclose(alone, kernel.own_loss(q, qd), atol=1e-15)
+    nothing = DropKernel(drop_tables(scene), SETTINGS.box, kernel.kernels, scene.limits.velocity, count)
+    assert not nothing.own_loss(q).any() and not nothing.impact(q, np.zeros_like(severity), own=1.0).any()
 
 
 def test_edges_are_charged_at_their_speed(scene):
@@ -188,6 +203,8 @@ def test_little_or_nothing_to_fall_on(vase):
     q, qd = _states(scene, 9, seed=11)
     found = drop_kernel(scene, SETTINGS).probability(q, qd)
     np.testing.assert_allclose(found[:, 0], _numpy(scene, q, qd), atol=_P)
+    lost = drop_kernel(scene, SETTINGS).own_loss(q, qd)
+    np.testing.assert_allclose(lost, own_loss(moving_batch(scene, q, qd)), atol=_P)
     edges = gp.Objective(impact=gp.ImpactCost(model="footprint")).bind(scene).edges(q[:-1], q[1:])
     assert np.all(np.isfinite(edges)) and (edges[:, 1] > 0.0).all() == bool(vase)
 
@@ -201,11 +218,15 @@ def _difference(f, n, h):
     return np.stack([(8 * (f(d) - f(-d)) - (f(2 * d) - f(-2 * d))) / (12 * h) for d in steps], axis=1)
 
 
-def _check_gradient(kernel, q, qd, severity):
-    impact, *gradients = kernel.gradient(q, severity, qd)
-    np.testing.assert_allclose(impact, kernel.impact(q, severity, qd), atol=1e-12)
+def _check_gradient(kernel, q, qd, severity, own=0.7):
+    impact, *gradients = kernel.gradient(q, severity, qd, own=own)
+    np.testing.assert_allclose(impact, kernel.impact(q, severity, qd, own=own), atol=1e-12)
     assert np.ptp(impact) > 0.1
-    impacts = (lambda d: kernel.impact(q + d, severity, qd), lambda d: kernel.impact(q, severity, qd + d))
+
+    def of(q, qd):
+        return kernel.impact(q, severity, qd, own=own)
+
+    impacts = (lambda d: of(q + d, qd), lambda d: of(q, qd + d))
     for gradient, f in zip(gradients, impacts, strict=True):
         # The model has kinks (edges of the parts along those of a surface); a smaller step does not cross them.
         found = [_difference(f, q.shape[1], h) for h in (1e-5, 1e-6, 1e-7)]
@@ -220,6 +241,8 @@ def test_gradient_is_the_finite_difference(name):
         q, qd = _states(scene, 40, seed=20 + k)
         q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
         _check_gradient(kernel, q, qd, severity)
+        if np.ptp(kernel.own_loss(q, qd)) > 0.1:
+            _check_gradient(kernel, q, qd, np.zeros_like(severity), own=1.0)
 
 
 @pytest.mark.parametrize("name", gp.scenes())
@@ -228,14 +251,14 @@ def test_in_single_precision_it_is_nearly_the_same(name, isa):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         scene = task.scene
         kernel = _kernel_of(scene, isa)
-        severity = np.random.default_rng(k).uniform(size=(3, len(scene.entities)))
+        severity = kernel.severities(np.random.default_rng(k).uniform(size=(3, len(scene.entities))), 0.7)
         q, qd = _states(scene, 200, seed=50 + k)
         exact, rough = (kernel.native.gradient(severity, q, qd, rough=rough) for rough in (False, True))
         assert np.ptp(exact[0]) > 0.1
         np.testing.assert_allclose(rough[0], exact[0], atol=3e-5)
         for mine, theirs in zip(rough[1:], exact[1:], strict=True):
             error = np.linalg.norm(mine - theirs, axis=1) / (1e-2 + np.linalg.norm(theirs, axis=1))
-            assert np.median(error) < 1e-4
+            assert np.median(error) < 2e-4
             assert np.quantile(error, 0.97) < 1e-2  # the others are at kinks
 
 
@@ -243,7 +266,7 @@ def test_in_single_precision_it_is_nearly_the_same(name, isa):
 def test_single_precision_bears_extreme_speeds(scene, scale):
     kernel = drop_kernel(scene, SETTINGS)
     q, qd = _states(scene, 500, seed=3)
-    severity = np.full((3, len(scene.entities)), 50.0)
+    severity = kernel.severities(np.full((3, len(scene.entities)), 50.0), 50.0)
     for array in kernel.native.gradient(severity, q, scale * qd, rough=True):
         assert np.isfinite(array).all()
 
@@ -256,11 +279,15 @@ def test_the_cost_has_the_gradient_of_its_model(scene):
     cost = gp.ImpactCost(model="footprint", components=("carried",))
     severity = np.zeros((3, len(scene.entities)))
     severity[0] = cost.severity(scene).sum(axis=0)
-    impact, by_q, _ = drop_kernel(scene, SETTINGS).gradient(q, severity, qd)
+    impact, by_q, _ = drop_kernel(scene, SETTINGS).gradient(q, severity, qd, own=scene.own_severity)
     np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
     np.testing.assert_allclose(cost.gradient(batch), by_q, atol=1e-9)
     assert gp.ImpactCost(model="aabb").gradient(batch) is None
     assert gp.ImpactCost(model=Wrapped()).gradient(batch) is None
+    without = gp.ImpactCost(model="footprint", components=("carried",), own_loss=False)
+    impact, by_q, _ = drop_kernel(scene, SETTINGS).gradient(q, severity, qd)
+    np.testing.assert_allclose(without.state(batch), impact, atol=1e-12)
+    np.testing.assert_allclose(without.gradient(batch), by_q, atol=1e-9)
     free = gp.load_scene("tabletop")
     assert not gp.ImpactCost(model="footprint").gradient(StateBatch(free, _states(free, 3, seed=0)[0])).any()
 
@@ -288,6 +315,8 @@ def test_misuse_names_the_culprit(scene, kernel):
         kernel.impact(q, np.ones((2, len(scene.entities))))
     with pytest.raises(ShapeError, match="severity"):
         kernel.with_severity(np.ones((3, len(scene.entities) + 1)))
+    with pytest.raises(NonFiniteError, match="severity"):
+        kernel.impact(q, np.ones((3, len(scene.entities))), own=np.nan)
     with pytest.raises(ValueError, match="speed"):
         compiled, tables = compile_scene(scene), drop_tables(scene)
         constants = SETTINGS.of(tables.shape_class)

@@ -15,7 +15,7 @@ import graceful_plan as gp
 from graceful_plan.costs.consequence import Damage
 from graceful_plan.costs.cost import AHEAD, StateBatch
 from graceful_plan.costs.fault_prior import GENERATORS, FaultPrior, presets
-from graceful_plan.costs.models.body.body import BodyModel
+from graceful_plan.costs.models.body.body import SINGLE, BodyModel
 from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import drop_kernel
@@ -25,6 +25,7 @@ from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.testing import check_cost
 
 _SAME = 1e-9  # relative: the same numbers, added in another order
+_TINY = 1e-5  # of severities around 10: what single precision makes of probabilities near 0
 _SCENES = ("contents", "no contents", "nothing carried")
 _KNOWN_STEPS = len(AHEAD)
 
@@ -79,7 +80,9 @@ def test_the_kernel_charges_what_the_model_says(scenes: dict[str, gp.Scene], nam
     kernel = cost.kernel(scene, (0.3, 0.7))
     assert kernel is not None
     batch = states(scene, 40, still=True)
-    np.testing.assert_allclose(kernel.states(batch.q), cost.state(batch), rtol=_SAME, atol=1e-12)
+    single = faults != "drop_only"
+    tolerance = {"rtol": SINGLE, "atol": _TINY} if single else {"rtol": _SAME, "atol": 1e-12}
+    np.testing.assert_allclose(kernel.states(batch.q), cost.state(batch), **tolerance)
 
 
 @pytest.mark.parametrize("components", [("body",), ("carried",), ("contents",), ()])
@@ -87,7 +90,7 @@ def test_the_kernel_charges_single_components(scenes: dict[str, gp.Scene], compo
     scene, cost = scenes["contents"], gp.ImpactCost(model=Footprint(faults="service_robot"), components=components)
     kernel, batch = cost.kernel(scene, (0.3, 0.7)), states(scene, 20, still=True)
     assert kernel is not None
-    np.testing.assert_allclose(kernel.states(batch.q), cost.state(batch), rtol=_SAME, atol=1e-12)
+    np.testing.assert_allclose(kernel.states(batch.q), cost.state(batch), rtol=SINGLE, atol=_TINY)
     assert cost.state(batch).any() == bool(components)
 
 

@@ -14,6 +14,7 @@ from failbench.basics.statistics import (
     estimate_difference,
     estimate_mean,
     estimate_probability,
+    estimate_ratio,
     wilson,
 )
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
@@ -208,3 +209,62 @@ def test_misuse_is_refused() -> None:
         estimate_mean([0.0], (1.0, 0.0))
     with pytest.raises(ShapeError, match="clusters"):
         cluster_bootstrap([], [])
+
+
+# --- ratios -----------------------------------------------------------------------------------------------------------
+
+
+@given(_VALUES, st.data())
+def test_a_ratio_turns_round_and_holds_its_point(values: list[float], data: st.DataObject) -> None:
+    others = data.draw(st.lists(st.floats(0.0, 10.0), min_size=len(values), max_size=len(values)))
+    there, back = (estimate_ratio(*pair, (0.0, 10.0)) for pair in ((values, others), (others, values)))
+    if sum(values) == 0.0 and sum(others) == 0.0:
+        assert math.isnan(there.mean) and (there.low, there.high) == (0.0, math.inf)
+        return
+    assert 0.0 <= there.low <= there.mean <= there.high
+    assert there.low < there.high
+    assert there.mean == (math.inf if back.mean == 0.0 else pytest.approx(1.0 / back.mean, rel=_EXACT))
+    assert there.low == pytest.approx(0.0 if math.isinf(back.high) else 1.0 / back.high, rel=_EXACT)
+
+
+@given(st.lists(st.floats(0.01, 10.0), min_size=2, max_size=30), st.floats(0.1, 10.0))
+def test_a_ratio_of_proportional_pairs_is_their_factor(values: list[float], factor: float) -> None:
+    found = estimate_ratio(factor * np.array(values), values, (0.0, 10.0))
+    assert found.mean == pytest.approx(factor, rel=_EXACT)
+    assert found.low < factor < found.high
+
+
+def test_a_ratio_to_nothing_is_infinite_but_its_lower_end_is_not() -> None:
+    found = estimate_ratio(np.ones(1000), np.zeros(1000), (0.0, 10.0))
+    assert (found.mean, found.high) == (math.inf, math.inf)
+    assert 1.0 < found.low < 1000.0 / 10.0
+    assert estimate_ratio([], [], (0.0, 1.0)).n == 0
+
+
+@pytest.mark.parametrize(("p", "reduced", "n"), [(0.3, 0.1, 200), (0.5, 0.2, 1000), (0.1, 0.03, 400)])
+def test_coverage_of_a_ratio_of_impacts_that_are_mostly_zero(p: float, reduced: float, n: int) -> None:
+    rng = np.random.default_rng(2)
+
+    def pairs() -> tuple[np.ndarray, np.ndarray]:
+        u, severity = rng.random(n), rng.choice(_SEVERITIES, n, p=_SHARES)
+        return (u < p) * severity, (u < reduced) * severity
+
+    found = coverage(lambda: estimate_ratio(*pairs(), (0.0, 10.0)), p / reduced)
+    assert found >= _LEAST_COVERAGE
+
+
+def test_what_is_no_ratio_is_refused() -> None:
+    with pytest.raises(ShapeError, match="pairs"):
+        estimate_ratio([1.0], [1.0, 2.0], (0.0, 1.0))
+    with pytest.raises(SettingError, match=">= 0"):
+        estimate_ratio([-1.0], [1.0], (0.0, 1.0))
+    with pytest.raises(SettingError, match=r"factor = -1\.0"):
+        wilson(1, 2).scaled(-1.0)
+
+
+@given(_VALUES, st.floats(0.0, 100.0))
+def test_scaling_an_estimate_scales_all_of_it(values: list[float], factor: float) -> None:
+    found = estimate_mean(values, (0.0, 10.0))
+    scaled = found.scaled(factor)
+    assert (scaled.mean, scaled.low, scaled.high) == (factor * found.mean, factor * found.low, factor * found.high)
+    assert scaled.n == found.n

@@ -1,5 +1,6 @@
 """Recorder against closed forms and against a plain loop that reads MuJoCo's contacts."""
 
+import dataclasses
 from collections import defaultdict
 from typing import Any, NamedTuple
 
@@ -54,7 +55,7 @@ _WORLD = """
 _ENTITIES = {"shelf": "table", "floor": "floor", "vase": "glass", "cup": "glass"}
 
 
-def _world(shape: str = 'type="sphere" size=".05"') -> World:
+def _world(shape: str = 'type="sphere" size=".05"', unnamed: tuple[str, ...] = ()) -> World:
     scene = Scene.from_mjcf(
         _WORLD.format(shape=shape),
         robot="arm/",
@@ -62,7 +63,7 @@ def _world(shape: str = 'type="sphere" size=".05"') -> World:
         velocity=[2.0],
         acceleration=[10.0],
         carried="ball",
-        entities=_ENTITIES,
+        entities={name: kind for name, kind in _ENTITIES.items() if name not in unnamed},
     )
     return build_world(scene, SimSettings(grasp="weld"))
 
@@ -198,6 +199,21 @@ def test_segments_do_not_matter(world: World) -> None:
 def test_baseline_is_left_out(world: World) -> None:
     run = _simulate(world, [0.6, 0.0, 0.75], baseline=frozenset({("carried", "shelf")}))
     assert ("carried", "shelf") not in _events(run)
+    # It harms nobody but the object itself.
+    counted = _simulate(world, [0.6, 0.0, 0.75])
+    assert run.recorder.finish(0)["landings"] == (_events(counted)["carried", "shelf"],)
+    assert counted.recorder.finish(0)["landings"] == ()
+
+
+@pytest.mark.parametrize("unnamed", ["shelf", "floor"])
+def test_what_is_no_entity_is_landed_on(world: World, unnamed: str) -> None:
+    place = [0.6, 0.0, 0.75] if unnamed == "shelf" else [1.5, 1.5, 0.4]
+    named, without = _simulate(world, place), _simulate(_world(unnamed=(unnamed,)), place)
+    expected = dataclasses.replace(_events(named)["carried", unnamed], entity="")
+    assert without.recorder.finish(0)["landings"] == (expected,)
+    assert {pair for pair in _events(without) if pair[0] == "carried"}.isdisjoint({("carried", unnamed)})
+    fallen = place[2] - (0.4 if unnamed == "shelf" else 0.0) - 0.05
+    assert expected.energy == pytest.approx(0.3 * _G * fallen, rel=0.1)
 
 
 def test_an_arm_strikes_with_its_inertia(world: World) -> None:

@@ -21,6 +21,8 @@ def test_every_bundled_task_can_be_simulated(scene, task):
     assert {pair[0] for pair in made.pairs} == set(made.scene.components) - {"contents"}
     assert len(made.sensor_adr) == len(made.pairs)
     assert (np.diff(made.sensor_adr) == SENSOR_SIZE).all()
+    assert [model.body(body).name for body in made.obstacles] == list(made.scene.unlabelled)
+    assert len(made.obstacle_adr) == len(made.obstacles)
     assert not model.body_gravcomp.any()
     assert (made.robot.grip_open > made.robot.grip_closed).all()
     for entity, body in made.movable.items():

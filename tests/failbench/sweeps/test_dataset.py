@@ -7,8 +7,9 @@ import fake_work
 import pytest
 from places import ROOT
 
+from failbench.basics import tables
 from failbench.basics.errors import MissingExtra
-from failbench.basics.tables import TABLES
+from failbench.basics.tables import TABLES, VERSION
 from failbench.sweeps import dataset
 from failbench.sweeps.dataset import MANIFEST, read_dataset, write_dataset
 from graceful_plan.exceptions import FormatError
@@ -143,7 +144,7 @@ def test_a_manifest_that_was_touched_is_refused(folder):
         (whole[:-20], "damaged: "),
         ("[]", "no manifest of a dataset"),
         (whole.replace("failbench.dataset", "failbench.cake"), "no manifest of a dataset"),
-        (whole.replace('"version": 1', '"version": 2'), "version 2; this version reads 1"),
+        (whole.replace(f'"version": {VERSION}', '"version": 99'), f"version 99; this version reads 1 to {VERSION}"),
     ):
         assert change != whole
         file.write_text(change)
@@ -160,6 +161,26 @@ def test_a_part_with_other_columns_is_refused_even_if_its_checksum_fits(folder):
     (folder / MANIFEST).write_text(json.dumps(manifest))
     with pytest.raises(FormatError, match="not the columns or rows of contacts"):
         read_dataset(folder)
+
+
+def test_datasets_of_earlier_versions_are_read(tmp_path, monkeypatch):
+    """What a column that came later would have said is null."""
+    whole = tables.TABLES["rollouts"]
+    first = tuple(column for column in whole if column.name not in tables.ADDED)
+    with monkeypatch.context() as before:
+        before.setitem(tables.TABLES, "rollouts", first)
+        before.setattr(dataset, "VERSION", 1)
+        write_dataset(tmp_path, ({**part, "rollouts": _without_added(part["rollouts"])} for part in chunks()), ABOUT)
+    assert json.loads((tmp_path / MANIFEST).read_text())["version"] == 1
+    read = read_dataset(tmp_path)
+    assert read.rollouts.schema.names == [column.name for column in whole]
+    assert read.rollouts["own_loss"].null_count == COUNT
+    expected = [row["observed_impact"] for part in chunks() for row in part["rollouts"]]
+    assert read.rollouts["observed_impact"].to_pylist() == expected
+
+
+def _without_added(rows):
+    return [{name: value for name, value in row.items() if name not in tables.ADDED} for row in rows]
 
 
 def test_writing_again_replaces_everything(folder, monkeypatch):

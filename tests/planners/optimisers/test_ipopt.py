@@ -65,7 +65,7 @@ def test_paths_of_an_arm_cost_less() -> None:
 def test_two_runs_are_the_same() -> None:
     problem, objective, first = _panda("tabletop_l1", "green_to_blue")
     runs = [
-        list(CasADi(initial=first).solve(problem, objective, Budget(iterations=50), np.random.default_rng(1)))
+        list(CasADi(initial=first).solve(problem, objective, Budget(iterations=80), np.random.default_rng(1)))
         for _ in range(2)
     ]
     assert runs[0]

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from graceful_plan import SeverityTable
 from graceful_plan.exceptions import SceneError, SettingError
+from graceful_plan.scene.elements import CARRIED_CLASSES
 from graceful_plan.scene.harm import fragility
 from graceful_plan.scene.harm.fragility import Fragility, FragilityTable
+from graceful_plan.scene.harm.severity import ITSELF
 
 
 @given(st.floats(1e-3, 1e3), st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))
@@ -25,7 +27,27 @@ def test_fragility_is_a_distribution(median: float, a: float, b: float) -> None:
 
 
 def test_every_shipped_class_has_a_fragility() -> None:
-    assert set(FragilityTable.shipped().rows) == set(SeverityTable.shipped().classes)
+    table, severity = FragilityTable.shipped(), SeverityTable.shipped()
+    assert set(table.rows) == set(severity.classes) - {ITSELF}
+    assert set(table.carried) == set(severity.rows[ITSELF]) == set(CARRIED_CLASSES)
+
+
+def test_what_is_soft_spares_what_falls_on_it() -> None:
+    table = FragilityTable.shipped()
+    assert table.loss("glass", "floor", 0.55) == table.loss("glass", "", 0.55) == pytest.approx(0.5)
+    assert table.loss("glass", "textile", 5.5) == pytest.approx(0.5)
+    assert table.loss("sharp", "floor", 0.55) < table.loss("heavy", "floor", 0.55) < table.loss("glass", "floor", 0.55)
+    own = FragilityTable({"mattress": Fragility(9.0, 0.0, 0.7, hardness=0.01)}, Fragility(2.0, 1.0, 0.7))
+    assert own.loss("medium", "mattress", 200.0) == own.loss("heavy", "floor", 2.0) == pytest.approx(0.5)
+
+
+def test_a_table_may_leave_the_carried_object_out(tmp_path: Path) -> None:
+    text = (Path(fragility.__file__).parent / "fragility.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "fragility.yaml"
+    file.write_text(text[: text.index("\ncarried:") + 1], encoding="utf-8")
+    table = FragilityTable.load(file)
+    assert not table.carried and table.of_carried("glass") == table.other
+    assert table.rows == FragilityTable.shipped().rows
 
 
 @pytest.mark.parametrize(
@@ -36,6 +58,10 @@ def test_every_shipped_class_has_a_fragility() -> None:
         (("version: 1", "version: 2"), "only version 1"),
         (("other: ", "others: "), "unknown key 'others'"),
         (("median: 0.25", "mean: 0.25"), "unknown key 'mean'"),
+        (("hardness: 0.1", "hardness: 0"), r"hardness = 0.0, expected in \(0, 1\]"),
+        (("  sharp:  {", "  blunt:  {"), "unknown key 'blunt'"),
+        (("heavy:  {median: 2.0}", "heavy:  {median: 2.0, wetted: 1}"), "unknown key 'wetted'"),
+        (("heavy:  {median: 2.0}", "heavy:  {median: 0}"), "median = 0.0, expected finite and above 0"),
     ],
 )
 def test_broken_tables_are_refused(change: tuple[str, str], message: str, tmp_path: Path) -> None:
@@ -46,7 +72,7 @@ def test_broken_tables_are_refused(change: tuple[str, str], message: str, tmp_pa
         FragilityTable.load(file)
 
 
-@pytest.mark.parametrize("values", [{"median": 0.0}, {"spread": float("inf")}, {"wetted": -0.1}])
+@pytest.mark.parametrize("values", [{"median": 0.0}, {"spread": float("inf")}, {"wetted": -0.1}, {"hardness": 1.1}])
 def test_fragility_out_of_range(values: dict[str, Any]) -> None:
     with pytest.raises(SettingError, match=next(iter(values))):
         Fragility(**({"median": 1.0, "wetted": 1.0, "spread": 0.7} | values))
@@ -56,7 +82,7 @@ def test_a_table_is_a_value() -> None:
     table = FragilityTable.shipped()
     twin = pickle.loads(pickle.dumps(table))
     assert twin == table and hash(twin) == hash(table) and twin is not table
-    assert FragilityTable({}, table.other) != table
+    assert FragilityTable({}, table.other) != table != FragilityTable(table.rows, table.other)
 
 
 def test_contents_do_not_ask_for_energy() -> None:

@@ -21,9 +21,9 @@ _OVERVIEW_NOTE = (
     "and impact are in units of the best known total. Jerk in rad/s³. Closest: least clearance of all runs."
 )
 _GAP_NOTE = (
-    "Median over problems and seeds of how much more the best path so far costs than the best known. A line "
-    "begins once half of the runs have a path. Times are when the search had the path; timing and verifying the "
-    "motion come after, within the time limit."
+    "Median over problems and seeds of how much more the best so far costs than the best known. The last value of a "
+    "run is that of its motion. Those before are paths, at the paces a search assumes; paths that promised more than "
+    "the motion has kept are left out. A line begins once half of the runs have something to show."
 )
 _BAND_NOTE = "The band reaches from quartile to quartile."
 _SHARE_NOTE = (

@@ -27,7 +27,8 @@ UNITS: Mapping[str, str] = {
     "self_clearance": "m",
     "certified": "m",
 }
-RUN_COLUMNS = (*(item.name for item in fields(Run) if item.name not in ("trace", "path")), "best_known", "gap")
+_LONG = ("trace", "path", "times", "velocities")
+RUN_COLUMNS = (*(item.name for item in fields(Run) if item.name not in _LONG), "best_known", "gap")
 TRACE_COLUMNS = ("problem", "planner", "seed", "time", "total", "motion", "impact", "gap")
 _INTEGERS, _TEXTS = ("seed",), ("problem", "planner", "status", "detail")
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from graceful_plan.compare.runs.best_paths import BestPaths
+from graceful_plan.compare.runs.best_motions import BestMotions
 from graceful_plan.exceptions import SettingError
 from graceful_plan.yaml_file import read_yaml
 
@@ -19,17 +19,17 @@ def read_known(file: str | Path, w: float | None = None) -> dict[str, float]:
     """Read least total costs by problem.
 
     Args:
-        file: YAML with `version`, `w` and `best_known`, a mapping from problems to costs; or a folder of best paths,
-            each of which is judged (see `best_paths`).
+        file: YAML with `version`, `w` and `best_known`, a mapping from problems to costs; or a folder of best
+            motions, each of which is judged (see `best_motions`).
         w: Safety weight that they have to be for, if that is to be checked.
 
     Raises:
         SceneError: If the file is broken, with the line.
         SettingError: If they are for another weight.
-        StaleBestPath: If a path of a folder is for another weight, or does not hold what its file says.
+        StaleBestMotion: If a motion of a folder is for another weight, or does not hold what its file says.
     """
     if Path(file).is_dir():
-        return BestPaths(Path(file), 1.0 if w is None else w).totals()
+        return (BestMotions.in_folder(Path(file)) if w is None else BestMotions(Path(file), w)).totals()
     top = read_yaml(Path(file))
     top.only("version", "w", "best_known")
     if top["version"].number() != _VERSION:

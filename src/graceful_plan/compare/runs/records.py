@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.documents import finite
 from graceful_plan.exceptions import FormatError
+from graceful_plan.path import finite_array
 from graceful_plan.result import TracePoint
+from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
@@ -42,13 +44,15 @@ class Run:
     | jerk_peak  | greatest joint jerk of the timed trajectory [rad/s^3], see `measures.jerk`                       |
     | jerk_rms   | root of the mean square over time [rad/s^3]                                                      |
     | duration   | of the timed trajectory [s]                                                                      |
-    | length     | joint-space length of the path [rad]                                                             |
+    | length     | joint-space length of the motion [rad]                                                           |
     | clearance  | least exact distance of robot and carried object to the surroundings [m], see `measures`         |
     | self_clearance | the same to each other [m]                                                                   |
     | certified  | clearance that is proven between samples, self-collision included [m]; see `Certificate`         |
     | iterations | of the planner                                                                                   |
-    | trace      | improvements: time [s], total, motion, impact; the ways out at both ends are in the costs        |
-    | path       | configurations of the result                                                                     |
+    | trace      | improvements: time [s], total, motion, impact; paths as a search charges them, last the result   |
+    | path       | configurations of the result; of a motion, its samples                                           |
+    | times      | times of these [s]; none in the plane, where nothing is timed                                    |
+    | velocities | joint velocities there [rad/s or m/s]                                                            |
     """
 
     problem: str
@@ -71,6 +75,8 @@ class Run:
     iterations: float = math.nan
     trace: tuple[TracePoint, ...] = ()
     path: tuple[tuple[float, ...], ...] = ()
+    times: tuple[float, ...] = ()
+    velocities: tuple[tuple[float, ...], ...] = ()
 
     @property
     def solved(self) -> bool:
@@ -81,6 +87,14 @@ class Run:
     def key(self) -> tuple[str, str, int]:
         """What tells runs apart."""
         return self.problem, self.planner, self.seed
+
+    def trajectory(self, joints: tuple[str, ...]) -> Trajectory | None:
+        """Return the motion of these joints, None if nothing was timed.
+
+        Raises:
+            GracefulPlanError: If it is no motion of theirs.
+        """
+        return cubics(self.times, self.path, self.velocities, joints) if self.times else None
 
     def totals_at(self, seconds: ArrayLike) -> Float[Array, "*time"]:
         """Total cost of the best path by then; infinite if there was none or the call was not solved in the end."""
@@ -115,7 +129,8 @@ class Run:
                 TracePoint(time=t, total=total, motion=motion, impact=impact)
                 for t, total, motion, impact in document["trace"]
             )
-            given["path"] = tuple(tuple(float(x) for x in q) for q in document["path"])
+            given |= {key: tuple(tuple(float(x) for x in q) for q in document[key]) for key in ("path", "velocities")}
+            given["times"] = tuple(float(t) for t in document["times"])
             given |= {key: float(given[key]) for key, default in defaults.items() if isinstance(default, float)}
             texts = all(isinstance(given[key], str) for key in ("problem", "planner", "status", "detail"))
             if not (texts and type(given["seed"]) is int):
@@ -123,3 +138,31 @@ class Run:
         except (TypeError, ValueError) as error:
             raise FormatError(source, f"not a run: {error}") from None
         return cls(**given)
+
+
+def cubics(
+    times: Sequence[float],
+    path: Sequence[Sequence[float]],
+    velocities: Sequence[Sequence[float]],
+    joints: tuple[str, ...],
+) -> Trajectory:
+    """Return the motion through samples: the cubics that meet positions and velocities are all of it.
+
+    Args:
+        times: Of the samples [s].
+        path: Positions [rad or m].
+        velocities: [rad/s or m/s].
+        joints: Names of the joints.
+
+    Raises:
+        GracefulPlanError: If they are no motion of these joints.
+    """
+    q, qd = (
+        finite_array(name, [list(row) for row in rows], ndim=2, last=len(joints))
+        for name, rows in (("path", path), ("velocities", velocities))
+    )
+    motion = Trajectory(finite_array("times", list(times), ndim=1), q, qd, np.zeros_like(q), joints)
+    if len(motion) == 1:
+        return motion
+    begin, end = motion.piece_accelerations
+    return replace(motion, qdd=np.concatenate([begin, end[-1:]]))

@@ -23,7 +23,7 @@ from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.query.goals import Configuration, Goal
-from graceful_plan.result import PlanResult, PlanStatus, TracePoint
+from graceful_plan.result import PlanStatus, TracePoint
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.scene import Scene
 
@@ -154,9 +154,17 @@ def warm_up(note: ProblemNote, planner: PlannerNote, seconds: float = _WARM_UP, 
 
 
 def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
+    seen: list[TracePoint] = []
     started = time.perf_counter()
     result = plan(
-        problem.start, problem.goal, problem.scene, w=job.w, planner=planner, time_limit=job.seconds, seed=job.seed
+        problem.start,
+        problem.goal,
+        problem.scene,
+        w=job.w,
+        planner=planner,
+        time_limit=job.seconds,
+        seed=job.seed,
+        callback=seen.append,
     )
     seconds = time.perf_counter() - started
     record = replace(
@@ -164,50 +172,28 @@ def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
         seconds=seconds,
         iterations=result.stats.get("iterations", math.nan),
     )
-    if result.status is not PlanStatus.SOLVED or result.path is None or result.trajectory is None:
+    if result.status is not PlanStatus.SOLVED or result.trajectory is None:
         return record
+    trajectory = result.trajectory
     if job.measured:
-        peak, rms = jerk(result.trajectory)
-        clearance, own = exact_clearance(result.trajectory, problem.scene)
-        certified = certified_clearance(result.trajectory, compile_scene(problem.scene).kernels).bound
+        peak, rms = jerk(trajectory)
+        clearance, own = exact_clearance(trajectory, problem.scene)
+        certified = certified_clearance(trajectory, compile_scene(problem.scene).kernels).bound
         record = replace(
             record, jerk_peak=peak, jerk_rms=rms, clearance=clearance, self_clearance=own, certified=certified
         )
-    trace = aligned_trace(result, seconds)
     return replace(
         record,
-        first=trace[0].time,
+        first=seen[0].time,
         total=result.cost.total,
         motion=result.cost.motion,
         impact=result.cost.impact,
-        duration=result.trajectory.duration,
-        length=result.path.length,
-        trace=trace,
-        path=tuple(map(tuple, result.path.q.tolist())),
-    )
-
-
-def aligned_trace(result: PlanResult, seconds: float) -> tuple[TracePoint, ...]:
-    """Return the improvements that led to the result, ending with what the result costs.
-
-    A search knows nothing of the ways out of tight places at both ends of a motion; what they cost is the same all
-    along and is added. Improvements after the one that was returned are left out: the judge refused those.
-    """
-    cost = result.cost
-    last = TracePoint(time=seconds, total=cost.total, motion=cost.motion, impact=cost.impact)
-    near = [abs(point.total - cost.total) <= _SAME * max(1.0, abs(cost.total)) for point in result.trace]
-    if any(near):
-        return result.trace[: near.index(True) + 1]
-    if not result.trace or result.trace[-1].total > cost.total:
-        return (*(point for point in result.trace if point.total > cost.total), last)
-    end = result.trace[-1]
-    motion, impact = cost.motion - end.motion, cost.impact - end.impact
-    ways_out = cost.total - end.total
-    return tuple(
-        TracePoint(
-            time=point.time, total=point.total + ways_out, motion=point.motion + motion, impact=point.impact + impact
-        )
-        for point in result.trace
+        duration=trajectory.duration,
+        length=trajectory.path.length,
+        trace=result.trace,
+        path=tuple(map(tuple, trajectory.q.tolist())),
+        times=tuple(trajectory.t.tolist()),
+        velocities=tuple(map(tuple, trajectory.qd.tolist())),
     )
 
 

@@ -57,8 +57,6 @@ template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
   return Out<T>(data, shape.size(), shape.data(), owner);
 }
 
-constexpr int kClusterSize = 12;
-
 // Solve A y = b by Cramer's rule; A is positive definite.
 inline void solve3(const double A[3][3], const double b[3], double y[3]) {
   const auto det = [](const double M[3][3]) {
@@ -342,8 +340,20 @@ class Core {
       double offset = 0;
       for (int i = 0; i < 3; ++i) t.normal[i] = float(n[i] / length), offset += n[i] / length * v[i];
       t.offset = float(offset);
+      for (size_t i = 0; i < 3; ++i) add_edge(v + 3 * i, v + 3 * ((i + 1) % 3), t, i);
       triangle_.push_back(t);
     }
+  }
+  static void add_edge(const double* a, const double* b, Triangle& t, size_t i) {
+    double e[3], inward[3], squared = 1e-20, across = 0;
+    for (int k = 0; k < 3; ++k) e[k] = double(float(b[k])) - double(float(a[k])), squared += e[k] * e[k];
+    for (int k = 0; k < 3; ++k) {
+      const int l = (k + 1) % 3, m = (k + 2) % 3;
+      inward[k] = t.normal[l] * e[m] - t.normal[m] * e[l];
+      across += inward[k] * double(float(a[k]));
+    }
+    for (int k = 0; k < 3; ++k) t.edge[i][k] = float(e[k]), t.inward[i][k] = float(inward[k] / std::sqrt(squared));
+    t.edge[i][3] = float(1 / squared), t.inward[i][3] = float(across / std::sqrt(squared));
   }
   void add_obstacles(const WorldArrays& world) {
     const auto& [kind, pose, size, bound, ignores, hull_start, triangles] = world;

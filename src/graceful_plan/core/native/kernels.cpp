@@ -15,25 +15,37 @@ namespace GP_ISA {
 #include "geometry/kinematics.hpp"
 #include "geometry/clearance.hpp"
 #include "geometry/gradient.hpp"
+#include "geometry/tangent.hpp"
 #include "impact/interaction.hpp"
 
 constexpr double kTail = 29.0;      // scales of noise beyond which nothing happens: e^-29 is 3e-13
 constexpr double kHeld = 60.0;      // exponents are held within
 constexpr double kNothing = 1e-13;  // a probability that does not matter
+constexpr double kRare = 1e-11;     // of which there are few to be added up
 constexpr double kTiny = 1e-300;
 #include "impact/drop.hpp"
+#include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
+#include "impact/own_loss_gradient.hpp"
+#include "impact/tumble_gradient.hpp"
 #include "impact/spill.hpp"
 #include "impact/spill_gradient.hpp"
 #include "impact/impact_of_drop.hpp"
+#include "impact/body_dynamics.hpp"
+#include "impact/body_distance.hpp"
 #include "impact/body.hpp"
+#include "impact/body_gradient.hpp"
 
 // The drop model in single precision, with shorter tails.
 namespace rough {
 using D = Single;
-constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kTiny = 1e-30;  // products of five e^kHeld are finite
+constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
+                 kTiny = 1e-30;  // products of five e^kHeld are finite
 #include "impact/drop.hpp"
+#include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
+#include "impact/own_loss_gradient.hpp"
+#include "impact/tumble_gradient.hpp"
 #include "impact/spill.hpp"
 #include "impact/spill_gradient.hpp"
 #include "impact/impact_of_drop.hpp"
@@ -192,8 +204,8 @@ static inline void paced_edge_costs(const Tables& tables, const double* pace, co
 // --- the drop model -------------------------------------------------------------------------------------------------
 
 static void drop(const Tables& tables, const DropTables& drop, const States& states, double* probability) {
-  D P[kDropRows * kMaxEntities];
-  const size_t count = size_t(kDropRows * drop.n_entity);
+  D P[kDropRows * kMaxEntities + 1];
+  const size_t count = size_t(kDropRows * drop.n_entity + 1);
   for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
     drop_probability(tables, drop, nullptr, qs, rates, P);
     for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i)
@@ -209,38 +221,22 @@ static void drop_edge_costs(const Tables& tables, const DropTables& drop, const 
 
 // --- the body model -------------------------------------------------------------------------------------------------
 
-// An arm with room for its lists.
-struct ArmRoom {
-  Arm arm;
-
-  ArmRoom(const Tables& tables, const BodyTables& body, const double* severity)
-      : arm{tables, body, severity, {}, {}, {}, {}, {}, {}, {}, 0, 0, 0} {
-    const size_t room = size_t(tables.n_group) * size_t(tables.n_obstacle) + 1;
-    arm.around.near = new Near[room + size_t(tables.n_obstacle)];
-    arm.around.scratch = arm.around.near + room;
-    const size_t steps = size_t(body.n_step > body.n_reference ? body.n_step : body.n_reference) + 1;
-    arm.around.distance = new D[steps * room];
-    arm.around.known = new uint8_t[steps * room];
-  }
-  ArmRoom(const ArmRoom&) = delete;
-  ~ArmRoom() { delete[] arm.around.near, delete[] arm.around.distance, delete[] arm.around.known; }
-};
-
 static void body(const Tables& tables, const BodyTables& body, const States& states, const double* ahead,
                  double* distance) {
   const size_t n = states.n;
   D qs[kMaxJoints], rates[kMaxJoints];
-  ArmRoom* room = new ArmRoom(tables, body, nullptr);
+  auto* room = new Arm<D>(tables, body, nullptr, nullptr);
+  Arm<D>& arm = *room;
   const size_t row = size_t(body.n_entity), mode_size = size_t(body.n_row) * row,
                state = size_t(2 * tables.n_joint + 2) * mode_size;
   for (size_t first = 0; first < n; first += kLanes<double>) {
     load(tables, states.q, first, n, qs);
     load(tables, states.qd, first, n, rates);
-    room->arm.begin(qs, rates, ahead, first, n);
-    room->arm.fail(rates, nullptr, [&](int mode, int) {
+    arm.start(qs, rates, ahead, first, n);
+    arm.fail(rates, [&](int mode, int) {
       for (int r = 0; r < body.n_row; ++r)
         for (int e = 0; e < body.n_entity; ++e) {
-          const D d = room->arm.way.best[r][e];
+          const D d = arm.way.best[r][e];
           for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i)
             distance[(first + size_t(i)) * state + size_t(mode) * mode_size + size_t(r) * row + size_t(e)] = d[i];
         }
@@ -252,23 +248,35 @@ static void body(const Tables& tables, const BodyTables& body, const States& sta
 static void body_impact(const Tables& tables, const BodyTables& body, const BodyHarm& harm, const States& states,
                         double* out) {
   const size_t n = states.n;
-  D qs[kMaxJoints], rates[kMaxJoints] = {};
-  ArmRoom* room = new ArmRoom(tables, body, harm.severity);
-  for (size_t first = 0; first < n; first += kLanes<double>) {
+  F qs[kMaxJoints], rates[kMaxJoints] = {};
+  auto* room = new Arm<F>(tables, body, harm.severity, harm.weight);
+  for (size_t first = 0; first < n; first += kLanes<float>) {
     load(tables, states.q, first, n, qs);
     if (states.qd) load(tables, states.qd, first, n, rates);
-    const D value = body_impact_of(room->arm, harm.weight, qs, rates);
-    for (int i = 0; i < kLanes<double> && first + size_t(i) < n; ++i) out[first + size_t(i)] = value[i];
+    const F value = body_impact_of(*room, qs, rates);
+    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) out[first + size_t(i)] = double(value[i]);
   }
   delete room;
 }
 
-static void body_edge_costs(const Tables& tables, const BodyTables& body, const BodyHarm& harm, const double* pace,
-                            const Edges& edges, double* cost) {
-  ArmRoom* room = new ArmRoom(tables, body, harm.severity);
-  const auto impact_at = [&](const D* q, const D* qd) { return body_impact_of(room->arm, harm.weight, q, qd); };
-  paced_edge_costs(tables, pace, edges, [&](size_t j) { return body.drive[j].speed; }, impact_at, cost);
-  delete room;
+static void body_gradient(const Tables& tables, const BodyTables& body, const BodyHarm& harm, const States& states,
+                          const Slopes& out) {
+  const size_t n = states.n, nq = size_t(tables.n_joint);
+  F qs[kMaxJoints], rates[kMaxJoints] = {};
+  auto* arm = new Arm<F, true>(tables, body, harm.severity, harm.weight);
+  auto* slopes = new BodySlopes<F>(*arm);
+  for (size_t first = 0; first < n; first += kLanes<float>) {
+    load(tables, states.q, first, n, qs);
+    if (states.qd) load(tables, states.qd, first, n, rates);
+    slopes->run(qs, rates);
+    for (int i = 0; i < kLanes<float> && first + size_t(i) < n; ++i) {
+      const size_t row = first + size_t(i);
+      out.value[row] = double(slopes->impact[i]);
+      for (size_t j = 0; j < nq; ++j)
+        out.d_q[row * nq + j] = double(slopes->d_q[j][i]), out.d_qd[row * nq + j] = double(slopes->d_qd[j][i]);
+    }
+  }
+  delete slopes, delete arm;
 }
 
 // Mass matrix and torques of the weight, for tests.
@@ -318,7 +326,7 @@ extern const Kernels GP_JOIN(kernels_, GP_ISA) = {
     .rough_drop_gradient = GP_ISA::rough::drop_gradient,
     .body = GP_ISA::body,
     .body_impact = GP_ISA::body_impact,
-    .body_edge_costs = GP_ISA::body_edge_costs,
+    .body_gradient = GP_ISA::body_gradient,
     .body_dynamics = GP_ISA::body_dynamics,
     .elementary = GP_ISA::elementary,
 };

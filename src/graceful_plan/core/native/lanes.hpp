@@ -75,6 +75,31 @@ static inline Lanes<double> maximum(Lanes<double> a, Lanes<double> b) {
 static inline Lanes<double> absolute(Lanes<double> a) { return (Lanes<double>)((Mask<double>)a & 0x7fffffffffffffff); }
 static inline Lanes<double> relu(Lanes<double> a) { return maximum(a, Lanes<double>{}); }
 
+// Whether a < b in any lane; of masks, GCC makes a vector and a mask of that again.
+#if defined(__AVX512F__)
+static inline int lanes_below(F a, F b) { return _mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_LT_OQ); }
+static inline int lanes_below(D a, D b) { return _mm512_cmp_pd_mask((__m512d)a, (__m512d)b, _CMP_LT_OQ); }
+#else
+template <class V> static inline int lanes_below(V a, V b) { return lanes_set(a < b); }
+#endif
+template <class V> static inline bool any_below(V a, V b) { return lanes_below(a, b) != 0; }
+
+template <class V> static inline Scalar<V> least_lane(V a) {
+  Scalar<V> r = a[0];
+  for (int i = 1; i < kAbreast<V>; ++i) r = a[i] < r ? a[i] : r;
+  return r;
+}
+#if defined(__AVX512F__)
+static inline float least_lane(F a) {
+  const __m256 h = _mm256_min_ps(_mm512_maskz_extractf32x8_ps(__mmask8(0xff), (__m512)a, 0),
+                                 _mm512_maskz_extractf32x8_ps(__mmask8(0xff), (__m512)a, 1));
+  __m128 q = _mm_min_ps(_mm256_castps256_ps128(h), _mm256_extractf128_ps(h, 1));
+  q = _mm_min_ps(q, _mm_movehl_ps(q, q));
+  return _mm_cvtss_f32(_mm_min_ss(q, _mm_shuffle_ps(q, q, 1)));
+}
+#endif
+template <class V> static inline Scalar<V> greatest_lane(V a) { return -least_lane(-a); }
+
 static inline F square_root(F a) {
 #if defined(__AVX512F__)
   return (F)_mm512_maskz_sqrt_ps(__mmask16(0xffff), (__m512)a);  // the plain one trips -Wmaybe-uninitialized in GCC 12

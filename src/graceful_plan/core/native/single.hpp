@@ -71,3 +71,7 @@ static inline Single logarithm(Single x) {
 }
 
 static inline void sine_cosine(Single x, Single& s, Single& c) { sine_cosine(x.v, s.v, c.v); }
+
+static inline F reciprocal(F x) { return reciprocal(Single(x)).v; }
+static inline F inverse_root(F x) { return inverse_root(Single(x)).v; }
+[[gnu::always_inline]] static inline F exponential(F x) { return exponential(Single(x)).v; }

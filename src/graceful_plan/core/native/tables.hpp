@@ -8,6 +8,8 @@ namespace gp {
 constexpr int kMaxLinks = 48;
 constexpr int kMaxJoints = 32;
 constexpr int kMaxSpheres = 2048;
+constexpr int kMaxObstacles = 4096;  // where the body model is used
+constexpr int kClusterSize = 12;     // spheres at most
 constexpr int kMaxParts = 128;
 constexpr int kMaxComponents = 3;
 constexpr int kMaxEntities = 512;
@@ -42,6 +44,8 @@ struct Obstacle {
 
 struct Triangle {
   float a[3], b[3], c[3], normal[3], offset;
+  float edge[3][4],
+      inward[3][4];  // from a to b, b to c, c to a, and 1/length^2; across it in the plane, and where it is
 };
 
 struct Part {  // a box of a component, riding on a frame
@@ -83,12 +87,13 @@ struct DropPart {
   double offset[3], R[9], half[3];  // in the axes of the link; offset from the centre of mass
 };
 
-struct Surface {         // a target: a box turned about the vertical
-  int32_t entity, turn;  // turn: equal for equal axes
+struct Surface {                // a target: a box turned about the vertical
+  int32_t entity, turn, holds;  // turn: equal for equal axes; holds: wide enough for the object to end a fall there
   double centre[2], axis[2], half[2], diagonal, carries[2], bottom, top;
   double bound[2];               // half sizes of the box around it in W
   double reached[2], inside[2];  // half sizes for the centre of what tumbles over it: hits it, is caught by it
   double near[2];                // the larger of these
+  double strength;               // ln of the energy per mass at which half of what falls on it is damaged [J/kg]
 };
 
 // Constants of the model; the order is that of kDropConstants in impact.hpp.
@@ -120,6 +125,12 @@ struct SpillTables {
   SpillConstants use[kDropRows - 1];
 };
 
+// What its fall does to the object itself; the logarithm of the share of the energy that acts is one of two numbers.
+struct LossTables {
+  double sharpness;  // of damage over the logarithm of the energy; 0 if nothing is known
+  double shift[2], weight[2];
+};
+
 struct DropTables {
   int32_t n_part, n_surface, n_level, n_entity, link, frame, main;
   double centre[3], size, radius;  // radius: of a ball around the centre of mass that holds all parts
@@ -128,6 +139,7 @@ struct DropTables {
   const int32_t* level_start;  // first surface of each level, and their number at the end
   const double* speed;         // per joint: how fast it is along an edge whose slowest joint it is
   DropConstants constants;
+  LossTables loss;
   SpillTables spill;
 };
 
@@ -144,6 +156,13 @@ struct JointDrive {
 
 enum BodyGenerator : int32_t { kCollapse, kJoint, kStuck, kStray, kGenerators };
 
+// Spheres that ride on one frame and may hit the same: their centres are in a box, all of them in a ball around it.
+struct Limb {
+  int32_t frame, row, link;  // row: 0 body, 1 carried; link: one of theirs
+  int32_t first, count, first_cluster, n_cluster;
+  float centre[3], half[3], radius, bound;  // radius: of the greatest sphere; bound: of the ball
+};
+
 // Constants of the model; the order is that of kBodyConstants in body_impact.hpp.
 struct BodyConstants {
   double brake_time, brake_stop, step, carry_on;
@@ -152,11 +171,11 @@ struct BodyConstants {
 };
 
 struct BodyTables {
-  int32_t n_frame, n_row, n_entity, n_step, n_reference;
-  const Inertia* inertia;   // per frame
-  const JointDrive* drive;  // per joint
-  const int32_t* row;       // per group: 0 body, 1 carried, -1 neither
-  const int32_t* entity;    // per obstacle, -1 for none
+  int32_t n_frame, n_row, n_entity, n_step, n_reference, n_fall, n_limb;  // n_fall: steps of a collapse
+  const Inertia* inertia;                                                 // per frame
+  const JointDrive* drive;                                                // per joint
+  const Limb* limb;                                                       // the farthest out first
+  const int32_t* entity;                                                  // per obstacle, -1 for none
   BodyConstants constants;
 };
 
@@ -204,8 +223,7 @@ struct Kernels {
   // The body model; ahead null or [n, n_reference, n_joint].
   void (*body)(const Tables&, const BodyTables&, const States&, const double* ahead, double* distance);
   void (*body_impact)(const Tables&, const BodyTables&, const BodyHarm&, const States&, double* impact);
-  void (*body_edge_costs)(const Tables&, const BodyTables&, const BodyHarm&, const double* pace, const Edges&,
-                          double* cost);
+  void (*body_gradient)(const Tables&, const BodyTables&, const BodyHarm&, const States&, const Slopes&);
   void (*body_dynamics)(const Tables&, const BodyTables&, const States&, double* mass_matrix, double* gravity);
   void (*elementary)(const double* x, size_t n, double* exponential, double* logarithm);
 };

@@ -26,12 +26,12 @@ _TELLING = 8  # edges with exposure that tell whether directions differ
 class EdgePrices:
     """Motion cost and exposure of edges; exposures of 0 are not stored.
 
-    | field    | meaning                             | unit | shape |
-    |----------|-------------------------------------|------|-------|
-    | motion   | V of each edge                      | rad  | edge  |
-    | edge     | edge of each exposure, ascending    |      | entry |
-    | column   | its column                          |      | entry |
-    | exposure | integral of P along the edge, above 0 | rad  | entry |
+    | field    | meaning                                                      | unit     | shape |
+    |----------|--------------------------------------------------------------|----------|-------|
+    | motion   | V of each edge                                               | rad      | edge  |
+    | edge     | edge of each exposure, ascending                             |          | entry |
+    | column   | its column                                                   |          | entry |
+    | exposure | integral of P along the edge, above 0; of time by default    | s or rad | entry |
     """
 
     motion: Float[Array, " edge"]

@@ -15,6 +15,9 @@ from typing import Any, final
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 from graceful_plan.yaml_file import Block, YamlTable
 
+ITSELF = "carried"
+"""Row of the loss of the carried object itself, by its class."""
+
 
 @final
 @dataclass(frozen=True)

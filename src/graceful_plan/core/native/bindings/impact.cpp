@@ -36,6 +36,7 @@ void bind_impact(nb::module_& m) {
           "part_half"_a, "main"_a, "size"_a, "target_entity"_a, "target"_a, "level_start"_a, "n_entity"_a, "speed"_a,
           "constants"_a, nb::keep_alive<1, 2>())
       .def("add_contents", &DropModel::add_contents, "container"_a, "stands"_a, "visible"_a, "constants"_a)
+      .def("add_loss", &DropModel::add_loss, "strength"_a, "loss"_a)
       .def("probability", &DropModel::probability, "q"_a, "qd"_a)
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
       .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false);
@@ -50,6 +51,7 @@ void bind_impact(nb::module_& m) {
           "constants"_a, nb::keep_alive<1, 2>())
       .def("distances", &BodyModel::distances, "q"_a, "qd"_a, "ahead"_a = nb::none())
       .def("impact", &BodyModel::impact, "weight"_a, "severity"_a, "q"_a, "qd"_a)
+      .def("gradient", &BodyModel::gradient, "weight"_a, "severity"_a, "q"_a, "qd"_a)
       .def("dynamics", &BodyModel::dynamics, "q"_a);
   nb::class_<Impact>(m, "Impact")
       .def("states", &Impact::states_array, "q"_a)

@@ -46,16 +46,32 @@ class SceneSpace final : public Space {
   void impacts(const double* points, int n, double* out) override { impact_.rough_states(points, size_t(n), out); }
   double exposure(const double* a, const double* b) const override { return impact_.exposure(a, b); }
   bool has_state_slopes() const override { return true; }
-  void state_slopes(const double* q, const double* qd, int n, const StateSlopes& out) override {
-    impact_.state_slopes({q, qd, size_t(n)}, {out.impact, out.by_q, out.by_qd});
+  void state_slopes(const MovingStates& of, const StateSlopes& out) override {
+    impact_.state_slopes({of.q, of.qd, size_t(of.n)}, of.rough, {out.impact, out.by_q, out.by_qd});
   }
   bool has_slopes() const override { return impact_.has_gradients(); }
   void slopes(const Chain& chain, double step, bool rough, const ChainSlopes& out) override {
     const Edges edges{chain.points, chain.points + dim, size_t(chain.n_edge), step};
     impact_.edge_gradients(edges, rough ? Sampling::kMean : Sampling::kBoth, {out.cost, out.by_from, out.by_to});
   }
-  void clearances(const double* points, int n, double* out, double* gradient) override {
-    core_.kernels().clearance(core_.tables(), {points, nullptr, size_t(n)}, out, gradient);
+  void clearances(const Probes& probes, double* out, double* gradient) override {
+    const size_t n = size_t(probes.n), nq = size_t(dim);
+    std::vector<uint8_t> free(n, 0);
+    if (std::isfinite(probes.wanted))
+      core_.kernels().free_states(core_.tables(), {probes.q, nullptr, n}, probes.wanted, free.data());
+    std::fill(out, out + n, std::numeric_limits<double>::infinity()), std::fill(gradient, gradient + n * nq, 0.0);
+    Point close;
+    for (size_t k = 0; k < n; ++k)
+      if (!free[k]) close.insert(close.end(), probes.q + k * nq, probes.q + (k + 1) * nq);
+    if (close.empty()) return;
+    Point value(close.size() / nq), slope(close.size());
+    core_.kernels().clearance(core_.tables(), {close.data(), nullptr, value.size()}, value.data(), slope.data());
+    for (size_t k = 0, i = 0; k < n; ++k) {
+      if (free[k]) continue;
+      out[k] = value[i];
+      std::copy_n(slope.data() + i * nq, nq, gradient + k * nq);
+      ++i;
+    }
   }
 
  private:
@@ -194,11 +210,11 @@ class MotionDescentRun {
   void harden() { descent_.harden(); }
   Out<double> controls() const { return as_array(descent_.controls(), space_.dim); }
   double value() const { return descent_.value(); }
-  double energy() const { return descent_.energy(); }
   double duration() const { return descent_.duration(); }
-  Out<double> gradient() const {
-    const std::vector<Point> row{descent_.gradient()};
-    return as_array(row, int(row[0].size()));
+  nb::tuple energy(Reals controls) {
+    std::vector<Point> rows(1);
+    const double value = descent_.energy(point(controls), rows[0]);
+    return nb::make_tuple(value, as_array(rows, int(rows[0].size())));
   }
 
  private:
@@ -325,19 +341,20 @@ void bind_search(nb::module_& m) {
       .def(
           "__init__",
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
-             size_t density, double time_price, double push, double tolerance, double tight_start, double tight_end) {
+             size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
+             double tight_end) {
             new (self) MotionDescentRun(space, path,
-                                        {point(velocity), point(acceleration), controls, density, time_price, push,
-                                         tolerance, tight_start, tight_end});
+                                        {point(velocity), point(acceleration), controls, density, rough, time_price,
+                                         push, tolerance, tight_start, tight_end});
           },
-          "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a, "time_price"_a,
-          "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0, "tight_end"_a = 0.0, nb::keep_alive<1, 2>())
+          "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
+          "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
+          "tight_end"_a = 0.0, nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)
-      .def_prop_ro("gradient", &MotionDescentRun::gradient, nb::rv_policy::move)
+      .def("energy", &MotionDescentRun::energy, "controls"_a)
       .def_prop_ro("value", &MotionDescentRun::value)
-      .def_prop_ro("energy", &MotionDescentRun::energy)
       .def_prop_ro("duration", &MotionDescentRun::duration);
   m.def("spline", &spline, "controls"_a, "u"_a);
   m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a);

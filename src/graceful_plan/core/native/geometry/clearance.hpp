@@ -9,7 +9,7 @@ template <class V> static inline V dot(const Vec<V>& a, const float b[3]) {
   return a.x * b[0] + a.y * b[1] + a.z * b[2];
 }
 
-template <class V> static inline Vec<V> local(const Obstacle& o, const Vec<V>& point) {
+template <class V> [[gnu::always_inline]] static inline Vec<V> local(const Obstacle& o, const Vec<V>& point) {
   Vec<V> d = {point.x - o.p[0], point.y - o.p[1], point.z - o.p[2]};
   return {d.x * o.R[0] + d.y * o.R[3] + d.z * o.R[6], d.x * o.R[1] + d.y * o.R[4] + d.z * o.R[7],
           d.x * o.R[2] + d.y * o.R[5] + d.z * o.R[8]};
@@ -33,72 +33,94 @@ template <class V> static inline V capsule_distance(float radius, float half, co
   return root(p.x * p.x + p.y * p.y + z * z) - radius;
 }
 
-// Outside: Newton on the convex secular equation (Eberly, "Distance from a point to an ellipse, an ellipsoid") from
-// below, so that the result never exceeds the distance. Inside: (k - 1) r_min, right in sign and a bound in size.
-template <class V> static inline V ellipsoid_distance(const float r[3], const Vec<V>& p) {
-  const V y[3] = {p.x, p.y, p.z};
-  V k2 = {};
-  for (int i = 0; i < 3; ++i) k2 += y[i] * y[i] * (1.f / (r[i] * r[i]));
-  float r_min = r[0] < r[1] ? r[0] : r[1];
-  r_min = r_min < r[2] ? r_min : r[2];
-  V k = root(k2);
+// Of a point outside of an ellipsoid, by Newton on the convex secular equation (Eberly, "Distance from a point to an
+// ellipse, an ellipsoid") from below: the nearest point is r_i^2 y_i / (t + r_i^2). k is the norm that is 1 on it.
+template <class V> static inline V ellipsoid_parameter(const float r[3], const V y[3], V k, float r_min) {
+  const V settled = V{} + Scalar<V>(sizeof(Scalar<V>) == 4 ? 1e-7 : 1e-15);
   V t = relu((k - 1.f) * (r_min * r_min));
   for (int step = 0; step < 8; ++step) {
     V g = V{} - 1.f, slope = {};
     for (int i = 0; i < 3; ++i) {
-      V inverse = 1.f / (t + r[i] * r[i]);
+      V inverse = reciprocal(t + r[i] * r[i]);
       V u = r[i] * y[i] * inverse;
       g += u * u;
       slope += u * u * inverse;
     }
-    t += relu(g / (2.f * slope + 1e-20f));
+    const V further = relu(g * reciprocal(2.f * slope + 1e-20f));
+    t += further;
+    if (!any(further > settled * t)) break;
   }
-  V d2 = {};
+  return t;
+}
+static inline float least_of(const float r[3]) {
+  const float least = r[0] < r[1] ? r[0] : r[1];
+  return least < r[2] ? least : r[2];
+}
+
+// Never more than the distance; inside (k - 1) r_min, right in sign and a bound in size.
+template <class V> static inline V ellipsoid_distance(const float r[3], const Vec<V>& p) {
+  const V y[3] = {p.x, p.y, p.z};
+  V k2 = {}, d2 = {};
+  for (int i = 0; i < 3; ++i) k2 += y[i] * y[i] * (1.f / (r[i] * r[i]));
+  const float r_min = least_of(r);
+  const V k = root(k2), t = ellipsoid_parameter(r, y, k, r_min);
   for (int i = 0; i < 3; ++i) {
-    V d = y[i] * t / (t + r[i] * r[i]);
+    V d = y[i] * t * reciprocal(t + r[i] * r[i]);
     d2 += d * d;
   }
   V lower_bound = (k - 1.f) * r_min;
   return k > 1.f ? maximum(root(d2) - 1e-6f, lower_bound) : lower_bound;
 }
 
-template <class V> static inline V segment_squared(const Vec<V>& p, const float a[3], const float b[3]) {
-  const float e[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
-  const float inverse = 1.f / (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + 1e-20f);
-  Vec<V> d = {p.x - a[0], p.y - a[1], p.z - a[2]};
-  V s = minimum(maximum(dot(d, e) * inverse, V{}), V{} + 1.f);
-  V x = d.x - s * e[0], y = d.y - s * e[1], z = d.z - s * e[2];
-  return x * x + y * y + z * z;
+template <class V> static inline V squared(const Vec<V>& a) { return a.x * a.x + a.y * a.y + a.z * a.z; }
+
+// To a point from the nearest one of an edge of a face.
+template <class V> static inline Vec<V> from_edge(const Vec<V>& p, const Triangle& t, int i) {
+  const float *a = i == 0 ? t.a : i == 1 ? t.b : t.c, *e = t.edge[i];
+  const Vec<V> d = {p.x - a[0], p.y - a[1], p.z - a[2]};
+  const V s = minimum(maximum(dot(d, e) * e[3], V{}), V{} + 1.f);
+  return {d.x - s * e[0], d.y - s * e[1], d.z - s * e[2]};
 }
 
-// Above a face's prism its plane is nearest, else one of its edges: the sign tests against the three edge planes tell.
-template <class V> static inline V triangle_squared(const Vec<V>& p, const Triangle& t, V height) {
-  V edge = minimum(segment_squared(p, t.a, t.b), minimum(segment_squared(p, t.b, t.c), segment_squared(p, t.c, t.a)));
-  auto over = V{} == V{};
-  const float* corner[4] = {t.a, t.b, t.c, t.a};
-  for (int k = 0; k < 3; ++k) {
-    const float *a = corner[k], *b = corner[k + 1];
-    const float e[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
-    const float inward[3] = {t.normal[1] * e[2] - t.normal[2] * e[1], t.normal[2] * e[0] - t.normal[0] * e[2],
-                             t.normal[0] * e[1] - t.normal[1] * e[0]};
-    over &= (p.x - a[0]) * inward[0] + (p.y - a[1]) * inward[1] + (p.z - a[2]) * inward[2] >= 0.f;
+// How far a point is outside of a face's prism at least; negative above the face.
+template <class V> static inline V outside_of(const Vec<V>& p, const Triangle& t) {
+  const float (&n)[3][4] = t.inward;
+  return maximum(n[0][3] - dot(p, n[0]), maximum(n[1][3] - dot(p, n[1]), n[2][3] - dot(p, n[2])));
+}
+
+// Calls visit(face, height, outside) for faces that points outside see and that may be nearer than sqrt(nearest), which
+// the calls may lower; returns how high points are above the face that they are highest above.
+template <class V, class Visit>
+static inline V for_each_near_face(const Tables& tables, const Obstacle& o, const Vec<V>& p, const V& nearest,
+                                   Visit visit) {
+  V highest = V{} - 1e30f;
+  for (int k = o.first_triangle; k < o.first_triangle + o.n_triangle; ++k) {
+    const Triangle& t = tables.triangle[k];
+    const V height = dot(p, t.normal) - t.offset;
+    highest = maximum(highest, height);
+    if (!any_below(V{}, height)) continue;
+    const V outside = outside_of(p, t), beside = relu(outside);
+    if (any((height > 0.f) & (height * height + beside * beside < nearest))) visit(t, height, outside);
   }
-  return over ? height * height : edge;
+  return highest;
 }
 
-template <class V> static inline V mesh_distance(const Tables& tables, const Obstacle& o, const Vec<V>& p) {
-  V deepest = V{} - 1e30f, nearest = V{} + 1e30f;
-  for (int k = 0; k < o.n_triangle; ++k) {
-    const Triangle& t = tables.triangle[o.first_triangle + k];
-    V height = dot(p, t.normal) - t.offset;
-    deepest = maximum(deepest, height);
-    if (any(height > 0.f))
-      nearest = minimum(nearest, triangle_squared(p, t, height));  // the nearest face is one that p sees
-  }
-  return deepest > 0.f ? root(nearest) : deepest;
+// As far as it is below `far`. The nearest face is one that p sees: above its prism its plane is nearest, else one of
+// its edges.
+template <class V>
+static inline V mesh_distance(const Tables& tables, const Obstacle& o, const Vec<V>& p, V far = V{} + 1e15f) {
+  V nearest = far * far;
+  const V highest = for_each_near_face(tables, o, p, nearest, [&](const Triangle& t, V height, V outside) {
+    const V edge =
+        minimum(squared(from_edge(p, t, 0)), minimum(squared(from_edge(p, t, 1)), squared(from_edge(p, t, 2))));
+    nearest = minimum(nearest, outside > 0.f ? (height > 0.f ? edge : nearest) : height * height);
+  });
+  return highest > 0.f ? root(nearest) : highest;
 }
 
-template <class V> static inline V signed_distance(const Tables& tables, const Obstacle& o, const Vec<V>& point) {
+// Those of meshes as far as they are below `far` > 0.
+template <class V>
+static inline V signed_distance(const Tables& tables, const Obstacle& o, const Vec<V>& point, V far = V{} + 1e15f) {
   switch (o.kind) {
     case kPlane:
       return local(o, point).z;
@@ -113,7 +135,7 @@ template <class V> static inline V signed_distance(const Tables& tables, const O
     case kBox:
       return box_distance(o.size, local(o, point));
     default:
-      return mesh_distance(tables, o, point);
+      return mesh_distance(tables, o, point, far);
   }
 }
 

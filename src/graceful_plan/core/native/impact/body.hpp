@@ -1,490 +1,516 @@
 // The body model: what the arm and what it holds hit if the drives fail here. The specification, with the letters used
-// here, is in costs/models/body. W states side by side. What is left out to save time changes nothing.
+// here, is in costs/models/body. W states side by side, in double or in single precision. What is left out to save time
+// changes nothing but rounding:
+//
+// - Planes below distances, taken where the arm is, rule out most of what a limb might hit in a fall.
+// - A joint that fails alone turns what hangs on it as one rigid body from where the arm would have been.
+// - What does not hang on it meets what the arm meets as it goes on; that is looked at once.
 
-constexpr double kFar = 8.0;  // U: scales beyond which nothing is hit
-constexpr int kBins = 64;     // of lists of what is near, 2 cm each
-constexpr double kBin = 0.02;
-constexpr double kDetail = 0.3;  // from where a ball around an obstacle will do
-constexpr double kSpare = 0.1;   // distances are kept as far as this above those that count
+constexpr double kFar = 8.0;                                            // U: scales beyond which nothing is hit
+constexpr double kNearby = 0.4;                                         // gap from where no plane is kept [m]
+template <class T> constexpr T kStill = sizeof(T) == 4 ? 1e-6 : 1e-12;  // what rounding moves the arm by [m]
 
-// --- dynamics -------------------------------------------------------------------------------------------------------
-
-// Everything that hangs on a frame: mass, first moment and inertia about the origin of W.
-struct Composite {
-  D mass, h[3], J[6];  // J: xx yy zz xy xz yz
-
-  void add(const Composite& other) {
-    mass += other.mass;
-    for (int i = 0; i < 3; ++i) h[i] += other.h[i];
-    for (int i = 0; i < 6; ++i) J[i] += other.J[i];
-  }
+// The least distance of one way to fail, for each row and entity, and how deep the arm is in what stops it.
+template <class V, bool kNamed> struct WayToFail {
+  using T = Scalar<V>;
+  V *best[2], blocked;  // [entity]
+  T* worst[2];          // [entity] of the lanes of best
+  T* limit[2];          // [obstacle] what is farther does not count
+  double gain = 0.0, tolerance = 0.0;
+  Mask<T>*who[2], deepest;  // whose distances best and blocked are, see Meeting
 };
 
-static inline Composite placed_inertia(const Inertia& rigid, const Frame<D>& X) {
-  const Vec<D> c = transform(X, rigid.centre);
-  const double* I = rigid.inertia;
-  D A[9], R[6];
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j)
-      A[3 * i + j] = X.R[3 * i] * I[j] + X.R[3 * i + 1] * I[3 + j] + X.R[3 * i + 2] * I[6 + j];
-  constexpr int row[6] = {0, 1, 2, 0, 0, 1}, column[6] = {0, 1, 2, 1, 2, 2};
-  for (int k = 0; k < 6; ++k) {
-    const D *a = A + 3 * row[k], *b = X.R + 3 * column[k];
-    R[k] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  }
-  const double m = rigid.mass;
-  return {D{} + m,
-          {m * c.x, m * c.y, m * c.z},
-          {R[0] + m * (c.y * c.y + c.z * c.z), R[1] + m * (c.x * c.x + c.z * c.z), R[2] + m * (c.x * c.x + c.y * c.y),
-           R[3] - m * c.x * c.y, R[4] - m * c.x * c.z, R[5] - m * c.y * c.z}};
-}
-
-// How the origin of W would move if a joint did: angular and linear velocity.
-struct Twist {
-  Vec<D> w, v;
+// The distance of a limb to an obstacle is at least this, wherever its centre c goes and however it turns:
+// max(n . c + max(low, close - bound turned), known - |c - c_0| - bound turned).
+template <class V> struct Floor {
+  Vec<V> n;
+  V low, close, known;
 };
 
-static inline Twist twist_of(const Link& link, const Frame<D>& X) {
-  const Vec<D> z = {X.R[2], X.R[5], X.R[8]};
-  if (link.slide) return {{D{}, D{}, D{}}, z};
-  return {z, cross(X.p, z)};
-}
+// A sphere, an obstacle, and one of the configurations: one that is expected, or one of a way to fail.
+struct Meeting {
+  int sphere, obstacle, place;
+  bool own;
 
-static inline Twist momentum(const Composite& c, const Twist& t) {
-  const Vec<D> h = {c.h[0], c.h[1], c.h[2]}, turn = cross(t.w, h), lever = cross(h, t.v);
-  const D* J = c.J;
-  return {{J[0] * t.w.x + J[3] * t.w.y + J[4] * t.w.z + lever.x, J[3] * t.w.x + J[1] * t.w.y + J[5] * t.w.z + lever.y,
-           J[4] * t.w.x + J[5] * t.w.y + J[2] * t.w.z + lever.z},
-          {c.mass * t.v.x + turn.x, c.mass * t.v.y + turn.y, c.mass * t.v.z + turn.z}};
-}
-
-static inline D power(const Twist& t, const Twist& momentum) {
-  return t.w.x * momentum.w.x + t.w.y * momentum.w.y + t.w.z * momentum.w.z + t.v.x * momentum.v.x +
-         t.v.y * momentum.v.y + t.v.z * momentum.v.z;
-}
-
-static inline D weight_torque(const Composite& c, const Twist& t) {
-  return kGravity * (t.w.x * c.h[1] - t.w.y * c.h[0] + c.mass * t.v.z);
-}
-
-// Composites of all frames at least as far out as `first`.
-static inline void gather(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int first,
-                          Composite* all) {
-  for (int l = first; l < body.n_frame; ++l) all[l] = placed_inertia(body.inertia[l], X_W[l]);
-  for (int l = body.n_frame - 1; l > first; --l)
-    if (tables.link[l].parent >= first) all[tables.link[l].parent].add(all[l]);
-}
-
-// M, lower half, and the torques that hold the arm.
-static inline void mass_and_weight(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, D M[][kMaxJoints],
-                                   D* g) {
-  Composite all[kMaxLinks];
-  Twist twist[kMaxLinks];
-  gather(tables, body, X_W, 0, all);
-  for (int l = 0; l < body.n_frame; ++l)
-    if (tables.link[l].joint >= 0) twist[l] = twist_of(tables.link[l], X_W[l]);
-  for (int i = 0; i < tables.n_joint; ++i)
-    for (int j = 0; j < tables.n_joint; ++j) M[i][j] = D{};
-  for (int j = 0; j < tables.n_joint; ++j) {
-    const int link = body.drive[j].link;
-    const Twist moves = momentum(all[link], twist[link]);
-    g[j] = weight_torque(all[link], twist[link]);
-    for (int l = link; l >= 0; l = tables.link[l].parent) {
-      const int i = tables.link[l].joint;
-      if (i >= 0) M[i][j] = M[j][i] = power(twist[l], moves);
-    }
-    M[j][j] += body.drive[j].armature;
-  }
-}
-
-// Solve A x = b by Cholesky's method; A is destroyed.
-static inline void solve(D A[][kMaxJoints], D* b, int n) {
-  for (int j = 0; j < n; ++j) {
-    D d = A[j][j];
-    for (int k = 0; k < j; ++k) d -= A[j][k] * A[j][k];
-    const D inverse = inverse_root(d);
-    A[j][j] = inverse;
-    for (int i = j + 1; i < n; ++i) {
-      D x = A[i][j];
-      for (int k = 0; k < j; ++k) x -= A[i][k] * A[j][k];
-      A[i][j] = x * inverse;
-    }
-  }
-  for (int i = 0; i < n; ++i) {
-    for (int k = 0; k < i; ++k) b[i] -= A[i][k] * b[k];
-    b[i] *= A[i][i];
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    for (int k = i + 1; k < n; ++k) b[i] -= A[k][i] * b[k];
-    b[i] *= A[i][i];
-  }
-}
-
-static inline D towards_zero(D v, D by) { return v > 0 ? relu(v - by) : -relu(-v - by); }
-
-// A joint that has moved by the mean of two velocities; a stop takes the velocity.
-static inline void move_joint(const JointDrive& drive, D& x, D& v, D next, double h) {
-  const D to = x + 0.5 * h * (v + next);
-  v = (to < drive.lower) | (to > drive.upper) ? D{} : next;
-  x = minimum(maximum(to, D{} + drive.lower), D{} + drive.upper);
-}
-
-static inline void fall_together(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, double h, D* x,
-                                 D* v) {
-  const int n = tables.n_joint;
-  D M[kMaxJoints][kMaxJoints], g[kMaxJoints], next[kMaxJoints], slip[kMaxJoints];
-  mass_and_weight(tables, body, X_W, M, g);
-  for (int i = 0; i < n; ++i) {
-    next[i] = -h * g[i];
-    for (int j = 0; j < n; ++j) next[i] += M[i][j] * v[j];
-  }
-  for (int i = 0; i < n; ++i) {
-    M[i][i] += h * body.drive[i].damping;
-    slip[i] = h * body.drive[i].friction * reciprocal(M[i][i]);
-  }
-  solve(M, next, n);
-  for (int i = 0; i < n; ++i) move_joint(body.drive[i], x[i], v[i], towards_zero(next[i], slip[i]), h);
-}
-
-// What a joint without power moves by: inertia at the state itself, torque of the weight where it is by now.
-static inline D weight_on(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int first) {
-  D mass[kMaxLinks];
-  Vec<D> h[kMaxLinks];
-  for (int l = first; l < body.n_frame; ++l) {
-    const Vec<D> c = transform(X_W[l], body.inertia[l].centre);
-    mass[l] = D{} + body.inertia[l].mass;
-    h[l] = {mass[l] * c.x, mass[l] * c.y, mass[l] * c.z};
-  }
-  for (int l = body.n_frame - 1; l > first; --l) {
-    const int to = tables.link[l].parent;
-    if (to >= first) mass[to] += mass[l], h[to] = {h[to].x + h[l].x, h[to].y + h[l].y, h[to].z + h[l].z};
-  }
-  const Twist t = twist_of(tables.link[first], X_W[first]);
-  return kGravity * (t.w.x * h[first].y - t.w.y * h[first].x + mass[first] * t.v.z);
-}
-
-struct JointMotion {
-  D x, v;
+  explicit Meeting(int id) : sphere(id & 2047), obstacle(id >> 11 & 4095), place(id >> 23 & 127), own(id >> 30 & 1) {}
+  static int id(int obstacle, int place, bool own) { return obstacle << 11 | place << 23 | int(own) << 30; }
 };
+static_assert(kMaxSpheres <= 2048 && kMaxObstacles <= 4096 && kMaxSteps < 128);
 
-static inline void fall_alone(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, int joint, D inertia,
-                              JointMotion& motion) {
-  const JointDrive& drive = body.drive[joint];
-  const double h = body.constants.step;
-  const D share = reciprocal(inertia + h * (drive.damping + drive.resistance));
-  const D next = (inertia * motion.v - h * weight_on(tables, body, X_W, drive.link)) * share;
-  move_joint(drive, motion.x, motion.v, towards_zero(next, h * drive.friction * share), h);
-}
-
-// M_jj of all joints.
-static inline void own_inertias(const Tables& tables, const BodyTables& body, const Frame<D>* X_W, D* inertia) {
-  Composite all[kMaxLinks];
-  gather(tables, body, X_W, 0, all);
-  for (int j = 0; j < tables.n_joint; ++j) {
-    const int link = body.drive[j].link;
-    const Twist t = twist_of(tables.link[link], X_W[link]);
-    inertia[j] = power(t, momentum(all[link], t)) + body.drive[j].armature;
-  }
-}
-
-// --- distances ------------------------------------------------------------------------------------------------------
-
-struct Near {
-  float gap;  // no more than between the bounding sphere of a group and an obstacle, at the state itself
+// What may be nearer than what is known: a limb and an obstacle in one of the configurations, and their least distance.
+template <class V> struct Prospect {
+  V least;
+  int16_t limb, place;
   int32_t obstacle;
 };
 
-// Obstacles around each group, nearest first: what is in reach of a failed configuration is at the head.
-struct Surroundings {
-  Vec<D> centre[kMaxLinks];
-  size_t count[kMaxLinks];
-  Near *near, *scratch;  // [group, obstacle], [obstacle]
-  // Distances of pairs as the arm is expected to be, as far as they are below `far` and somebody asked: [step, group,
-  // obstacle].
-  D* distance;
-  uint8_t* known;
-  double far;
+template <class V> struct FallingJoint {
+  JointMotion<V> motion;
+  V rests;  // 1 where it lies on something
+};
 
-  // Of one step and group: where the rows of both tables begin.
-  static size_t row(const Tables& tables, int step, int g) {
-    return (size_t(step) * size_t(tables.n_group) + size_t(g)) * size_t(tables.n_obstacle);
-  }
-  void look(const Tables& tables, const BodyTables& body, const Frame<D>* X_W) {
-    for (int g = 0; g < tables.n_group; ++g) {
-      if (body.row[g] < 0) continue;
-      size_t in_bin[kBins + 1] = {}, n = 0;
-      const Group& group = tables.group[g];
-      centre[g] = transform(X_W[group.frame], group.bound);
-      for (int j = 0; j < tables.n_obstacle; ++j) {
-        const Obstacle& o = tables.obstacle[j];
-        if (o.ignores >> group.link & 1) continue;
-        const float gap = least_gap(tables, o, centre[g]) - group.bound[3] - 1e-6f;
-        scratch[n++] = {gap, j};
-        ++in_bin[bin(gap) + 1];
-      }
-      for (int b = 0; b < kBins; ++b) in_bin[b + 1] += in_bin[b];
-      for (size_t k = 0; k < n; ++k) of(tables, g)[in_bin[bin(scratch[k].gap)]++] = scratch[k];
-      count[g] = n;
-    }
-  }
-  Near* of(const Tables& tables, int g) const { return near + size_t(g) * size_t(tables.n_obstacle); }
-  // What any that follows is at least away.
-  static double edge(double gap) { return gap < kBin * kBins ? gap - kBin : kBin * (kBins - 1); }
+template <class T> class Room {
+ public:
+  explicit Room(size_t n) : data_(new T[n + 1]()) {}
+  Room(const Room&) = delete;
+  ~Room() { delete[] data_; }
+  T* at(size_t k) const { return data_ + k; }
+  T& operator[](size_t k) const { return data_[k]; }
+  T& operator[](int k) const { return data_[k]; }
 
  private:
-  static int bin(float gap) {
-    const int b = int(gap * float(1.0 / kBin));
-    return b < 0 ? 0 : b >= kBins ? kBins - 1 : b;
-  }
-  // Of a point to an obstacle; where that is far, to a ball around it.
-  static float least_gap(const Tables& tables, const Obstacle& o, const Vec<D>& point) {
-    if (o.bound[3] >= 0.f) {
-      const Vec<D> middle = {D{} + o.bound[0], D{} + o.bound[1], D{} + o.bound[2]};
-      const double away = __builtin_sqrt(least_lane(squared_distance(point, middle))) - o.bound[3];
-      if (away > kDetail) return float(away) - 1e-6f;
-    }
-    return float(least_lane(signed_distance(tables, o, point)));
-  }
+  T* data_;
 };
 
-// The least distance of one way to fail, for each row and entity, and how deep the arm is in what stops it.
-struct Way {
-  D best[2][kMaxEntities], blocked;
-  double gain = 0.0, tolerance = 0.0, cut[2], worst[2][kMaxEntities];  // worst: of the lanes of best
+template <class V> class BodySlopes;
 
-  // From nothing, or from what is met before anything moves.
-  void begin(const BodyTables& body, int generator, const Way* home) {
-    const BodyConstants& k = body.constants;
-    gain = k.stop_gain[generator], tolerance = k.stop_tolerance[generator];
-    for (int r = 0; r < body.n_row; ++r) {
-      cut[r] = home ? 0.0 : 1e-9;
-      for (int g = 0; g < kGenerators; ++g) {
-        const double far = k.offset[g][r] + kFar * k.spread[g][r];
-        if (home ? g == generator : far > cut[r]) cut[r] = far;
+// kNamed: whether ways remember who is nearest, for derivatives.
+template <class V, bool kNamed = false> class Arm {
+  using T = Scalar<V>;
+  using Id = Mask<T>;
+  using Way = WayToFail<V, kNamed>;
+  static constexpr int W = kAbreast<V>;
+  static constexpr int kPending = 512;
+
+ public:
+  Way way;  // the one that was last
+
+  // severity [row, entity] and weight [mode, row]; null: everything counts.
+  Arm(const Tables& t, const BodyTables& b, const double* severity, const double* weight)
+      : tables_(t),
+        body_(b),
+        severity_(severity),
+        weight_(weight),
+        n_obstacle_(t.n_obstacle),
+        n_frame_(b.n_frame),
+        padded_((t.n_obstacle + W - 1) / W * W),
+        n_expected_((b.n_step > b.n_reference ? b.n_step : b.n_reference) + 1),
+        n_place_(n_expected_ > b.n_fall + 1 ? n_expected_ : b.n_fall + 1),
+        frames_(size_t((n_expected_ + b.n_fall + 1 + n_place_) * n_frame_)),
+        centres_(size_t((n_expected_ + b.n_fall + 1) * b.n_limb)),
+        turned_(size_t((n_expected_ + b.n_fall + 1) * n_frame_)),
+        stances_(size_t(n_expected_ + b.n_fall + 1)),
+        places_(size_t(n_place_)),
+        reference_(size_t(n_expected_ * t.n_joint)),
+        load_(size_t(n_expected_ * t.n_joint)),
+        share_(size_t(n_expected_)),
+        depth_(size_t(n_expected_)),
+        trace_(size_t(n_expected_)),
+        penalty_(size_t(n_place_)),
+        stopper_(size_t(n_place_)),
+        floors_(size_t(b.n_limb * padded_)),
+        planes_(size_t(b.n_limb * padded_)),
+        gaps_(size_t((2 * b.n_limb + 8) * padded_ / W)),
+        hits_(size_t(2 * padded_)),
+        best_(size_t(8 * b.n_entity)),
+        worst_(size_t(8 * b.n_entity)),
+        who_(size_t(kNamed ? 8 * b.n_entity : 0)),
+        pending_(size_t(kPending)) {
+    share_room();
+    for (int r = 0; r < 2; ++r)
+      for (int j = 0; j < n_obstacle_; ++j) {
+        const int e = b.entity[j];
+        hit(r, j) = r < b.n_row && e >= 0 && (!severity || severity[r * b.n_entity + e] != 0.0) ? e : -1;
       }
-      for (int e = 0; e < body.n_entity; ++e) {
-        best[r][e] = home ? minimum(D{} + cut[r], home->best[r][e]) : D{} + cut[r];
-        worst[r][e] = home && home->worst[r][e] < cut[r] ? home->worst[r][e] : cut[r];
-      }
+    int n = 0;
+    for (int l = 0; l < n_frame_; ++l) {
+      const int joint = t.link[l].joint;
+      if (joint >= 0) order_[n++] = joint, hanging_[joint] = 0;
+      for (int f = l; f > 0; f = t.link[f].parent) hanging_[t.link[f].joint] |= uint64_t(1) << l;
     }
-    blocked = home ? home->blocked : D{};
-  }
-};
-
-// Distance of a group to an obstacle as far as it is below `need`.
-static inline D group_distance(const Tables& tables, const Obstacle& o, const Group& group, const Frame<D>& X, D need) {
-  D least = need;
-  for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
-    const Cluster& cluster = tables.cluster[c];
-    if (group.n_cluster > 1 &&
-        !any(signed_distance(tables, o, transform(X, cluster.bound)) - cluster.bound[3] < least + 1e-6))
-      continue;
-    for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
-      least =
-          minimum(least, signed_distance(tables, o, transform(X, tables.sphere + 4 * k)) - tables.sphere[4 * k + 3]);
-  }
-  return least;
-}
-
-// How far any point of a group is at most from where it is expected.
-static inline D displacement(const Group& group, const Frame<D>& X, const Frame<D>& expected) {
-  D turned = {};
-  for (int k = 0; k < 9; ++k) turned += (X.R[k] - expected.R[k]) * (X.R[k] - expected.R[k]);
-  const D moved = squared_distance(transform(X, group.bound), transform(expected, group.bound));
-  return root(moved) + double(group.bound[3]) * root(0.5 * turned) + 1e-9;
-}
-
-// Distance of a group to an obstacle where it is expected to be, as far as it is below `far`.
-static inline D expected_distance(const Tables& tables, const Surroundings& around, int step, int g, int j,
-                                  const Frame<D>& expected) {
-  const size_t at = Surroundings::row(tables, step, g) + size_t(j);
-  if (!around.known[at]) {
-    const Group& group = tables.group[g];
-    const Obstacle& o = tables.obstacle[j];
-    const Vec<D> centre = transform(expected, group.bound);
-    const D far = D{} + around.far;
-    const bool near = any(near_bound(o, centre, far + (double(group.bound[3]) + 1e-6))) &&
-                      any(signed_distance(tables, o, centre) - group.bound[3] < far + 1e-6);
-    around.distance[at] = near ? group_distance(tables, o, group, expected, far) : far;
-    around.known[at] = 1;
-  }
-  return around.distance[at];
-}
-
-// --- ways to fail ---------------------------------------------------------------------------------------------------
-
-struct Arm {
-  const Tables& tables;
-  const BodyTables& body;
-  const double* severity;  // null: everything counts
-  Surroundings around;
-  D reference[kMaxSteps + 1][kMaxJoints];
-  Frame<D> expected[kMaxSteps + 1][kMaxLinks], X_W[kMaxLinks];  // expected: X_W of reference
-  Way way, home;                                                // home: where the arm is
-  D inertia[kMaxJoints];                                        // M_jj there
-  int reference_steps, known_ahead, inertia_known;
-
-  // One failed configuration: as expected at a step of the motion to come, but for frames from `first` on.
-  void meet(const Frame<D>* poses, int step, int first, Way& met) const {
-    const D penalty = met.gain * relu(met.blocked - met.tolerance);
-    D depth = met.blocked;
-    for (int g = 0; g < tables.n_group; ++g) {
-      const int r = body.row[g];
-      if (r < 0) continue;
-      const Group& group = tables.group[g];
-      const Vec<D> centre = transform(poses[group.frame], group.bound);
-      const double moved = __builtin_sqrt(greatest_lane(squared_distance(centre, around.centre[g]))) + 1e-9;
-      const double cut = (met.cut[r] > 0.0 ? met.cut[r] : 0.0) + moved;
-      const bool as_expected = group.frame < first;
-      const D off = as_expected ? D{} : displacement(group, poses[group.frame], expected[step][group.frame]);
-      const bool close = as_expected || greatest_lane(off) < kSpare;  // else what is expected says little
-      const Near* near = around.of(tables, g);
-      for (size_t i = 0; i < around.count[g]; ++i) {
-        const double gap = double(near[i].gap);
-        if (Surroundings::edge(gap) > cut) break;
-        const int j = near[i].obstacle, e = body.entity[j];
-        const bool counts = e >= 0 && (!severity || severity[r * body.n_entity + e] != 0.0);
-        const double least = gap - moved;
-        if (!(counts && least < met.worst[r][e]) && !(least < 0.0)) continue;
-        const Obstacle& o = tables.obstacle[j];
-        const D need = maximum(counts ? met.best[r][e] - penalty : D{} - 1e9, -depth);
-        if (!any(near_bound(o, centre, relu(need + (double(group.bound[3]) + 1e-6))))) continue;
-        D d = {};
-        if (close) {
-          d = expected_distance(tables, around, step, g, j, expected[step][group.frame]);
-          if (!any(d - off < need)) continue;
-        }
-        if (!as_expected) {
-          if (!any(signed_distance(tables, o, centre) - group.bound[3] < need + 1e-6)) continue;
-          d = group_distance(tables, o, group, poses[group.frame], need);
-        }
-        depth = maximum(depth, -d);
-        if (!counts) continue;
-        met.best[r][e] = minimum(met.best[r][e], d + penalty);
-        met.worst[r][e] = greatest_lane(met.best[r][e]);
-      }
-    }
-    met.blocked = depth;
-  }
-  void meet_at(const Frame<D>* poses, int s, int first) { meet(poses, s, first, way); }
-  // As expected but for one joint.
-  void place(int s, int joint, D at) {
-    D x[kMaxJoints];
-    const int link = body.drive[joint].link;
-    for (int j = 0; j < tables.n_joint; ++j) x[j] = j == joint ? at : reference[s][j];
-    for (int l = 0; l < link; ++l) X_W[l] = expected[s][l];
-    forward_kinematics(tables, x, X_W, link);
   }
 
-  // Where the arm would be, as far as is known.
-  void begin(const D* q, const D* qd, const double* ahead, size_t first, size_t n) {
-    const int nq = tables.n_joint;
-    reference_steps = ahead ? body.n_reference : body.n_step;
-    known_ahead = ahead != nullptr;
-    for (int j = 0; j < nq; ++j) reference[0][j] = q[j];
-    for (int s = 1; s <= reference_steps; ++s) {
-      const double T = body.constants.carry_on, t = s * body.constants.step;
-      const double share = T > 0 ? T * (1.0 - scalar_exponential(-t / T)) : 0.0;
+  // Where the arm would be, as far as is known, and what is around it now.
+  void start(const V* q, const V* qd, const double* ahead, size_t first, size_t n) {
+    const int nq = tables_.n_joint;
+    known_ahead_ = ahead != nullptr;
+    steps_ = ahead ? body_.n_reference : body_.n_step;
+    for (int j = 0; j < nq; ++j) reference(0, j) = q[j];
+    for (int s = 1; s <= steps_; ++s) {
+      const double on = body_.constants.carry_on, t = s * body_.constants.step;
+      share_[s] = V{} + T(on > 0 ? on * (1.0 - scalar_exponential(-t / on)) : 0.0);
       for (int j = 0; j < nq; ++j)
-        if (!ahead)
-          reference[s][j] =
-              minimum(maximum(q[j] + share * qd[j], D{} + body.drive[j].lower), D{} + body.drive[j].upper);
-      for (int i = 0; ahead && i < kLanes<double>; ++i) {
+        if (!ahead) reference(s, j) = within(body_.drive[j], q[j] + share_[s] * qd[j]);
+      for (int i = 0; ahead && i < W; ++i) {
         const size_t state = first + size_t(i) < n ? first + size_t(i) : n - 1;
         for (int j = 0; j < nq; ++j)
-          reference[s][j][i] = ahead[(state * size_t(reference_steps) + size_t(s - 1)) * size_t(nq) + size_t(j)];
+          reference(s, j)[i] = T(ahead[(state * size_t(steps_) + size_t(s - 1)) * size_t(nq) + size_t(j)]);
       }
     }
-    for (int s = 0; s <= reference_steps; ++s) forward_kinematics(tables, reference[s], expected[s]);
-    inertia_known = false;
-    around.look(tables, body, expected[0]);
-    home.begin(body, kStray, nullptr);
-    around.far = (body.n_row > 1 && home.cut[1] > home.cut[0] ? home.cut[1] : home.cut[0]) + kSpare;
-    std::fill_n(around.known, Surroundings::row(tables, reference_steps + 1, 0), uint8_t(0));
-    meet(expected[0], 0, kMaxLinks, home);
+    for (int s = 0; s <= steps_; ++s) assume(stances_[s], &reference(s, 0)), depth_[s] = V{};
+    look();
+    weigh();
   }
 
-  void collapse(const D* qd) {
-    constexpr int steps = 5;
-    D x[kMaxJoints], v[kMaxJoints];
-    for (int j = 0; j < tables.n_joint; ++j) x[j] = reference[0][j], v[j] = qd[j];
-    way.begin(body, kCollapse, &home);
-    for (int s = 0; s < steps; ++s) {
-      fall_together(tables, body, s ? X_W : expected[0], body.constants.brake_time / steps, x, v);
-      forward_kinematics(tables, x, X_W);
-      meet_at(X_W, 0, 0);
+  // Calls visit(mode, generator) after every way to fail that has a weight.
+  template <class Visit> void fail(const V* qd, Visit visit) {
+    const int n = tables_.n_joint;
+    if (counts(0)) collapse(qd), visit(0, kCollapse);
+    const bool shared = !known_ahead_ && steps_ > 0 && body_.constants.stop_gain[kJoint] == 0.0;
+    if (shared) begin(along_, kJoint), begin(end_, kJoint, 1u << kStuck | 1u << kStray);
+    along_.gain = end_.gain = 0.0;
+    int first = 0;
+    for (int k = 0; k < n; ++k) {
+      const int j = order_[k], link = body_.drive[j].link;
+      if (shared) go_on(first, link), first = link;
+      if (counts(1 + j)) loose(j, qd, shared), visit(1 + j, kJoint);
+      if (counts(1 + n + j)) stuck(j, shared), visit(1 + n + j, kStuck);
     }
-    for (int j = 0; j < tables.n_joint; ++j)
-      x[j] = minimum(maximum(x[j] + body.constants.brake_stop * v[j], D{} + body.drive[j].lower),
-                     D{} + body.drive[j].upper);
-    forward_kinematics(tables, x, X_W);
-    meet_at(X_W, 0, 0);
-  }
-  void loose(int joint, const D* qd) {
-    if (!inertia_known) own_inertias(tables, body, expected[0], inertia);
-    inertia_known = true;
-    JointMotion motion{reference[0][joint], qd[joint]};
-    way.begin(body, kJoint, &home);
-    for (int s = 1; s <= reference_steps; ++s) {
-      const D was = motion.x, before = way.blocked;
-      fall_alone(tables, body, s > 1 ? X_W : expected[0], joint, inertia[joint], motion);
-      place(s, joint, motion.x);
-      meet_at(X_W, s, body.drive[joint].link);
-      const auto rests = way.blocked > before + way.tolerance;
-      motion = {rests ? was : motion.x, rests ? D{} : motion.v};
-      way.blocked = rests ? before : way.blocked;
-    }
-  }
-  void stuck(int joint) {
-    way.begin(body, kStuck, &home);
-    for (int s = known_ahead ? 1 : reference_steps; s <= reference_steps && s; ++s) {
-      place(s, joint, reference[0][joint]);
-      meet_at(X_W, s, body.drive[joint].link);
-    }
-  }
-  void stray() {
-    way.begin(body, kStray, &home);
-    for (int s = known_ahead ? 1 : reference_steps; s <= reference_steps && s; ++s) meet_at(expected[s], s, kMaxLinks);
+    if (shared) go_on(first, n_frame_);
+    if (counts(1 + 2 * n)) stray(shared), visit(1 + 2 * n, kStray);
   }
 
-  D probability(int generator, int row, int entity) const {
-    const BodyConstants& k = body.constants;
-    const double least = 1.0 / (1.0 + scalar_exponential(kFar));
-    const D P =
-        reciprocal(1.0 + odds((way.best[row][entity] - k.offset[generator][row]) * (1.0 / k.spread[generator][row])));
-    return relu(P - least) * (1.0 / (1.0 - least));
+  // Distance from where on a row is never hit.
+  double cut(int generator, int r) const {
+    return body_.constants.offset[generator][r] + kFar * body_.constants.spread[generator][r];
   }
-
-  // Every way to fail that has a weight: collapse, each joint loose, each joint stuck, stray.
-  template <class Visit> void fail(const D* qd, const double* weight, Visit visit) {
-    const int n = tables.n_joint;
-    for (int mode = 0; mode < 2 * n + 2; ++mode) {
-      if (weight && !counts(weight + mode * body.n_row)) continue;
-      const int generator = mode == 0 ? kCollapse : mode <= n ? kJoint : mode <= 2 * n ? kStuck : kStray;
-      if (generator == kCollapse) collapse(qd);
-      if (generator == kJoint) loose(mode - 1, qd);
-      if (generator == kStuck) stuck(mode - 1 - n);
-      if (generator == kStray) stray();
-      visit(mode, generator);
-    }
+  // P, and its derivative with respect to the distance.
+  V probability(int generator, int r, V d, V* slope = nullptr) const {
+    const BodyConstants& k = body_.constants;
+    const T least = T(1.0 / (1.0 + scalar_exponential(kFar))), inverse = T(1.0 / k.spread[generator][r]);
+    const V u = maximum((d - T(k.offset[generator][r])) * inverse, V{} - 60), s = reciprocal(1 + exponential(u));
+    if (slope) *slope = s > least ? s * (s - 1) * (inverse / (1 - least)) : V{};
+    return relu(s - least) * (1 / (1 - least));
+  }
+  // Calls visit(row, entity, weighted severity, distance, distance that counts) for all that may be hit.
+  template <class Visit> void for_each_hit(int mode, int generator, Visit visit) const {
+    for (int r = 0; r < body_.n_row; ++r)
+      for (int e = 0; e < body_.n_entity; ++e) {
+        const T S = T(weight_[mode * body_.n_row + r] * severity_[r * body_.n_entity + e]), far = T(cut(generator, r));
+        if (S != 0 && any_below(way.best[r][e], V{} + far)) visit(r, e, S, way.best[r][e]);
+      }
   }
 
  private:
-  bool counts(const double* weight) const {
-    return std::any_of(weight, weight + body.n_row, [](double w) { return w != 0.0; });
+  friend class BodySlopes<V>;
+
+  // --- what is met --------------------------------------------------------------------------------------------------
+
+  void improve(Way& way, int r, int e, V d, Id who) const {
+    if constexpr (kNamed) way.who[r][e] = d < way.best[r][e] ? who : way.who[r][e];
+    way.best[r][e] = minimum(way.best[r][e], d);
+  }
+  void block(Way& way, V d, Id who) const {
+    if constexpr (kNamed) way.deepest = -d > way.blocked ? who : way.deepest;
+    way.blocked = maximum(way.blocked, -d);
+  }
+  // What a distance has to be below to make a difference.
+  V needed(const Way& way, int r, int obstacle, V penalty, bool stops) const {
+    const int e = hit(r, obstacle);
+    const V need = e < 0 ? V{} - T(kAnywhere) : way.best[r][e] - penalty;
+    return stops ? maximum(need, -way.blocked) : need;
+  }
+
+  void examine(Way& way, const Prospect<V>& at, bool stops) {
+    const Obstacle& o = tables_.obstacle[at.obstacle];
+    const Limb& limb = body_.limb[at.limb];
+    Place<V>& place = places_[at.place];
+    const int r = limb.row, e = hit(r, at.obstacle);
+    const V penalty = penalty_[at.place], need = needed(way, r, at.obstacle, penalty, stops);
+    if (!any_below(at.least, need)) return;
+    const Tangent<V> t = tangent(tables_, o, place.centre(at.limb, limb.frame));
+    const Frame<V>& X = place.frame(limb.frame);
+    const Plane<V> plane(X, t, limb.centre);
+    if (!any_below(t.d - reach_of(limb, plane.n) - T(kSlack), need)) return;
+    Least<V, kNamed> least{need, {}};
+    look_at_limb(tables_, o, limb, X, plane, least);
+    const Id who = least.sphere | Meeting::id(at.obstacle, at.place, &way == &this->way);
+    if (stops) block(way, least.d, who);
+    if (e < 0) return;
+    improve(way, r, e, least.d < way.best[r][e] - penalty ? least.d + penalty : V{} + T(kAnywhere), who);
+    way.worst[r][e] = greatest_lane(way.best[r][e]);
+    const T limit = way.worst[r][e];
+    way.limit[r][at.obstacle] = limit > 0 ? limit : 0;
+  }
+  void settle(Way& way) {
+    while (n_pending_ > 0) examine(way, pending_[--n_pending_], false);
+  }
+
+  // What limbs on frames in [first, last) may meet in a place. What stops the arm is known at once if anybody asks;
+  // other hits after settle(), which begins with the last places: what falls comes nearer.
+  void meet(int at, int first, int last, bool stops, Way& way) {
+    Place<V>& place = places_[at];
+    const V penalty = T(way.gain) * relu(way.blocked - T(way.tolerance));
+    penalty_[at] = penalty;
+    if constexpr (kNamed) stopper_[at] = way.deepest;
+    for (int i = 0; i < body_.n_limb; ++i) {
+      const Limb& limb = body_.limb[i];
+      const int frame = limb.frame, r = limb.row;
+      if (frame < first || frame >= last) continue;
+      const Vec<V> c = place.centre(i, frame);
+      const V turn = place.turned(frame) * limb.bound, away = root(squared_distance(c, stances_[0].centre[i]));
+      const V shift = away + T(kSlack), motion = away + turn > kStill<T> ? shift + turn : V{};
+      const T farthest = greatest_lane(shift), most = greatest_lane(motion);
+      for (int o = 0; o < padded_; o += W) {
+        const V gap = maximum(loose_gap(i, o) - farthest, tight_gap(i, o) - most);
+        const V& limit = *reinterpret_cast<const V*>(way.limit[r] + o);
+        for (unsigned left = unsigned(lanes_below(gap, limit)); left; left &= left - 1) {
+          const int lane = __builtin_ctz(left), j = o + lane;
+          const Floor<V>& floor = floors_[i * padded_ + j];
+          const V least = planes_[i * padded_ + j]
+                              ? maximum(dot(floor.n, c) + maximum(floor.low, floor.close - turn), floor.known - motion)
+                              : V{} + gap[lane];
+          if (!any_below(least, needed(way, r, j, penalty, stops))) continue;
+          pending_[n_pending_] = {least, int16_t(i), int16_t(at), j};
+          if (stops && any_below(least, -way.blocked))
+            examine(way, pending_[n_pending_], true);
+          else if (++n_pending_ == kPending)
+            settle(way);
+        }
+      }
+    }
+  }
+
+  // Where the arm is: distances, and planes for what follows.
+  void look() {
+    home_.blocked = V{}, home_.deepest = Id{};
+    for (int r = 0; r < body_.n_row; ++r) {
+      T far = 0;
+      for (int g = 0; g < kGenerators; ++g) far = T(cut(g, r)) > far ? T(cut(g, r)) : far;
+      for (int e = 0; e < body_.n_entity; ++e) home_.best[r][e] = V{} + far;
+    }
+    for (int i = 0; i < body_.n_limb; ++i)
+      for (int j = 0; j < n_obstacle_; ++j) look_at(i, j);
+    for (int r = 0; r < body_.n_row; ++r)
+      for (int e = 0; e < body_.n_entity; ++e) home_.worst[r][e] = greatest_lane(home_.best[r][e]);
+  }
+  void look_at(int i, int j) {
+    const Limb& limb = body_.limb[i];
+    const Obstacle& o = tables_.obstacle[j];
+    const Frame<V>& X = stances_[0].X_W[limb.frame];
+    const Vec<V> c = stances_[0].centre[i];
+    const int at = i * padded_ + j, r = limb.row, e = hit(r, j);
+    T &loose = reinterpret_cast<T*>(&loose_gap(i, 0))[j], &gap = reinterpret_cast<T*>(&tight_gap(i, 0))[j];
+    planes_[at] = 0, loose = gap = T(kAnywhere);
+    if (o.ignores >> limb.link & 1) return;
+    if (o.bound[3] >= 0.f) {
+      const Vec<V> middle = {V{} + o.bound[0], V{} + o.bound[1], V{} + o.bound[2]};
+      const T away = T(__builtin_sqrt(double(least_lane(squared_distance(c, middle))))) - (o.bound[3] + limb.bound);
+      loose = gap = away - T(kSlack);
+      if (away > T(kNearby)) return;
+    }
+    const Tangent<V> t = tangent(tables_, o, c);
+    const Plane<V> plane(X, t, limb.centre);
+    const V close = t.d - reach_of(limb, plane.n) - T(kSlack), on = dot(t.n, c);
+    Floor<V>& floor = floors_[at];
+    planes_[at] = 1, floor = {t.n, t.d - on - limb.bound - T(kSlack), close - on, close};
+    loose = least_lane(t.d) - limb.bound - T(kSlack);
+    const V need = maximum(e >= 0 ? home_.best[r][e] : V{} - T(kAnywhere), -home_.blocked);
+    if (any_below(close, need)) {
+      Least<V, kNamed> least{need, {}};
+      look_at_limb(tables_, o, limb, X, plane, least);
+      const Id who = least.sphere | Meeting::id(j, 0, false);
+      floor.known = maximum(least.d, close);
+      block(home_, least.d, who);
+      if (e >= 0) improve(home_, r, e, least.d, who);
+    }
+    gap = least_lane(floor.known);
+  }
+
+  // From what is met before anything moves, as far as it counts for some generators.
+  void begin(Way& way, int generator, unsigned others = 0) {
+    way.gain = body_.constants.stop_gain[generator], way.tolerance = body_.constants.stop_tolerance[generator];
+    for (int r = 0; r < body_.n_row; ++r) {
+      T far = T(cut(generator, r));
+      for (int g = 0; g < kGenerators; ++g)
+        if (others >> g & 1 && T(cut(g, r)) > far) far = T(cut(g, r));
+      for (int e = 0; e < body_.n_entity; ++e) {
+        way.best[r][e] = minimum(V{} + far, home_.best[r][e]);
+        if constexpr (kNamed) way.who[r][e] = home_.who[r][e];
+        way.worst[r][e] = home_.worst[r][e] < far ? home_.worst[r][e] : far;
+      }
+      for (int j = 0; j < n_obstacle_; ++j) {
+        const T limit = hit(r, j) >= 0 ? way.worst[r][hit(r, j)] : 0;
+        way.limit[r][j] = limit > 0 ? limit : 0;
+      }
+    }
+    way.blocked = home_.blocked, way.deepest = home_.deepest;
+  }
+  void join(Way& way, const Way& other, V penalty) {
+    for (int r = 0; r < body_.n_row; ++r)
+      for (int e = 0; e < body_.n_entity; ++e)
+        improve(way, r, e, other.best[r][e] + penalty, kNamed ? other.who[r][e] : Id{});
+  }
+
+  // --- motion -------------------------------------------------------------------------------------------------------
+
+  void assume(Stance<V>& at, const V* x) const {
+    forward_kinematics(tables_, x, at.X_W);
+    for (int i = 0; i < body_.n_limb; ++i) at.centre[i] = transform(at.X_W[body_.limb[i].frame], body_.limb[i].centre);
+    at.turned[0] = V{};
+    for (int l = 1; l < n_frame_; ++l) {
+      const Link& link = tables_.link[l];
+      at.turned[l] = at.turned[link.parent];
+      if (!link.slide) at.turned[l] += absolute(x[link.joint] - reference(0, link.joint));
+    }
+  }
+  // Inertia of single joints, and their loads at each step.
+  void weigh() {
+    Composite<V> all[kMaxJoints + 1];
+    for (int s = 0; s < (steps_ ? steps_ : 1); ++s) {
+      gather(tables_, body_, stances_[s].X_W, all);
+      for (int j = 0; j < tables_.n_joint; ++j) {
+        const int link = body_.drive[j].link;
+        const Frame<V>& X = stances_[s].X_W[link];
+        load(s, j) = load_on(tables_.link[link], all[link], X);
+        if (s) continue;
+        const Twist<V> t = twist_of(tables_.link[link], X);
+        inertia_[j] = power(t, momentum(all[link], t)) + T(body_.drive[j].armature);
+      }
+    }
+  }
+  // What hangs on a joint that is at x rather than where it is expected.
+  void displace(int s, int joint, V x, V& sine, V& cosine) {
+    const Link& link = tables_.link[body_.drive[joint].link];
+    const V expected = reference(s, joint), by = x - expected, q = reference(0, joint);
+    sine_cosine(by, sine, cosine);
+    if (link.slide) sine = V{}, cosine = V{} + 1;
+    const V more = link.slide ? V{} : absolute(x - q) - absolute(expected - q);
+    places_[s].set(stances_[s], hanging_[joint],
+                   joint_motion(link, stances_[s].X_W[body_.drive[joint].link], by, sine, cosine), more);
+  }
+
+  // --- ways to fail -------------------------------------------------------------------------------------------------
+
+  void collapse(const V* qd) {
+    const int n = body_.n_fall;
+    const double h = body_.constants.brake_time / n;
+    V x[kMaxJoints], v[kMaxJoints];
+    for (int j = 0; j < tables_.n_joint; ++j) x[j] = reference(0, j), v[j] = qd[j];
+    begin(way, kCollapse);
+    for (int s = 0; s <= n; ++s) {
+      if (s < n)
+        fall_together(tables_, body_, s ? fallen(s - 1).X_W : stances_[0].X_W, h, x, v);
+      else
+        for (int j = 0; j < tables_.n_joint; ++j)
+          x[j] = within(body_.drive[j], x[j] + T(body_.constants.brake_stop) * v[j]);
+      assume(fallen(s), x);
+      places_[s].set(fallen(s));
+      meet(s, 0, n_frame_, s < n, way);
+    }
+    settle(way);
+  }
+  void loose(int joint, const V* qd, bool shared) {
+    const JointDrive& drive = body_.drive[joint];
+    JointMotion<V> motion{reference(0, joint), qd[joint]};
+    V sine = {}, cosine = V{} + 1;
+    begin(way, kJoint);
+    if (shared) join(way, along_, V{}), join(way, end_, V{});
+    for (int s = 1; s <= steps_; ++s) {
+      const V was = motion.x, before = way.blocked, torque = load(s - 1, joint).torque(sine, cosine);
+      fall_alone(drive, body_.constants.step, inertia_[joint], torque, motion);
+      displace(s, joint, motion.x, sine, cosine);
+      if (shared) way.blocked = maximum(way.blocked, depth_[s]);
+      meet(s, shared ? drive.link : 0, n_frame_, s < steps_, way);
+      const auto rests = way.blocked > before + T(way.tolerance);
+      if constexpr (kNamed) trace_[s] = {motion, rests ? V{} + 1 : V{}};
+      motion = {rests ? was : motion.x, rests ? V{} : motion.v};
+      way.blocked = rests ? before : way.blocked;
+    }
+    settle(way);
+  }
+  void stuck(int joint, bool shared) {
+    V sine, cosine;
+    begin(way, kStuck);
+    if (shared) join(way, end_, T(way.gain) * relu(way.blocked - T(way.tolerance)));
+    for (int s = known_ahead_ ? 1 : steps_; s <= steps_ && s; ++s) {
+      displace(s, joint, reference(0, joint), sine, cosine);
+      meet(s, shared ? body_.drive[joint].link : 0, n_frame_, s < steps_, way);
+    }
+    settle(way);
+  }
+  void stray(bool shared) {
+    begin(way, kStray);
+    if (shared) return join(way, end_, T(way.gain) * relu(way.blocked - T(way.tolerance)));
+    for (int s = known_ahead_ ? 1 : steps_; s <= steps_ && s; ++s) {
+      places_[s].set(stances_[s]);
+      meet(s, 0, n_frame_, s < steps_, way);
+    }
+    settle(way);
+  }
+  // Frames in [first, last) go on as expected.
+  void go_on(int first, int last) {
+    for (int s = steps_; s > 0; --s) {
+      Way& met = s < steps_ ? along_ : end_;
+      met.blocked = depth_[s];
+      places_[s].set(stances_[s]);
+      meet(s, first, last, s < steps_, met);
+      depth_[s] = met.blocked;
+      settle(met);
+    }
+  }
+
+  // --- tables -------------------------------------------------------------------------------------------------------
+
+  bool counts(int mode) const {
+    bool found = !weight_;
+    for (int r = 0; weight_ && r < body_.n_row; ++r) found |= weight_[mode * body_.n_row + r] != 0.0;
+    return found;
   }
   static double scalar_exponential(double x) { return exponential(D{} + x)[0]; }
+
+  void share_room() {
+    const int n_stance = n_expected_ + body_.n_fall + 1, n_entity = body_.n_entity;
+    for (int s = 0; s < n_stance; ++s)
+      stances_[s] = {&frames_[s * n_frame_], &centres_[s * body_.n_limb], &turned_[s * n_frame_]};
+    for (int s = 0; s < n_place_; ++s) places_[s].moved_frames = &frames_[(n_stance + s) * n_frame_];
+    T* limit = reinterpret_cast<T*>(&gaps_[2 * body_.n_limb * padded_ / W]);
+    for (int k = 0; k < 2 * body_.n_limb * padded_ / W; ++k) gaps_[k] = V{} + T(kAnywhere);  // also those that fill up
+    int k = 0;
+    for (Way* one : {&home_, &along_, &end_, &way})
+      for (int r = 0; r < 2; ++r, ++k) {
+        one->limit[r] = limit + k * padded_;
+        one->best[r] = &best_[k * n_entity], one->worst[r] = &worst_[k * n_entity];
+        one->who[r] = &who_[kNamed ? k * n_entity : 0];
+      }
+  }
+  V& reference(int s, int j) const { return reference_[s * tables_.n_joint + j]; }
+  Load<V>& load(int s, int j) const { return load_[s * tables_.n_joint + j]; }
+  Stance<V>& fallen(int s) const { return stances_[n_expected_ + s]; }
+  // Over all lanes, no more than the distance of a limb to some obstacles: if only its centre moves, whatever it does.
+  V& tight_gap(int limb, int o) const { return gaps_[(limb * padded_ + o) / W]; }
+  V& loose_gap(int limb, int o) const { return gaps_[((body_.n_limb + limb) * padded_ + o) / W]; }
+  // The entity that counts if a row hits an obstacle, -1 for none.
+  int32_t& hit(int r, int obstacle) const { return hits_[r * padded_ + obstacle]; }
+
+  const Tables& tables_;
+  const BodyTables& body_;
+  const double *severity_, *weight_;
+  const int n_obstacle_, n_frame_, padded_, n_expected_, n_place_;
+  int steps_ = 0, order_[kMaxJoints];  // order: joints, from the base outwards
+  bool known_ahead_ = false;
+  uint64_t hanging_[kMaxJoints];  // frames that hang on each joint
+  Way home_, along_, end_;        // where the arm is; on the way it is expected to go, and at the end of that
+  V inertia_[kMaxJoints];         // M_jj where the arm is
+
+  Room<Frame<V>> frames_;
+  Room<Vec<V>> centres_;
+  Room<V> turned_;
+  Room<Stance<V>> stances_;  // expected ones, then those of a collapse
+  Room<Place<V>> places_;
+  Room<V> reference_;            // [step, joint]
+  Room<Load<V>> load_;           // [step, joint]
+  Room<V> share_, depth_;        // [step] d r/d qd but at ends of ranges; of frames that have gone on
+  Room<FallingJoint<V>> trace_;  // [step] of the joint that fell last
+  Room<V> penalty_;              // [place]
+  Room<Id> stopper_;             // [place] whose depth that comes from
+  Room<Floor<V>> floors_;        // [limb, obstacle]
+  Room<uint8_t> planes_;         // [limb, obstacle] whether there is a floor
+  Room<V> gaps_;
+  Room<int32_t> hits_;
+  Room<V> best_;
+  Room<T> worst_;
+  Room<Id> who_;
+  Room<Prospect<V>> pending_;
+  int n_pending_ = 0;
 };
 
-static inline D body_impact_of(Arm& arm, const double* weight, const D* q, const D* qd) {
-  D impact = {};
-  arm.begin(q, qd, nullptr, 0, 1);
-  arm.fail(qd, weight, [&](int mode, int generator) {
-    for (int r = 0; r < arm.body.n_row; ++r)
-      for (int e = 0; e < arm.body.n_entity; ++e) {
-        const double S = weight[mode * arm.body.n_row + r] * arm.severity[r * arm.body.n_entity + e];
-        if (S != 0.0 && any(arm.way.best[r][e] < arm.way.cut[r])) impact += S * arm.probability(generator, r, e);
-      }
+template <class V> static inline V body_impact_of(Arm<V>& arm, const V* q, const V* qd) {
+  V impact = {};
+  arm.start(q, qd, nullptr, 0, 1);
+  arm.fail(qd, [&](int mode, int generator) {
+    arm.for_each_hit(mode, generator,
+                     [&](int r, int, Scalar<V> S, V d) { impact += S * arm.probability(generator, r, d); });
   });
   return impact;
 }

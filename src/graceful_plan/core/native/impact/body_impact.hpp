@@ -37,6 +37,10 @@ constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
     "stray.carried.spread"};
 static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyConstants[0]) * sizeof(double));
 
+constexpr int kFallSteps = 5;  // of a collapse, see costs/models/body
+constexpr int kRoughSteps =
+    2;  // of a collapse and of joints that fall, in descents; chosen with `kernels` (benchmarks)
+
 // The tables of the body model as Python hands them over.
 struct BodyArrays {
   Reals inertia;  // per frame mass, centre (3), inertia about it (9)
@@ -50,30 +54,35 @@ struct BodyArrays {
 class BodyModel {
  public:
   BodyModel(const Core& core, const BodyArrays& of)
-      : core_(core),
-        row_(of.row.data(), of.row.data() + of.row.size()),
-        entity_(of.entity.data(), of.entity.data() + of.entity.size()) {
+      : core_(core), entity_(of.entity.data(), of.entity.data() + of.entity.size()) {
     const Tables& t = core.tables();
     const auto& [inertia, drive, row, entity, n_row, n_entity, n_step, constants] = of;
     require(constants.size() * sizeof(double) == sizeof(BodyConstants), "constants of the body model");
     std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.brake_time);
     for (size_t g = 0; g < 2 * kGenerators; ++g) require((&tables_.constants.spread[0][0])[g] > 0, "spread");
     require(n_row >= 1 && n_row <= 2 && n_entity >= 0 && n_entity <= kMaxEntities, "rows and entities");
+    require(t.n_obstacle <= kMaxObstacles, "obstacles of the body model");
     require(n_step >= 0 && n_step <= kMaxSteps && tables_.constants.step > 0, "steps");
-    require(row_.size() == size_t(t.n_group), "rows of groups");
-    for (int32_t r : row_) require(r >= -1 && r < n_row, "row of a group");
+    require(row.size() == size_t(t.n_group), "rows of groups");
     require(entity_.size() == size_t(t.n_obstacle), "entities of obstacles");
     for (int32_t e : entity_) require(e >= -1 && e < n_entity, "entity of an obstacle");
     add_inertia(inertia);
     add_drives(drive);
-    tables_.n_frame = int(inertia_.size()), tables_.n_row = n_row, tables_.n_entity = n_entity, tables_.n_step = n_step;
-    tables_.inertia = inertia_.data(), tables_.drive = drive_.data(), tables_.row = row_.data(),
-    tables_.entity = entity_.data();
+    tables_.n_frame = int(inertia_.size()), tables_.n_row = n_row, tables_.n_entity = n_entity, tables_.n_step = n_step,
+    tables_.n_fall = kFallSteps;
+    add_limbs(row.data());
+    tables_.inertia = inertia_.data(), tables_.drive = drive_.data(), tables_.entity = entity_.data();
+    tables_.limb = limb_.data(), tables_.n_limb = int(limb_.size());
+    rough_ = tables_, rough_.n_fall = kRoughSteps;
+    if (n_step > kRoughSteps) rough_.n_step = kRoughSteps, rough_.constants.step *= double(n_step) / kRoughSteps;
   }
   BodyModel(const BodyModel&) = delete;
 
   const Core& core() const { return core_; }
   const BodyTables& tables() const { return tables_; }
+  // The same falls in fewer steps, for a good half of the time.
+  const BodyTables& rough_tables() const { return rough_; }
+  const double* speed() const { return speed_.data(); }
   size_t modes() const { return 2 * drive_.size() + 2; }
 
   void check(const Reals& weight, const Reals& severity) const {
@@ -108,6 +117,20 @@ class BodyModel {
     core_.kernels().body_impact(core_.tables(), tables_, {weight.data(), severity.data()}, states, out);
     return array;
   }
+  // Impact and its derivatives with respect to q and qd.
+  nb::tuple gradient(Reals weight, Reals severity, Reals q, Reals qd) const {
+    Slopes out;
+    check(weight, severity);
+    const States states = core_.states(q, qd);
+    const size_t n = q.shape(0), nq = q.shape(1);
+    auto values = make<double>({n}, out.value);
+    auto by_q = make<double>({n, nq}, out.d_q), by_qd = make<double>({n, nq}, out.d_qd);
+    {
+      nb::gil_scoped_release release;
+      core_.kernels().body_gradient(core_.tables(), tables_, {weight.data(), severity.data()}, states, out);
+    }
+    return nb::make_tuple(values, by_q, by_qd);
+  }
   // Mass matrix and torques of the weight.
   auto dynamics(Reals q) const {
     double *mass_matrix, *gravity;
@@ -139,15 +162,65 @@ class BodyModel {
       for (int l = 0; l <= t.n_joint; ++l)
         if (t.link[l].joint == j) drive.link = l;
       require(drive.link >= 0 && drive.lower <= drive.upper && drive.speed > 0, "drive");
-      drive_.push_back(drive);
+      drive_.push_back(drive), speed_.push_back(drive.speed);
+    }
+  }
+
+  // Neighbouring groups of a row on one frame become one limb if they may touch the same obstacles.
+  void add_limbs(const int32_t* row) {
+    const Tables& t = core_.tables();
+    const auto alike = [&t](int a, int b) {
+      for (int j = 0; j < t.n_obstacle; ++j)
+        if ((t.obstacle[j].ignores >> a ^ t.obstacle[j].ignores >> b) & 1) return false;
+      return true;
+    };
+    for (int g = 0; g < t.n_group; ++g) {
+      const Group& group = t.group[g];
+      require(row[g] >= -1 && row[g] < tables_.n_row, "row of a group");
+      if (row[g] < 0) continue;
+      Limb* last = limb_.empty() ? nullptr : &limb_.back();
+      if (last && last->frame == group.frame && last->row == row[g] && last->first + last->count == group.first &&
+          alike(last->link, group.link))
+        last->count += group.count, last->n_cluster += group.n_cluster;
+      else
+        limb_.push_back({group.frame,
+                         row[g],
+                         group.link,
+                         group.first,
+                         group.count,
+                         group.first_cluster,
+                         group.n_cluster,
+                         {},
+                         {},
+                         0,
+                         0});
+    }
+    for (Limb& limb : limb_) enclose(t.sphere, limb);
+    std::stable_sort(limb_.begin(), limb_.end(), [](const Limb& a, const Limb& b) { return a.frame > b.frame; });
+  }
+  static void enclose(const float* sphere, Limb& limb) {
+    for (int i = 0; i < 3; ++i) {
+      float low = sphere[4 * limb.first + i], high = low;
+      for (int k = limb.first; k < limb.first + limb.count; ++k)
+        low = std::min(low, sphere[4 * k + i]), high = std::max(high, sphere[4 * k + i]);
+      limb.centre[i] = 0.5f * (low + high), limb.half[i] = 0.5f * (high - low) + 1e-6f;
+    }
+    for (int k = limb.first; k < limb.first + limb.count; ++k) {
+      const float* s = sphere + 4 * k;
+      float d2 = 0;
+      for (int i = 0; i < 3; ++i) d2 += (s[i] - limb.centre[i]) * (s[i] - limb.centre[i]);
+      limb.radius = std::max(limb.radius, s[3]);
+      limb.bound = std::max(limb.bound, std::sqrt(d2) * (1 + 1e-6f) + s[3]);
     }
   }
 
   const Core& core_;
-  BodyTables tables_{};
+  BodyTables tables_{}, rough_{};
   std::vector<Inertia> inertia_;
   std::vector<JointDrive> drive_;
-  std::vector<int32_t> row_, entity_;
+  Point speed_;  // per joint
+  std::vector<Limb> limb_;
+  std::vector<int32_t> entity_;
 };
 
 // The body model with weights of its ways to fail and severities; along edges at their speed.
@@ -161,12 +234,28 @@ class BodyImpact final : public Impact {
   void states(const double* q, size_t n, double* impact) const override {
     core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), {q, nullptr, n}, impact);
   }
+  void rough_states(const double* q, size_t n, double* impact) const override {
+    core_.kernels().body_impact(core_.tables(), model_.rough_tables(), harm(), {q, nullptr, n}, impact);
+  }
   void moving_states(const States& states, double* impact) const override {
     core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), states, impact);
   }
   bool asks_for_velocity() const override { return true; }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    core_.kernels().body_gradient(core_.tables(), rough ? model_.rough_tables() : model_.tables(), harm(), states, out);
+  }
   void edges(const Edges& edges, double* cost) const override {
-    core_.kernels().body_edge_costs(core_.tables(), model_.tables(), harm(), pace_, edges, cost);
+    EdgeStates sampled(core_, model_.speed(), pace_, edges, Sampling::kExact);
+    core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), sampled.states(), sampled.impact.data());
+    Point slopes(2 * edges.n * size_t(core_.tables().n_joint));
+    sampled.integrate({cost, slopes.data(), slopes.data() + slopes.size() / 2});
+  }
+  bool has_gradients() const override { return true; }
+  void edge_gradients(const Edges& edges, Sampling sampling, const EdgeSlopes& out) const override {
+    EdgeStates sampled(core_, model_.speed(), pace_, edges, sampling);
+    const BodyTables& tables = sampling == Sampling::kExact ? model_.tables() : model_.rough_tables();
+    core_.kernels().body_gradient(core_.tables(), tables, harm(), sampled.states(), sampled.slopes());
+    sampled.integrate(out);
   }
 
  private:

@@ -293,6 +293,7 @@ struct Landing {
   D overlap[kMaxSurfaces], contact[kMaxSurfaces], time[kMaxSurfaces];   // D, C, tc
   D foremost[kMaxSurfaces];                                             // which part it is whose overlap D is
   D arrives[kMaxSurfaces], first[kMaxSurfaces], leaving[kMaxSurfaces];  // per level: A, sum of F, M
+  D share[kMaxSurfaces], leaves[kMaxSurfaces];                          // per level: F over D, T
   Point2 away[kMaxSurfaces];                                            // per level: n
   D landed, total, mean_time, height, fallen;                           // sum of F, that + 1e-6, tl, zs, hs
   D x, y;                                                               // L
@@ -330,7 +331,8 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
     landing.arrives[l] = arrives;
     const auto [sum, missed] = meet_level(drop, flight, l, passage, reaches, landing);
     const D first = arrives * (1.0 - missed), share = first * reciprocal(sum + kLeastMass);
-    landing.first[l] = landing.leaving[l] = D{}, landing.away[l] = {D{}, D{}};
+    landing.first[l] = landing.leaving[l] = landing.leaves[l] = D{}, landing.away[l] = {D{}, D{}};
+    landing.share[l] = share;
     if (!any(sum > 0.0)) continue;
     const bool lands = any(first > kNothing);
     Moments moments;
@@ -345,7 +347,9 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
     }
     arrives *= missed;
     landing.landed += landing.first[l];
-    if (lands) landing.leaving[l] = landing.first[l] * leaves(drop, flight, moments, landing.away[l]);
+    if (!lands) continue;
+    landing.leaves[l] = leaves(drop, flight, moments, landing.away[l]);
+    landing.leaving[l] = landing.first[l] * landing.leaves[l];
   }
   landing.total = landing.landed + kLeastMass;
   const D share = reciprocal(landing.total);
@@ -374,9 +378,9 @@ struct Tumble {
   D mass = {};                // B
   Point2 drift = {D{}, D{}};  // N
   D inverse_scale;
-  Point2 start;  // L + ks v
-  D x, y;        // where it is on the present level
-  D keep;
+  Point2 start;    // L + ks v
+  D x, y;          // where it is on the present level
+  D keep, caught;  // shares of it that no surface of the level has ended so far, and that the last one did
 
   Tumble(const DropTables& drop, const Flight& flight, const Landing& landing) {
     const DropConstants& k = drop.constants;
@@ -397,16 +401,18 @@ struct Tumble {
   bool may_meet(const Surface& s, const Point2& at) const {
     return any(may_be_within(at, s.near[0], s.near[1], inverse_scale));
   }
-  // G, if it is wanted, and whether it goes on.
+  // G, if it is wanted, and how much goes on.
   D hit(const DropTables& drop, const Surface& s, bool wanted) {
     const Point2 at = placed(s, x, y);
+    caught = D{};
     if (!may_meet(s, at)) return D{};
-    Chance hits, caught;
+    Chance hits, ends;
     if (wanted) hits.within(at.x, D{} + s.reached[0], inverse_scale);
     if (wanted) hits.within(at.y, D{} + s.reached[1], inverse_scale);
-    caught.within(at.x, D{} + s.inside[0], inverse_scale);
-    caught.within(at.y, D{} + s.inside[1], inverse_scale);
-    keep *= 1.0 - drop.constants.catches * caught.value();
+    ends.within(at.x, D{} + s.inside[0], inverse_scale);
+    ends.within(at.y, D{} + s.inside[1], inverse_scale);
+    caught = keep * (drop.constants.catches * ends.value());
+    keep -= caught;
     return mass * hits.value();
   }
   void leave(D leaving, const Point2& away) {

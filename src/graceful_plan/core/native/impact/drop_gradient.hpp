@@ -16,14 +16,14 @@ struct FlightSlope {
 };
 
 struct LandingSlope {
-  D contact[kMaxSurfaces], time[kMaxSurfaces];
-  D first[kMaxSurfaces], leaving[kMaxSurfaces];
+  D contact[kMaxSurfaces], time[kMaxSurfaces], lands[kMaxSurfaces];  // lands: F of each surface
+  D first[kMaxSurfaces], leaving[kMaxSurfaces], leaves[kMaxSurfaces];
   Point2 away[kMaxSurfaces];
   D total = {}, mean_time = {}, height = {}, fallen = {}, x = {}, y = {}, blur = {};
 
   explicit LandingSlope(const DropTables& drop) {
-    for (int k = 0; k < drop.n_surface; ++k) contact[k] = time[k] = D{};
-    for (int l = 0; l < drop.n_level; ++l) first[l] = leaving[l] = D{}, away[l] = {D{}, D{}};
+    for (int k = 0; k < drop.n_surface; ++k) contact[k] = time[k] = lands[k] = D{};
+    for (int l = 0; l < drop.n_level; ++l) first[l] = leaving[l] = leaves[l] = D{}, away[l] = {D{}, D{}};
   }
 };
 
@@ -198,70 +198,6 @@ static inline void back_sweep(Backward& back, const Sweep& sweep, const SweepSlo
     d_landing.away[l].x += drift * d.x * M, d_landing.away[l].y += drift * d.y * M;
   }
   d_landing.total -= leaving.share * (d_leaves * leaving.probability + drift * (d.x * leaving.x + d.y * leaving.y));
-}
-
-// --- 3. falls on to something lower ---------------------------------------------------------------------------------
-
-struct TumbleSlope {
-  D mass = {}, inverse_scale = {};
-  Point2 drift = {D{}, D{}}, start = {D{}, D{}};
-};
-
-// One level: `tumble` is at its state before it, d holds the derivatives with respect to the state after it.
-static inline void back_tumble_level(Backward& back, Tumble& tumble, int level, const D* d_G, TumbleSlope& d) {
-  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
-  const Point2& n = landing.away[level];
-  const D M = landing.leaving[level];
-  d_landing.leaving[level] += d.mass + d.drift.x * n.x + d.drift.y * n.y;
-  d_landing.away[level].x += d.drift.x * M, d_landing.away[level].y += d.drift.y * M;
-  if (!tumble.enter(drop)) return;
-  const int first = drop.level_start[level], last = drop.level_start[level + 1];
-  D before[kMaxSurfaces], keep = D{} + 1.0;
-  for (int k = first; k < last; ++k) {
-    before[k] = keep;
-    const Point2 at = placed(drop.surface[k], tumble.x, tumble.y);
-    if (!tumble.may_meet(drop.surface[k], at)) continue;
-    const Within x(at.x, D{} + drop.surface[k].inside[0], tumble.inverse_scale),
-        y(at.y, D{} + drop.surface[k].inside[1], tumble.inverse_scale);
-    keep *= 1.0 - drop.constants.catches * x.value * y.value;
-  }
-  const D d_keep = d.mass * tumble.mass + d.drift.x * tumble.drift.x + d.drift.y * tumble.drift.y;
-  d.mass *= keep, d.drift.x *= keep, d.drift.y *= keep;
-  D after = D{} + 1.0, d_x = {}, d_y = {};
-  for (int k = last; k-- > first;) {
-    const Surface& s = drop.surface[k];
-    const Point2 at = placed(s, tumble.x, tumble.y);
-    if (!tumble.may_meet(s, at)) continue;
-    const Within in_x(at.x, D{} + s.inside[0], tumble.inverse_scale),
-        in_y(at.y, D{} + s.inside[1], tumble.inverse_scale);
-    const Within hit_x(at.x, D{} + s.reached[0], tumble.inverse_scale),
-        hit_y(at.y, D{} + s.reached[1], tumble.inverse_scale);
-    const D d_caught = -drop.constants.catches * d_keep * before[k] * after, d_hit = d_G[k] * tumble.mass;
-    after *= 1.0 - drop.constants.catches * in_x.value * in_y.value;
-    d.mass += d_G[k] * hit_x.value * hit_y.value;
-    back_turned(s,
-                {d_caught * in_x.x * in_y.value + d_hit * hit_x.x * hit_y.value,
-                 d_caught * in_x.value * in_y.x + d_hit * hit_x.value * hit_y.x},
-                d_x, d_y);
-    d.inverse_scale += d_caught * (in_x.inverse_scale * in_y.value + in_x.value * in_y.inverse_scale) +
-                       d_hit * (hit_x.inverse_scale * hit_y.value + hit_x.value * hit_y.inverse_scale);
-  }
-  const D share = reciprocal(tumble.mass + kLeastMass), moved = drop.constants.drift * drop.size * share;
-  d.start.x += d_x, d.start.y += d_y;
-  d.drift.x += d_x * moved, d.drift.y += d_y * moved;
-  d.mass -= (d_x * tumble.drift.x + d_y * tumble.drift.y) * moved * share;
-}
-
-static inline void back_tumble(Backward& back, const Tumble& tumble, const TumbleSlope& d) {
-  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
-  const DropConstants& k = drop.constants;
-  const D d_variance =
-      -0.5 * kBeta * kBeta * tumble.inverse_scale * tumble.inverse_scale * tumble.inverse_scale * d.inverse_scale;
-  const D per_speed = 2.0 * k.carry_spread * k.carry_spread * d_variance;
-  d_landing.blur += d_variance;
-  d_landing.x += d.start.x, d_landing.y += d.start.y;
-  d_flight.v.x += k.carry * d.start.x + per_speed * flight.v.x,
-      d_flight.v.y += k.carry * d.start.y + per_speed * flight.v.y;
 }
 
 // --- 2. support -----------------------------------------------------------------------------------------------------
@@ -439,9 +375,6 @@ static inline void back_land(Backward& back) {
   D d_F[kMaxSurfaces], d_overlap[kMaxSurfaces], d_arrives = {};
   for (int l = drop.n_level; l-- > 0;) {
     const int first = drop.level_start[l], last = drop.level_start[l + 1];
-    D sum = {}, missed = D{} + 1.0;
-    for (int i = first; i < last; ++i) sum += landing.overlap[i], missed *= 1.0 - landing.overlap[i];
-    const D per_overlap = landing.arrives[l] * (1.0 - missed) * reciprocal(sum + kLeastMass);
     D d_first = d.first[l] + d_total;
     if (any(landing.leaving[l] > 0.0)) {
       Moments moments;
@@ -451,15 +384,15 @@ static inline void back_land(Backward& back) {
                     placed(s, flight.c.x + flight.v.x * landing.time[i], flight.c.y + flight.v.y * landing.time[i]),
                     reaches);
       }
-      Point2 away;
-      d_first += d.leaving[l] * leaves(drop, flight, moments, away);
-      const Moments d_moments = back_leaves(back, moments, d.leaving[l] * landing.first[l], d.away[l]);
+      d_first += d.leaving[l] * landing.leaves[l];
+      const Moments d_moments = back_leaves(back, moments, d.leaving[l] * landing.first[l] + d.leaves[l], d.away[l]);
       for (int i = first; i < last; ++i) back_moments(back, i, reaches, d_reaches, d_moments);
     }
     for (int i = first; i < last; ++i) {
       const Surface& s = drop.surface[i];
-      const D fallen = flight.low - s.top, F = per_overlap * landing.overlap[i];
-      d_F[i] = d_first + share * (d.mean_time * landing.time[i] + d.height * s.top + d.fallen * relu(fallen));
+      const D fallen = flight.low - s.top, F = landing.share[l] * landing.overlap[i];
+      d_F[i] =
+          d_first + d.lands[i] + share * (d.mean_time * landing.time[i] + d.height * s.top + d.fallen * relu(fallen));
       d.time[i] += d.mean_time * share * F;
       d_flight.low += where(fallen > 0.0, d.fallen * share * F, D{});
       back_fall(flight.v.z, fallen, d.time[i], d_flight.v.z, d_flight.low);

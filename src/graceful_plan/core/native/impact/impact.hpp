@@ -19,7 +19,8 @@ class Impact {
   virtual void moving_states(const States& states, double* impact) const { this->states(states.q, states.n, impact); }
   virtual bool asks_for_velocity() const { return false; }
   // The same with its derivatives with respect to q and to qd; by differences unless a model knows better.
-  virtual void state_slopes(const States& states, const Slopes& out) const {
+  virtual void state_slopes(const States& states, bool rough, const Slopes& out) const {
+    (void)rough;
     const size_t nq = size_t(core_.tables().n_joint), size = states.n * nq;
     Point moved(states.q, states.q + size), rates(states.qd, states.qd + size), impact(states.n);
     std::fill(out.d_qd, out.d_qd + size, 0.0);
@@ -64,7 +65,7 @@ class Impact {
     const States states = core_.states(q, qd);
     {
       nb::gil_scoped_release release;
-      state_slopes(states, out);
+      state_slopes(states, false, out);
     }
     return nb::make_tuple(values, by_q, by_qd);
   }
@@ -127,6 +128,8 @@ constexpr const char* kSpillConstants[] = {  // in the order of SpillConstants
     "position_spread", "rim_spread", "speed_spread", "height_spread", "carry",      "margin",
     "reach",           "run_off",    "edge",         "slosh",         "soft_speed", "soft_spread"};
 static_assert(sizeof(SpillConstants) == sizeof(kSpillConstants) / sizeof(kSpillConstants[0]) * sizeof(double));
+
+constexpr const char* kDropSeverities = "severities are not [row, entity] and one of the object itself";
 
 // The tables of what is carried and of what it may fall on, as Python hands them over.
 struct DropArrays {
@@ -192,12 +195,22 @@ class DropModel {
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
+  // strength: of each surface; loss: sharpness, shifts (2), weights (2)
+  void add_loss(Reals strength, Reals loss) {
+    require(strength.size() == surface_.size() && loss.size() * sizeof(double) == sizeof(LossTables),
+            "tables of the loss of what is carried");
+    for (size_t k = 0; k < surface_.size(); ++k) surface_[k].strength = strength.data()[k];
+    std::copy(loss.data(), loss.data() + loss.size(), &tables_.loss.sharpness);
+    require(tables_.loss.sharpness > 0, "sharpness of damage");
+  }
+
   const Core& core() const { return core_; }
   const DropTables& tables() const { return tables_; }
 
+  // P by row and entity, and last that the object itself is damaged.
   auto probability(Reals q, Reals qd) const {
     double* out;
-    auto array = make<double>({core_.rows(q), size_t(kDropRows), size_t(tables_.n_entity)}, out);
+    auto array = make<double>({core_.rows(q), size_t(kDropRows * tables_.n_entity + 1)}, out);
     const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
     core_.kernels().drop(core_.tables(), tables_, states, out);
@@ -206,7 +219,7 @@ class DropModel {
   auto impact(Reals severity, Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
-    require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
+    require(severity.size() == size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), states, out);
@@ -218,7 +231,7 @@ class DropModel {
     auto values = make<double>({core_.rows(q)}, out.value);
     auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
-    require(severity.size() == size_t(kDropRows * tables_.n_entity), "severity is not [row, entity]");
+    require(severity.size() == size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
     {
       nb::gil_scoped_release release;
@@ -268,6 +281,7 @@ class DropModel {
         s.inside[i] = 0.5 * (margin + std::sqrt(margin * margin + 1e-4));
         s.near[i] = std::max(s.reached[i], s.inside[i]);
       }
+      s.holds = std::min(s.carries[0], s.carries[1]) > tables_.size;
       require(surface_.empty() || s.top <= surface_.back().top, "surfaces ordered by height");
       surface_.push_back(s);
     }
@@ -292,7 +306,7 @@ class DropImpact final : public Impact {
  public:
   DropImpact(const DropModel& model, Reals severity, double slow, double fast)
       : Impact(model.core(), severity), model_(model), pace_{slow, fast} {
-    require(severity.size() == size_t(kDropRows * model.tables().n_entity), "severity is not [row, entity]");
+    require(severity.size() == size_t(kDropRows * model.tables().n_entity + 1), kDropSeverities);
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
   }
   void states(const double* q, size_t n, double* impact) const override {
@@ -305,8 +319,9 @@ class DropImpact final : public Impact {
     core_.kernels().drop_impact(core_.tables(), model_.tables(), severity_.data(), states, impact);
   }
   bool asks_for_velocity() const override { return true; }
-  void state_slopes(const States& states, const Slopes& out) const override {
-    core_.kernels().drop_gradient(core_.tables(), model_.tables(), severity_.data(), states, out);
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    const auto gradient = rough ? core_.kernels().rough_drop_gradient : core_.kernels().drop_gradient;
+    gradient(core_.tables(), model_.tables(), severity_.data(), states, out);
   }
   void edges(const Edges& edges, double* cost) const override {
     core_.kernels().drop_edge_costs(core_.tables(), model_.tables(), severity_.data(), pace_, edges, cost);
@@ -347,10 +362,11 @@ class SumImpact final : public Impact {
     for (size_t i = 0; i < states.n; ++i) impact[i] += other[i];
   }
   bool asks_for_velocity() const override { return first_.asks_for_velocity() || second_.asks_for_velocity(); }
-  void state_slopes(const States& states, const Slopes& out) const override {
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
     const size_t size = states.n * size_t(core_.tables().n_joint);
     Point other(states.n), other_q(size), other_qd(size);
-    first_.state_slopes(states, out), second_.state_slopes(states, {other.data(), other_q.data(), other_qd.data()});
+    first_.state_slopes(states, rough, out),
+        second_.state_slopes(states, rough, {other.data(), other_q.data(), other_qd.data()});
     for (size_t i = 0; i < states.n; ++i) out.value[i] += other[i];
     for (size_t i = 0; i < size; ++i) out.d_q[i] += other_q[i], out.d_qd[i] += other_qd[i];
   }
@@ -373,8 +389,8 @@ class SumImpact final : public Impact {
   const Impact &first_, &second_;
 };
 
-// A model whose edges count by the time that they take, and not by their length: T = max_j |q1_j - q0_j| / speed_j, with
-// the speeds that joints will have.
+// A model whose edges count by the time that they take, and not by their length: T = max_j |q1_j - q0_j| / speed_j,
+// with the speeds that joints will have.
 class TimedImpact final : public Impact {
  public:
   TimedImpact(const Impact& model, const Reals& speed) : Impact(model.core()), model_(model), speed_(point(speed)) {
@@ -385,7 +401,9 @@ class TimedImpact final : public Impact {
   void rough_states(const double* q, size_t n, double* impact) const override { model_.rough_states(q, n, impact); }
   void moving_states(const States& states, double* impact) const override { model_.moving_states(states, impact); }
   bool asks_for_velocity() const override { return model_.asks_for_velocity(); }
-  void state_slopes(const States& states, const Slopes& out) const override { model_.state_slopes(states, out); }
+  void state_slopes(const States& states, bool rough, const Slopes& out) const override {
+    model_.state_slopes(states, rough, out);
+  }
   double exposure(const double* a, const double* b) const override { return slowest(a, b).seconds; }
   void edges(const Edges& edges, double* cost) const override {
     const size_t nq = speed_.size();

@@ -8,33 +8,48 @@ static inline bool matters(const DropTables& drop, const double* severity) {
   return false;
 }
 
-static inline void carried_probability(const DropTables& drop, const Flight& flight, const Landing& landing,
-                                       const double* severity, D* P) {
+// Whether what becomes of the object itself counts: the last one of all severities.
+static inline bool own_matters(const DropTables& drop, const double* severity) {
+  return drop.loss.sharpness > 0 && (!severity || severity[kDropRows * drop.n_entity] != 0.0);
+}
+
+// P of entities, and, if it counts, that the object itself is damaged.
+static inline D carried_probability(const DropTables& drop, const Flight& flight, const Landing& landing,
+                                    const double* severity, D* P) {
+  const bool own = own_matters(drop, severity);
+  OwnLoss loss;
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   D lower = landing.landed;  // sum of F over this level and those below it
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
+    if (own && tumbles) loss.enter(tumble);
     for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
       const Surface& s = drop.surface[k];
       const bool wanted = s.entity >= 0 && !(severity && severity[s.entity] == 0.0);
       const D G = tumbles ? tumble.hit(drop, s, wanted) : D{}, C = landing.contact[k];
+      if (own && tumbles) loss.end(drop, s, tumble);
       if (!wanted) continue;
       const D H = sweeps ? sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)) : D{};
       P[s.entity] = maximum(P[s.entity], 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H));
     }
+    if (own) loss.leave(drop, landing, l, tumble, first_damage(drop, flight, landing, l));
     tumble.leave(landing.leaving[l], landing.away[l]);
     lower -= landing.first[l];
   }
+  return loss.probability;
 }
 
-// P [kDropRows, n_entity] of every entity; those without severity are left at zero, if severities are given.
+// P [kDropRows, n_entity] of every entity, and after these P that the object itself is damaged; those without severity
+// are left at zero, if severities are given.
 static inline void drop_probability(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
                                     const D* qd, D* P) {
   const Fall fall(tables, drop, q, qd);
   const auto& [X_W, flight, landing] = fall;
-  for (int e = 0; e < kDropRows * drop.n_entity; ++e) P[e] = D{};
-  if (!severity || matters(drop, severity)) carried_probability(drop, flight, landing, severity, P);
+  const int itself = kDropRows * drop.n_entity;
+  for (int e = 0; e <= itself; ++e) P[e] = D{};
+  if (!severity || matters(drop, severity) || own_matters(drop, severity))
+    P[itself] = carried_probability(drop, flight, landing, severity, P);
   if (!drop.spill.surface) return;
   Mouth mouth;
   pour(drop.spill, X_W[drop.frame], flight, mouth);
@@ -52,9 +67,9 @@ static inline void drop_probability(const Tables& tables, const DropTables& drop
 
 static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
                                const D* qd) {
-  D P[kDropRows * kMaxEntities], impact = {};
+  D P[kDropRows * kMaxEntities + 1], impact = {};
   drop_probability(tables, drop, severity, q, qd, P);
-  for (int e = 0; e < kDropRows * drop.n_entity; ++e) impact += P[e] * severity[e];
+  for (int e = 0; e <= kDropRows * drop.n_entity; ++e) impact += P[e] * severity[e];
   return impact;
 }
 
@@ -88,19 +103,26 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   const Sweep sweep(drop, flight, landing);
   D G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities];
   Point2 drift[kMaxSurfaces];
+  const bool own = own_matters(drop, severity);
+  OwnLoss loss;
+  OwnLossSlope d_own(severity[kDropRows * drop.n_entity]);
   D left = landing.landed, impact = {};
   for (int e = 0; e < drop.n_entity; ++e) P[e] = D{};
   for (int l = 0; l < drop.n_level; ++l) {
     mass[l] = tumble.mass, drift[l] = tumble.drift, lower[l] = left;
     const bool tumbles = tumble.enter(drop);
+    if (own) d_own.keep(l, loss);
+    if (own && tumbles) loss.enter(tumble);
     for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
       const Surface& s = drop.surface[k];
       const D C = landing.contact[k];
       G[k] = tumbles ? tumble.hit(drop, s, true) : D{};
+      if (own && tumbles) loss.end(drop, s, tumble);
       H[k] = sweep.hit(drop, flight, s, landing.time[k], relu(left - C));
       hit[k] = 1.0 - (1.0 - C) * (1.0 - G[k]) * (1.0 - H[k]);
       if (s.entity >= 0) P[s.entity] = maximum(P[s.entity], hit[k]);
     }
+    if (own) loss.leave(drop, landing, l, tumble, d_own.damaged[l] = first_damage(drop, flight, landing, l));
     tumble.leave(landing.leaving[l], landing.away[l]);
     left -= landing.first[l];
   }
@@ -112,6 +134,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   // open: severities of entities whose greatest P is not yet found.
   D open[kMaxEntities], d_G[kMaxSurfaces], d_lower = {};
   for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = D{} + severity[e];
+  if (own) impact += loss.probability * d_own.severity;
   D d_lowers[kMaxSurfaces];
   for (int l = 0; l < drop.n_level; ++l) {
     d_lowers[l] = D{};
@@ -133,7 +156,9 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   for (int l = 0; l < drop.n_level; ++l) d_lower += d_lowers[l], d_landing.first[l] += d_lower;
   for (int l = drop.n_level; l-- > 0;) {
     tumble.mass = mass[l], tumble.drift = drift[l];
-    back_tumble_level(back, tumble, l, d_G, d_tumble);
+    if (own) loss.lift = d_own.lift_at[l], loss.borne = d_own.borne_at[l];
+    back_tumble_level(back, tumble, l, d_G, d_tumble, loss, own ? &d_own : nullptr);
+    if (own) back_first_damage(back, l, d_own.d_damaged[l]);
   }
   back_tumble(back, tumble, d_tumble);
   back_sweep(back, sweep, d_sweep);

@@ -28,13 +28,6 @@ struct PartBoxes {
   Range range[kMaxParts], all[kMaxComponents];
 };
 
-static inline double least_lane(D a) {
-  double r = a[0];
-  for (int i = 1; i < kLanes<double>; ++i) r = a[i] < r ? a[i] : r;
-  return r;
-}
-static inline double greatest_lane(D a) { return -least_lane(-a); }
-
 // What counts: all components, or those with a severity against anything.
 struct Hazard {
   const double* severity;  // null: probabilities of everything

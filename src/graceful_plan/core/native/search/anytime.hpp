@@ -262,8 +262,7 @@ class Anytime {
     const double* best = points.data();
     for (int k = 0; k < tried; ++k) {
       const double* via = points.data() + size_t(k) * dim;
-      const double guess =
-          space_.guess(a.data(), via, impact[k]) + space_.guess(via, b.data(), impact[k]);
+      const double guess = space_.guess(a.data(), via, impact[k]) + space_.guess(via, b.data(), impact[k]);
       if (guess < least) least = guess, best = via;
     }
     return Point(best, best + dim);

@@ -187,8 +187,9 @@ class Descent {
     for (size_t k = 0; k < n; ++k)
       for (size_t j = 0; j < dim_; ++j)
         probe_[k * dim_ + j] = 0.5 * (all[before(k) * dim_ + j] + all[after(k) * dim_ + j]);
-    space_.clearances(probe_.data(), int(n), clearance_.data(), by_clearance_.data());
-    const double wanted = space_.margin + kKeep, weight = push_ * (settings_.rough ? 2.0 : 1.0) * scale_ / double(n_);
+    const double wanted = space_.margin + kKeep;
+    space_.clearances({probe_.data(), int(n), wanted}, clearance_.data(), by_clearance_.data());
+    const double weight = push_ * (settings_.rough ? 2.0 : 1.0) * scale_ / double(n_);
     double sum = 0;
     for (size_t k = 0; k < n; ++k) {
       const double lack = (wanted - clearance_[k]) / wanted;

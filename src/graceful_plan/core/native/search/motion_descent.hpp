@@ -25,6 +25,7 @@ struct MotionSettings {
   Point velocity, acceleration;  // limits of the joints
   size_t controls = 16;
   size_t density = 6;        // samples between two knots
+  bool rough = false;        // impacts in single precision
   double time_price = 0.02;  // [rad/s]
   double push = 1.0;         // weight of the penalty, relative to J
   double tolerance = 1e-4;   // relative fall over some steps below which it is settled
@@ -48,7 +49,8 @@ class MotionDescent {
     const size_t samples = row_.size();
     q_.resize(samples * dim_), qd_ = impact_by_q_ = impact_by_qd_ = d_q_ = by_clearance_ = q_;
     impact_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
-    step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0), stop_.front() = stop_.back() = 1;
+    step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
+        stop_.front() = stop_.back() = 1;
     slope_.resize(2 * dim_ * (samples - 1)), bend_ = d_slope_ = d_bend_ = slope_;
     fit(path);
     trial_ = x_;
@@ -99,19 +101,18 @@ class MotionDescent {
     points.push_back(last_);
     return points;
   }
-  // Derivatives of the energy with respect to the inner control points, for tests.
-  const Point& gradient() const { return gradient_; }
-  double energy() const { return now_.energy; }
+  // What falls, at other inner control points, and its derivatives with respect to them; for tests.
+  double energy(const Point& controls, Point& gradient) { return evaluate(controls, gradient).energy; }
 
  private:
   struct Evaluation {
     double energy, total, duration;
   };
-  static constexpr double kKeep = 0.001;    // clearance to keep on top of the space's margin [m]
-  static constexpr double kLongest = 0.3;   // of a control point in one step [rad]
+  static constexpr double kKeep = 0.001;   // clearance to keep on top of the space's margin [m]
+  static constexpr double kLongest = 0.3;  // of a control point in one step [rad]
   static constexpr double kArmijo = 1e-4, kWolfe = 0.9, kLongestShare = 8.0;
-  static constexpr int kTries = 10;         // of a line search
-  static constexpr size_t kLookBack = 6;    // steps
+  static constexpr int kTries = 10;       // of a line search
+  static constexpr size_t kLookBack = 6;  // steps
 
   double clipped(size_t i, double value) const {
     return std::clamp(value, space_.lower[i % dim_], space_.upper[i % dim_]);
@@ -137,7 +138,8 @@ class MotionDescent {
   void want() {
     sample(x_);
     const size_t samples = row_.size();
-    space_.clearances(q_.data(), int(samples), clearance_.data(), by_clearance_.data());
+    const double everything = std::numeric_limits<double>::infinity();
+    space_.clearances({q_.data(), int(samples), everything}, clearance_.data(), by_clearance_.data());
     const double usual = space_.margin + kKeep;
     const auto relaxed = [&](double end, double length, double tight) {
       return length < tight ? end + (usual - end) * length / tight : usual;
@@ -163,8 +165,8 @@ class MotionDescent {
     const size_t n = x_.size();
     inverse_.assign(n * n, 0.0);
     // V alone has about the curvature (controls / V) times second differences; the rest comes in proportion.
-    const double stiffness = double(settings_.controls - 1) / std::max(length_, 1e-3) *
-                             std::max(1.0, now_.energy / std::max(length_, 1e-3));
+    const double stiffness =
+        double(settings_.controls - 1) / std::max(length_, 1e-3) * std::max(1.0, now_.energy / std::max(length_, 1e-3));
     const size_t m = settings_.controls - 2;
     for (size_t a = 0; a < m; ++a)
       for (size_t b = 0; b < m; ++b)  // the inverse of second differences between two fixed ends
@@ -215,8 +217,7 @@ class MotionDescent {
     }
     const double both = (1 + yHy / sy) / sy;
     for (size_t i = 0; i < n; ++i)
-      for (size_t j = 0; j < n; ++j)
-        inverse_[i * n + j] += both * s[i] * s[j] - (Hy[i] * s[j] + s[i] * Hy[j]) / sy;
+      for (size_t j = 0; j < n; ++j) inverse_[i * n + j] += both * s[i] * s[j] - (Hy[i] * s[j] + s[i] * Hy[j]) / sy;
   }
 
   // The next direction to search along.
@@ -244,7 +245,9 @@ class MotionDescent {
 
   void sample(const Point& x) {
     const size_t n = settings_.controls;
-    const auto control = [&](size_t c) { return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim_]; };
+    const auto control = [&](size_t c) {
+      return c == 0 ? first_.data() : c == n - 1 ? last_.data() : &x[(c - 1) * dim_];
+    };
     for (size_t k = 0; k < row_.size(); ++k) {
       const SplineBasis::Row& row = row_[k];
       for (size_t j = 0; j < dim_; ++j) {
@@ -318,7 +321,8 @@ class MotionDescent {
   // The integral of the impact over time, and derivatives but for those of the times.
   double fail(std::vector<double>& d_speed) {
     const size_t samples = row_.size();
-    space_.state_slopes(q_.data(), qd_.data(), int(samples), {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
+    space_.state_slopes({q_.data(), qd_.data(), int(samples), settings_.rough},
+                        {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
     double sum = 0;
     for (size_t k = 0; k < samples; ++k) {
       const double seconds = 0.5 * ((k > 0 ? pause_[k - 1] : 0.0) + (k + 1 < samples ? pause_[k] : 0.0));
@@ -336,8 +340,9 @@ class MotionDescent {
 
   double collide() {
     const size_t samples = row_.size();
-    space_.clearances(q_.data(), int(samples), clearance_.data(), by_clearance_.data());
-    const double unit = space_.margin + kKeep, weight = push_ * scale_ / double(samples);
+    const double unit = space_.margin + kKeep;
+    space_.clearances({q_.data(), int(samples), unit}, clearance_.data(), by_clearance_.data());
+    const double weight = push_ * scale_ / double(samples);
     double sum = 0;
     for (size_t k = 1; k + 1 < samples; ++k) {
       const double lack = (wanted_[k] - clearance_[k]) / unit;
@@ -361,7 +366,8 @@ class MotionDescent {
         if (c == 0 || c == n - 1) continue;
         for (size_t j = 0; j < dim_; ++j) {
           double d = row.value[m] * d_q_[k * dim_ + j];
-          if (k > 0) d += row.slope[m] * d_slope_[(2 * k - 1) * dim_ + j] + row.bend[m] * d_bend_[(2 * k - 1) * dim_ + j];
+          if (k > 0)
+            d += row.slope[m] * d_slope_[(2 * k - 1) * dim_ + j] + row.bend[m] * d_bend_[(2 * k - 1) * dim_ + j];
           if (k + 1 < samples) d += row.slope[m] * d_slope_[2 * k * dim_ + j] + row.bend[m] * d_bend_[2 * k * dim_ + j];
           gradient[(c - 1) * dim_ + j] += d;
         }

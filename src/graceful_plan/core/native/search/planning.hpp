@@ -21,6 +21,18 @@ struct Chain {
 struct ChainSlopes {
   double *cost, *by_from, *by_to;
 };
+// States row by row; `rough` if single precision will do.
+struct MovingStates {
+  const double *q, *qd;
+  int n;
+  bool rough;
+};
+// Configurations row by row, and the clearance below which they matter.
+struct Probes {
+  const double* q;
+  int n;
+  double wanted;
+};
 // The impact of states and its derivatives with respect to q and to qd, row by row.
 struct StateSlopes {
   double *impact, *by_q, *by_qd;
@@ -55,9 +67,10 @@ struct Space {
   virtual void slopes(const Chain&, double, bool, const ChainSlopes&) {}
   // Of states that move.
   virtual bool has_state_slopes() const { return false; }
-  virtual void state_slopes(const double*, const double*, int, const StateSlopes&) {}
-  // Signed clearances of configurations and their gradients; infinite where there is nothing to hit.
-  virtual void clearances(const double*, int, double*, double*) {}
+  virtual void state_slopes(const MovingStates&, const StateSlopes&) {}
+  // Signed clearances of configurations and their gradients where they are below `wanted`, which is seen much faster
+  // than how far the rest is away; infinite elsewhere.
+  virtual void clearances(const Probes&, double*, double*) {}
   virtual double motion(const double* a, const double* b) { return distance(a, b); }
   // Whether motion() is the length, so that distances bound the cost from below.
   virtual bool motion_is_length() const { return true; }

@@ -200,8 +200,7 @@ class Refiner {
       space_.impacts(moved.data(), tried, impact);
       for (int k = 0; k < tried; ++k) {
         const double* q = moved.data() + size_t(k) * dim;
-        const double guess =
-            space_.guess(before.data(), q, impact[k]) + space_.guess(q, after.data(), impact[k]);
+        const double guess = space_.guess(before.data(), q, impact[k]) + space_.guess(q, after.data(), impact[k]);
         if (guess < least) least = guess, best = k;
       }
     }

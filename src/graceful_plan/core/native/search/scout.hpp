@@ -90,7 +90,8 @@ class Scout {
     if (!fresh.empty()) space_.impacts(rows.data(), int(fresh.size()), impact.data());
     for (size_t k = 0; k < fresh.size(); ++k) {
       double to_goal = std::numeric_limits<double>::infinity();
-      for (const Point& goal : goals_) to_goal = std::min(to_goal, space_.guess(fresh[k].data(), goal.data(), impact[k]));
+      for (const Point& goal : goals_)
+        to_goal = std::min(to_goal, space_.guess(fresh[k].data(), goal.data(), impact[k]));
       const double promise = space_.guess(start_.data(), fresh[k].data(), impact[k]) + to_goal;
       sampled_.push_back({std::move(fresh[k]), impact[k], promise});
     }

@@ -18,9 +18,9 @@ namespace gp {
 
 // A curve at both ends of each interval, since derivatives may differ from the left and the right.
 struct CurveSamples {
-  size_t n;            // intervals
-  size_t dim;          // joints
-  const double* step;  // [n] length of each interval, in terms of the parameter
+  size_t n;                    // intervals
+  size_t dim;                  // joints
+  const double* step;          // [n] length of each interval, in terms of the parameter
   const double *slope, *bend;  // [n, 2, dim] first and second derivative with respect to the parameter
   const uint8_t* stop;         // [n + 1] where the motion has to rest
 };

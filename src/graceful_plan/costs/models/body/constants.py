@@ -6,7 +6,7 @@ The shipped ones are `body.yaml`; its head says what they were fitted to.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import final
 
@@ -27,6 +27,7 @@ MOTION = (
 )
 """Constants of how the arm moves; the others are margins."""
 _POSITIVE = ("step",)
+_BETA = math.sqrt(3.0) / math.pi  # scale of a logistic distribution with standard deviation 1
 _NOT_NEGATIVE = ("brake_time", "brake_stop", "resistance", "carry_on")
 
 
@@ -132,6 +133,18 @@ class BodySettings(YamlTable):
     def margin(self, generator: str, row: str) -> Margin:
         """Return the margin of one generator for "body" or "carried"."""
         return getattr(getattr(self, generator), row)
+
+    def widened(self, metres: float) -> BodySettings:
+        """Return constants with distances uncertain by so much more (a standard deviation)."""
+        wide: dict[str, Margins] = {}
+        for name in GENERATORS:
+            own: Margins = getattr(self, name)
+            wide[name] = replace(own, body=_widened(own.body, metres), carried=_widened(own.carried, metres))
+        return replace(self, collapse=wide["collapse"], joint=wide["joint"], stuck=wide["stuck"], stray=wide["stray"])
+
+
+def _widened(margin: Margin, metres: float) -> Margin:
+    return replace(margin, spread=math.hypot(margin.spread, _BETA * metres))
 
 
 def _margins(block: Block) -> Margins:

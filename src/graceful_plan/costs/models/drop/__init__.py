@@ -1,6 +1,6 @@
 r"""The drop model: whom the carried object hits if the gripper lets go here, at this velocity.
 
-A drop is told in four steps, each with smooth formulas of its own, so that the result has a gradient nearly everywhere:
+A drop is told in five steps, each with smooth formulas of its own, so that the result has a gradient nearly everywhere:
 
 1. *First contact.* The object flies on: ballistics from the velocity of its centre of mass, each part with the velocity
    of the turning tool at its place. A part meets a target if, when it is down at the target's top, the two overlap
@@ -10,12 +10,13 @@ A drop is told in four steps, each with smooth formulas of its own, so that the 
 3. *Falls.* What does not stay moves off, away from its support and along its velocity, and comes down on something
    lower; wide tops under its path catch it, the rest goes on.
 4. *Side contacts.* On its way to rest it sweeps into what stands beside the place where it comes down.
+5. *Its own loss.* Where it comes down first, and where a fall from there ends, the object itself is damaged or not.
 
 Specification
 -------------
 Everything is in double precision, z is up, g = 9.81. Tables: `DropTables`. Constants: `DropConstants`; those named
-below carry the symbols given there. The native kernel (native/impact/drop.hpp) follows this text operation by
-operation, and so does `landing.py` as far as entities that move need it.
+below carry the symbols given there; the tables of step 5 are `LossTables`. The native kernel (native/impact/drop.hpp,
+own_loss.hpp) follows this text operation by operation, and so does `landing.py` as far as entities that move need it.
 
 .. code-block:: text
 
@@ -79,6 +80,23 @@ operation, and so does `landing.py` as far as entities that move need it.
 
     Together: P_k = 1 - (1 - C_k)(1 - G_k)(1 - H_k);  P(entity) = max over its targets, 0 if it has none
 
+    5. Its own loss; ln e_k = strength, sd = spread of the tables, b = LANDING_LOSS; only the vertical speed does damage
+      Q(z) = 1/(1 + exp(e(-z (1.5976 + 0.07056 z^2))))             the normal distribution function [1]
+      damage(E, k) = sum over i of weight_i Q((ln(E/e_k) - b node_i)/sd)         E: energy per mass; two nodes: the
+                                                  energy's share that acts is e^-X, X exponential with mean b [2]
+      w = g (tc_k - delay) - vz;  p_l = sum over the level of F_k damage(w^2/2, k)
+      own = sum p_l;  A = 0, K = 0
+      levels from the highest down, along with step 3:
+        h = A/(B + 1e-6);  known = K/(B + 1e-6)
+        c_k = catch box(..) box(..) as in keep; targets in their order, of them those whose a' and b' are above size:
+          own <- own + B c_k (product of 1 - c over the targets before it) max(0, damage(g pos(h - Z), k) - known)
+        A <- A keep + Z' sum of M over the level;  K <- K keep + T_l p_l         Z': top of the level's first target
+
 References:
     Own work, fitted to rollouts in MuJoCo; see the head of `drop.yaml`.
+
+    [1] S. R. Bowling, M. T. Khasawneh, S. Kaewkuekool, B. R. Cho, "A logistic approximation to the cumulative normal
+    distribution", Journal of Industrial Engineering and Management 2 (2009).
+
+    [2] Two-point Gauss-Laguerre rule for what `costs.consequence` has in closed form; to 0.03 if b = sd.
 """

@@ -12,11 +12,13 @@ from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
+from graceful_plan.costs.models.drop.loss import LANDING_LOSS, NODES, WEIGHTS, LossTables, loss_tables
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillSettings
 from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
 from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
@@ -35,7 +37,8 @@ gripper holds."""
 class DropKernel:
     """The drop model of one scene in which something is carried, and the spill model if it has contents.
 
-    Probabilities have the rows `ROWS`; without contents, theirs are zero. Rows without severity cost no time.
+    Probabilities have the rows `ROWS`; without contents, theirs are zero. Rows without severity cost no time. The loss
+    of the object itself stands apart.
 
     Args:
         tables: Those of the scene.
@@ -44,6 +47,7 @@ class DropKernel:
         speed: Joint velocities [rad/s], one of which is reached along an edge.
         n_entity: How many entities the scene has.
         contents: Tables and constants of the spill model if there are contents.
+        loss: How easily the object itself is damaged; never, by default.
 
     Raises:
         UnsupportedError: If there is more of something than the core holds.
@@ -57,6 +61,7 @@ class DropKernel:
         speed: Float[Array, " nq"],
         n_entity: int,
         contents: tuple[SpillTables, SpillSettings] | None = None,
+        loss: LossTables | None = None,
     ) -> None:
         for what, count in (("carried parts", len(tables.part_half)), ("surfaces", len(tables.target_entity))):
             if count > CAPACITY[what]:
@@ -81,6 +86,9 @@ class DropKernel:
         )
         if contents is not None:
             self._add_contents(*contents)
+        if loss is not None:
+            numbers = (1.0, *(LANDING_LOSS * node for node in NODES))
+            self.native.add_loss(_reals(loss.strength), np.array([*(x / loss.spread for x in numbers), *WEIGHTS]))
 
     def _add_contents(self, tables: SpillTables, settings: SpillSettings) -> None:
         numbers = (tables.rim, tables.depth, tables.full, tables.radius, tables.power, tables.repose)
@@ -94,36 +102,54 @@ class DropKernel:
     def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch row entity"]:
         """P that the object or contents reach each entity, at q with joint velocities qd [rad/s], at rest if None."""
         flat, rates, batch = self._states(q, qd)
-        return self.native.probability(flat, rates).reshape(*batch, len(ROWS), self.n_entity)
+        return self.native.probability(flat, rates)[:, :-1].reshape(*batch, len(ROWS), self.n_entity)
+
+    def own_loss(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch"]:
+        """P that the fall damages the object itself, at q with joint velocities qd [rad/s], at rest if None."""
+        flat, rates, batch = self._states(q, qd)
+        return self.native.probability(flat, rates)[:, -1].reshape(batch)
 
     def impact(
-        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None
+        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None, *, own: float = 0.0
     ) -> Float[Array, "*batch"]:
-        """Sum of P S over rows and entities; weights of what goes wrong belong into the severities."""
+        """Sum of P S over rows and entities and of the object itself; weights of what goes wrong belong into S.
+
+        Args:
+            q: Configurations.
+            severity: S of entities.
+            qd: Joint velocities [rad/s], at rest if None.
+            own: S of the loss of the object itself.
+        """
         flat, rates, batch = self._states(q, qd)
-        return self.native.impact(self._severity(severity), flat, rates).reshape(batch)
+        return self.native.impact(self.severities(severity, own), flat, rates).reshape(batch)
 
     def gradient(
-        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None
+        self, q: ArrayLike, severity: Float[Array, "row entity"], qd: ArrayLike | None = None, *, own: float = 0.0
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
-        """Sum of P S with its derivatives with respect to q [1/rad] and to qd [s/rad].
+        """Sum of P S, as `impact`, with its derivatives with respect to q [1/rad] and to qd [s/rad].
 
         Where two surfaces of an entity or two parts of the object are equally likely, the derivative is that of one.
         """
         flat, rates, batch = self._states(q, qd)
-        impact, d_q, d_qd = self.native.gradient(self._severity(severity), flat, rates)
+        impact, d_q, d_qd = self.native.gradient(self.severities(severity, own), flat, rates)
         return impact.reshape(batch), d_q.reshape(*batch, self.kernels.nq), d_qd.reshape(*batch, self.kernels.nq)
 
     def with_severity(
-        self, severity: Float[Array, "row entity"], paces: tuple[float, float] = (1.0, 1.0)
+        self, severity: Float[Array, "row entity"], paces: tuple[float, float] = (1.0, 1.0), *, own: float = 0.0
     ) -> ImpactKernel:
         """Return the impact with these severities, for planners; edges are travelled at these shares of `speed`."""
-        return ImpactKernel(self.kernels, _native.DropImpact(self.native, self._severity(severity), *paces))
+        return ImpactKernel(self.kernels, _native.DropImpact(self.native, self.severities(severity, own), *paces))
 
-    def _severity(self, severity: Array) -> Float[Array, "row entity"]:
+    def severities(self, severity: Float[Array, "row entity"], own: float = 0.0) -> Float[Array, " all"]:
+        """Return severities in one row, as the core takes them: those of entities, then that of the object itself.
+
+        Raises:
+            NonFiniteError: If one is not finite.
+            ShapeError: If they are not by row and entity.
+        """
         if np.shape(severity) != (len(ROWS), self.n_entity):
             raise ShapeError("severity", np.shape(severity), f"({len(ROWS)}, {self.n_entity})")
-        return _reals(finite_array("severity", severity))
+        return _reals(finite_array("severity", np.append(np.ravel(severity), own)))
 
     def _states(self, q: ArrayLike, qd: ArrayLike | None) -> tuple[Array, Array, tuple[int, ...]]:
         flat, batch = self.kernels.rows("q", q)
@@ -133,23 +159,27 @@ class DropKernel:
         return flat, _reals(rates.reshape(flat.shape)), batch
 
 
-def drop_kernel(scene: Scene, settings: DropSettings, spill: SpillSettings | None = None) -> DropKernel:
+def drop_kernel(
+    scene: Scene, settings: DropSettings, spill: SpillSettings | None = None, fragility: FragilityTable | None = None
+) -> DropKernel:
     """Return both models of a scene in which something is carried; they are made once per set of constants.
 
     Args:
         scene: Where.
         settings: Of the drop model.
         spill: Of the spill model; the shipped ones by default.
+        fragility: How easily things are damaged, the object itself among them; the shipped table by default.
 
     Raises:
         UnsupportedError: If the core cannot represent it.
     """
     constants = settings.of(drop_tables(scene).shape_class)
-    return _kernel(scene, constants, SpillSettings.shipped() if spill is None else spill)
+    spill = SpillSettings.shipped() if spill is None else spill
+    return _kernel(scene, constants, spill, FragilityTable.shipped() if fragility is None else fragility)
 
 
 @per_scene(most=4)
-def _kernel(scene: Scene, constants: DropConstants, spill: SpillSettings) -> DropKernel:
+def _kernel(scene: Scene, constants: DropConstants, spill: SpillSettings, fragility: FragilityTable) -> DropKernel:
     return DropKernel(
         drop_tables(scene),
         constants,
@@ -157,6 +187,7 @@ def _kernel(scene: Scene, constants: DropConstants, spill: SpillSettings) -> Dro
         speed=scene.limits.velocity,
         n_entity=len(scene.entities),
         contents=None if scene.contents is None else (spill_tables(scene), spill),
+        loss=loss_tables(scene, fragility),
     )
 
 

@@ -22,12 +22,13 @@ from graceful_plan.costs.models.body.body import BodyModel
 from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings
 from graceful_plan.costs.models.body.tables import ROWS as HOLDING
 from graceful_plan.costs.models.drop.constants import DropSettings
-from graceful_plan.costs.models.drop.kernel import ROWS, drop_kernel
+from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.models.spill.constants import SpillSettings
-from graceful_plan.costs.native_model import NativeModel
+from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.elements import COMPONENTS
+from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -45,7 +46,7 @@ class Footprint(NativeModel):
 
     Args:
         faults: Which failures to fear, a prior or the name of a preset: "drop_only", the gripper lets go; "arm";
-            "service_robot". Models of failing arms take much longer than those of drops and spills.
+            "service_robot". Models of failing arms take several times longer than those of drops and spills.
         settings: Constants of the drop model; the shipped ones by default.
         spill: Constants of the spill model; the shipped ones by default.
         body: Constants of the body model; the shipped ones by default.
@@ -83,6 +84,18 @@ class Footprint(NativeModel):
         """Return the same by generator, those that have a weight."""
         return {**self._gripper_sources(batch), **self._arm_sources(batch)}
 
+    @property
+    def knows_own_loss(self) -> bool:
+        """Whether the gripper may let go. What happens to an object that a failing arm still holds is not known."""
+        return self.prior.weights()["drop"] > 0.0
+
+    def own_loss(self, batch: StateBatch, fragility: FragilityTable) -> Mapping[str, Float[Array, " n"]]:
+        """Return P that the fall of the carried object damages it."""
+        if batch.scene.carried is None or not self.knows_own_loss or not len(batch):
+            return {"drop": np.zeros(len(batch))}
+        kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility)
+        return {"drop": self.prior.weights()["drop"] * kernel.own_loss(batch.q, batch.qd)}
+
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources, and how much they weigh."""
         return self.prior.fault_shares()
@@ -93,13 +106,17 @@ class Footprint(NativeModel):
         return MovingModel(settings=self.settings, drop=weights["drop"], collapse=weights["collapse"])
 
     def kernel(
-        self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
+        self,
+        scene: Scene,
+        severity: Float[Array, "component entity"],
+        paces: tuple[float, float],
+        own: OwnLoss | None = None,
     ) -> ImpactKernel:
-        """Return the native kernel."""
+        """Return the native kernel; where arms may fail, its derivatives along edges are close rather than exact."""
         parts: list[ImpactKernel] = []
-        rows = self._severities(scene, severity)
-        if scene.carried is not None and rows.any():
-            parts.append(drop_kernel(scene, self.settings, self.spill).with_severity(rows, paces))
+        rows, loss = self._severities(scene, severity), self._own_severity(own)
+        if scene.carried is not None and (rows.any() or loss):
+            parts.append(self._drop_kernel(scene, own).with_severity(rows, paces, own=loss))
         weights = self._arm_weights()
         if weights.any() and severity.any():
             parts.append(BodyModel(self.body).kernel(scene, severity, weights, paces))
@@ -113,21 +130,23 @@ class Footprint(NativeModel):
         return None if found is None else found[0]
 
     def gradients(
-        self, batch: StateBatch, severity: Float[Array, "component entity"]
+        self, batch: StateBatch, severity: Float[Array, "component entity"], own: OwnLoss | None = None
     ) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]] | None:
-        """Return the derivatives with respect to q and to the joint velocities, None where there are none."""
+        """Return the derivatives with respect to q and to the joint velocities, None where arms may fail.
+
+        Those of the body model are good for descents but not exact: see `BodyModel.impact_gradient`.
+        """
         if self._arm_weights().any():
             return None
         if batch.scene.carried is None:
             return np.zeros_like(batch.q), np.zeros_like(batch.q)
-        kernel = drop_kernel(batch.scene, self.settings, self.spill)
-        return kernel.gradient(batch.q, self._severities(batch.scene, severity), batch.qd)[1:]
+        kernel, rows = self._drop_kernel(batch.scene, own), self._severities(batch.scene, severity)
+        return kernel.gradient(batch.q, rows, batch.qd, own=self._own_severity(own))[1:]
 
-    def widened(self, metres: float) -> Footprint | None:
-        """Return a model whose objects fall from places that are uncertain by so much more, None if arms may fail."""
-        if self._arm_weights().any():
-            return None
-        return replace(self, settings=self.settings.widened(metres), spill=self.spill.widened(metres))
+    def widened(self, metres: float) -> Footprint:
+        """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
+        wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
+        return replace(self, settings=wide[0], spill=wide[1], body=wide[2])
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of drops and of spills."""
@@ -164,6 +183,12 @@ class Footprint(NativeModel):
         """Weight of each of `GENERATORS` for the arm and for what it still holds."""
         weights, held = self.prior.weights(), self.prior.held_weights()
         return np.array([[weights[name], held[name]] for name in GENERATORS])
+
+    def _drop_kernel(self, scene: Scene, own: OwnLoss | None) -> DropKernel:
+        return drop_kernel(scene, self.settings, self.spill, None if own is None else own.fragility)
+
+    def _own_severity(self, own: OwnLoss | None) -> float:
+        return 0.0 if own is None else self.prior.weights()["drop"] * own.severity
 
     def _severities(self, scene: Scene, severity: Float[Array, "component entity"]) -> Float[Array, "row entity"]:
         """Severities in the rows of the drop kernel, with their weights."""

@@ -25,7 +25,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.native_model import NativeModel
+from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -41,8 +41,12 @@ class BoxOverlap(NativeModel):
         return batch.compiled.kernels.interaction(batch.q)
 
     def kernel(
-        self, scene: Scene, severity: Float[Array, "component entity"], paces: tuple[float, float]
+        self,
+        scene: Scene,
+        severity: Float[Array, "component entity"],
+        paces: tuple[float, float],
+        own: OwnLoss | None = None,
     ) -> ImpactKernel:
         """Return the native kernel, to which velocities are all the same."""
-        del paces
+        del paces, own
         return compile_scene(scene).kernels.overlap(severity)

@@ -1,0 +1,149 @@
+"""Figures of `prevention`: how many times less harm than at w = 0, and than with other costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.prevention.harm_curves import Offer, Typical, floored, harm_at, typical
+from benchmarks.prevention.runs import NONE, OURS, PUBLISHED, Curve, Headline, Motion
+
+Array = np.ndarray
+
+MILLION = 1e6
+"""Tasks that absolute harm is stated for."""
+
+
+class Group(NamedTuple):
+    """Tasks that are summarised together."""
+
+    name: str
+    tasks: frozenset[str]
+
+
+class Found(NamedTuple):
+    """All that is done."""
+
+    heads: list[Headline]
+    curves: dict[tuple[str, str], Curve]
+    groups: list[Group]
+
+
+def less(done: Headline, label: str, kind: str, *, per: str) -> float:
+    """Return how many times less harm there is than at w = 0, per "failure" or "task"; NaN if there is none of one."""
+    base, own = done.motions[NONE], done.motions[label]
+    if kind not in base.harm or kind not in own.harm:
+        return math.nan
+    ratio = _impact(base, kind, done.least) / _impact(own, kind, done.least)
+    return ratio * base.duration / own.duration if per == "task" else ratio
+
+
+def offers(done: Headline, curve: Curve, extent: str) -> list[Offer]:
+    """Return what a planner offers in a task over its weights, by "duration" or "length" relative to w = 0."""
+    base = done.motions[NONE]
+    motions = [base, *curve.points.values()]
+    if curve.cost in done.motions:
+        motions.append(done.motions[curve.cost])
+    return [
+        Offer(getattr(x, extent) / getattr(base, extent), _impact(x, "drops", done.least) * x.duration)
+        for x in motions
+        if "drops" in x.harm
+    ]
+
+
+def against_ours(found: Found, group: Group, cost: str, extent: str, at: float) -> list[float]:
+    """Return harm per task with a cost over that with the default model, at equal duration or length, task by task."""
+    ratios = []
+    for done in found.heads:
+        pair = [found.curves.get((done.task, label)) for label in (cost, OURS)]
+        if done.task in group.tasks and "drops" in done.motions[NONE].harm and all(pair):
+            theirs, ours = (harm_at(offers(done, curve, extent), at) for curve in pair if curve is not None)
+            ratios.append(theirs / ours)
+    return ratios
+
+
+def _impact(motion: Motion, kind: str, least: float) -> float:
+    harm = motion.harm[kind]
+    return floored(harm.mean, harm.n, least)
+
+
+def tasks_of(found: Found, group: Group) -> list[Headline]:
+    """Return what is done of a group."""
+    return [done for done in found.heads if done.task in group.tasks]
+
+
+def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str) -> Typical:
+    """Summarise `less` over tasks."""
+    return typical([less(done, label, kind, per=per) for done in heads])
+
+
+def longer(heads: Sequence[Headline], label: str, extent: str) -> float:
+    """Return by what share motions are longer than at w = 0, in the median."""
+    pairs = [(done.motions[NONE], done.motions[label]) for done in heads]
+    ratios = [getattr(own, extent) / getattr(base, extent) for base, own in pairs if base.harm and own.harm]
+    return float(np.median(ratios)) - 1.0 if ratios else math.nan
+
+
+def beyond(heads: Sequence[Headline], label: str, kind: str, sign: float) -> list[str]:
+    """List tasks whose harm per task is above (1) or below (-1) that at w = 0 beyond the interval."""
+    return [
+        done.task
+        for done in heads
+        if kind in done.motions[label].harm
+        and (rise := done.motions[label].harm[kind].rise) is not None
+        and (rise[1] > 0.0 if sign > 0.0 else rise[2] < 0.0)
+    ]
+
+
+def at_weight(found: Found, group: Group, w: float) -> tuple[float, float, Typical]:
+    """Return duration and length relative to w = 0, medians, and how much less harm, of the default model."""
+    extents, ratios = [], []
+    for done in tasks_of(found, group):
+        curve, base = found.curves.get((done.task, OURS)), done.motions[NONE]
+        own = None if curve is None else curve.points.get(f"{w:g}")
+        if own is None or "drops" not in own.harm or "drops" not in base.harm:
+            continue
+        extents.append((own.duration / base.duration, own.length / base.length))
+        harm = [_impact(x, "drops", done.least) * x.duration for x in (base, own)]
+        ratios.append(harm[0] / harm[1])
+    duration, length = np.median(extents, axis=0) if extents else (math.nan, math.nan)
+    return float(duration), float(length), typical(ratios)
+
+
+def draw(found: Found, file: Path) -> None:
+    """Draw harm per task against duration over the weights, a panel for each scene, a line for each task."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    scenes = list(dict.fromkeys(done.task.split("/")[0] for done in found.heads))
+    if not scenes:
+        return
+    columns = min(5, len(scenes))
+    rows = -(-len(scenes) // columns)
+    figure = Figure(figsize=(3.2 * columns, 3.0 * rows), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = dict(zip(scenes, figure.subplots(rows, columns, squeeze=False).flat, strict=False))
+    for done in found.heads:
+        name, task = done.task.split("/")
+        color = None
+        for cost, style in ((OURS, "o-"), (PUBLISHED, "x:")):
+            curve = found.curves.get((done.task, cost))
+            if curve is None or "drops" not in done.motions[NONE].harm:
+                continue
+            points = sorted(offers(done, curve, "duration"))
+            unit = done.rate / 3600.0 * MILLION
+            label = task if cost == OURS else None
+            (drawn,) = panels[name].plot(
+                [p.extent for p in points], [p.harm * unit for p in points], style, ms=3, lw=1, color=color, label=label
+            )
+            color = drawn.get_color()
+    for name, panel in panels.items():
+        panel.set(title=name, xlabel="duration over that at w = 0", ylabel="harm per million tasks", yscale="log")
+        if panel.get_legend_handles_labels()[0]:
+            panel.legend(fontsize=6)
+    figure.suptitle("Drops, one failure in 1000 h: default model (dots) and Algorithm 1 (crosses) over their weights")
+    figure.savefig(file)

@@ -1,0 +1,299 @@
+"""Motions planned with different costs, and what failures do along them; done in jobs, kept a line of JSON each.
+
+Two phases. "headline": for each task, motions at w = 0 and at the default w of the impact models, with all failures;
+their harm is paired with that at w = 0. "curves": for each task and cost, motions over a grid of weights, with fewer
+failures. The second needs the first, which finds out what holds the object.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+import failbench as fb
+import graceful_plan as gp
+from benchmarks import suite
+from benchmarks.prevention import common_sense
+from benchmarks.store import read_lines
+from failbench import Estimate, ExecutionRefused, SimSettings, ValidationReport
+from failbench.calibrations.failures import DROP
+from failbench.fault.fault import Fault
+from failbench.report import FAILURES_PER_HOUR
+from failbench.scenario import usual_grasp
+from failbench.validation import chosen_faults
+
+SEED = 77
+SPEED = 0.5
+"""Fraction of the velocity limits."""
+SECONDS, OWN_SECONDS = 1.0, 5.0
+"""Time limit of a plan; of one whose cost is Python, so that costs are compared and not their speed."""
+NONE, PUBLISHED, OURS, ALL_FAULTS = "w = 0", "Algorithm 1", "default", "service robot"
+MODELS: Mapping[str, gp.ImpactCost] = MappingProxyType(
+    {
+        PUBLISHED: gp.ImpactCost(model="aabb"),
+        OURS: gp.ImpactCost(),
+        ALL_FAULTS: gp.ImpactCost(model=gp.Footprint(faults="service_robot")),
+    }
+)
+"""Planned with at the default w; their weights are absolute."""
+CURVES = (OURS, PUBLISHED, *common_sense.COSTS)
+"""Planned with over weights."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harm:
+    """What failures of one kind do along a motion.
+
+    Args:
+        mean: Observed impact of a failure.
+        n: Number of failures.
+        predicted: Impact of a failure that the default model predicts.
+        less_per_failure: How many times less than at w = 0, per failure: ratio and its interval; None at w = 0 itself
+            and where failures are not paired with those at w = 0.
+        less_per_task: The same per executed task.
+        rise: Harm per executed task less that at w = 0, with its interval.
+    """
+
+    mean: float
+    n: int
+    predicted: float
+    less_per_failure: tuple[float, float, float] | None = None
+    less_per_task: tuple[float, float, float] | None = None
+    rise: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """A planned motion.
+
+    Args:
+        w: Weight that it was planned with.
+        refused: Why there is none, or why the healthy robot cannot carry it out; "" if it does.
+        length: Joint-space length [rad].
+        duration: [s].
+        harm: By kind of failures, "drops" or "mixed".
+    """
+
+    w: float
+    refused: str = ""
+    length: float = float("nan")
+    duration: float = float("nan")
+    harm: Mapping[str, Harm] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Headline:
+    """A task of the first phase.
+
+    Args:
+        task: "scene/task".
+        grasp: What holds the object.
+        least: Least positive severity of the scene.
+        rate: Failures per hour, of harm per task.
+        motions: By label, those of `NONE` and `MODELS`.
+    """
+
+    task: str
+    grasp: str
+    least: float
+    rate: float
+    motions: Mapping[str, Motion]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """A task and a cost of the second phase.
+
+    Args:
+        task: "scene/task".
+        cost: One of `CURVES`.
+        points: By weight as asked for: absolute for impact models, else relative; see `weight_of`.
+    """
+
+    task: str
+    cost: str
+    points: Mapping[str, Motion]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadlineJob:
+    """What to do of the first phase."""
+
+    task: str
+    drops: int
+    mixed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveJob:
+    """What to do of the second phase."""
+
+    task: str
+    cost: str
+    weights: tuple[float, ...]
+    grasp: str
+    drops: int
+
+
+# --- the two phases --------------------------------------------------------------------------------------------------
+
+
+def do_headline(job: HeadlineJob) -> Headline:
+    """Plan at w = 0 and with each impact model at the default w, and let all of them fail alike."""
+    task = suite.task(job.task)
+    objectives = {NONE: gp.Objective(w=0.0), **{label: gp.Objective(impact=x) for label, x in MODELS.items()}}
+    results = {label: _planned(task, objective, SECONDS) for label, objective in objectives.items()}
+    grasp, refused = _held(job.task, results)
+    counts = {"drops": job.drops, "mixed": job.mixed}
+    reference: dict[str, ValidationReport] | None = None
+    motions: dict[str, Motion] = {}
+    for label, result in results.items():
+        reports = {} if refused[label] else _reports(task, result, counts, grasp)
+        paired = {} if reference is None else reference
+        harm = {kind: _harm(own, paired.get(kind)) for kind, own in reports.items()}
+        motions[label] = _motion(result, objectives[label].w, refused[label], harm)
+        reference = reports if label == NONE else reference
+    rate = FAILURES_PER_HOUR
+    return Headline(task=job.task, grasp=grasp, least=_least(task.scene), rate=rate, motions=motions)
+
+
+def do_curve(job: CurveJob) -> Curve:
+    """Plan with a cost at each weight, and drop the object along each motion."""
+    task = suite.task(job.task)
+    own = common_sense.COSTS.get(job.cost)
+    impact = MODELS[job.cost] if own is None else own(task.scene)
+    points: dict[str, Motion] = {}
+    for asked in job.weights:
+        w = asked if own is None else weight_of(asked, task, impact)
+        result = _planned(task, gp.Objective(impact=impact, w=w), SECONDS if own is None else OWN_SECONDS)
+        refused = _refusal(task, result, job.grasp)
+        reports = {} if refused else _reports(task, result, {"drops": job.drops}, job.grasp)
+        harm = {kind: _harm(found, None) for kind, found in reports.items()}
+        points[f"{asked:g}"] = _motion(result, w, refused, harm)
+    return Curve(task=job.task, cost=job.cost, points=points)
+
+
+def weight_of(relative: float, task: gp.Task, impact: gp.Cost) -> float:
+    """Return the weight at which the straight path to the first goal costs so many times its motion.
+
+    Costs of one's own have units of their own; this makes weights of all of them comparable, and of all tasks.
+    """
+    straight = gp.evaluate(np.stack([task.start, task.goal[0]]), task.scene, gp.Objective(impact=impact, w=1.0))
+    return relative * straight.motion / straight.impact if straight.impact > 0.0 else relative
+
+
+def kinds(task: gp.Task) -> dict[str, Sequence[Fault]]:
+    """Return the faults of each kind of failures."""
+    drop = {} if task.object_name is None else {"drops": DROP}
+    return {**drop, "mixed": chosen_faults("*/*/severe")}
+
+
+# --- parts of them ---------------------------------------------------------------------------------------------------
+
+
+def _planned(task: gp.Task, objective: gp.Objective, seconds: float) -> gp.PlanResult:
+    return gp.plan(task.start, task.goal, task.scene, objective=objective, time_limit=seconds, seed=SEED, speed=SPEED)
+
+
+def _held(name: str, results: Mapping[str, gp.PlanResult]) -> tuple[str, dict[str, str]]:
+    """Return what holds the object, a weld if fingers do not along every motion, and what is refused all the same."""
+    task, refused = suite.task(name), dict[str, str]()
+    grasp = "weld"
+    for grasp in dict.fromkeys((usual_grasp(*name.split("/")), "weld")):
+        refused = {label: _refusal(task, result, grasp) for label, result in results.items()}
+        if not any(refused[label] for label, result in results.items() if result.trajectory is not None):
+            break
+    return grasp, refused
+
+
+def _refusal(task: gp.Task, result: gp.PlanResult, grasp: str) -> str:
+    """Return why a motion cannot be carried out; "" if it can."""
+    if result.trajectory is None:
+        return f"{result.status.name}: {result.detail}"
+    try:
+        fb.execute(result, fb.build_world(task.scene, SimSettings(grasp=grasp)))
+    except ExecutionRefused as error:
+        return str(error)
+    return ""
+
+
+def _reports(
+    task: gp.Task, result: gp.PlanResult, counts: Mapping[str, int], grasp: str
+) -> dict[str, ValidationReport]:
+    settings = SimSettings(grasp=grasp)
+    return {
+        kind: fb.validate(result, task.scene, faults, n=counts[kind], seed=SEED, threads=1, settings=settings)
+        for kind, faults in kinds(task).items()
+        if kind in counts
+    }
+
+
+def _harm(own: ValidationReport, reference: ValidationReport | None) -> Harm:
+    """Summarise failures, paired with those at w = 0 if there are any."""
+    plain = Harm(mean=own.observed.mean, n=own.observed.n, predicted=own.predicted)
+    if reference is None:
+        return plain
+    return Harm(
+        **asdict(plain)
+        | {
+            "less_per_failure": _triple(fb.harm_ratio(reference, own, per="failure")),
+            "less_per_task": _triple(fb.harm_ratio(reference, own)),
+            "rise": _triple(fb.compare(own, reference, per="task")),
+        }
+    )
+
+
+def _triple(estimate: Estimate) -> tuple[float, float, float]:
+    return estimate.mean, estimate.low, estimate.high
+
+
+def _motion(result: gp.PlanResult, w: float, refused: str, harm: Mapping[str, Harm]) -> Motion:
+    if result.trajectory is None or result.path is None:
+        return Motion(w=w, refused=refused)
+    length = float(np.linalg.norm(np.diff(result.trajectory.q, axis=0), axis=1).sum())
+    return Motion(w=w, refused=refused, length=length, duration=result.trajectory.duration, harm=harm)
+
+
+def _least(scene: gp.Scene) -> float:
+    """Return the least positive severity of a scene."""
+    return min(s for entity in scene.entities.values() for s in entity.severity.values() if s > 0.0)
+
+
+# --- what is kept ----------------------------------------------------------------------------------------------------
+
+
+def read_headlines(file: Path) -> Iterator[Headline]:
+    """Yield what is done of the first phase."""
+    for x in read_lines(file):
+        yield Headline(**{**x, "motions": _motions(x["motions"])})
+
+
+def read_curves(file: Path) -> Iterator[Curve]:
+    """Yield what is done of the second phase, points of the same task and cost together."""
+    found: dict[tuple[str, str], dict[str, Motion]] = {}
+    for x in read_lines(file):
+        found.setdefault((x["task"], x["cost"]), {}).update(_motions(x["points"]))
+    for (task, cost), points in found.items():
+        yield Curve(task=task, cost=cost, points=dict(sorted(points.items(), key=lambda item: float(item[0]))))
+
+
+def line(done: Headline | Curve) -> str:
+    """Return a line to keep."""
+    return json.dumps(asdict(done), default=dict) + "\n"
+
+
+def _motions(kept: Mapping[str, Any]) -> dict[str, Motion]:
+    return {
+        key: Motion(**{**x, "harm": {kind: Harm(**_tuples(y)) for kind, y in x["harm"].items()}})
+        for key, x in kept.items()
+    }
+
+
+def _tuples(x: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in x.items()}

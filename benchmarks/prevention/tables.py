@@ -1,0 +1,241 @@
+"""The report of `prevention`: targets and tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from benchmarks import report
+from benchmarks.prevention.figures import (
+    MILLION,
+    Found,
+    Group,
+    against_ours,
+    at_weight,
+    beyond,
+    longer,
+    tasks_of,
+    typical_less,
+)
+from benchmarks.prevention.harm_curves import Typical, typical
+from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS
+from failbench.report import FAILURES_PER_HOUR
+
+KINDS = ("drops", "mixed")
+DROPS, MIXED, CURVE_DROPS = 1000, 500, 200
+DURATIONS = (1.05, 1.1, 1.2)
+"""Relative to w = 0: where planners are compared."""
+LESS, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 4.0, 0.2, 1.5
+"""What is wanted: times less harm per task at the default w, at any w, for so much more duration; than other costs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How many failures along how many motions."""
+
+    drops: int
+    mixed: int
+    curve_drops: int
+    weights: tuple[float, ...]
+    relative: tuple[float, ...]
+
+    @property
+    def enough(self) -> bool:
+        """Whether figures mean what targets ask."""
+        return self.drops >= DROPS and self.mixed >= MIXED
+
+
+def sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator[str]:
+    """Yield the parts of the report.
+
+    Args:
+        found: What is done.
+        asked: Names of the tasks that were asked for.
+        sizes: How many failures along how many motions.
+    """
+    left = set(asked) - {done.task for done in found.heads}
+    yield (
+        f"{len(found.heads)} of {len(asked)} tasks, {sizes.drops} drops and {sizes.mixed} mixed failures or more "
+        f"a motion; {len(found.curves)} of {len(asked) * len(CURVES)} curves, {sizes.curve_drops} drops a motion.\n"
+    )
+    yield _told("Not done", sorted(left))
+    yield _told("Held by a weld", [done.task for done in found.heads if done.grasp == "weld"])
+    yield _told("Not in", _refused(found))
+    yield report.targets(_targets(found, sizes, len(asked)))
+    for kind in KINDS:
+        yield f"{kind.capitalize()}, at the default w:\n"
+        yield report.table(_SUMMARY_HEADER, _summary(found, kind))
+    yield from _equal_tables(found)
+    yield "Default model over w, drops:\n"
+    yield report.table(_WEIGHT_HEADER, _over_w(found, sizes))
+    yield f"Task by task; harm per failure, and per million tasks at one failure in {1.0 / FAILURES_PER_HOUR:g} h:\n"
+    yield report.table(_HEADER, (row for kind in KINDS for row in _rows(found, kind)))
+
+
+def _told(what: str, entries: Sequence[str]) -> str:
+    return f"{what}: {'; '.join(entries)}.\n" if entries else f"{what}: none.\n"
+
+
+def _refused(found: Found) -> list[str]:
+    """List every motion that there is none of, or that cannot be carried out."""
+    heads = [(x.task, label, x.motions[label]) for x in found.heads for label in x.motions]
+    curves = [(x.task, f"{x.cost}, w {asked}", x.points[asked]) for x in found.curves.values() for asked in x.points]
+    return [f"{task} ({label}): {motion.refused}" for task, label, motion in heads + curves if motion.refused]
+
+
+def _targets(found: Found, sizes: Sizes, asked: int) -> Iterator[report.Target]:
+    compared = [done for done in found.heads if done.motions[NONE].harm and done.motions[OURS].harm]
+    complete = sizes.enough and len(compared) == asked
+    for group in found.groups:
+        heads = tasks_of(found, group)
+        if "," in group.name or not heads:
+            continue
+        for kind in KINDS:
+            value = typical_less(heads, OURS, kind, "task")
+            yield _at_least(f"{group.name}: x less harm per task, {kind}, median", value.median, LESS, complete)
+            mean = value.geometric.mean
+            yield _at_least(f"{group.name}: x less harm per task, {kind}, geometric mean", mean, LESS, complete)
+            worse = beyond(heads, OURS, kind, 1.0)
+            yield report.Target(
+                what=f"{group.name}: tasks with more harm per task, {kind}, beyond their interval",
+                wanted="none",
+                measured=", ".join(worse) or "none",
+                met=complete and not worse,
+            )
+        share = longer(heads, OURS, "duration")
+        yield report.Target(
+            what=f"{group.name}: median duration",
+            wanted=f"<= {report.percent(LONGER, 0)} more",
+            measured=f"{report.percent(share)} more",
+            met=complete and share <= LONGER,
+        )
+        yield from _curve_targets(found, group, sizes, complete)
+
+
+def _curve_targets(found: Found, group: Group, sizes: Sizes, complete: bool) -> Iterator[report.Target]:
+    best = [at_weight(found, group, w)[2].median for w in sizes.weights]
+    what = f"{group.name}: x less harm per task, drops, median, at the best w"
+    yield _at_least(what, max((x for x in best if not math.isnan(x)), default=math.nan), LESS_AT_CHOICE, complete)
+    for cost in CURVES[1:]:
+        value = typical(against_ours(found, group, cost, "duration", 1.0 + LONGER)).median
+        what = f"{group.name}: harm per task, {cost} over default, at {report.percent(LONGER, 0)} more duration, median"
+        yield _at_least(what, value, LESS_THAN_OTHERS, complete)
+
+
+def _at_least(what: str, value: float, wanted: float, complete: bool) -> report.Target:
+    met = None if math.isnan(value) else complete and value >= wanted
+    return report.Target(what=what, wanted=f">= {wanted:g}", measured=report.quantity(value), met=met)
+
+
+_SUMMARY_HEADER = (
+    "tasks",
+    "planner",
+    "n",
+    "duration",
+    "motion",
+    "x less per failure, median",
+    "geometric mean",
+    "x less per task, median",
+    "geometric mean",
+    "worse",
+    "better",
+)
+_EQUAL_HEADER = ("tasks", "cost", "n", *(f"at +{100.0 * (d - 1.0):.0f} %, median (geometric mean)" for d in DURATIONS))
+_WEIGHT_HEADER = ("tasks", "w", "duration", "motion", "x less per task, median", "geometric mean")
+_HEADER = (
+    "task",
+    "failures",
+    "duration, w = 0",
+    *(f"{label}, duration" for label in MODELS),
+    *(f"{label}, per failure" for label in (NONE, *MODELS)),
+    "default, predicted",
+    *(f"{label}, per million tasks" for label in (NONE, *MODELS)),
+    "default, x less per task",
+)
+
+
+def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
+    for group in found.groups:
+        heads = tasks_of(found, group)
+        for label in MODELS:
+            per_failure, per_task = (typical_less(heads, label, kind, per) for per in ("failure", "task"))
+            yield (
+                group.name,
+                label,
+                per_task.geometric.n,
+                _more(longer(heads, label, "duration")),
+                _more(longer(heads, label, "length")),
+                f"{per_failure.median:.2f}",
+                f"{per_failure.geometric.mean:.2f}",
+                f"{per_task.median:.2f}",
+                _with_interval(per_task),
+                len(beyond(heads, label, kind, 1.0)),
+                len(beyond(heads, label, kind, -1.0)),
+            )
+
+
+def _equal_tables(found: Found) -> Iterator[str]:
+    for extent, word in (("duration", "duration"), ("length", "motion")):
+        yield f"Drops, harm per task with other costs over that with the default model at equal {word}:\n"
+        yield report.table(_EQUAL_HEADER, _equal(found, extent))
+
+
+def _equal(found: Found, extent: str) -> Iterator[Sequence[object]]:
+    for group in found.groups:
+        for cost in CURVES[1:]:
+            values = [typical(against_ours(found, group, cost, extent, at)) for at in DURATIONS]
+            cells = (f"{value.median:.2f} ({_with_interval(value)})" for value in values)
+            yield group.name, cost, values[0].geometric.n, *cells
+
+
+def _over_w(found: Found, sizes: Sizes) -> Iterator[Sequence[object]]:
+    for group in found.groups:
+        for w in sizes.weights:
+            duration, length, value = at_weight(found, group, w)
+            yield (
+                group.name,
+                f"{w:g}",
+                _more(duration - 1.0),
+                _more(length - 1.0),
+                f"{value.median:.2f}",
+                _with_interval(value),
+            )
+
+
+def _rows(found: Found, kind: str) -> Iterator[Sequence[object]]:
+    for done in found.heads:
+        base, ours = done.motions[NONE], done.motions[OURS]
+        if kind not in base.harm:
+            continue
+        motions = [done.motions[label] for label in MODELS]
+        harms = [motion.harm.get(kind) for motion in (base, *motions)]
+        per_hour = [motion.duration * done.rate / 3600.0 * MILLION for motion in (base, *motions)]
+        times = None if kind not in ours.harm else ours.harm[kind].less_per_task
+        yield (
+            done.task,
+            kind,
+            f"{base.duration:.2f} s",
+            *(_more(motion.duration / base.duration - 1.0) for motion in motions),
+            *("-" if harm is None else f"{harm.mean:.2f}" for harm in harms),
+            "-" if kind not in ours.harm else f"{ours.harm[kind].predicted:.2f}",
+            *(
+                "-" if harm is None else f"{harm.mean * factor:.2f}{_mark(harm.rise)}"
+                for harm, factor in zip(harms, per_hour, strict=True)
+            ),
+            "-" if times is None else "{:.2f} [{:.2f}, {:.2f}]".format(*times),
+        )
+
+
+def _mark(rise: tuple[float, float, float] | None) -> str:
+    """Mark harm that is above (+) or below (*) that at w = 0 beyond its interval."""
+    return "" if rise is None or rise[1] <= 0.0 <= rise[2] else " +" if rise[1] > 0.0 else " *"
+
+
+def _more(share: float) -> str:
+    return f"{100.0 * share:+.0f} %" if math.isfinite(share) else "-"
+
+
+def _with_interval(value: Typical) -> str:
+    x = value.geometric
+    return f"{x.mean:.2f} [{x.low:.2f}, {x.high:.2f}]"

@@ -1,0 +1,246 @@
+"""The best motion known for each task of a scene, one JSON file a task; judged again whenever it is read.
+
+A file counts only while its motion still starts and ends where the task does, keeps the limits, is free by exact
+geometry and costs what the file says; else the scene, the task or the cost has changed and `BestMotions.load` refuses
+it. A motion is stored as its samples, a row each: time, positions, velocities. The cubics between them are all of it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from graceful_plan.compare.runs.records import Run, cubics
+from graceful_plan.costs.objective import Objective, evaluate
+from graceful_plan.exceptions import FormatError, GracefulPlanError
+from graceful_plan.judge.verification import verify
+from graceful_plan.result import CostBreakdown
+from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.scene.scene import Task
+from graceful_plan.timing.trajectory import Trajectory
+
+SCHEMA = 2
+_COST_TOLERANCE = 1e-6
+"""Relative: a stored total is written to full precision and evaluated by the same rule."""
+_BETTER = 1e-9
+"""Relative gain below which a motion is the same motion."""
+_SAME = 2e-6
+"""Distance [rad] between the ends of a motion and of its task: a start outside a limit is moved onto it."""
+
+
+@final
+class StaleBestMotion(FormatError):
+    """A stored motion that is no solution of the task as it is now, or does not cost what its file says."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """One run and what it reached."""
+
+    planner: str
+    seed: int
+    seconds: float
+    total: float | None
+    """None if it found no motion."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class BestMotion:
+    """The best motion known for a task."""
+
+    task: str
+    total: float
+    motion: float
+    impact: float
+    planner: str
+    seed: int
+    seconds: float
+    """Time limit of the run that found it."""
+    samples: tuple[tuple[float, ...], ...]
+    """A row each: time [s], positions [rad or m], velocities [rad/s or m/s]."""
+    runs: tuple[Attempt, ...] = ()
+    """Runs that it is the best of; others may have been asked besides."""
+
+    def trajectory(self, joints: tuple[str, ...]) -> Trajectory:
+        """Return the motion of these joints.
+
+        Raises:
+            GracefulPlanError: If the samples are no motion of theirs.
+        """
+        nq = len(joints)
+        rows = [(row[0], row[1 : nq + 1], row[nq + 1 :]) for row in self.samples if row]
+        times, path, velocities = zip(*rows, strict=True) if rows else ((), (), ())
+        return cubics(times, path, velocities, joints)
+
+
+@final
+@dataclass(frozen=True)
+class BestMotions:
+    """A folder of best known motions.
+
+    Args:
+        folder: Where the files are.
+        w: Safety weight of the default objective that they are the best for.
+    """
+
+    folder: Path
+    w: float = 1.0
+
+    @classmethod
+    def in_folder(cls, folder: Path) -> BestMotions:
+        """Take the weight from the files that are there, all of which have to be for the same one.
+
+        Raises:
+            StaleBestMotion: If a file has none.
+        """
+        for file in sorted(folder.glob("*.json")):
+            return cls(folder, _weight(file))
+        return cls(folder)
+
+    def file_of(self, task: str) -> Path:
+        """Where the best motion of a task, "scene/task", is kept."""
+        return self.folder / (task.replace("/", ".") + ".json")
+
+    def read(self, file: Path) -> BestMotion:
+        """Read a file without judging its motion.
+
+        Raises:
+            StaleBestMotion: If it is not of this format.
+        """
+        try:
+            data = json.loads(file.read_text(encoding="utf-8"))
+            if data.pop("schema") != SCHEMA or data.pop("w") != self.w:
+                raise StaleBestMotion(file.name, "another schema or weight")
+            runs = tuple(Attempt(**run) for run in data.pop("runs"))
+            samples = tuple(tuple(float(x) for x in row) for row in data.pop("samples"))
+            return BestMotion(**data, samples=samples, runs=runs)
+        except StaleBestMotion:
+            raise
+        except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
+            raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
+
+    def load(self, name: str, task: Task) -> BestMotion | None:
+        """Read and judge the best motion of a task; None if there is no file.
+
+        Raises:
+            StaleBestMotion: If the file does not hold what it says.
+        """
+        file = self.file_of(name)
+        if not file.exists():
+            return None
+        best = self.read(file)
+        if found := self._problems(best, task):
+            raise StaleBestMotion(file.name, "; ".join(found))
+        return best
+
+    def renewed(self, name: str, task: Task) -> BestMotion | None:
+        """Like `load`, but keep a stored motion that still solves the task at what it costs now, its runs forgotten."""
+        try:
+            return self.load(name, task)
+        except StaleBestMotion:
+            pass
+        try:
+            best = self.read(self.file_of(name))
+            trajectory = best.trajectory(task.scene.joints)
+        except GracefulPlanError:
+            return None
+        if _not_a_solution(trajectory, task):
+            return None
+        cost = self.cost_of(trajectory, task)
+        return replace(best, total=cost.total, motion=cost.motion, impact=cost.impact, runs=())
+
+    def offer(self, task: Task, best: BestMotion | None, run: Run, seconds: float) -> BestMotion | None:
+        """Return the better of what is known and the motion of a run, which must be a solution to count.
+
+        Args:
+            task: What was to be done.
+            best: What is known, None if nothing is.
+            run: A run on that task.
+            seconds: Its time limit [s].
+        """
+        trajectory = run.trajectory(task.scene.joints)
+        if not run.solved or trajectory is None:
+            return best
+        cost = self.cost_of(trajectory, task)
+        no_better = best is not None and cost.total >= best.total * (1.0 - _BETTER)
+        if no_better or _not_a_solution(trajectory, task):
+            return best
+        return BestMotion(
+            task=run.problem,
+            total=cost.total,
+            motion=cost.motion,
+            impact=cost.impact,
+            planner=run.planner,
+            seed=run.seed,
+            seconds=seconds,
+            samples=tuple((t, *q, *qd) for t, q, qd in zip(run.times, run.path, run.velocities, strict=True)),
+            runs=() if best is None else best.runs,
+        )
+
+    def write(self, best: BestMotion) -> None:
+        """Write the file of a task, whole or not at all."""
+        data = {"schema": SCHEMA, "w": self.w, **asdict(replace(best, samples=(), runs=()))}
+        del data["samples"], data["runs"]
+        rows = ",\n  ".join(json.dumps(row) for row in best.samples)
+        runs = ",\n  ".join(json.dumps(asdict(run)) for run in best.runs)
+        head = json.dumps(data, indent=1, allow_nan=False).removesuffix("\n}")
+        file = self.file_of(best.task)
+        file.parent.mkdir(exist_ok=True)
+        partial = file.with_suffix(".partial")
+        partial.write_text(f'{head},\n "samples": [\n  {rows}\n ],\n "runs": [\n  {runs}\n ]\n}}\n', encoding="utf-8")
+        partial.replace(file)
+
+    def totals(self) -> dict[str, float]:
+        """Return the least total cost of every task of bundled scenes that has a file.
+
+        Raises:
+            StaleBestMotion: If a file does not hold what it says.
+        """
+        found: dict[str, float] = {}
+        for file in sorted(self.folder.glob("*.json")):
+            name = self.read(file).task
+            scene, _, task = name.partition("/")
+            best = self.load(name, load_scene(scene).tasks[task])
+            if best is not None:
+                found[name] = best.total
+        return found
+
+    def cost_of(self, trajectory: Trajectory, task: Task) -> CostBreakdown:
+        """Cost of a motion under the default objective."""
+        return evaluate(trajectory, task.scene, Objective(w=self.w))
+
+    def _problems(self, best: BestMotion, task: Task) -> list[str]:
+        """Say why a stored motion does not count, nothing if it does."""
+        try:
+            trajectory = best.trajectory(task.scene.joints)
+        except GracefulPlanError as error:
+            return [str(error)]
+        found = _not_a_solution(trajectory, task)
+        total = self.cost_of(trajectory, task).total
+        if not abs(total - best.total) <= _COST_TOLERANCE * max(1.0, abs(total)):
+            found.append(f"stored total {best.total:.6f}, but the motion costs {total:.6f}")
+        return found
+
+
+def _weight(file: Path) -> float:
+    try:
+        return float(json.loads(file.read_text(encoding="utf-8"))["w"])
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
+
+
+def _not_a_solution(trajectory: Trajectory, task: Task) -> list[str]:
+    """Say what keeps a motion from solving a task."""
+    found: list[str] = []
+    if np.abs(trajectory.q[0] - task.start).max() > _SAME:
+        found.append("does not begin at the start")
+    if np.abs(task.goal - trajectory.q[-1]).max(axis=1).min() > _SAME:
+        found.append("ends at no goal")
+    verdict = verify(trajectory, task.scene)
+    return found + [f"{name}: {verdict.checks[name].detail}" for name in verdict.failures]

@@ -1,0 +1,64 @@
+"""What a fall does to the carried object itself: how easily it is damaged by what it may come down on.
+
+Step 5 of the specification, the docstring of the package, says how these numbers are used.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.models.drop.tables import drop_tables
+from graceful_plan.scene.harm.fragility import FragilityTable
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+LANDING_LOSS = 0.7
+"""b: mean of -ln of the share of the vertical energy that acts along the normal where the object comes down. Measured:
+0.715 in the first touches of 5400 drops along a motion for each of the 27 bundled tasks; see `benchmarks/`, own_loss.
+"""
+NODES = 2.0 - math.sqrt(2.0), 2.0 + math.sqrt(2.0)
+"""Two-point Gauss-Laguerre rule: what -ln of the share is taken to be, in units of its mean."""
+WEIGHTS = 0.25 * (2.0 + math.sqrt(2.0)), 0.25 * (2.0 - math.sqrt(2.0))
+"""How often each."""
+_INDESTRUCTIBLE = 50.0  # ln of an energy per mass that no fall has
+
+
+@final
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LossTables:
+    """How easily the carried object is damaged.
+
+    | field    | meaning                                                                         | unit    | shape  |
+    |----------|---------------------------------------------------------------------------------|---------|--------|
+    | strength | ln of the energy per mass at which half of what comes down on a target is damaged | ln J/kg | target |
+    | spread   | standard deviation of that logarithm                                            |         |        |
+    """
+
+    strength: Float[Array, " target"]
+    spread: float
+
+
+@per_scene(most=4)
+def loss_tables(scene: Scene, fragility: FragilityTable) -> LossTables:
+    """Return the tables of a scene in which something is carried; targets as in `DropTables`."""
+    assert scene.carried is not None  # the model asks for tables only then
+    own = fragility.of_carried(scene.components["carried"].component_class)
+    categories = [entity.category for entity in scene.entities.values()]
+    struck = [fragility.of("" if k < 0 else categories[k]) for k in drop_tables(scene).target_entity]
+    mass = carried_mass(scene)
+    medians = np.array([own.median / row.hardness for row in struck])
+    strength = np.full(len(medians), _INDESTRUCTIBLE) if mass <= 0.0 else np.log(medians / mass)
+    return LossTables(strength=np.minimum(strength, _INDESTRUCTIBLE), spread=own.spread)
+
+
+def carried_mass(scene: Scene) -> float:
+    """Mass of what is carried with all that rides on it [kg]."""
+    assert scene.carried is not None
+    return float(scene.model.body_subtreemass[scene.model.body(scene.carried.body).id])

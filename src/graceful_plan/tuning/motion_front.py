@@ -1,0 +1,199 @@
+r"""From a front of paths to a front of smooth motions, each of which descended along J of its own timing.
+
+The paths of a search have corners and are charged at a mean pace, so that those near the front are not near it any more
+once they are timed. So each of those that stand for it descends as a smooth motion, for a weight at which it is
+optimal, together with its neighbours and with motions that other weights have led to. Then the widest gap between two
+motions is filled, over and over: both of them, and bends of them, descend by the weight at which they cost the same,
+
+.. math:: w = (V_b - V_a) / (S_a - S_b),
+
+which leads to a point in between wherever the front is convex. By turns with that, those that stand for the front
+descend finely, each by a weight between those of its neighbours.
+
+References:
+    Y. P. Aneja and K. P. K. Nair, "Bicriteria transportation problem", Management Science 1979 (weights of gaps).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import count, islice, pairwise
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.objective import MAX_WEIGHT
+from graceful_plan.path import Path
+from graceful_plan.planners.motion_descent import Effort
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.motions import along, smooth
+from graceful_plan.tuning.archive import Archive, Candidate, coarse_to_fine, scaled
+from graceful_plan.tuning.judging import FrontMotion, FrontQuery
+from graceful_plan.tuning.search import sweep_weights
+
+Array = np.ndarray
+
+# These had the greatest hypervolumes and the least V + w S, at four weights on four tasks, of what was tried; half as
+# much or twice as much of any makes little difference.
+_FROM_PATHS = 0.25
+"""Share of the time for motions from paths."""
+_ASIDE = 4.0
+"""How far the weights are apart whose motions begin a descent besides the best one."""
+_HOPS, _END_HOPS = 2, 4
+"""Bends of motions in a gap, and beyond the end of least impact, times the number of times that it has been tried.
+
+Least impact is what chance decides most, so that motions there descend finely at once."""
+_DISCOUNT = 0.25
+"""What is left of the worth of a gap each time that it has been tried."""
+_THREADS = 2
+_FINELY = Effort(screens=False, fine=1, hops=0)
+
+
+@final
+class MotionFront:
+    """Fills an archive with smooth motions.
+
+    Args:
+        query: What was asked for; its objective can descend.
+        problem: What was searched in.
+        archive: For the motions.
+        points: Most points of the front.
+    """
+
+    def __init__(self, query: FrontQuery, problem: SceneProblem, archive: Archive[FrontMotion], points: int) -> None:
+        self.query, self.problem, self.archive, self.points = query, problem, archive, points
+        self._greatest = 0.0
+        """Weight of the end of least impact."""
+        self._fine: set[FrontMotion] = set()
+        self._tried: dict[tuple[FrontMotion, FrontMotion], int] = {}
+
+    def fill(
+        self, paths: Archive[Candidate], budget: Budget, rng: np.random.Generator, *, gaps: bool = True
+    ) -> Iterator[str]:
+        """Let motions descend until the time is over; without a limit their number is fixed. Yields stages.
+
+        Args:
+            paths: What to begin with.
+            budget: For descents; they spend no iterations.
+            rng: For bends.
+            gaps: Whether to look for motions in between.
+        """
+        for _ in self._from_paths(paths, (budget, rng)):
+            yield "descend"
+        timed = bool(np.isfinite(budget.time_limit))
+        for step in count():
+            if budget.elapsed >= budget.time_limit or not len(self.archive):
+                return
+            rough = self._rough()
+            weighs = gaps and self.archive.candidates[0].cost[1] > 0.0 and (timed or step < self.points)
+            if weighs and not (rough and step % 2):
+                self._into_widest_gap((budget, rng))
+                yield "gaps"
+            elif rough:
+                self._descend_finely(rough[:_THREADS], (budget, rng))
+                yield "polish"
+            else:
+                return
+
+    def _from_paths(self, paths: Archive[Candidate], means: tuple[Budget, np.random.Generator]) -> Iterator[None]:
+        """Let those that stand for all paths descend."""
+        budget, rng = means
+        if not len(paths):
+            return
+        chosen = paths.chosen(self.points)
+        self._greatest = float(sweep_weights(paths.costs[0], 2)[1])
+        weights = optimal_weights(np.array([candidate.cost for candidate in chosen]), self._greatest)
+        end = budget.elapsed + _FROM_PATHS * budget.remaining_seconds
+        for done, k in enumerate(coarse_to_fine(len(chosen))):
+            if len(self.archive) and budget.elapsed >= end:
+                return
+            with budget.share((end - budget.elapsed) / (len(chosen) - done)) as part:
+                self._from_path(chosen, k, weights[k], (part, rng))
+            yield
+
+    def _from_path(
+        self, chosen: Sequence[Candidate], k: int, w: float, means: tuple[Budget, np.random.Generator]
+    ) -> None:
+        beside = [self.query.ends.joined(Path(candidate.q)) for candidate in chosen[max(0, k - 1) : k + 2]]
+        found = self._descended([*beside, *self._near(w)], w, Effort(fine=0, hops=0), means)
+        if not found:
+            cut = islice(along(Path(chosen[k].q), self.query.request, self.query.ends), 1)
+            made_by, made_with = chosen[k].made_by, chosen[k].made_with
+            found = [FrontMotion(motion=motion, made_by=made_by, made_with=made_with) for motion in cut]
+        for one in found:
+            self.archive.offer(one)
+
+    def _near(self, w: float) -> list[tuple[Path, int]]:
+        """What to begin a descent with: the motions that are best by the weight, and by one below and one above."""
+        if not len(self.archive):
+            return []
+        best = dict.fromkeys(self.archive.best_for(w * factor) for factor in (1.0, _ASIDE, 1.0 / _ASIDE))
+        return [one.whole for one in best]
+
+    def _into_widest_gap(self, means: tuple[Budget, np.random.Generator]) -> None:
+        a, b = rims = self._widest()
+        self._tried[rims] = tried = self._tried.get(rims, 0) + 1
+        if a is b:
+            effort = Effort(fine=1, hops=_END_HOPS * tried)
+            found = self._descended(self._near(self._greatest), self._greatest, effort, means)
+        else:
+            effort = Effort(fine=0, hops=_HOPS * tried)
+            found = self._descended([a.whole, b.whole], _slope(a.cost, b.cost), effort, means)
+        for one in found:
+            self.archive.offer(one)
+
+    def _widest(self) -> tuple[FrontMotion, FrontMotion]:
+        """Return the rims of the gap that is worth most; beyond the end of least impact there is one, too."""
+        front = self.archive.candidates
+        gaps = [*pairwise(front), (front[-1], front[-1])]
+        areas = np.prod(np.abs(np.diff(scaled(self.archive.costs), axis=0)), axis=1)
+        worth = np.append(areas, areas.max(initial=0.0)) * _DISCOUNT ** np.array([self._tried.get(g, 0) for g in gaps])
+        return gaps[int(np.argmax(worth))]
+
+    def _rough(self) -> list[tuple[FrontMotion, float]]:
+        """Those that stand for the front and have not descended finely, from coarse to fine, and weights for that."""
+        chosen = self.archive.chosen(self.points)
+        weights = optimal_weights(np.array([one.cost for one in chosen]), self._greatest)
+        return [(chosen[k], weights[k]) for k in coarse_to_fine(len(chosen)) if chosen[k] not in self._fine]
+
+    def _descend_finely(
+        self, some: Sequence[tuple[FrontMotion, float]], means: tuple[Budget, np.random.Generator]
+    ) -> None:
+        with ThreadPoolExecutor(_THREADS) as pool:
+            every = pool.map(lambda one: self._descended([one[0].whole], one[1], _FINELY, means), some)
+            found = [new for news in every for new in news]
+        self._fine.update(found, (one for one, _ in some))
+        for one in found:
+            self.archive.offer(one)
+
+    def _descended(
+        self,
+        starts: Sequence[tuple[Path, int]],
+        w: float,
+        effort: Effort,
+        means: tuple[Budget, np.random.Generator],
+    ) -> list[FrontMotion]:
+        request = replace(self.query.request, objective=self.query.at(w))
+        found = smooth(starts, request, self.query.ends, self.problem, means, effort=effort)
+        return [FrontMotion(motion=motion, made_by="descent", made_with=w) for motion in found]
+
+
+def optimal_weights(costs: Float[Array, "n 2"], greatest: float) -> list[float]:
+    """For each point of a front sorted by motion, a weight between those at which it costs as much as its neighbours.
+
+    Args:
+        costs: Motion and impact, at least of one point; the weight of the first is 0.
+        greatest: Weight of the last one.
+    """
+    slopes = [_slope(a, b) for a, b in pairwise(costs)]
+    inner = [float(np.sqrt(a * b)) for a, b in pairwise(slopes)]
+    return [0.0, *inner, greatest][: len(costs)]
+
+
+def _slope(a: Float[Array, " 2"], b: Float[Array, " 2"]) -> float:
+    """Weight at which two points cost the same."""
+    return float(np.clip((b[0] - a[0]) / max(a[1] - b[1], 1e-300), 0.0, MAX_WEIGHT))

@@ -1,0 +1,76 @@
+"""The scenes in benchmarks/unseen: that they are sound, and that no bundled thing is in them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import failbench
+import graceful_plan as gp
+from benchmarks import suite, variants
+
+SCENES = suite.unseen_scenes()
+TASKS = suite.unseen_task_names()
+_ROOM = 0.02
+"""Clearance [m] that the ends of tasks have."""
+_STILL = 0.003
+"""How far [m] things at rest may creep in a second."""
+
+
+def test_there_are_enough_of_them():
+    assert len(SCENES) >= 5 and len(TASKS) >= 12
+    assert not set(SCENES) & set(gp.scenes())
+    assert {suite.is_tabletop(name) for name in TASKS} == {True, False}
+
+
+def test_quick_runs_take_one_task_of_each():
+    quick = suite.unseen_task_names(suite.Options(quick=True))
+    assert [name.split("/")[0] for name in quick] == list(SCENES)
+    assert suite.chosen(TASKS, ("lab_bench/*", "*/carry_plank")) == [
+        name for name in TASKS if name.startswith("lab_bench/") or name == "play_table/carry_plank"
+    ]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_nothing_is_in_anything_else(name):
+    assert variants.problems(suite.scene(name)) == []
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_can_move_is_worth_something_and_stays_where_it_is(name):
+    scene = suite.scene(name)
+    world = failbench.build_world(scene)
+    data = mujoco.MjData(world.model)
+    data.qpos[:] = scene.home_qpos
+    mujoco.mj_forward(world.model, data)
+    before = data.xpos.copy()
+    for _ in range(round(1.0 / world.model.opt.timestep)):
+        mujoco.mj_step(world.model, data)
+    assert world.movable.keys() <= scene.entities.keys()
+    for thing, body in world.movable.items():
+        assert np.linalg.norm(data.xpos[body] - before[body]) < _STILL, thing
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_no_object_is_one_that_constants_were_fitted_on(name):
+    """By kind, size and mass of what is carried."""
+    bundled = {_shape(scene, thing) for scene in map(suite.scene, gp.scenes()) for thing in scene.notes.objects}
+    scene = suite.scene(name)
+    for thing in scene.notes.objects:
+        assert _shape(scene, thing) not in bundled
+
+
+def _shape(scene: gp.Scene, thing: str) -> tuple[object, ...]:
+    model = scene.model
+    body = model.body(scene.notes.objects[thing].body).id
+    geoms = np.flatnonzero(model.geom_bodyid == body)
+    sizes = [(int(model.geom_type[g]), *model.geom_size[g].round(4).tolist()) for g in geoms]
+    return (*sizes, round(float(model.body_mass[body]), 3))
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_ends_are_free_and_there_is_a_way(name):
+    task = suite.task(name)
+    assert task.object_name is not None
+    for q in (task.start, *task.goal):
+        assert float(gp.clearance(task.scene, q)) >= _ROOM
+    assert gp.plan(task.start, task.goal, task.scene, w=0.0, speed=0.5, time_limit=2.0).trajectory is not None

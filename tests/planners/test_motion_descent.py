@@ -1,0 +1,198 @@
+"""Descents of whole motions: splines, speed profiles and gradients against independent ones, and what they gain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import graceful_plan as gp
+from graceful_plan.core import _native
+from graceful_plan.costs.objective import Objective, SceneObjective, search_paces
+from graceful_plan.path import Path
+from graceful_plan.planners.motion_descent import COARSE, FINE, MIDDLE, TIME_PRICE, Effort, MotionDescents, Start
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.timing.retiming import timed
+from graceful_plan.timing.spline import Spline
+
+MODELS = {"footprint": gp.ImpactCost(), "aabb": gp.ImpactCost(model="aabb")}
+
+
+@pytest.fixture(scope="module", params=["tabletop/green_to_blue", "desk/water_plant"])
+def task(request: pytest.FixtureRequest) -> gp.Task:
+    scene, name = request.param.split("/")
+    return gp.load_scene(scene).tasks[name]
+
+
+def bound(task: gp.Task, w: float = 1.0, impact: gp.ImpactCost = MODELS["footprint"]) -> SceneObjective:
+    return Objective(w=w, impact=impact).bind(task.scene, search_paces())
+
+
+def bent(task: gp.Task, size: float = 0.3, seed: int = 0) -> Path:
+    """A path that is not straight, from the task's start to its goal."""
+    rng = np.random.default_rng(seed)
+    start, goal = np.asarray(task.start), np.atleast_2d(task.goal)[0]
+    s = np.linspace(0.0, 1.0, 9)[:, None]
+    lower, upper = task.scene.limits.position.T
+    q = start + s * (goal - start) + size * 4.0 * s * (1.0 - s) * rng.normal(size=len(start))
+    return Path(np.clip(q, lower, upper))
+
+
+def descent(objective: SceneObjective, path: Path, **settings: float) -> _native.MotionDescent:
+    problem = SceneProblem(kernels=objective.kernels, start=path.q[0], goals=path.q[-1:], margin=0.002)
+    limits = objective.scene.limits
+    given = {"controls": 12, "density": 6, "time_price": TIME_PRICE, **settings}
+    return _native.MotionDescent(
+        native_space(problem, objective),
+        path=path.q,
+        velocity=limits.velocity,
+        acceleration=limits.acceleration,
+        **given,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def test_splines_are_those_of_scipy() -> None:
+    from scipy.interpolate import BSpline
+
+    rng = np.random.default_rng(3)
+    for n in (4, 5, 6, 7, 13):
+        controls = rng.normal(size=(n, 3))
+        spans = n - 3
+        knots = np.clip(np.arange(n + 4) - 3.0, 0.0, spans)
+        u = np.concatenate([np.linspace(0.0, spans, 57), np.arange(spans + 1.0)])
+        curve = BSpline(knots, controls, 3)
+        expected = [curve(u), curve.derivative(1)(u), curve.derivative(2)(u)]
+        np.testing.assert_allclose(_native.spline(controls, u), expected, atol=1e-10)
+
+
+def test_a_spline_begins_and_ends_at_its_control_points() -> None:
+    controls = np.random.default_rng(0).normal(size=(8, 7))
+    grid = Spline(controls).grid(1)
+    np.testing.assert_array_equal(grid.q[[0, -1]], controls[[0, -1]])
+    assert np.all(grid.q >= controls.min(axis=0) - 1e-12) and np.all(grid.q <= controls.max(axis=0) + 1e-12)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("w", [0.0, 1.0])
+def test_gradients_are_those_of_differences(task: gp.Task, model: str, w: float) -> None:
+    """All of it: length, impact, times through the speed profile, clearance. Kinks are rare enough to be left out."""
+    if model == "aabb" and w > 0.0:
+        pytest.skip("Algorithm 1 has jumps")
+    objective = bound(task, w, MODELS[model])
+    path = bent(task)
+    one = descent(objective, path)
+    x = one.controls[1:-1].ravel()
+    gradient = one.energy(x)[1].ravel()
+    step = 1e-6
+    differences = np.array(
+        [(one.energy(x + step * e)[0] - one.energy(x - step * e)[0]) / (2.0 * step) for e in np.eye(len(x))]
+    )
+    error = np.abs(gradient - differences) / np.maximum(1.0, np.abs(differences).max())
+    assert np.mean(error < 1e-4) > 0.9, np.sort(error)[-8:]
+    cosine = gradient @ differences / np.linalg.norm(gradient) / np.linalg.norm(differences)
+    assert cosine > 0.999
+
+
+def test_what_a_descent_knows_is_what_the_trajectory_costs(task: gp.Task) -> None:
+    objective = bound(task)
+    one = descent(objective, bent(task, 0.0), controls=16)
+    one.run(100, np.inf)
+    trajectory = timed(Spline(one.controls), task.scene.limits, task.scene.joints)
+    cost = gp.evaluate(trajectory, task.scene, Objective(w=1.0))
+    if objective.kernels.free(trajectory.sample(0.01).q).all():  # nothing is charged for being too close
+        assert one.value == pytest.approx(cost.total + TIME_PRICE * trajectory.duration, rel=0.03)
+    assert one.duration == pytest.approx(trajectory.duration, rel=0.03)
+
+
+def test_descents_lower_j_and_stay_within_limits(task: gp.Task) -> None:
+    objective = bound(task)
+    one = descent(objective, bent(task))
+    before = one.value
+    one.run(200, np.inf)
+    assert one.value < 0.8 * before
+    lower, upper = task.scene.limits.position.T
+    assert np.all((one.controls >= lower) & (one.controls <= upper))
+
+
+def test_without_weight_a_bent_path_becomes_straight() -> None:
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    one = descent(bound(task, 0.0), bent(task, 0.2))
+    one.run(300, np.inf)
+    ends = one.controls[[0, -1]]
+    assert np.linalg.norm(np.diff(one.controls, axis=0), axis=1).sum() < 1.02 * np.linalg.norm(ends[1] - ends[0])
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10**6), speed=st.floats(0.1, 1.0))
+def test_edges_that_count_by_time_count_as_in_numpy(seed: int, speed: float) -> None:
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    objective = Objective().bind(task.scene, search_paces(speed))
+    rng = np.random.default_rng(seed)
+    q0 = np.asarray(task.start) + 0.3 * rng.normal(size=(4, 7))
+    q1 = q0 + 0.3 * rng.normal(size=(4, 7))
+    generic = Objective(motion=gp.JointLength((1.0,) * 7)).bind(task.scene, search_paces(speed))  # has no kernel
+    assert objective.kernel is not None and generic.kernel is None
+    np.testing.assert_allclose(objective.edges(q0, q1), generic.edges(q0, q1), rtol=0.02, atol=1e-6)
+
+
+def test_gradients_of_edges_that_count_by_time() -> None:
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    objective = bound(task)
+    rng = np.random.default_rng(5)
+    q0 = np.asarray(task.start) + 0.2 * rng.normal(size=(6, 7))
+    q1 = q0 + 0.2 * rng.normal(size=(6, 7))
+    found = objective.edge_gradients(q0, q1)
+    assert found is not None
+    step = 1e-6
+    for j in range(7):
+        e = np.eye(7)[j] * step
+        for k, (a, b) in enumerate((((q0 - e, q1), (q0 + e, q1)), ((q0, q1 - e), (q0, q1 + e)))):
+            before, after = (objective.edges(*ends) @ [1.0, objective.w] for ends in (a, b))
+            np.testing.assert_allclose(found[1 + k][:, j], (after - before) / (2.0 * step), rtol=2e-3, atol=2e-4)
+
+
+def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
+    objective = bound(task)
+    result = gp.plan(task.start, task.goal, task.scene, iterations=300)
+    assert result.path is not None
+    path = Path(result.path.q[::4] if len(result.path.q) % 4 == 1 else result.path.q)
+    problem = SceneProblem(kernels=objective.kernels, start=path.q[0], goals=path.q[-1:], margin=0.002)
+    asked: list[Spline] = []
+
+    def is_free(curve: Spline, start: Start) -> bool:
+        asked.append(curve)
+        return len(asked) % 2 == 0  # the first answer makes the descent press harder
+
+    limits = task.scene.limits
+    descents = MotionDescents(native_space(problem, objective), limits.velocity, limits.acceleration, is_free)
+    rng = np.random.default_rng(0)
+    landed = descents.run([Start(path)], Budget(iterations=1), rng)
+    assert landed and [one.value for one in landed] == sorted(one.value for one in landed)
+    assert len(asked) >= 2 * len(landed)
+    coarse = replace(descents, effort=Effort(fine=0, hops=0)).run([Start(path)], Budget(iterations=1), rng)
+    finely = replace(descents, effort=Effort(screens=False, fine=1, hops=0)).run(
+        [Start(path)], Budget(iterations=1), rng
+    )
+    assert {len(one.curve.controls) for one in coarse} <= {COARSE.controls, MIDDLE.controls}
+    assert [len(one.curve.controls) for one in finely] == [FINE.controls]
+    assert not descents.run([], Budget(iterations=1), rng)
+    assert not descents.run([Start(path)], Budget(time_limit=0.0), rng)
+
+
+def test_speed_profiles_without_limits_in_the_way_are_those_of_bang_bang() -> None:
+    """One joint from rest to rest over a length: 2 sqrt(length / a), or with a plateau at the velocity limit."""
+    n, length = 400, 2.0
+    step = np.full(n, length / n)
+    slope, bend = np.ones((n, 2, 1)), np.zeros((n, 2, 1))
+    stop = np.zeros(n + 1, dtype=bool)
+    stop[[0, -1]] = True
+    for velocity, acceleration in ((10.0, 3.0), (1.0, 3.0)):
+        speed = _native.fastest(step, slope, bend, stop, np.array([velocity]), np.array([acceleration]))
+        seconds = float((2.0 * step / (speed[:-1] + speed[1:])).sum())
+        peak = min(velocity, np.sqrt(acceleration * length))
+        assert seconds == pytest.approx(peak / acceleration + length / peak, rel=1e-3)
