@@ -1,4 +1,7 @@
-"""Descents of single paths in the native core, for planners that find paths in other ways."""
+"""Descents of single paths in the native core, for planners in Python that find paths in other ways.
+
+`Anytime` does the same within the core, with many paths at once: stages and limits are those of `search/challenger.hpp`.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,12 @@ from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.path import Path
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
+from graceful_plan.planners.scene_problem import SceneProblem
 
 Array = np.ndarray
 
 _COARSE, _FINE = (14, 0.15), (40, 0.05)
-"""Pieces of the path and distance between samples of the impact [rad], as in `Auto`'s descents."""
+"""Pieces of the path and distance between samples of the impact [rad]."""
 _COARSE_STEPS, _FINE_STEPS, _MORE_STEPS = 30, 100, 30
 """Evaluations while coarse, while fine, and each time that the path was not free in the end."""
 _HARDENINGS = 2
@@ -25,7 +29,7 @@ _SLICE = 5
 _HOPELESS = 1.5
 """A coarse path that costs so many times the best one is given up."""
 _HOPELESS_FINE = (30, 1.2)
-"""The same for a fine one, after so many evaluations; as in `Auto`."""
+"""The same for a fine one, after so many evaluations."""
 
 
 @final
@@ -34,23 +38,25 @@ class NativeDescents:
 
     Args:
         questions: To problem and objective.
+        space: The same in the core, with slopes.
     """
 
-    def __init__(self, questions: Questions) -> None:
-        self._questions = questions
-        self._space = native_space(questions.problem, questions.objective)
+    def __init__(self, questions: Questions, space: _native.Space) -> None:
+        self._questions, self._space = questions, space
 
-    @property
-    def possible(self) -> bool:
-        """Whether the core knows a gradient of the objective."""
-        problem, objective = self._questions.problem, self._questions.objective
-        ends = problem.start[None], problem.goals[:1]
-        return (
-            isinstance(objective, SceneObjective) and objective.w > 0.0 and objective.edge_gradients(*ends) is not None
-        )
+    @classmethod
+    def of(cls, questions: Questions) -> NativeDescents | None:
+        """Return descents, or None if the core knows no gradient of the objective."""
+        problem, objective = questions.problem, questions.objective
+        if not (isinstance(problem, SceneProblem) and isinstance(objective, SceneObjective) and objective.w > 0.0):
+            return None
+        slopes = objective.edge_gradients(problem.start[None], problem.goals[:1])
+        return None if slopes is None else cls(questions, native_space(problem, objective))
 
     def lowered(self, path: Path, best: float) -> Path | None:
         """Return the free path that a descent from `path` ends with; None if it will not cost less than `best`.
+
+        It does not spend the budget, but ends with its time.
 
         Raises:
             Interrupted: If the time is over.

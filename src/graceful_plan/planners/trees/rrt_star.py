@@ -23,7 +23,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
 from graceful_plan.planners.native_descents import NativeDescents
@@ -89,8 +89,7 @@ class _StarTrees(Planner):
                 return
             questions = Questions(problem, objective, budget)
             search = _Search(self, questions, rng)
-            descents = NativeDescents(questions) if self.descend else None
-            descents = descents if descents is not None and descents.possible else None
+            descents = NativeDescents.of(questions) if self.descend else None
             best = np.inf
             while True:
                 path = search.improved()
@@ -180,31 +179,35 @@ class _Search:
             Interrupted: If the time is over.
             CostError: If the objective breaks its contract.
         """
+        q, near = self._steps(n)
+        tree = self.tree
+        free = self.questions.edges_free(tree.q[near], q)
+        d = tree.q.shape[1]
+        k = int(np.ceil(self.settings.rewire_factor * np.e * (1.0 + 1.0 / d) * np.log(len(tree) + 1.0)))
+        self.wiring.join(q[free], near[free], k, self.way)
+
+    def _steps(self, n: int) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
+        """Step from the tree towards n samples; return where to, as far as that is new, and from which nodes."""
         tree, settings = self.tree, self.settings
         to_goal, to_path = self.rng.uniform(size=(2, n)) < [[settings.goal_bias], [settings.path_bias]]
         beside = to_path & (len(self.way) > 0)
         target = np.where(beside[:, None], self._beside(n), self._anywhere(n))
         near = tree.nearest(target)
-        for i in np.flatnonzero(to_goal & ~beside):
-            near[i], target[i] = self._towards_goal(near[i], target[i])
+        self._aim_at_goals(np.flatnonzero(to_goal & ~beside), near, target)
         gap = target - tree.q[near]
         distance = np.linalg.norm(gap, axis=1)
         q = tree.q[near] + np.minimum(1.0, self.reach / np.maximum(distance, _TINY))[:, None] * gap
         q = np.clip(q, self.problem.lower, self.problem.upper)
         new = (distance > _TINY) & self._is_new(q)
-        q, near = q[new], near[new]
-        free = self.questions.edges_free(tree.q[near], q)
-        d = tree.q.shape[1]
-        k = int(np.ceil(settings.rewire_factor * np.e * (1.0 + 1.0 / d) * np.log(len(tree) + 1.0)))
-        self.wiring.join(q[free], near[free], k, self.way)
+        return q[new], near[new]
 
     def _try_straight(self) -> None:
         """Lead goals straight from the start."""
         tree, goals = self.tree, self.tree.goals
-        start = np.broadcast_to(tree.q[0], tree.q[goals].shape)
-        free = goals[self.questions.edges_free(start, tree.q[goals])]
-        for goal, step in zip(free, self.questions.edge_costs(start[: len(free)], tree.q[free]), strict=True):
-            tree.lead(int(goal), 0, float(step))
+        free = goals[self.questions.edges_free(tree.q[np.zeros_like(goals)], tree.q[goals])]
+        steps = self.questions.edge_costs(tree.q[np.zeros_like(free)], tree.q[free])
+        for goal, step in zip(free.tolist(), steps.tolist(), strict=True):
+            tree.lead(goal, 0, step)
 
     def _anywhere(self, n: int) -> Float[Array, "n nq"]:
         lower, upper = self.problem.lower, self.problem.upper
@@ -228,11 +231,14 @@ class _Search:
         impact = self.questions.state_costs(q).reshape(-1, _TRIED)
         return groups[np.arange(len(groups)), impact.argmin(axis=1)]
 
-    def _towards_goal(self, near: int, target: Array) -> tuple[int, Array]:
-        goal = int(self.rng.integers(len(self.problem.goals)))
+    def _aim_at_goals(self, samples: Int[Array, " m"], near: Int[Array, " n"], target: Float[Array, "n nq"]) -> None:
+        """Let some samples be a goal, each stepped towards from the nearest node from which that was not tried."""
         self.untried.learn(self.tree.q)
-        found = self.untried.take(goal)
-        return (near, target) if found is None else (found[0], self.problem.goals[goal])
+        for i in samples:
+            goal = int(self.rng.integers(len(self.problem.goals)))
+            found = self.untried.take(goal)
+            if found is not None:
+                near[i], target[i] = found[0], self.problem.goals[goal]
 
     def _is_new(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which are not goals: those are in the tree from the beginning."""
