@@ -1,6 +1,6 @@
 """Descents of single paths in the native core, for planners in Python that find paths in other ways.
 
-`Anytime` does the same within the core, with many paths at once: stages and limits are those of `search/challenger.hpp`.
+`Anytime` does the same within the core, with many paths at once: stages and limits are those of its challengers.
 """
 
 from __future__ import annotations

@@ -40,10 +40,9 @@ Array = np.ndarray
 
 _REACH = 0.08
 """Longest extension by default, as a share of the extent of the space: that of RRT-Connect."""
-_TRIED = 2
-"""Samples of which the one with the least state cost is kept."""
 _ASIDE = (-2.0, -0.3)
-"""Powers of ten between which samples lie beside the best path, as shares of its length."""
+"""Powers of ten between which samples lie beside the best path, as shares of its length: [Akgun2011] has one distance,
+which suits one width of the valley."""
 _PROVEN = 1e-8
 """Relative gap to the least possible cost at which a path is the best there is."""
 _GAIN = 1e-9
@@ -210,11 +209,10 @@ class _Search:
             tree.lead(goal, 0, step)
 
     def _anywhere(self, n: int) -> Float[Array, "n nq"]:
-        lower, upper = self.problem.lower, self.problem.upper
-        best = self.best if self.settings.informed else np.inf
-        q = self.sampler.draw(n * _TRIED, best, self.rng)
-        missing = n * _TRIED - len(q)  # where better paths can be is too thin to be hit
-        return self._mildest(np.concatenate([q, self.rng.uniform(lower, upper, (missing, len(lower)))]))
+        """Draw where a better path can be if the search is informed; else, or if that is too thin, within the limits."""
+        q = self.sampler.draw(n, self.best if self.settings.informed else np.inf, self.rng)
+        rest = self.rng.uniform(self.problem.lower, self.problem.upper, (n - len(q), q.shape[1]))
+        return np.concatenate([q, rest])
 
     def _beside(self, n: int) -> Float[Array, "n nq"]:
         """Draw around points of the best path."""
@@ -224,12 +222,6 @@ class _Search:
         _, on_path = line.at(rng.uniform(size=n) * line.arc[-1])
         aside = line.arc[-1] * 10.0 ** rng.uniform(*_ASIDE, (n, 1)) / np.sqrt(on_path.shape[1])
         return np.clip(on_path + aside * rng.normal(size=on_path.shape), self.problem.lower, self.problem.upper)
-
-    def _mildest(self, q: Float[Array, "m nq"]) -> Float[Array, "n nq"]:
-        """Of every few configurations keep the one with the least state cost."""
-        groups = q.reshape(-1, _TRIED, q.shape[1])
-        impact = self.questions.state_costs(q).reshape(-1, _TRIED)
-        return groups[np.arange(len(groups)), impact.argmin(axis=1)]
 
     def _aim_at_goals(self, samples: Int[Array, " m"], near: Int[Array, " n"], target: Float[Array, "n nq"]) -> None:
         """Let some samples be a goal, each stepped towards from the nearest node from which that was not tried."""

@@ -31,8 +31,8 @@ class StarTree:
         self, root: Float[Array, " nq"], goals: Float[Array, "goal nq"], impact: Float[Array, " node"]
     ) -> None:
         self._q = np.zeros((_FIRST_CAPACITY, len(root)))
-        self._cost, self._step, self._impact = np.zeros((3, _FIRST_CAPACITY))
-        self._parent = np.full(_FIRST_CAPACITY, -1)
+        self._cost, self._impact = np.zeros((2, _FIRST_CAPACITY))
+        self._parent = np.zeros(_FIRST_CAPACITY, dtype=int)
         self._children: list[list[int]] = []
         self._n = 0
         self.goals = np.arange(1, 1 + len(goals))
@@ -72,7 +72,7 @@ class StarTree:
     ) -> Int[Array, " n"]:
         """Append nodes, each reached from its parent by an edge of cost `step`; return their numbers."""
         nodes = self._append(q, self.cost[parent] + step, impact)
-        self._parent[nodes], self._step[nodes] = parent, step
+        self._parent[nodes] = parent
         for node, before in zip(nodes.tolist(), parent.tolist(), strict=True):
             self._children[before].append(node)
         return nodes
@@ -90,7 +90,7 @@ class StarTree:
             followers += self._children[follower]
         self._cost[followers] -= gain
         self._cost[node] = cost
-        self._parent[node], self._step[node] = parent, step
+        self._parent[node] = parent
         self._children[parent].append(node)
         return True
 
@@ -119,13 +119,12 @@ class StarTree:
 
     def _append(self, q: Array, cost: Array, impact: Array) -> Int[Array, " n"]:
         while self._n + len(q) > len(self._q):
-            self._q = np.concatenate([self._q, np.zeros_like(self._q)])
-            self._cost, self._step, self._impact, self._parent = (
-                np.concatenate([values, np.full_like(values, -1)])
-                for values in (self._cost, self._step, self._impact, self._parent)
+            self._q, self._cost, self._impact, self._parent = (
+                np.concatenate([values, np.zeros_like(values)])
+                for values in (self._q, self._cost, self._impact, self._parent)
             )
         nodes = np.arange(self._n, self._n + len(q))
-        self._q[nodes], self._cost[nodes], self._impact[nodes] = q, cost, impact
+        self._q[nodes], self._cost[nodes], self._impact[nodes], self._parent[nodes] = q, cost, impact, -1
         self._children += [[] for _ in nodes]
         self._n += len(q)
         return nodes

@@ -18,8 +18,6 @@ from graceful_plan.planners.trees.star_tree import StarTree
 
 Array = np.ndarray
 
-_TRUST = 0.5
-"""Share of what is expected on top of what is certain that counts as if it were certain."""
 _PROBES = 64
 _TINY = 1e-300
 
@@ -27,7 +25,7 @@ _TINY = 1e-300
 @final
 @dataclass(frozen=True)
 class EdgeGuess:
-    """What an edge may cost, before it is charged.
+    """What an edge may cost, before it is charged: `bound` is certain, the rest is to try the most promising first.
 
     Args:
         bound: No edge costs less per length; 0 if nothing is known.
@@ -63,10 +61,6 @@ class EdgeGuess:
         """Cost of edges by their lengths, and the means of the state costs at their ends."""
         return (self.motion + self.impact * impact) * length
 
-    def least(self, length: Float[Array, "..."], expected: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Cost that edges are taken to have at least."""
-        return (1.0 - _TRUST) * self.bound * length + _TRUST * expected
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -77,7 +71,9 @@ class _Edges:
     own: Bool[Array, "n c"]
     """False for a node that is there twice."""
     expected: Float[Array, "n c"]
+    """Cost that is likely."""
     least: Float[Array, "n c"]
+    """Cost that is certain."""
     free: Int[Array, "n c"]
 
     def __getitem__(self, rows: Int[Array, " m"]) -> _Edges:
@@ -138,7 +134,7 @@ class Wiring:
         length = np.linalg.norm(tree.q[node] - q[:, None], axis=2)
         expected = self.guess.expected(length, 0.5 * (tree.impact[node] + impact[:, None]))
         free = np.where(node == near[:, None], 1, -1)
-        return _Edges(node, own, expected, self.guess.least(length, expected), free)
+        return _Edges(node, own, expected, self.guess.bound * length, free)
 
     def _cheapest(self, q: Array, edges: _Edges) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
         """Parent of each configuration and what the edge from it costs, infinite if there is no parent."""
