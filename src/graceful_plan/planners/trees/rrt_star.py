@@ -209,7 +209,7 @@ class _Search:
             tree.lead(goal, 0, step)
 
     def _anywhere(self, n: int) -> Float[Array, "n nq"]:
-        """Draw where a better path can be if the search is informed; else, or if that is too thin, within the limits."""
+        """Draw within the limits, or, if the search is informed and can hit that, where a better path can be."""
         q = self.sampler.draw(n, self.best if self.settings.informed else np.inf, self.rng)
         rest = self.rng.uniform(self.problem.lower, self.problem.upper, (n - len(q), q.shape[1]))
         return np.concatenate([q, rest])
