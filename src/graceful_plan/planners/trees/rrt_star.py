@@ -87,7 +87,7 @@ class _StarTrees(Planner):
             if budget.exhausted:
                 return
             questions = Questions(problem, objective, budget)
-            search = _Search(self, questions, rng)
+            search = _StarSearch(self, questions, rng)
             descents = NativeDescents.of(questions) if self.descend else None
             best = np.inf
             while True:
@@ -132,7 +132,7 @@ def _with_lower(path: Path | None, descents: NativeDescents | None, best: float)
 
 
 @final
-class _Search:
+class _StarSearch:
     """A tree that grows towards samples.
 
     Args:
