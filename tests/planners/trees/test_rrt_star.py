@@ -134,7 +134,7 @@ def test_no_more_samples_are_taken_than_granted(planner: Planner, iterations: in
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("range", 0.0), ("goal_bias", 1.1), ("path_bias", -0.1), ("rewire_factor", np.inf), ("batch", 0)],
+    [("range", 0.0), ("goal_bias", 1.1), ("trust", -1.0), ("path_bias", -0.1), ("rewire_factor", np.inf), ("batch", 0)],
 )
 @pytest.mark.parametrize("planner", [RRTStar, InformedRRTStar])
 def test_settings_are_checked(planner: type[Planner], name: str, value: float) -> None:

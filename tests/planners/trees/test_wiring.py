@@ -51,13 +51,16 @@ class _Asked(Problem):
         return self.inner.edges_free(q0, q1)
 
 
-def _wiring(objective: BoundObjective, bounded: bool = False, problem: Problem | None = None) -> Wiring:
+def _wiring(
+    objective: BoundObjective, bounded: bool = False, problem: Problem | None = None, trust: float = 0.0
+) -> Wiring:
     problem = problem or disc().problem
     questions = Questions(problem, objective, Budget())
     bound = learn_objective(objective, problem).length_bound
     ends = np.concatenate([problem.start[None], problem.goals])
     tree = StarTree(problem.start, problem.goals, questions.state_costs(ends))
-    return Wiring(tree, questions, EdgeGuess.learn(questions, bound, 0.5), bounded=bounded)
+    guess = EdgeGuess.learn(questions, bound=bound, reach=0.5, trust=trust)
+    return Wiring(tree, questions, guess, bounded=bounded)
 
 
 def _samples(wiring: Wiring, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -84,9 +87,9 @@ def _edge_costs(wiring: Wiring, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
 
 @_OBJECTIVES
 @pytest.mark.parametrize("bounded", [False, True])
-@pytest.mark.parametrize("seed", range(3))
-def test_costs_are_those_of_free_paths_along_the_tree(objective: BoundObjective, bounded: bool, seed: int) -> None:
-    wiring = _grown(_wiring(objective, bounded), np.random.default_rng(seed))
+@pytest.mark.parametrize("trust", [0.0, 0.5, 1.0])
+def test_costs_are_those_of_free_paths_along_the_tree(objective: BoundObjective, bounded: bool, trust: float) -> None:
+    wiring = _grown(_wiring(objective, bounded, trust=trust), np.random.default_rng(0))
     tree, problem = wiring.tree, wiring.questions.problem
     assert len(tree) > 10
     for node in np.flatnonzero(np.isfinite(tree.cost)):
@@ -177,5 +180,22 @@ def test_more_nodes_to_be_led_over_a_new_one() -> None:
 def test_guesses_are_exact_where_the_impact_is_the_same_everywhere() -> None:
     problem = disc().problem
     objective = DensityObjective(density=lambda q: np.full(len(q), 2.0), w=1.5)
-    guess = EdgeGuess.learn(Questions(problem, objective, Budget()), 1.0, 0.5)
+    guess = EdgeGuess.learn(Questions(problem, objective, Budget()), bound=1.0, reach=0.5, trust=0.5)
     np.testing.assert_allclose(guess.expected(np.array([0.7, 0.1]), np.full(2, 1.5 * 2.0)), [0.7 * 4.0, 0.1 * 4.0])
+    length = np.array([0.7])
+    np.testing.assert_allclose(guess.least(length, guess.expected(length, np.full(1, 3.0))), 0.7 * (0.5 + 0.5 * 4.0))
+
+
+def test_trust_leaves_out_edges() -> None:
+    """The same configurations are joined to the same nodes with fewer questions."""
+    asked = []
+    for trust in (0.0, 0.5):
+        problem = _Asked(disc().problem)
+        wiring = _wiring(_HILL, problem=problem, trust=trust)
+        _grown(wiring, np.random.default_rng(0), batches=1)
+        problem.edges.clear()
+        q = np.array([[-2.0, 0.3], [-1.5, 0.8], [-1.0, 1.5]])
+        near = wiring.tree.nearest(q)
+        wiring.join(q, near, 8, _NO_WAY)
+        asked.append(len(problem.edges))
+    assert asked[1] < asked[0]

@@ -66,6 +66,8 @@ class _StarTrees(Planner):
     """Share of samples that lie beside the best path of the tree, once there is one."""
     rewire_factor: float = 1.1
     """Multiplies e (1 + 1/d) ln n neighbours."""
+    trust: float = 0.5
+    """How far guesses decide which edges are not worth checking and charging; with 0, certain bounds alone do."""
     batch: int = 32
     """Most samples at once; a small tree takes a quarter of its nodes."""
     descend: bool = True
@@ -74,7 +76,7 @@ class _StarTrees(Planner):
     def __post_init__(self) -> None:
         for name in ("range", "rewire_factor"):
             positive(name, getattr(self, name))
-        for name in ("goal_bias", "path_bias"):
+        for name in ("goal_bias", "path_bias", "trust"):
             fraction(name, getattr(self, name))
         count("batch", self.batch)
 
@@ -149,7 +151,7 @@ class _StarSearch:
         self.sampler = InformedSampler(problem, bound)
         ends = np.concatenate([problem.start[None], problem.goals])
         self.tree = StarTree(problem.start, problem.goals, questions.state_costs(ends))
-        guess = EdgeGuess.learn(questions, bound, self.reach)
+        guess = EdgeGuess.learn(questions, bound=bound, reach=self.reach, trust=settings.trust)
         self.wiring = Wiring(self.tree, questions, guess, bounded=settings.informed)
         self.untried = Untried(problem.goals)
         self.best = np.inf

@@ -25,20 +25,23 @@ _TINY = 1e-300
 @final
 @dataclass(frozen=True)
 class EdgeGuess:
-    """What an edge may cost, before it is charged: `bound` is certain, the rest is to try the most promising first.
+    """What an edge may cost, before it is charged.
 
     Args:
         bound: No edge costs less per length; 0 if nothing is known.
         motion: Mean motion cost per length.
         impact: Mean cost of the impact per length, relative to the mean of the state costs at both ends.
+        trust: Share of what is expected on top of the bound that counts as if it were certain. With 0 no edge is left
+            out that could be better; 0.5 leaves out those of which even half of what is expected is too much.
     """
 
     bound: float
     motion: float
     impact: float
+    trust: float
 
     @classmethod
-    def learn(cls, questions: Questions, bound: float, reach: float) -> EdgeGuess:
+    def learn(cls, questions: Questions, *, bound: float, reach: float, trust: float) -> EdgeGuess:
         """Ask about edges of up to `reach` [rad] anywhere within the limits.
 
         Raises:
@@ -55,11 +58,16 @@ class EdgeGuess:
             bound=bound,
             motion=float(cost[:, 0].sum() / max(length.sum(), _TINY)),
             impact=float(objective.w * cost[:, 1].sum() / max(float((ends * length).sum()), _TINY)),
+            trust=trust,
         )
 
     def expected(self, length: Float[Array, "..."], impact: Float[Array, "..."]) -> Float[Array, "..."]:
         """Cost of edges by their lengths, and the means of the state costs at their ends."""
         return (self.motion + self.impact * impact) * length
+
+    def least(self, length: Float[Array, "..."], expected: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Cost that edges are taken to have at least."""
+        return (1.0 - self.trust) * self.bound * length + self.trust * expected
 
 
 @final
@@ -71,9 +79,7 @@ class _Edges:
     own: Bool[Array, "n c"]
     """False for a node that is there twice."""
     expected: Float[Array, "n c"]
-    """Cost that is likely."""
     least: Float[Array, "n c"]
-    """Cost that is certain."""
     free: Int[Array, "n c"]
 
     def __getitem__(self, rows: Int[Array, " m"]) -> _Edges:
@@ -134,7 +140,7 @@ class Wiring:
         length = np.linalg.norm(tree.q[node] - q[:, None], axis=2)
         expected = self.guess.expected(length, 0.5 * (tree.impact[node] + impact[:, None]))
         free = np.where(node == near[:, None], 1, -1)
-        return _Edges(node, own, expected, self.guess.bound * length, free)
+        return _Edges(node, own, expected, self.guess.least(length, expected), free)
 
     def _cheapest(self, q: Array, edges: _Edges) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
         """Parent of each configuration and what the edge from it costs, infinite if there is no parent."""
