@@ -16,9 +16,10 @@ from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.scene_problem import SceneProblem
 
 
-@pytest.fixture(scope="module")
-def task() -> gp.Task:
-    return gp.load_scene("tabletop_l3").tasks["green_to_blue"]
+@pytest.fixture(scope="module", params=["tabletop/right_to_left", "tabletop_l3/green_to_blue"])
+def task(request: pytest.FixtureRequest) -> gp.Task:
+    scene, name = request.param.split("/")
+    return gp.load_scene(scene).tasks[name]
 
 
 @pytest.fixture(scope="module")

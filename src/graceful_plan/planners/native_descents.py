@@ -19,11 +19,12 @@ from graceful_plan.planners.scene_problem import SceneProblem
 
 Array = np.ndarray
 
-_COARSE, _FINE = (14, 0.15), (40, 0.05)
-"""Pieces of the path and distance between samples of the impact [rad]."""
+_COARSE, _FINE, _LAST = (14, 0.15), (40, 0.05), (100, 0.04)
+"""Pieces of the path and distance between samples of the impact [rad]; the last where the fine path is not free."""
 _COARSE_STEPS, _FINE_STEPS, _MORE_STEPS = 30, 100, 30
 """Evaluations while coarse, while fine, and each time that the path was not free in the end."""
 _HARDENINGS = 2
+"""How often a path that is still not free is pressed harder away from what is in the way."""
 _SLICE = 5
 """Evaluations between two looks at the clock: 1 to 10 ms."""
 _HOPELESS = 1.5
@@ -61,21 +62,30 @@ class NativeDescents:
         Raises:
             Interrupted: If the time is over.
         """
-        q = np.ascontiguousarray(path.q)
-        descent = self._run(_native.Descent(self._space, q, *_COARSE), _COARSE_STEPS)
+        descent = self._run(self._descent(path.q, _COARSE), _COARSE_STEPS)
         if descent.value > _HOPELESS * best:
             return None
         steps, factor = _HOPELESS_FINE
-        descent = self._run(_native.Descent(self._space, np.ascontiguousarray(descent.path), *_FINE), steps)
+        descent = self._run(self._descent(descent.path, _FINE), steps)
         if descent.value > factor * best:
             return None
         self._run(descent, _FINE_STEPS - steps)
-        for _ in range(_HARDENINGS):
-            if self._is_free(descent.path):
-                break
-            descent.harden()
-            self._run(descent, _MORE_STEPS)
-        return Path(descent.path).without_duplicates() if self._is_free(descent.path) else None
+        return self._landed(descent.path)
+
+    def _landed(self, q: Float[Array, "vertex nq"]) -> Path | None:
+        """Return a path as it is if it is free, else one near it that keeps away with more vertices, or None."""
+        if not self._is_free(q):
+            descent = self._run(self._descent(q, _LAST), _MORE_STEPS)
+            for _ in range(_HARDENINGS):
+                if self._is_free(descent.path):
+                    break
+                descent.harden()
+                self._run(descent, _MORE_STEPS)
+            q = descent.path
+        return Path(q).without_duplicates() if self._is_free(q) else None
+
+    def _descent(self, q: Float[Array, "vertex nq"], fineness: tuple[int, float]) -> _native.Descent:
+        return _native.Descent(self._space, np.ascontiguousarray(q), *fineness)
 
     def _run(self, descent: _native.Descent, steps: int) -> _native.Descent:
         for _ in range(0, steps, _SLICE):
