@@ -33,7 +33,8 @@ from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.query.motions import along, motions
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import ALL, KEPT, Callback, Search, search
+from graceful_plan.query.restarts import search_for_motions
+from graceful_plan.query.search import KEPT, Callback, Search
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
@@ -42,8 +43,6 @@ Array = np.ndarray
 
 _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
-_SEARCHING = 0.6
-"""Share of the time for searching; the rest is for descents of the best paths as motions."""
 _RESERVE = 0.1
 """Seconds kept for timing and verification, at most a quarter of the time limit: they take 0.03 to 0.08."""
 _TIMING_RESERVE = RESERVE + 0.2
@@ -136,9 +135,10 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         )
         known = known_motions(request, problem, ends, budget, rng)
         asked = replace(request, planner=beginning_with(known, request.planner))
-        found = _searched(asked, problem, ends, budget, rng)
+        known_is_enough = bool(known) and request.preference is None and request.objective.descended() is not None
+        found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(found.paths, request, ends, problem, (budget, rng), known, hops=not found.stopped)
+        candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
         judged = first_verified(candidates, request)
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:
@@ -149,7 +149,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
                 _solved(judged, found, request, budget, stats), goal_index=ends.goal_index[judged.motion.arrival]
             )
         refused = refused or judged
-        if budget.exhausted or found.stopped or not (found.paths or found.refused):
+        if budget.exhausted or found.stopped or not (found.paths or found.refused or known):
             break
     return _failed(found, refused, why_not, budget, stats)
 
@@ -160,8 +160,7 @@ def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budge
         return request.preference.search(request.planner, problem, budget, rng, request.callback)
     if request.objective.scene.moving:
         return search_among_moving(request, problem, ends, budget, rng)
-    share = 1.0 if request.objective.descended() is None else _SEARCHING
-    return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL, share=share)
+    return search_for_motions(request, problem, budget, rng)
 
 
 def _solved(judged: Judged, found: Search, request: Request, budget: Budget, stats: dict[str, float]) -> PlanResult:

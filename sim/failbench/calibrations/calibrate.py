@@ -50,8 +50,21 @@ class Calibration(ABC):
         document = self.to_document()
         compact = {key: value for key, value in document.items() if key not in self.ONE_A_LINE}
         long = {key: document[key] for key in self.ONE_A_LINE}
-        text = self.ABOUT + _HEAD + yaml.safe_dump(compact, sort_keys=False, default_flow_style=None, width=120)
-        return text + (yaml.safe_dump(long, sort_keys=False, default_flow_style=False) if long else "")
+        text = self.ABOUT + _HEAD + _dumped(compact, default_flow_style=None, width=120)
+        return text + (_dumped(long, default_flow_style=False) if long else "")
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes what is in two places twice: models refuse aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Return that there are to be none."""
+        del data
+        return True
+
+
+def _dumped(document: Mapping[str, Any], **style: Any) -> str:
+    return yaml.dump(document, Dumper=_Plain, sort_keys=False, **style)
 
 
 class Fit(Protocol):

@@ -103,12 +103,16 @@ def _via(scene: Scene, start: Array, goal: Array, rng: np.random.Generator) -> F
 
 KINDS = (
     MotionKind(way="rrt_connect", speed=0.6),
-    MotionKind(way="anytime", w=0.5, speed=0.4),
+    MotionKind(way="auto", w=0.1, speed=0.6, iterations=300),
+    MotionKind(way="auto", w=0.3, speed=0.5, iterations=300),
+    MotionKind(way="auto", w=1.0, speed=0.8, iterations=300),
     MotionKind(way="via", speed=0.3),
     MotionKind(way="via", speed=0.7),
     MotionKind(way="via", speed=1.0),
 )
-"""Motions along which a model of failures is fitted and judged: planned with regard for failures, without, and not."""
+"""Motions along which a model of failures is fitted and judged: planned with regard for failures, without, and not.
+
+Planning seeks out what the model thinks harmless, so that its errors there are what a user suffers."""
 
 
 @dataclass(frozen=True, kw_only=True)

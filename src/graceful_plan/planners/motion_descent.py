@@ -1,8 +1,9 @@
 """Smooth motions from paths: control points of a spline descend along J of the motion as it will be executed.
 
-The work is done in the core (`search/motion_descent.hpp`), where the speed profile is part of the gradient. Descents
-from several paths go from coarse to fine, side by side, and only the better ones go on. What time is left is for hops:
-the best motions, bent at random, descend again.
+The work is done in the core (`search/motion_descent.hpp`), where the speed profile is part of the gradient. Which
+valley has the best motion does not show in the paths: descents from all of them and from many wide bends of them go
+from coarse to fine, side by side, and only the better ones go on. What time is left is for hops: the best motions, bent
+at random, descend again.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.resampling import evenly
 from graceful_plan.timing.spline import Spline
 
 Array = np.ndarray
@@ -32,13 +34,21 @@ _MORE = 40
 _WORKERS = 2
 _UNTIMED_HOPS = 4
 """Hops where no clock limits them."""
-_MIDDLE = 4
-"""Starts that go on after their coarse descent."""
+_GOES_ON = 3
+"""One of so many coarse descents goes on, and one of so many of these descends finely; at least `_LEAST` do."""
+_LEAST = 4
+_COARSE_SHARE = 0.3
+"""Of the time, for coarse descents."""
+_UNTIMED_BENDS = 8
+"""Wide bends where no clock limits them."""
+_MOST_BENDS = 200
 _MOST_HOPS = 2000
 _PROMISING = (1.2, 1.05)
 """After its coarse and its middle part, a hop goes on if J is no more than so many times that of the best."""
-_BEND = (0.1, 1.0)
+_HOP = (0.1, 1.0)
 """Least and greatest size of the bend of a hop [rad]."""
+_WIDE = (0.3, 1.5)
+"""The same of the bends of paths that coarse descents begin with."""
 _RESAMPLED = 64
 """Points of a curve from which the next descent begins."""
 
@@ -73,11 +83,13 @@ class Effort:
     | field   | meaning                                                                          |
     |---------|----------------------------------------------------------------------------------|
     | screens | whether starts descend coarsely first, and only the better ones go on            |
-    | fine    | how many then descend finely; with none, coarse curves are the result            |
+    | bends   | wide bends of starts that do so, too; as many as there is time for if None       |
+    | fine    | how many then descend finely, at least; with none, coarse curves are the result  |
     | hops    | how many hops at most; as many as there is time for if None                      |
     """
 
     screens: bool = True
+    bends: int | None = None
     fine: int = 2
     hops: int | None = None
 
@@ -178,15 +190,35 @@ class _Descending:
 
     def run(self) -> list[Landed]:
         effort, jobs = self.descents.effort, [(0.0, start, k) for k, start in enumerate(self.starts)]
-        for stage, kept in ((COARSE, _MIDDLE), (MIDDLE, effort.fine)) if effort.screens else ():
-            jobs = self._descended([(start, k) for _, start, k in jobs], stage)[:kept]
-        self._land(jobs[: effort.fine])
-        most = _MOST_HOPS if np.isfinite(self.budget.time_limit) else _UNTIMED_HOPS
+        fine = effort.fine
+        if effort.screens:
+            jobs = self._coarse()
+            jobs = self._descended(_plain(jobs[: max(_LEAST, len(jobs) // _GOES_ON)]), MIDDLE)
+            fine = max(fine, len(jobs) // _GOES_ON) if fine else 0
+        self._land(jobs[:fine])
+        most = _MOST_HOPS if self._timed() else _UNTIMED_HOPS
         for _ in range(0, most if effort.hops is None else effort.hops, _WORKERS):
             if _out(self.budget) or not self._elite():
                 break
             self._hop()
         return sorted(self.found or self.spare, key=lambda one: one.value)
+
+    def _timed(self) -> bool:
+        return bool(np.isfinite(self.budget.time_limit))
+
+    def _coarse(self) -> list[tuple[float, Start, int]]:
+        """Descend coarsely from all starts and from wide bends of them; the best first."""
+        until = self.budget.elapsed + _COARSE_SHARE * self.budget.remaining_seconds
+        jobs = self._descended([(start, k) for k, start in enumerate(self.starts)], COARSE)
+        bends = self.descents.effort.bends
+        most = bends if bends is not None else _MOST_BENDS if self._timed() else _UNTIMED_BENDS
+        for _ in range(0, most if self.starts else 0, _WORKERS):
+            if self.budget.elapsed >= until or _out(self.budget):
+                break
+            chosen = self.rng.integers(len(self.starts), size=_WORKERS).tolist()
+            bent = [(self._bent(evenly(self.starts[k].path.q, _RESAMPLED), k, _WIDE), k) for k in chosen]
+            jobs += self._descended(bent, COARSE)
+        return sorted(jobs, key=lambda job: job[0])
 
     def _descended(self, jobs: Sequence[tuple[Start, int]], stage: Stage) -> list[tuple[float, Start, int]]:
         """Return values, curves as paths and where they came from, the best first; keep what is free already."""
@@ -210,7 +242,7 @@ class _Descending:
         elite = self._elite()
         best = elite[0].value
         chosen = [elite[0] if self.rng.uniform() < 0.5 else elite[-1] for _ in range(_WORKERS)]
-        jobs = [(self._bent(one), one.start) for one in chosen]
+        jobs = [(self._bent(_resampled(one.curve), one.start, _HOP), one.start) for one in chosen]
         for stage, most in zip((COARSE, MIDDLE), _PROMISING, strict=True):
             kept = [one for one in self._descended(jobs, stage) if one[0] < most * best]
             jobs = [(start, k) for _, start, k in kept]
@@ -223,17 +255,20 @@ class _Descending:
         found = self.found if self.descents.effort.fine else self.spare
         return sorted(found, key=lambda one: one.value)[:_WORKERS]
 
-    def _bent(self, one: Landed) -> Start:
+    def _bent(self, q: Float[Array, "n nq"], index: int, sizes: tuple[float, float]) -> Start:
         """Bend a curve at a random place, by a random size and in a random direction."""
-        q = _resampled(one.curve)
         s = np.linspace(0.0, 1.0, len(q))[:, None]
-        centre, width = self.rng.uniform(0.1, 0.9), self.rng.uniform(0.15, 0.5)
+        centre, width = self.rng.uniform(0.1, 0.9), self.rng.uniform(0.15, 0.8)
         direction = self.rng.normal(size=q.shape[1])
-        least, most = _BEND
+        least, most = sizes
         size = least * (most / least) ** self.rng.uniform() / np.linalg.norm(direction)
         bump = np.maximum(0.0, 1.0 - ((s - centre) / width) ** 2) ** 2 * np.minimum(1.0, 8.0 * s * (1.0 - s))
-        start = self.starts[one.start]
+        start = self.starts[index]
         return Start(Path(q + size * bump * direction), start.tight_start, start.tight_end)
+
+
+def _plain(jobs: Sequence[tuple[float, Start, int]]) -> list[tuple[Start, int]]:
+    return [(start, k) for _, start, k in jobs]
 
 
 def _resampled(curve: Spline) -> Float[Array, "n nq"]:

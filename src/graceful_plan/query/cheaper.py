@@ -2,7 +2,8 @@
 
 Where failing arms count or what a hit does, a state costs many times what a drop does, so that a search in the same
 time sees little. A plan for drops alone is often better by the full objective than what that search finds. It is
-planned first, in a part of the time, and the search for the full objective begins with it.
+planned first, in a part of the time. Its motions descend along the full objective, or, if that has no descents, a
+search for it begins with them.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.motions import Motion, motions, recharged
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import ALL, search
+from graceful_plan.query.restarts import search_for_motions
 
-_SHARE = 0.35
+_SHARE = 0.65
 """Of the budget for motions of the cheaper objective."""
-_SEARCHING = 0.5
-"""Of that, the share for searching."""
+_KEPT = 2
+"""Of these motions; to charge one takes as long as many steps of a descent."""
 
 
 def cheaper(objective: SceneObjective) -> SceneObjective | None:
@@ -54,9 +55,9 @@ def known_motions(
         return []
     asked = replace(request, objective=objective, preference=None, callback=None)
     with budget.share(_SHARE * budget.remaining_seconds, _SHARE * budget.remaining_iterations) as part:
-        found = search(asked.planner, problem, objective, part, rng, kept=ALL, share=_SEARCHING)
-        cheap = motions(found.paths, asked, ends, problem, (part, rng))[0]
-    return sorted((recharged(one, request) for one in cheap), key=lambda one: one.ranking)
+        found = search_for_motions(asked, problem, part, rng)
+        cheap = motions(found, asked, ends, problem, (part, rng))[0]
+    return sorted((recharged(one, request) for one in cheap[:_KEPT]), key=lambda one: one.ranking)
 
 
 def beginning_with(known: list[Motion], planner: Planner) -> Planner:

@@ -25,7 +25,7 @@ from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.departure import best_departure
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.request import Request
-from graceful_plan.query.search import KEPT, thinned
+from graceful_plan.query.search import KEPT, Search, thinned
 from graceful_plan.result import CostBreakdown
 from graceful_plan.timing.blend import merge_near_vertices, rounded_corners
 from graceful_plan.timing.retiming import retime, timed
@@ -40,6 +40,8 @@ _MOST_STARTS = 5
 """Paths from which smooth motions begin."""
 _MOST_TIMED = 4
 """Smooth motions that are compared by the J of their trajectories."""
+_POLISH = Effort(screens=False)
+"""What is done with motions that are known to be good."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the spheres do not count [rad]."""
 _LOOKED_AT = 1000
@@ -60,32 +62,34 @@ class Motion:
 
 
 def motions(
-    paths: Sequence[Path],
+    searched: Search,
     request: Request,
     ends: Ends,
     problem: SceneProblem,
     means: tuple[Budget, np.random.Generator],
     known: Sequence[Motion] = (),
-    *,
-    hops: bool = True,
 ) -> tuple[list[Motion], str]:
     """Return motions along or near paths, the best first, and why there is none if so.
 
     Args:
-        paths: As found by a search, the best at the end.
+        searched: The paths that were found.
         request: What they were found for.
         ends: Both ends.
         problem: What was searched in.
         means: Time for descents, and chance for hops.
         known: Motions that compete, and are descended from as well.
-        hops: Whether to use up the time.
     """
-    wholes = [ends.joined(paths[k]) for k in thinned(len(paths))][:_MOST_STARTS]
+    paths = searched.paths
+    chosen = [paths[k] for k in thinned(len(paths))]
+    wholes = [ends.joined(path) for path in [*chosen[:1], *searched.others, *chosen[1:]]]
+    wholes = wholes[: max(_MOST_STARTS, 1 + len(searched.others))]
     begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
-    effort = Effort() if hops else Effort(hops=0)
+    effort = Effort(bends=0, hops=0) if searched.stopped else Effort() if wholes else _POLISH
     found = [*known, *smooth(begun, request, ends, problem, means, effort=effort)]
     why_not = ""
-    for whole, arrival in wholes[: 1 if found else KEPT]:
+    promised = searched.trace[-1].total if searched.trace else np.inf
+    worth_timing = 0 if found and promised > min(motion.cost.total for motion in found) else 1 if found else KEPT
+    for whole, arrival in wholes[:worth_timing]:
         try:
             found.append(_along(whole, arrival, request, ends))
         except RetimingError as error:
@@ -148,7 +152,7 @@ def smooth(
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
-        effort=effort if objective.w > 0.0 else replace(effort, hops=0),
+        effort=effort if objective.w > 0.0 else replace(effort, bends=0, hops=0),
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]

@@ -119,7 +119,7 @@ class MotionFront:
         self, chosen: Sequence[Candidate], k: int, w: float, means: tuple[Budget, np.random.Generator]
     ) -> None:
         beside = [self.query.ends.joined(Path(candidate.q)) for candidate in chosen[max(0, k - 1) : k + 2]]
-        found = self._descended([*beside, *self._near(w)], w, Effort(fine=0, hops=0), means)
+        found = self._descended([*beside, *self._near(w)], w, Effort(bends=0, fine=0, hops=0), means)
         if not found:
             cut = islice(along(Path(chosen[k].q), self.query.request, self.query.ends), 1)
             made_by, made_with = chosen[k].made_by, chosen[k].made_with
@@ -138,10 +138,10 @@ class MotionFront:
         a, b = rims = self._widest()
         self._tried[rims] = tried = self._tried.get(rims, 0) + 1
         if a is b:
-            effort = Effort(fine=1, hops=_END_HOPS * tried)
+            effort = Effort(bends=0, fine=1, hops=_END_HOPS * tried)
             found = self._descended(self._near(self._greatest), self._greatest, effort, means)
         else:
-            effort = Effort(fine=0, hops=_HOPS * tried)
+            effort = Effort(bends=0, fine=0, hops=_HOPS * tried)
             found = self._descended([a.whole, b.whole], _slope(a.cost, b.cost), effort, means)
         for one in found:
             self.archive.offer(one)

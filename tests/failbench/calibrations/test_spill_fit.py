@@ -11,6 +11,7 @@ import pytest
 
 import graceful_plan as gp
 from failbench.calibrations import failure_jobs, failures, family_fit, spill_fit
+from failbench.calibrations.calibrate import write
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.spill_fit import FAULTS, SPILT, SpillFamily
 from failbench.cli import DONE, main
@@ -92,3 +93,13 @@ def test_the_command_writes_what_the_model_reads(
     expected, read = spill_fit.fit_spill(parts).settings(), SpillSettings.load(written)
     for use in USES:
         assert dataclasses.asdict(read.of(use)) == pytest.approx(dataclasses.asdict(expected.of(use)), rel=1e-4)
+
+
+def test_what_both_uses_share_is_written_for_each(
+    parts: list[Failures], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spill_fit, "fit_family", partial(family_fit.fit_family, iterations=1, trusts=(25.0,)))
+    written = tmp_path / "spill.yaml"
+    write(spill_fit.fit_spill(parts, about={"motions_without": ["desk/lift_coffee: no motion"]}), written)
+    assert SpillSettings.load(written) == SpillSettings.load(written)
+    assert written.read_text().count("no motion") == len(USES)
