@@ -48,8 +48,10 @@ ratios do not depend on the rate. "x less": harm at w = 0 over that of the plann
 them counts as a hit of the least severity of the scene: there is no ratio to nothing. Medians and geometric means are
 over tasks, the latter with the 95 % interval between percentiles of resampled tasks. "Worse": tasks with more harm per
 task than at w = 0 beyond the 95 % interval of the paired difference; "better" likewise. "{ALL_FAULTS}": the default
-model with that prior of faults. What a healthy robot spills on its way is **not** in these figures: nothing is left to be spilt
-when it fails, so tasks of which a motion at w = 0 or of the default loses more than 1 % are left out of the groups "nothing
+model with that prior of faults.
+
+What a healthy robot spills on its way is **not** in these figures, and then there is nothing left to be spilt when it
+fails. So tasks of which a motion at w = 0 or of the default loses more than 1 % are left out of the groups "nothing
 spilt on the way".
 
 Common sense, as own costs: "keep away", the severity of everything around times exp(- distance / 0.15 m); "not above",

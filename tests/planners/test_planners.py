@@ -79,7 +79,9 @@ def test_feasible_planners_shortcut_what_they_find(name: str) -> None:
     assert len(paths) == 1
 
 
-@pytest.mark.parametrize("planner", [PRMStar(), BITStar()], ids=lambda planner: planner.name)
+@pytest.mark.parametrize(
+    "planner", [PRMStar(), BITStar(), RRTStar(), InformedRRTStar()], ids=lambda planner: planner.name
+)
 def test_a_free_straight_line_is_recognised_as_optimal(planner: Planner) -> None:
     """With w = 0 nothing can be better, so the planner stops long before its budget ends."""
     instance = free_space()
@@ -303,8 +305,6 @@ def test_a_path_starts_at_the_start_even_if_it_is_a_goal(goal: tuple[float, floa
         (PRMStar, "factor", np.inf),
         (RRT, "range", -1.0),
         (RRT, "goal_bias", 1.5),
-        (RRTStar, "rewire_factor", np.nan),
-        (InformedRRTStar, "range", 0.0),
         (BITStar, "samples_per_batch", 0),
     ],
 )

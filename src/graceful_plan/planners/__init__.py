@@ -2,7 +2,7 @@
 
 from graceful_plan.planners.anytime.anytime import Anytime
 from graceful_plan.planners.anytime.auto import Auto
-from graceful_plan.planners.ompl.planners import RRT, BITStar, InformedRRTStar, RRTStar
+from graceful_plan.planners.ompl.planners import RRT, BITStar
 from graceful_plan.planners.optimisers.chomp import CHOMP
 from graceful_plan.planners.optimisers.ipopt import CasADi
 from graceful_plan.planners.optimisers.stomp import STOMP
@@ -10,6 +10,7 @@ from graceful_plan.planners.planner import Planner
 from graceful_plan.planners.roadmaps.prm import PRM, PRMStar
 from graceful_plan.planners.trees.bitrrt import BiTRRT
 from graceful_plan.planners.trees.rrt_connect import RRTConnect
+from graceful_plan.planners.trees.rrt_star import InformedRRTStar, RRTStar
 from graceful_plan.planners.trees.trrt import TRRT
 
 _ALL = (

@@ -15,11 +15,9 @@ class Kind:
     Args:
         name: Of its class in `ompl.geometric`.
         configure: Sets its settings.
-        neighbours: How many neighbours it looks at among n states; None to evaluate edges one by one.
         informed: Whether to draw and keep only states that can improve the best path.
     """
 
     name: str
     configure: Callable[[Any], None]
-    neighbours: Callable[[int], int] | None = None
     informed: bool = False

@@ -1,4 +1,4 @@
-"""RRT, RRT*, Informed RRT* and BIT* as OMPL implements them, with our objective: baselines and alternatives.
+"""RRT and BIT* as OMPL implements them, with our objective: baselines and alternatives.
 
 Their edge checks and edge costs are callbacks into Python, one state at a time, so they are slower per iteration than
 this library's own batched planners. OMPL's generator is seeded per process: do not interleave two of these planners
@@ -6,15 +6,12 @@ where results must be reproducible.
 
 References:
     [LaValle1998] Rapidly-exploring random trees.
-    [Karaman2011] Sampling-based algorithms for optimal motion planning (RRT*).
-    [Gammell2014] Informed RRT*. This and BIT* differ in: OMPL's direct sampling of the informed set knows path
-    length only, so states are drawn from the box around the set and refused outside of it.
-    [Gammell2015] Batch informed trees (BIT*).
+    [Gammell2015] Batch informed trees (BIT*). Differs in: OMPL's direct sampling of the informed set knows path length
+    only, so states are drawn from the box around the set and refused outside of it.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,28 +28,9 @@ from graceful_plan.planners.shortcut import Shortcut, first_and_shorter
 from graceful_plan.planners.trivial import stays_at_goal
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Tree(Planner):
-    """Settings of trees that grow towards samples."""
-
-    range: float | None = None
-    """Longest extension [rad]; by default OMPL's fifth of the extent of the space."""
-    goal_bias: float = 0.05
-    """Share of samples that are a goal (OMPL's default)."""
-
-    def __post_init__(self) -> None:
-        positive("range", self.range)
-        fraction("goal_bias", self.goal_bias)
-
-    def _configure(self, planner: Any) -> None:
-        planner.setGoalBias(self.goal_bias)
-        if self.range is not None:
-            planner.setRange(self.range)
-
-
 @final
 @dataclass(frozen=True, kw_only=True)
-class RRT(_Tree):
+class RRT(Planner):
     """Rapidly-exploring random tree; stops at the first path, after shortcutting it.
 
     One iteration is one sample, or one round of shortcutting.
@@ -61,8 +39,16 @@ class RRT(_Tree):
     name: ClassVar[str] = "rrt"
     anytime: ClassVar[bool] = False
 
+    range: float | None = None
+    """Longest extension [rad]; by default OMPL's fifth of the extent of the space."""
+    goal_bias: float = 0.05
+    """Share of samples that are a goal (OMPL's default)."""
     shortcut: bool = True
     """Whether to shortcut the path with what is left of the budget."""
+
+    def __post_init__(self) -> None:
+        positive("range", self.range)
+        fraction("goal_bias", self.goal_bias)
 
     @stays_at_goal
     def solve(
@@ -75,62 +61,10 @@ class RRT(_Tree):
     def _first(self, questions: Questions, rng: np.random.Generator) -> Path | None:
         return next(_improvements(Kind("RRT", self._configure), questions, rng), None)
 
-
-@dataclass(frozen=True, kw_only=True)
-class _StarTree(_Tree):
-    """Settings of trees that are rewired."""
-
-    anytime: ClassVar[bool] = True
-
-    rewire_factor: float = 1.1
-    """Multiplies e (1 + 1/d) ln n neighbours. OMPL's 2^(d+1) on top makes that every node for an arm; left out."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive("rewire_factor", self.rewire_factor)
-
-    @stays_at_goal
-    def solve(
-        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
-    ) -> Iterator[Path]:
-        """Yield better and better paths until the budget ends or a straight line is proven best."""
-        return _improvements(self._kind(len(problem.start)), Questions(problem, objective, budget), rng)
-
-    @abstractmethod
-    def _kind(self, d: int) -> Kind:
-        """Which of them, in a space of `d` joints."""
-
-    def _rewired(self, name: str, d: int, informed: bool) -> Kind:
-        def neighbours(n: int) -> int:
-            return int(np.ceil(self.rewire_factor * np.e * (1.0 + 1.0 / d) * np.log(n + 1.0)))
-
-        def configure(planner: Any) -> None:
-            self._configure(planner)
-            planner.setRewireFactor(self.rewire_factor / 2.0 ** (d + 1))
-
-        return Kind(name, configure, neighbours, informed)
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class RRTStar(_StarTree):
-    """Asymptotically optimal rapidly-exploring random tree. One iteration is one sample."""
-
-    name: ClassVar[str] = "rrt_star"
-
-    def _kind(self, d: int) -> Kind:
-        return self._rewired("RRTstar", d, informed=False)
-
-
-@final
-@dataclass(frozen=True, kw_only=True)
-class InformedRRTStar(_StarTree):
-    """RRT* that, once it has a path, looks only where a better one can be. One iteration is one sample."""
-
-    name: ClassVar[str] = "informed_rrt_star"
-
-    def _kind(self, d: int) -> Kind:
-        return self._rewired("InformedRRTstar", d, informed=True)
+    def _configure(self, planner: Any) -> None:
+        planner.setGoalBias(self.goal_bias)
+        if self.range is not None:
+            planner.setRange(self.range)
 
 
 @final

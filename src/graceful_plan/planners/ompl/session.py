@@ -7,7 +7,7 @@ information, which owns it. States are read with `s[0:n]`; none is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import dist
@@ -18,7 +18,6 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from graceful_plan.array_types import Float
 from graceful_plan.path import Path
 from graceful_plan.planners.informed import InformedSampler, learn_objective
 from graceful_plan.planners.ompl.kind import Kind
@@ -26,7 +25,6 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.questions import Interrupted, Questions, out_of_time
 
 Array = np.ndarray
-Vertex = tuple[float, ...]
 
 _SLICE_SECONDS = 0.02
 _SLICE_ITERATIONS = 100
@@ -61,75 +59,29 @@ class _Validator(ob.MotionValidator):
         self,
         si: ob.SpaceInformation,
         questions: Questions,
-        known: KnownStates,
         informed: InformedSampler | None,
         best: _Best,
     ) -> None:
         super().__init__(si)
-        self._questions, self._known = questions, known
-        self._informed, self._best = informed, best
+        self._questions, self._informed, self._best = questions, informed, best
         self._n = len(questions.problem.start)
 
     def checkMotion(self, s0: ob.State, s1: ob.State) -> bool:
-        a, b = s0[0 : self._n], s1[0 : self._n]
-        q0, q1 = np.array([a]), np.array([b])
+        q0, q1 = np.array([s0[0 : self._n]]), np.array([s1[0 : self._n]])
         if self._informed is not None and np.isfinite(self._best.cost):
             if self._informed.bound_through(q1)[0] >= self._best.cost:
                 return False
-        free = bool(self._questions.problem.edges_free(q0, q1)[0])
-        if free:
-            self._known.add(tuple(b))
-        return free
-
-
-@final
-class KnownStates:
-    """Every state that a checked motion led to: those that OMPL will ask edge costs for.
-
-    Args:
-        start: The first state.
-        neighbours: How many neighbours OMPL looks at among n states; None if asking ahead does not pay.
-    """
-
-    def __init__(self, start: Float[Array, " nq"], neighbours: Callable[[int], int] | None) -> None:
-        self._q = np.zeros((256, len(start)))
-        self._index: dict[Vertex, int] = {}
-        self._neighbours = neighbours
-        self.add(tuple(map(float, start)))
-
-    def add(self, vertex: Vertex) -> None:
-        """Remember a state."""
-        if self._neighbours is None or vertex in self._index:
-            return
-        n = len(self._index)
-        if n == len(self._q):
-            self._q = np.concatenate([self._q, np.zeros_like(self._q)])
-        self._q[n] = vertex
-        self._index[vertex] = n
-
-    def near(self, vertex: Vertex) -> Float[Array, "near nq"]:
-        """States that OMPL is about to connect with `vertex`."""
-        if self._neighbours is None:
-            return self._q[:0]
-        q = self._q[: len(self._index)]
-        k = min(len(q), self._neighbours(len(q)) + 2)  # one more for the state itself, one for a nearest beyond
-        gap = q - vertex
-        return q[np.argpartition(np.einsum("ij,ij->i", gap, gap), k - 1)[:k]]
+        return bool(self._questions.problem.edges_free(q0, q1)[0])
 
 
 @final
 class _Objective(ob.OptimizationObjective):
-    """Our edge cost; the edges that RRT* asks for one by one are evaluated together, once per new state."""
+    """Our edge cost, asked for one edge at a time."""
 
-    def __init__(
-        self, si: ob.SpaceInformation, questions: Questions, known: KnownStates, bound: float, symmetric: bool
-    ) -> None:
+    def __init__(self, si: ob.SpaceInformation, questions: Questions, bound: float, symmetric: bool) -> None:
         super().__init__(si)
-        self._questions, self._known = questions, known
-        self._bound, self._symmetric = bound, symmetric
+        self._questions, self._bound, self._symmetric = questions, bound, symmetric
         self._n = len(questions.problem.start)
-        self._focus: Vertex | None = None
-        self._costs: dict[tuple[Vertex, Vertex], float] = {}
         self._estimates = 0
 
     def isSymmetric(self) -> bool:
@@ -139,11 +91,8 @@ class _Objective(ob.OptimizationObjective):
         return ob.Cost(0.0)
 
     def motionCost(self, s0: ob.State, s1: ob.State) -> ob.Cost:
-        a, b = tuple(s0[0 : self._n]), tuple(s1[0 : self._n])
-        cost = self._costs.get((a, b))
-        if cost is None:
-            cost = self._ask(a, b)
-        return ob.Cost(cost)
+        q0, q1 = np.array([s0[0 : self._n]]), np.array([s1[0 : self._n]])
+        return ob.Cost(float(self._questions.edge_costs(q0, q1)[0]))
 
     def motionCostHeuristic(self, s0: ob.State, s1: ob.State) -> ob.Cost:
         self._estimates += 1
@@ -153,25 +102,6 @@ class _Objective(ob.OptimizationObjective):
 
     def motionCostBestEstimate(self, s0: ob.State, s1: ob.State) -> ob.Cost:
         return self.motionCostHeuristic(s0, s1)
-
-    def _ask(self, a: Vertex, b: Vertex) -> float:
-        """Evaluate one edge and, if its end is new, those between that end and its neighbours."""
-        q0, q1 = [np.array([a])], [np.array([b])]
-        if b != self._focus:
-            self._focus = b
-            self._costs.clear()
-            near = self._known.near(b)
-            here = np.broadcast_to(np.array([b]), near.shape)
-            q0.append(near)
-            q1.append(here)
-            if not self._symmetric:
-                q0.append(here)
-                q1.append(near)
-        starts, ends = np.concatenate(q0), np.concatenate(q1)
-        cost = self._questions.edge_costs(starts, ends).tolist()
-        pairs = zip(map(tuple, starts.tolist()), map(tuple, ends.tolist()), strict=True)
-        self._costs.update(zip(pairs, cost, strict=True))
-        return cost[0]
 
 
 @final
@@ -197,13 +127,12 @@ class Session:
             si = ob.SpaceInformation(self.space)
             n = len(problem.start)
             si.setStateValidityChecker(lambda s: bool(problem.states_free(np.array([s[0:n]]))[0]))
-            known = KnownStates(problem.start, kind.neighbours)
             guide = self.sampler if self.informed else None
-            si.setMotionValidator(_Validator(si, questions, known, guide, self.best))
+            si.setMotionValidator(_Validator(si, questions, guide, self.best))
             si.setup()
             self.definition = ob.ProblemDefinition(si)
             self._set_ends(si)
-            ours = _Objective(si, questions, known, facts.length_bound, facts.symmetric)
+            ours = _Objective(si, questions, facts.length_bound, facts.symmetric)
             ours.setCostThreshold(ob.Cost(self.sampler.least_cost * (1.0 + _PROVEN)))
             self.definition.setOptimizationObjective(ours)
             self.planner = getattr(og, kind.name)(si)

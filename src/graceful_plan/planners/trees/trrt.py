@@ -8,7 +8,6 @@ an RRT. See `transition` for the papers and what differs.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from heapq import heappop, heappush
 from typing import ClassVar, final
 
 import numpy as np
@@ -18,6 +17,7 @@ from graceful_plan.planners.questions import Questions
 from graceful_plan.planners.settings import fraction
 from graceful_plan.planners.trees.guided import Side, TransitionTrees
 from graceful_plan.planners.trees.tree import Tree, steer
+from graceful_plan.planners.trees.untried import Untried
 
 
 @final
@@ -63,10 +63,10 @@ class TRRT(TransitionTrees):
 
 @final
 class _Goals:
-    """Steps towards goals, each tried once: the nearest node would have the same blocked or refused edge every time.
+    """Steps towards goals, each tried once.
 
-    The state cost of the goal is a level that every path to it has to climb to. Where it is high, a tree that is tested
-    against it would fill all of the valley and never arrive.
+    The state cost of a goal is a level that every path to it has to climb to. Where it is high, a tree whose climb up
+    to it is tested fills all of the valley and never arrives.
 
     Args:
         side: The tree that grows towards the goals.
@@ -77,16 +77,16 @@ class _Goals:
         self._side, self._reach = side, reach
         self._goals = side.questions.problem.goals
         self._levels = side.questions.state_costs(self._goals)
-        self._untried: list[list[tuple[float, int]]] = [[] for _ in self._goals]  # heaps of distance and node
-        self._known = 0  # nodes that the heaps know
-        self._reached_for: set[tuple[int, int]] = set()  # last steps tried, as node and goal
+        self._untried = Untried(self._goals)
 
     def approach(self, goal: int) -> int | None:
         """Extend the node nearest to a goal among those not tried yet by one step; return the new node."""
-        side, nodes = self._side, self._nodes(goal)
-        if not nodes:
+        side = self._side
+        self._untried.learn(side.tree.q)
+        found = self._untried.take(goal)
+        if found is None:
             return None
-        distance, near = heappop(nodes)
+        near, distance = found
         step = min(distance, self._reach)
         q = steer(side.tree.q[near], self._goals[goal], distance, self._reach)
         node = side.extend(near, q, step, self._levels[goal])
@@ -103,16 +103,5 @@ class _Goals:
             return node
         if distance > self._reach:
             return None
-        self._reached_for.add((node, goal))
+        self._untried.exclude(node, goal)
         return self._side.extend(node, self._goals[goal], distance, self._levels[goal])
-
-    def _nodes(self, goal: int) -> list[tuple[float, int]]:
-        """Heap of the nodes not tried towards a goal, with their distances from it."""
-        tree, nodes = self._side.tree, self._untried[goal]
-        for node in range(self._known, len(tree)):
-            for q, heap in zip(self._goals, self._untried, strict=True):
-                heappush(heap, (float(np.linalg.norm(tree.q[node] - q)), node))
-        self._known = len(tree)
-        while nodes and (nodes[0][1], goal) in self._reached_for:
-            heappop(nodes)
-        return nodes

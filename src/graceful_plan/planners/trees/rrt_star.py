@@ -1,0 +1,239 @@
+"""RRT*: a tree that keeps the cheapest way to each of its nodes, with edges charged lazily and in batches.
+
+Half of the samples, once there is a path, lie beside the best one. Each better path of the tree is led down along the
+gradient of J where the core has one; this goes beside the tree, which is that of an RRT* and goes on from its own path:
+pruned by what a descent has found, it would never come by another valley.
+
+References:
+    [Karaman2011] Sampling-based algorithms for optimal motion planning (RRT*).
+    [Akgun2011] Sampling heuristics for optimal motion planning in high dimensions (samples beside the best path, and
+        leaving out what cannot be on a better one).
+    [Gammell2014] Informed RRT*; see `informed`.
+    [Hauser2015] Lazy collision checking in asymptotically-optimal motion planning.
+    [Jeong2019] Quick-RRT*: triangular inequality-based implementation of RRT* (parents of neighbours as parents).
+    [Choudhury2016] Regionally accelerated batch informed trees (RABIT*): a local optimiser beside a global search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.path import Path
+from graceful_plan.planners.informed import InformedSampler, learn_objective
+from graceful_plan.planners.native_descents import NativeDescents
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
+from graceful_plan.planners.questions import Interrupted, Questions
+from graceful_plan.planners.settings import count, fraction, positive
+from graceful_plan.planners.shortcut import Line
+from graceful_plan.planners.trees.star_tree import StarTree
+from graceful_plan.planners.trees.untried import Untried
+from graceful_plan.planners.trees.wiring import EdgeGuess, Wiring
+from graceful_plan.planners.trivial import stays_at_goal
+
+Array = np.ndarray
+
+_REACH = 0.08
+"""Longest extension by default, as a share of the extent of the space: that of RRT-Connect."""
+_ASIDE = (-2.0, -0.3)
+"""Powers of ten between which samples lie beside the best path, as shares of its length: [Akgun2011] has one distance,
+which suits one width of the valley."""
+_PROVEN = 1e-8
+"""Relative gap to the least possible cost at which a path is the best there is."""
+_GAIN = 1e-9
+"""Relative fall of J that counts as an improvement."""
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StarTrees(Planner):
+    """Settings of RRT* and Informed RRT*."""
+
+    anytime: ClassVar[bool] = True
+    informed: ClassVar[bool]
+    """Whether to look only where a path can be better than the best of the tree."""
+
+    range: float | None = None
+    """Longest extension [rad]; by default 8 % of the extent of the space."""
+    goal_bias: float = 0.05
+    """Share of samples that are a goal; each node is extended towards it once."""
+    path_bias: float = 0.5
+    """Share of samples that lie beside the best path of the tree, once there is one."""
+    rewire_factor: float = 1.1
+    """Multiplies e (1 + 1/d) ln n neighbours."""
+    trust: float = 0.5
+    """How far guesses decide which edges are not worth checking and charging; with 0, certain bounds alone do."""
+    batch: int = 32
+    """Most samples at once; a small tree takes a quarter of its nodes."""
+    descend: bool = True
+    """Whether to lead each better path down along the gradient of J, if the core has one."""
+
+    def __post_init__(self) -> None:
+        for name in ("range", "rewire_factor"):
+            positive(name, getattr(self, name))
+        for name in ("goal_bias", "path_bias", "trust"):
+            fraction(name, getattr(self, name))
+        count("batch", self.batch)
+
+    @stays_at_goal
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths until the budget ends or a straight line is proven best."""
+        with suppress(Interrupted):
+            if budget.exhausted:
+                return
+            questions = Questions(problem, objective, budget)
+            search = _StarSearch(self, questions, rng)
+            descents = NativeDescents.of(questions) if self.descend else None
+            best = np.inf
+            while True:
+                path = search.improved()
+                for candidate in _with_lower(path, descents, best):
+                    total = questions.path_cost(candidate)
+                    if total < best * (1.0 - _GAIN):
+                        best = total
+                        yield candidate
+                wanted = int(min(self.batch, max(1, len(search.tree) // 4), budget.remaining_iterations))
+                if search.optimal or not budget.spend(wanted):
+                    return
+                search.grow(wanted)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RRTStar(_StarTrees):
+    """Asymptotically optimal rapidly-exploring random tree. One iteration is one sample."""
+
+    name: ClassVar[str] = "rrt_star"
+    informed: ClassVar[bool] = False
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class InformedRRTStar(_StarTrees):
+    """RRT* that, once it has a path, looks only where a better one can be. One iteration is one sample."""
+
+    name: ClassVar[str] = "informed_rrt_star"
+    informed: ClassVar[bool] = True
+
+
+def _with_lower(path: Path | None, descents: NativeDescents | None, best: float) -> Iterator[Path]:
+    """Yield a path if there is one, and what a descent makes of it."""
+    if path is None:
+        return
+    yield path
+    lower = None if descents is None else descents.lowered(path, best)
+    if lower is not None:
+        yield lower
+
+
+@final
+class _StarSearch:
+    """A tree that grows towards samples.
+
+    Args:
+        settings: Of the planner.
+        questions: To problem and objective.
+        rng: Random numbers.
+    """
+
+    def __init__(self, settings: _StarTrees, questions: Questions, rng: np.random.Generator) -> None:
+        problem = questions.problem
+        self.settings, self.questions, self.problem, self.rng = settings, questions, problem, rng
+        self.reach = settings.range or _REACH * problem.extent
+        bound = learn_objective(questions.objective, problem).length_bound
+        self.sampler = InformedSampler(problem, bound)
+        ends = np.concatenate([problem.start[None], problem.goals])
+        self.tree = StarTree(problem.start, problem.goals, questions.state_costs(ends))
+        guess = EdgeGuess.learn(questions, bound=bound, reach=self.reach, trust=settings.trust)
+        self.wiring = Wiring(self.tree, questions, guess, bounded=settings.informed)
+        self.untried = Untried(problem.goals)
+        self.best = np.inf
+        self.way = np.zeros(0, dtype=int)
+        """Nodes of the best path."""
+        self._try_straight()
+
+    @property
+    def optimal(self) -> bool:
+        """Whether no path can be better."""
+        return self.best <= self.sampler.least_cost * (1.0 + _PROVEN)
+
+    def improved(self) -> Path | None:
+        """Return the best path of the tree if it has become better since the last call."""
+        goal = int(self.tree.goals[self.tree.cost[self.tree.goals].argmin()])
+        cost = float(self.tree.cost[goal])
+        if not cost < self.best * (1.0 - _GAIN):
+            return None
+        self.best, self.way = cost, self.tree.branch(goal)
+        return Path(self.tree.q[self.way].copy()).without_duplicates()
+
+    def grow(self, n: int) -> None:
+        """Take n samples.
+
+        Raises:
+            Interrupted: If the time is over.
+            CostError: If the objective breaks its contract.
+        """
+        q, near = self._steps(n)
+        tree = self.tree
+        free = self.questions.edges_free(tree.q[near], q)
+        d = tree.q.shape[1]
+        k = int(np.ceil(self.settings.rewire_factor * np.e * (1.0 + 1.0 / d) * np.log(len(tree) + 1.0)))
+        self.wiring.join(q[free], near[free], k, self.way)
+
+    def _steps(self, n: int) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
+        """Step from the tree towards n samples; return where to, as far as that is new, and from which nodes."""
+        tree, settings = self.tree, self.settings
+        to_goal, to_path = self.rng.uniform(size=(2, n)) < [[settings.goal_bias], [settings.path_bias]]
+        beside = to_path & (len(self.way) > 0)
+        target = np.where(beside[:, None], self._beside(n), self._anywhere(n))
+        near = tree.nearest(target)
+        self._aim_at_goals(np.flatnonzero(to_goal & ~beside), near, target)
+        gap = target - tree.q[near]
+        distance = np.linalg.norm(gap, axis=1)
+        q = tree.q[near] + np.minimum(1.0, self.reach / np.maximum(distance, _TINY))[:, None] * gap
+        q = np.clip(q, self.problem.lower, self.problem.upper)
+        new = (distance > _TINY) & self._is_new(q)
+        return q[new], near[new]
+
+    def _try_straight(self) -> None:
+        """Lead goals straight from the start."""
+        tree, goals = self.tree, self.tree.goals
+        free = goals[self.questions.edges_free(tree.q[np.zeros_like(goals)], tree.q[goals])]
+        steps = self.questions.edge_costs(tree.q[np.zeros_like(free)], tree.q[free])
+        for goal, step in zip(free.tolist(), steps.tolist(), strict=True):
+            tree.lead(goal, 0, step)
+
+    def _anywhere(self, n: int) -> Float[Array, "n nq"]:
+        """Draw within the limits, or, if the search is informed and can hit that, where a better path can be."""
+        q = self.sampler.draw(n, self.best if self.settings.informed else np.inf, self.rng)
+        rest = self.rng.uniform(self.problem.lower, self.problem.upper, (n - len(q), q.shape[1]))
+        return np.concatenate([q, rest])
+
+    def _beside(self, n: int) -> Float[Array, "n nq"]:
+        """Draw around points of the best path."""
+        if len(self.way) == 0:
+            return np.zeros((n, len(self.problem.start)))
+        rng, line = self.rng, Line(self.tree.q[self.way], np.zeros(len(self.way) - 1))
+        _, on_path = line.at(rng.uniform(size=n) * line.arc[-1])
+        aside = line.arc[-1] * 10.0 ** rng.uniform(*_ASIDE, (n, 1)) / np.sqrt(on_path.shape[1])
+        return np.clip(on_path + aside * rng.normal(size=on_path.shape), self.problem.lower, self.problem.upper)
+
+    def _aim_at_goals(self, samples: Int[Array, " m"], near: Int[Array, " n"], target: Float[Array, "n nq"]) -> None:
+        """Let some samples be a goal, each stepped towards from the nearest node from which that was not tried."""
+        self.untried.learn(self.tree.q)
+        for i in samples:
+            goal = int(self.rng.integers(len(self.problem.goals)))
+            found = self.untried.take(goal)
+            if found is not None:
+                near[i], target[i] = found[0], self.problem.goals[goal]
+
+    def _is_new(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        """Tell which are not goals: those are in the tree from the beginning."""
+        return (np.abs(q[:, None] - self.problem.goals).max(axis=2) > _TINY).all(axis=1)
