@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -34,14 +34,14 @@ _MORE = 40
 _WORKERS = 2
 _UNTIMED_HOPS = 4
 """Hops where no clock limits them."""
-_GOES_ON = 3
+_GOES_ON = 4
 """One of so many coarse descents goes on, and one of so many of these descends finely; at least `_LEAST` do."""
 _LEAST = 4
 _COARSE_SHARE = 0.3
 """Of the time, for coarse descents."""
 _UNTIMED_BENDS = 8
 """Wide bends where no clock limits them."""
-_MOST_BENDS = 200
+_MOST_BENDS = 5000
 _MOST_HOPS = 2000
 _PROMISING = (1.2, 1.05)
 """After its coarse and its middle part, a hop goes on if J is no more than so many times that of the best."""
@@ -49,6 +49,8 @@ _HOP = (0.1, 1.0)
 """Least and greatest size of the bend of a hop [rad]."""
 _WIDE = (0.3, 1.5)
 """The same of the bends of paths that coarse descents begin with."""
+_WIDE_BENDS = 2
+"""Bends that are added up in one of these."""
 _RESAMPLED = 64
 """Points of a curve from which the next descent begins."""
 
@@ -133,13 +135,21 @@ class MotionDescents:
     is_free: Callable[[Spline, Start], bool]
     effort: Effort = Effort()
 
-    def run(self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator) -> list[Landed]:
+    def run(
+        self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, *, raw: int | None = None
+    ) -> list[Landed]:
         """Descend from all starts and hop, as far as the time allows; return free curves, the best first.
 
         Without a time limit, the number of hops is fixed and the result does not depend on the clock.
+
+        Args:
+            starts: What to descend from.
+            budget: Time for it.
+            rng: For bends.
+            raw: How many of the last starts wide bends begin with; all by default.
         """
         with ThreadPoolExecutor(_WORKERS) as pool:
-            return _Descending(self, starts, budget, rng, pool).run()
+            return _Descending(self, starts, budget, rng, pool, raw or len(starts)).run()
 
     def descended(self, start: Start, stage: Stage, budget: Budget) -> _native.MotionDescent | None:
         """Descend from a path for one stage; None if there was no time for it."""
@@ -184,6 +194,8 @@ class _Descending:
     budget: Budget
     rng: np.random.Generator
     pool: ThreadPoolExecutor
+    raw: int
+    """How many of the last starts wide bends begin with."""
     found: list[Landed] = field(default_factory=list)
     spare: list[Landed] = field(default_factory=list)
     """Free curves of coarse descents: their J is a guess, so that they count only where nothing has landed."""
@@ -215,9 +227,8 @@ class _Descending:
         for _ in range(0, most if self.starts else 0, _WORKERS):
             if self.budget.elapsed >= until or _out(self.budget):
                 break
-            chosen = self.rng.integers(len(self.starts), size=_WORKERS).tolist()
-            bent = [(self._bent(evenly(self.starts[k].path.q, _RESAMPLED), k, _WIDE), k) for k in chosen]
-            jobs += self._descended(bent, COARSE)
+            chosen = self.rng.integers(len(self.starts) - self.raw, len(self.starts), size=_WORKERS).tolist()
+            jobs += self._descended([(self._widely_bent(k), k) for k in chosen], COARSE)
         return sorted(jobs, key=lambda job: job[0])
 
     def _descended(self, jobs: Sequence[tuple[Start, int]], stage: Stage) -> list[tuple[float, Start, int]]:
@@ -254,6 +265,12 @@ class _Descending:
         """What hops begin with: the best that have landed, or of coarse descents where none are to land."""
         found = self.found if self.descents.effort.fine else self.spare
         return sorted(found, key=lambda one: one.value)[:_WORKERS]
+
+    def _widely_bent(self, index: int) -> Start:
+        q = evenly(self.starts[index].path.q, _RESAMPLED)
+        for _ in range(_WIDE_BENDS):
+            q = self._bent(q, index, _WIDE).path.q
+        return replace(self.starts[index], path=Path(q))
 
     def _bent(self, q: Float[Array, "n nq"], index: int, sizes: tuple[float, float]) -> Start:
         """Bend a curve at a random place, by a random size and in a random direction."""

@@ -83,9 +83,10 @@ def motions(
     chosen = [paths[k] for k in thinned(len(paths))]
     wholes = [ends.joined(path) for path in [*chosen[:1], *searched.others, *chosen[1:]]]
     wholes = wholes[: max(_MOST_STARTS, 1 + len(searched.others))]
-    begun = [*wholes, *((motion.path, motion.arrival) for motion in known)]
+    firsts = [ends.joined(path) for path in searched.firsts[:_MOST_STARTS]]
+    begun = [*wholes, *((motion.path, motion.arrival) for motion in known), *firsts]
     effort = Effort(bends=0, hops=0) if searched.stopped else Effort() if wholes else _POLISH
-    found = [*known, *smooth(begun, request, ends, problem, means, effort=effort)]
+    found = [*known, *smooth(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
     why_not = ""
     promised = searched.trace[-1].total if searched.trace else np.inf
     worth_timing = 0 if found and promised > min(motion.cost.total for motion in found) else 1 if found else KEPT
@@ -124,6 +125,7 @@ def smooth(
     means: tuple[Budget, np.random.Generator],
     *,
     effort: Effort,
+    raw: int = 0,
 ) -> list[Motion]:
     """Return smooth motions that descended from paths, the most promising first; none if the objective has no descents.
 
@@ -134,6 +136,7 @@ def smooth(
         problem: What was searched in.
         means: Time for descents, and chance for hops.
         effort: How much of what there is to do.
+        raw: How many of the last paths wide bends begin with; all if 0.
     """
     objective = request.objective.descended()
     if objective is None:
@@ -156,7 +159,7 @@ def smooth(
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
-    landed = descents.run(starts, *means)
+    landed = descents.run(starts, *means, raw=raw)
     return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
 
 

@@ -79,6 +79,7 @@ def _merged(runs: list[Search], told: _Told) -> Search:
         best,
         trace=told.trace,
         others=[run.paths[-1] for run in with_paths[1:]],
+        firsts=[run.paths[0] for run in with_paths],
         refused=sum(run.refused for run in runs),
         stopped=any(run.stopped for run in runs),
     )

@@ -33,6 +33,8 @@ class Search:
     """The last improvements, the best at the end; the judge falls back on earlier ones."""
     others: list[Path] = field(default_factory=list)
     """The best of each further search, if there were several; see `restarts`."""
+    firsts: list[Path] = field(default_factory=list)
+    """The first that each of them found."""
     trace: list[TracePoint] = field(default_factory=list)
     refused: int = 0
     """Paths that do not lead from the start to a goal, or graze something between two checked configurations."""
