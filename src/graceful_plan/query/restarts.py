@@ -18,7 +18,7 @@ from graceful_plan.query.request import Request
 from graceful_plan.query.search import ALL, Callback, Search, search
 from graceful_plan.result import TracePoint
 
-_SHARE = 0.25
+_SHARE = 0.15
 """Of the time, for searching; the rest is for descents of what was found as motions."""
 _SECONDS, _ITERATIONS = 0.03, 60
 """How long the searches last: n of them n times as long, each."""
