@@ -36,6 +36,7 @@ SUBJECTS = (
     "roadmap",
     "startup",
     "discretisation",
+    "motions",
     "paper_table",
     "drop_physics",
     "drop_prediction",

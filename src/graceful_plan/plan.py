@@ -172,6 +172,7 @@ def _solved(judged: Judged, found: Search, request: Request, budget: Budget, sta
         request.callback(last)
     # Paths are charged at the paces of a search. Those that promised more than any motion has kept are no improvements.
     trace = (*(point for point in found.trace if point.total > last.total), last)
+    stats = stats if motion.estimate is None else {**stats, "estimated_total": motion.estimate}
     return PlanResult(
         status=PlanStatus.SOLVED,
         path=motion.path,

@@ -180,6 +180,9 @@ def test_curves_that_land_are_free_and_ordered(task: gp.Task) -> None:
     )
     assert {len(one.curve.controls) for one in coarse} <= {COARSE.controls, MIDDLE.controls}
     assert [len(one.curve.controls) for one in finely] == [FINE.controls]
+    bends = replace(descents, effort=Effort(bends=6, fine=0, hops=0), is_free=lambda curve, start: True)
+    found = bends.run([Start(path), Start(path)], Budget(iterations=1), rng, raw=1)
+    assert len(found) >= 8 and sum(one.start == 0 for one in found) <= 2, "bends are of the last start"
     assert not descents.run([], Budget(iterations=1), rng)
     assert not descents.run([Start(path)], Budget(time_limit=0.0), rng)
 

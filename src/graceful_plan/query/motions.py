@@ -59,6 +59,8 @@ class Motion:
     """Which of the ways to a goal it takes; see `Ends`."""
     ranking: float
     """What motions are compared by."""
+    estimate: float | None = None
+    """The total cost that its descent ended with, if it comes from one."""
 
 
 def motions(
@@ -176,7 +178,8 @@ def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | 
         return None
     if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.objective):
         return None
-    return _charged(trajectory.path, trajectory, arrival, request)
+    estimate = landed.value - TIME_PRICE * trajectory.duration
+    return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
 
 
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
