@@ -80,7 +80,12 @@ def tasks_of(found: Found, group: Group) -> list[Headline]:
 
 def spilt_on_the_way(heads: Sequence[Headline], label: str) -> list[str]:
     """List tasks whose healthy motion loses contents."""
-    return [done.task for done in heads if done.motions[label].kept < 1.0 - _LOST]
+    return [done.task for done in heads if loses_contents(done.motions[label])]
+
+
+def loses_contents(motion: Motion) -> bool:
+    """Whether a healthy robot spills on its way."""
+    return motion.kept < 1.0 - _LOST
 
 
 def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str) -> Typical:

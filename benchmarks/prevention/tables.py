@@ -15,6 +15,7 @@ from benchmarks.prevention.figures import (
     at_weight,
     beyond,
     longer,
+    loses_contents,
     spilt_on_the_way,
     tasks_of,
     typical_less,
@@ -27,6 +28,8 @@ KINDS = ("drops", "mixed")
 DROPS, MIXED, CURVE_DROPS = 1000, 500, 200
 DURATIONS = (1.05, 1.1, 1.2)
 """Relative to w = 0: where planners are compared."""
+TRUE_TO = (0.8, 1.25)
+"""What is wanted of predictions over what is observed."""
 LESS, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 4.0, 0.2, 1.5
 """What is wanted: times less harm per task at the default w, at any w, for so much more duration; than other costs."""
 
@@ -104,15 +107,16 @@ def _targets(found: Found, sizes: Sizes, asked: int) -> Iterator[report.Target]:
                 what=f"{group.name}: tasks with more harm per task, {kind}, beyond their interval",
                 wanted="none",
                 measured=", ".join(worse) or "none",
-                met=complete and not worse,
+                met=_met(not worse, complete),
             )
         share = longer(heads, OURS, "duration")
         yield report.Target(
             what=f"{group.name}: median duration",
             wanted=f"<= {report.percent(LONGER, 0)} more",
             measured=f"{report.percent(share)} more",
-            met=complete and share <= LONGER,
+            met=_met(share <= LONGER, complete),
         )
+        yield from _prediction_targets(heads, group, complete)
         yield from _curve_targets(found, group, sizes, complete)
 
 
@@ -127,8 +131,28 @@ def _curve_targets(found: Found, group: Group, sizes: Sizes, complete: bool) -> 
 
 
 def _at_least(what: str, value: float, wanted: float, complete: bool) -> report.Target:
-    met = None if math.isnan(value) else complete and value >= wanted
+    met = None if math.isnan(value) else _met(value >= wanted, complete)
     return report.Target(what=what, wanted=f">= {wanted:g}", measured=report.quantity(value), met=met)
+
+
+def _met(holds: bool, complete: bool) -> bool | None:
+    """Whether a target is met; what holds with fewer failures or tasks than were asked for is not yet measured."""
+    return False if not holds else True if complete else None
+
+
+def _prediction_targets(heads: Sequence[Headline], group: Group, complete: bool) -> Iterator[report.Target]:
+    ours = [done.motions[OURS] for done in heads]
+    for which, motions in (("", ours), (", nothing spilt on the way", [x for x in ours if not loses_contents(x)])):
+        harms = [x.harm["drops"] for x in motions if "drops" in x.harm]
+        seen = sum(harm.mean for harm in harms)
+        ratio = sum(harm.predicted for harm in harms) / seen if seen else math.nan
+        least, most = TRUE_TO
+        yield report.Target(
+            what=f"{group.name}{which}: predicted over observed harm of drops along default motions",
+            wanted=f"{least:g} to {most:g}",
+            measured=report.quantity(ratio),
+            met=None if math.isnan(ratio) else _met(least <= ratio <= most, complete),
+        )
 
 
 _SUMMARY_HEADER = (

@@ -54,6 +54,9 @@ What a healthy robot spills on its way is **not** in these figures, and then the
 fails. So tasks of which a motion at w = 0 or of the default loses more than 1 % are left out of the groups "nothing
 spilt on the way".
 
+Targets are for {DROPS:,} drops and {MIXED} mixed failures a motion on all tasks; what holds with fewer is "not
+measured".
+
 Common sense, as own costs: "keep away", the severity of everything around times exp(- distance / 0.15 m); "not above",
 the severity of everything straight below; "carry low", the height above what is below. Each is planned with over a
 grid of weights, and so are the default model and Algorithm 1; "at equal duration" reads harm per task off the lower
