@@ -79,7 +79,7 @@ class Motion:
         refused: Why there is none, or why the healthy robot cannot carry it out; "" if it does.
         length: Joint-space length [rad].
         duration: [s].
-        kept: Part of the contents that the healthy robot arrives with; 1 if there are none.
+        kept: Part of the contents that the healthy robot arrives with; 1 if there are none, or if nobody looked.
         harm: By kind of failures, "drops" or "mixed".
     """
 
@@ -87,7 +87,7 @@ class Motion:
     refused: str = ""
     length: float = float("nan")
     duration: float = float("nan")
-    kept: float = float("nan")
+    kept: float = 1.0
     harm: Mapping[str, Harm] = field(default_factory=dict)
 
 
@@ -161,7 +161,7 @@ def do_headline(job: HeadlineJob) -> Headline:
         reports = {} if refused[label] else _reports(task, result, counts, grasp)
         paired = {} if reference is None else reference
         harm = {kind: _harm(own, paired.get(kind)) for kind, own in reports.items()}
-        kept = float("nan") if refused[label] else _kept(task, result, grasp)
+        kept = 1.0 if refused[label] else _kept(task, result, grasp)
         motions[label] = replace(_motion(result, objectives[label].w, refused[label], harm), kept=kept)
         reference = reports if label == NONE else reference
     rate = FAILURES_PER_HOUR

@@ -170,5 +170,6 @@ def _found(names: Mapping[str, Sequence[str]], heads: Path, curves: Path) -> Fou
             if tasks:
                 groups.append(Group(f"{key}{kind}", tasks))
         spilt = set(spilt_on_the_way(done, NONE) + spilt_on_the_way(done, OURS))
-        groups.append(Group(f"{key}, nothing spilt on the way", frozenset(all_of) - spilt))
+        if set(all_of) - spilt:
+            groups.append(Group(f"{key}, nothing spilt on the way", frozenset(all_of) - spilt))
     return Found(done, {(x.task, x.cost): x for x in read_curves(curves) if x.task in order}, groups)

@@ -10,6 +10,7 @@ import graceful_plan as gp
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.query.cheaper import cheaper
 
+DROPS = gp.ImpactCost(model=gp.Footprint())
 ARM = gp.ImpactCost(model=gp.Footprint(faults="service_robot"))
 
 
@@ -22,8 +23,8 @@ def task() -> gp.Task:
     ("impact", "expected"),
     [
         (gp.ImpactCost(), None),
-        (ARM, gp.ImpactCost()),
-        (gp.ImpactCost(consequence="energy"), gp.ImpactCost()),
+        (ARM, DROPS),
+        (gp.ImpactCost(consequence="energy"), DROPS),
     ],
 )
 def test_what_is_cheaper(task: gp.Task, impact: gp.ImpactCost, expected: gp.ImpactCost | None) -> None:
@@ -66,4 +67,4 @@ def test_a_cost_of_ones_own_begins_with_the_shortest(task: gp.Task) -> None:
 def test_settings_of_the_cheaper_model_are_the_shipped_ones(task: gp.Task) -> None:
     bound = gp.Objective(impact=replace(ARM, own_loss=False)).bind(task.scene)
     found = cheaper(bound)
-    assert found is not None and found.objective.impact == gp.ImpactCost()
+    assert found is not None and found.objective.impact == DROPS

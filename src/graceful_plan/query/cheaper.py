@@ -25,6 +25,8 @@ from graceful_plan.query.restarts import search_for_motions
 
 _SHARE = 0.65
 """Of the budget for motions of the cheaper objective."""
+_OWN_SHARE = 0.2
+"""The same where the full objective has no descents, so that all else is up to its search."""
 _KEPT = 2
 """Of these motions; to charge one takes as long as many steps of a descent."""
 
@@ -54,7 +56,8 @@ def known_motions(
     if objective is None:
         return []
     asked = replace(request, objective=objective, preference=None, callback=None)
-    with budget.share(_SHARE * budget.remaining_seconds, _SHARE * budget.remaining_iterations) as part:
+    share = _OWN_SHARE if request.objective.descended() is None else _SHARE
+    with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
         found = search_for_motions(asked, problem, part, rng)
         cheap = motions(found, asked, ends, problem, (part, rng))[0]
     return sorted((recharged(one, request) for one in cheap[:_KEPT]), key=lambda one: one.ranking)

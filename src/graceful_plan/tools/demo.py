@@ -67,8 +67,8 @@ def run(output: Path, *, callback: Callable[[TracePoint], None] | None = None, *
     files = []
     for label, result in results.items():
         if result.trajectory is not None:
-            stem = output / f"trajectory_w{WEIGHTS[label]:g}"
-            files += [stem.with_suffix(".json"), stem.with_suffix(".csv")]
+            name = f"trajectory_w{WEIGHTS[label]:g}"
+            files += [output / f"{name}.json", output / f"{name}.csv"]
             result.trajectory.to_json(files[-2])
             result.trajectory.to_csv(files[-1])
     paths = {label: result.path for label, result in results.items() if result.path is not None}
