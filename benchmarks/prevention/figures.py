@@ -131,15 +131,21 @@ def draw(found: Found, file: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    scenes = list(dict.fromkeys(done.task.split("/")[0] for done in found.heads))
+    drawn_tasks = {task for task, cost in found.curves if cost == OURS}
+    scenes = list(dict.fromkeys(done.task.split("/")[0] for done in found.heads if done.task in drawn_tasks))
     if not scenes:
         return
     columns = min(5, len(scenes))
     rows = -(-len(scenes) // columns)
     figure = Figure(figsize=(3.2 * columns, 3.0 * rows), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    panels = dict(zip(scenes, figure.subplots(rows, columns, squeeze=False).flat, strict=False))
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    panels = dict(zip(scenes, axes, strict=False))
+    for unused in axes[len(scenes) :]:
+        unused.set_visible(False)
     for done in found.heads:
+        if done.task not in drawn_tasks:
+            continue
         name, task = done.task.split("/")
         color = None
         for cost, style in ((OURS, "o-"), (PUBLISHED, "x:")):

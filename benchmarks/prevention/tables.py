@@ -21,7 +21,7 @@ from benchmarks.prevention.figures import (
     typical_less,
 )
 from benchmarks.prevention.harm_curves import Typical, typical
-from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS
+from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline
 from failbench.report import FAILURES_PER_HOUR
 
 KINDS = ("drops", "mixed")
