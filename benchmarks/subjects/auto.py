@@ -16,7 +16,7 @@ from graceful_plan.compare.runs.runner import PlannerJob
 
 TITLE = "The default planner: gap to the best known over time"
 OTHERS = ("rrt_star", "informed_rrt_star", "bit_star")
-"""Planners of OMPL on the same kernels, with more time."""
+"""Other planners on the same kernels, with more time."""
 OTHERS_WITHIN, OTHERS_TASKS = 0.3, 20
 """Gap that the first of them is to reach on so many tasks."""
 WANTED = {(0.3, 50): 0.02, (2.0, 50): 0.005, (1.0, 90): 0.05}
@@ -41,7 +41,7 @@ Runs = Mapping[float, list[Run]]
 
 def run(options: suite.Options) -> str:
     """Run the default at every limit, its parts, and the others."""
-    seeds, other_limit = options.pick((10, 5.0), quick=(1, 1.0))
+    seeds, other_limit = options.pick((4, 5.0), quick=(1, 1.0))
     tasks = suite.task_names(options)
     limits = sorted({limit for limit, _ in WANTED})
     own = [planning.job(task, seed=seed, seconds=limit) for limit in limits for seed in range(seeds) for task in tasks]
