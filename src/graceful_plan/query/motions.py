@@ -87,17 +87,24 @@ def motions(
     wholes = wholes[: max(_MOST_STARTS, 1 + len(searched.others))]
     firsts = [ends.joined(path) for path in searched.firsts[:_MOST_STARTS]]
     begun = [*wholes, *((motion.path, motion.arrival) for motion in known), *firsts]
-    effort = Effort(bends=0, hops=0) if searched.stopped else Effort() if wholes else _POLISH
+    effort = Effort() if wholes else _POLISH
+    if searched.stopped:
+        effort = Effort(bends=0, hops=0)
     found = [*known, *smooth(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
     why_not = ""
-    promised = searched.trace[-1].total if searched.trace else np.inf
-    worth_timing = 0 if found and promised > min(motion.cost.total for motion in found) else 1 if found else KEPT
-    for whole, arrival in wholes[:worth_timing]:
+    for whole, arrival in wholes[: _worth_timing(searched, found)]:
         try:
             found.append(_along(whole, arrival, request, ends))
         except RetimingError as error:
             why_not = str(error)
     return sorted(found, key=lambda motion: motion.ranking), why_not
+
+
+def _worth_timing(searched: Search, found: Sequence[Motion]) -> int:
+    """How many polylines to time: the best if it promises more than smooth motions keep, several if there are none."""
+    if not found:
+        return KEPT
+    return int(bool(searched.trace) and searched.trace[-1].total <= min(motion.cost.total for motion in found))
 
 
 def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> Iterator[Motion]:
