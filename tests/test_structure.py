@@ -38,6 +38,7 @@ FLOORS = (
     {"result"},
     {"documents"},
     {"costs"},
+    {"constraints"},
     {"planners", "judge"},
     {"analysis", "transcription"},
     {"query"},

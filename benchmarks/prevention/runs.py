@@ -25,10 +25,10 @@ from failbench import Estimate, ExecutionRefused, SimSettings, ValidationReport
 from failbench.calibrations.failures import DROP
 from failbench.fault.fault import Fault
 from failbench.recording.spill import kept_volume
-from failbench.recording.vessel import find_vessel
 from failbench.report import FAILURES_PER_HOUR
 from failbench.scenario import usual_grasp
 from failbench.validation import chosen_faults
+from graceful_plan.constraints.vessel import find_vessel
 
 SEED = 77
 SPEED = 0.5
@@ -231,7 +231,7 @@ def _refusal(task: gp.Task, result: gp.PlanResult, grasp: str) -> str:
 def _kept(task: gp.Task, result: gp.PlanResult, grasp: str) -> float:
     """Return the part of the contents that is there after a healthy run."""
     world = fb.build_world(task.scene, SimSettings(grasp=grasp))
-    vessel = find_vessel(world)
+    vessel = find_vessel(world.scene)
     return 1.0 if vessel is None else kept_volume(world, fb.execute(result, world).states) / vessel.volume
 
 

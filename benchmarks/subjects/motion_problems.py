@@ -15,6 +15,7 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.motion_problems import KINDS, make, write
 from graceful_plan.compare.problems.problem_files import ProblemFile
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.planner import Budget
@@ -145,7 +146,7 @@ def _asked(problem: ProblemFile) -> SceneProblem | None:
     goals = resolve_goal(problem.goal, scene, problem.start).q
     if not len(start) or not len(goals):
         return None
-    ends = ways_out(start[0], goals, compiled, scene, np.random.default_rng(0))
+    ends = ways_out(start[0], goals, SceneConstraints(scene, ()), np.random.default_rng(0))
     if isinstance(ends, gp.PlanResult):
         return None
     return SceneProblem(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from graceful_plan.analysis.risk_measures import RiskMeasure
+from graceful_plan.constraints.scene_constraints import AnyConstraint, SceneConstraints, default_constraints
 from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
@@ -63,6 +64,7 @@ def plan(
     speed: float = 1.0,
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
+    constraints: Iterable[AnyConstraint] | None = None,
     callback: Callback | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:
@@ -85,6 +87,8 @@ def plan(
             along a path; of the paths found the best by the measure is taken and refined by it (see `prefer`).
         max_wait: How long the robot may wait before it goes [s], in a scene where something moves (see `departure`);
             the trajectory then begins with a stretch at rest.
+        constraints: What has to hold on the way, besides not to collide; by default what the scene asks for, and that
+            the contents of a carried vessel stay in it (`KeepContents`). An empty list asks for nothing.
         callback: Called with every improvement, at last with the motion itself; returning True ends the search.
         cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
             ends, and the best path so far is timed and judged as ever. Without one the status is CANCELLED.
@@ -98,9 +102,11 @@ def plan(
     started = time.perf_counter()
     share, measure = checked_speed(speed), checked_risk(risk)
     bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene
+    held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
     request = Request(
         planner=checked_planner(planner),
         objective=bound,
+        constraints=held,
         preference=None if measure.kind == "expectation" else Preference(measure, bound),
         pose=goal if isinstance(goal, PoseGoal) else None,
         speed=share,
@@ -108,7 +114,7 @@ def plan(
         callback=callback,
     )
     rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
-    ends = find_ends(start, goal, scene, rng, seed=seed, cancelled=stop)
+    ends = find_ends(start, goal, held, rng, seed=seed, cancelled=stop)
     if isinstance(ends, PlanResult):
         return ends
     reserve = _RESERVE + (_TIMING_RESERVE if scene.moving else 0.0)
@@ -117,8 +123,15 @@ def plan(
         result = _search_and_finish(request, ends, budget, rng)
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
-    detail = "; ".join([*ends.notes, *([result.detail] if result.detail else [])])
+    notes = [*ends.notes, *_waived(held)]
+    detail = "; ".join([*notes, *([result.detail] if result.detail else [])])
     return replace(result, detail=detail, stats={**result.stats, "total_time": time.perf_counter() - started})
+
+
+def _waived(held: SceneConstraints) -> list[str]:
+    """Say which of the constraints that go without saying were switched off."""
+    asked = {type(constraint) for constraint in held.constraints}
+    return [f"{c.name} is switched off" for c in default_constraints(held.scene) if type(c) not in asked]
 
 
 def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.random.Generator) -> PlanResult:
@@ -127,11 +140,12 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
     stats: dict[str, float] = {}
     for margin, check_step in _CAUTION:
         problem = SceneProblem(
-            kernels=ends.compiled.kernels,
+            kernels=request.constraints.kernels,
             start=ends.departure.q[-1],
             goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
             margin=min(margin, 0.5 * ends.clearance),
             check_step=check_step,
+            constraints=request.constraints,
         )
         known = known_motions(request, problem, ends, budget, rng)
         asked = replace(request, planner=beginning_with(known, request.planner))

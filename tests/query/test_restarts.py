@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
@@ -39,6 +40,7 @@ def searched(
     request = Request(
         planner=gp.Auto() if planner is None else planner,
         objective=bound,
+        constraints=SceneConstraints(task.scene, ()),
         preference=None,
         pose=None,
         speed=1.0,

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.planners import Auto
 from graceful_plan.planners.planner import Budget
@@ -46,11 +47,12 @@ def task():
 def asked(task):
     """What a front is asked for, what is searched in, and a few paths."""
     rng = np.random.default_rng(0)
-    ends = find_ends(task.start, task.goal, task.scene, rng)
+    held = SceneConstraints(task.scene, ())
+    ends = find_ends(task.start, task.goal, held, rng)
     objective = Objective().bind(task.scene, search_paces())
-    query = FrontQuery(ends=ends, request=Request(planner=Auto(), objective=objective))
+    query = FrontQuery(ends=ends, request=Request(planner=Auto(), objective=objective, constraints=held))
     goals = np.stack([arrival.q[0] for arrival in ends.arrivals])
-    problem = SceneProblem(kernels=ends.compiled.kernels, start=ends.departure.q[-1], goals=goals, margin=0.002)
+    problem = SceneProblem(kernels=ends.constraints.kernels, start=ends.departure.q[-1], goals=goals, margin=0.002)
     paths: Archive[Candidate] = Archive()
     for w in (0.0, 1.0):
         for path in search(Auto(), problem, query.at(w), Budget(iterations=200), rng, kept=100).paths:

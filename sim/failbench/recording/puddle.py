@@ -15,10 +15,10 @@ import numpy as np
 
 from failbench.recording.closeup import NOBODY, Closeup
 from failbench.recording.records import ContactEvent
-from failbench.recording.vessel import REPOSE
 from failbench.simulated.world import World
 from graceful_plan import Dry
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.vessel import REPOSE
 
 Array = np.ndarray
 

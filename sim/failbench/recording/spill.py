@@ -16,10 +16,10 @@ from failbench.recording.bounds import rotations
 from failbench.recording.closeup import Closeup
 from failbench.recording.puddle import Parcel, Puddles
 from failbench.recording.records import ContactEvent
-from failbench.recording.vessel import Vessel, find_vessel
 from failbench.simulated.execution import CHECKPOINT
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.vessel import Vessel, find_vessel
 
 Array = np.ndarray
 
@@ -68,7 +68,7 @@ class Spill:
 
     def __init__(self, world: World, closeup: Closeup, onset: tuple[Array, Array], kept: float | None = None) -> None:
         self._dt = STRIDE * float(world.model.opt.timestep)
-        self._vessel = find_vessel(world)
+        self._vessel = find_vessel(world.scene)
         self._kept = kept
         self._gravity = -float(world.model.opt.gravity[2])
         if self._vessel is not None:
@@ -121,7 +121,7 @@ def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
         world: Where.
         states: MuJoCo's integration state, which begins with time, positions and velocities, at each checkpoint.
     """
-    vessel = find_vessel(world)
+    vessel = find_vessel(world.scene)
     if vessel is None:
         return 0.0
     nq, nv = world.model.nq, world.model.nv

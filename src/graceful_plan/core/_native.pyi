@@ -3,7 +3,7 @@
 Arrays of other types or layouts than those that stand here are copied; those that come out belong to the caller.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Reals = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
+def lever() -> float: ...
 def instruction_sets() -> list[str]: ...
 def capacity() -> dict[str, int]: ...
 def drop_constants() -> list[str]: ...
@@ -50,6 +51,11 @@ class Core:
         n_entity: int,
         tool_link: int,
         tool_position: Reals,
+        keep: Reals,
+        cone_link: Integers,
+        cone: Reals,
+        room_link: Integers,
+        room: Reals,
         isa: str,
     ) -> None: ...
     @property
@@ -164,7 +170,10 @@ class SceneSpace(Space):
         fine_step: float,
         cost_step: float,
         margin: float,
+        holds: Callable[[Reals], NDArray[np.bool_]] | None = None,
+        clearance: Callable[[Reals], tuple[Reals, Reals]] | None = None,
     ) -> None: ...
+    def project(self, q: Reals, clearance: float) -> Reals: ...
 
 @final
 class CallbackSpace(Space):
@@ -202,6 +211,10 @@ class Descent:
     def energy(self) -> float: ...
 
 @final
+class FeltLimit:
+    def __init__(self, *, link: int, point: Reals, facets: Reals, gravity: float) -> None: ...
+
+@final
 class MotionDescent:
     def __init__(
         self,
@@ -218,6 +231,7 @@ class MotionDescent:
         tolerance: float = 1e-4,
         tight_start: float = 0.0,
         tight_end: float = 0.0,
+        felt: Sequence[FeltLimit] = (),
     ) -> None: ...
     def run(self, steps: int, seconds: float) -> int: ...
     def harden(self) -> None: ...
@@ -231,7 +245,14 @@ class MotionDescent:
 
 def spline(controls: Reals, u: Reals) -> Reals: ...
 def fastest(
-    step: Reals, slope: Reals, bend: Reals, stop: NDArray[np.bool_], velocity: Reals, acceleration: Reals
+    step: Reals,
+    slope: Reals,
+    bend: Reals,
+    stop: NDArray[np.bool_],
+    velocity: Reals,
+    acceleration: Reals,
+    *,
+    limit: Reals | None = None,
 ) -> Reals: ...
 
 @final

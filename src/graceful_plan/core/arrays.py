@@ -1,4 +1,4 @@
-"""The tables that kernels read: robot, world, hazards.
+"""The tables that kernels read: robot, world, hazards, bounds.
 
 Axis words: `*batch time nq nv link geom sphere obstacle pair component entity hazard xyz(3) wxyz(4)`. Order: batch,
 time, item, component. Tables are frozen; `compile.py` makes them from a scene, `kernels.py` hands them to the core.
@@ -103,3 +103,36 @@ class HazardArrays:
     target_entity: Int[Array, " target"]
     target_box: Float[Array, "target 6"]
     severity: Float[Array, "component entity"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class BoundArrays:
+    """What else has to hold in every configuration: axes within cones, points within boxes, more distance.
+
+    | field      | meaning                                                                   | unit | shape    |
+    |------------|---------------------------------------------------------------------------|------|----------|
+    | cone_link  | link that the axis rides on                                               |      | cone     |
+    | cone       | unit axis in the link, unit direction in W, largest angle between them     | rad  | cone 7   |
+    | room_link  | link that the point rides on                                              |      | room     |
+    | room       | point in the link; rotation (row-major) and position of the box; its lower |      |          |
+    |            | and upper corner in its own axes                                          | m    | room 21  |
+    | keep       | distance to keep from each obstacle, on top of any margin                 | m    | obstacle |
+    """
+
+    cone_link: Int[Array, " cone"]
+    cone: Float[Array, "cone 7"]
+    room_link: Int[Array, " room"]
+    room: Float[Array, "room 21"]
+    keep: Float[Array, " obstacle"]
+
+    @classmethod
+    def none(cls, n_obstacle: int) -> BoundArrays:
+        """Nothing besides keeping clear."""
+        no_link = np.zeros(0, dtype=int)
+        return cls(
+            cone_link=no_link,
+            cone=np.zeros((0, 7)),
+            room_link=no_link,
+            room=np.zeros((0, 21)),
+            keep=np.zeros(n_obstacle),
+        )

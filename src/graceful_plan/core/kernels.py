@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core import _native
-from graceful_plan.core.arrays import HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.core.arrays import BoundArrays, HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
 
@@ -23,6 +23,8 @@ FINE_STEP = 1.0 / 256.0
 """The same for edges that become part of a path [rad]: no point of an arm moves more than some 5 mm in between."""
 CAPACITY: dict[str, int] = dict(_native.capacity())
 """How many joints, links, spheres, parts and entities the kernels hold."""
+LEVER: float = _native.lever()
+"""What a radian of a bound counts as clearance [m/rad], so that one margin is for distances and angles."""
 MAX_SAMPLES = 1_000_000
 """Configurations that one edge may be cut into."""
 MAX_POSITION = 1000.0
@@ -52,12 +54,21 @@ class Kernels:
         world: The obstacles.
         hazards: Components and entities.
         isa: Instruction set, "auto" for the best; see `instruction_sets`.
+        bounds: What else has to hold: "free" and "clearance" then speak of these too, an angle [rad] as `LEVER` metres.
     """
 
-    def __init__(self, robot: RobotArrays, world: WorldArrays, hazards: HazardArrays, isa: str = "auto") -> None:
+    def __init__(
+        self,
+        robot: RobotArrays,
+        world: WorldArrays,
+        hazards: HazardArrays,
+        isa: str = "auto",
+        bounds: BoundArrays | None = None,
+    ) -> None:
         if isa != "auto" and isa not in instruction_sets():
             raise SettingError("isa", isa, f"'auto' or one of {', '.join(instruction_sets())}")
         self.robot, self.world, self.hazards = robot, world, hazards
+        bounds = BoundArrays.none(len(world.kind)) if bounds is None else bounds
         self.nq = len(robot.lower)
         self.core = _native.Core(
             parent=_integers(robot.parent),
@@ -85,6 +96,11 @@ class Kernels:
             n_entity=hazards.severity.shape[1],
             tool_link=robot.tool_link,
             tool_position=_reals(robot.X_LT[:3, 3]),
+            keep=_reals(bounds.keep),
+            cone_link=_integers(bounds.cone_link),
+            cone=_reals(bounds.cone),
+            room_link=_integers(bounds.room_link),
+            room=_reals(bounds.room),
             isa=isa,
         )
 

@@ -127,6 +127,7 @@ class MotionDescents:
         acceleration: Limits of the joints [rad/s^2 or m/s^2].
         is_free: Whether nothing is hit along a curve that came from some start.
         effort: How much of what there is to do.
+        felt: Limits on what is felt where something is carried.
     """
 
     space: _native.Space
@@ -134,6 +135,7 @@ class MotionDescents:
     acceleration: Float[Array, " nq"]
     is_free: Callable[[Spline, Start], bool]
     effort: Effort = Effort()
+    felt: Sequence[_native.FeltLimit] = ()
 
     def run(
         self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, *, raw: int | None = None
@@ -166,6 +168,7 @@ class MotionDescents:
             time_price=TIME_PRICE,
             tight_start=start.tight_start,
             tight_end=start.tight_end,
+            felt=self.felt,
         )
         _go_on(descent, stage.evaluations, budget)
         return descent

@@ -30,6 +30,7 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
     scene_objective = objective if isinstance(objective, SceneObjective) else None
     kernel = None if scene_objective is None else scene_objective.kernel
     if isinstance(problem, SceneProblem) and kernel is not None:
+        custom = problem.custom
         return _native.SceneSpace(
             core=problem.kernels.core,
             impact=kernel.native,
@@ -40,6 +41,8 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
             fine_step=FINE_STEP,
             cost_step=COST_STEP,
             margin=problem.margin,
+            holds=None if custom is None else lambda q: custom.custom_holds(q, problem.margin),
+            clearance=None if custom is None else custom.custom_clearance,
         )
     return _native.CallbackSpace(
         edges_free=lambda q0, q1: _answer(problem, "edges_free", problem.edges_free(q0, q1), (len(q0),), np.bool_),

@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.kernels import CHECK_STEP, Kernels
 from graceful_plan.planners.planner import Problem
 
@@ -26,6 +27,7 @@ class SceneProblem(Problem):
         check_step: Largest distance between checked configurations of an edge [rad]. The native planners check the
             edges of a path once more at `FINE_STEP`.
         margin: Clearance to keep [m].
+        constraints: What has to hold besides; the kernels are to be theirs.
     """
 
     kernels: Kernels
@@ -33,6 +35,7 @@ class SceneProblem(Problem):
     goals: Float[Array, "goal nq"]
     check_step: float = CHECK_STEP
     margin: float = 0.0
+    constraints: SceneConstraints | None = None
 
     @property
     def lower(self) -> Float[Array, " nq"]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -46,13 +49,40 @@ class SceneProblem(Problem):
 
     def states_free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which configurations are free of collision."""
-        return self.kernels.free(q, self.margin)
+        free = self.kernels.free(q, self.margin)
+        if self.custom is not None and np.any(free):
+            free[free] = self.custom.custom_holds(q[free], self.margin)
+        return free
 
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which straight edges are free of collision."""
-        return self.kernels.edges_free(q0, q1, self.check_step, self.margin)
+        free = self.kernels.edges_free(q0, q1, self.check_step, self.margin)
+        if self.custom is not None and np.any(free):
+            free[free] = edges_hold(self.custom, q0[free], q1[free], self.check_step, self.margin)
+        return free
 
     def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         """Return the clearance beyond the margin [m] of the nearest pair, self-collision included, and its gradient."""
         clearance, gradient = self.kernels.clearance_gradient(q)
+        if self.custom is not None:
+            own, slope = self.custom.custom_clearance(q)
+            nearer = own < clearance
+            clearance, gradient = np.where(nearer, own, clearance), np.where(nearer[:, None], slope, gradient)
         return clearance - self.margin, gradient
+
+    @property
+    def custom(self) -> SceneConstraints | None:
+        """The constraints, if there are some that only Python can check."""
+        return self.constraints if self.constraints is not None and self.constraints.custom else None
+
+
+def edges_hold(
+    constraints: SceneConstraints, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float, margin: float
+) -> Bool[Array, " n"]:
+    """Tell along which straight edges custom constraints hold, at configurations at most `step` [rad] apart."""
+    pieces = np.ceil(np.linalg.norm(q1 - q0, axis=1) / step).astype(int) + 1
+    edge = np.repeat(np.arange(len(q0)), pieces + 1)
+    first = np.concatenate([[0], np.cumsum(pieces + 1)[:-1]]) if len(q0) else np.zeros(0, dtype=int)
+    share = ((np.arange(len(edge)) - first[edge]) / pieces[edge])[:, None]
+    holds = constraints.custom_holds((1.0 - share) * q0[edge] + share * q1[edge], margin)
+    return np.logical_and.reduceat(holds, first) if len(q0) else np.zeros(0, dtype=bool)

@@ -92,8 +92,10 @@ def search_among_moving(
     """
     planner, objective, callback = request.planner, request.objective, request.callback
     still = SceneObjective(objective.objective, objective.scene.without_moving(), objective.paces)
+    held = request.constraints.on(still.scene)
     with budget.share(_STILL * budget.remaining_seconds, _STILL * budget.remaining_iterations) as part:
-        found = search(planner, replace(problem, kernels=still.kernels), still, part, rng, callback, kept=ALL)
+        among_still = replace(problem, kernels=held.kernels, constraints=held)
+        found = search(planner, among_still, still, part, rng, callback, kept=ALL)
     paths = list(found.paths)
     if paths and objective.w > 0.0 and not found.stopped:
         better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.core.compile import CompiledScene, compile_scene
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.path import Path
 from graceful_plan.query.escape import way_out
-from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.query.goals import Configuration, Goal, Resolved, resolve_goal, resolve_start
 from graceful_plan.result import PlanResult, PlanStatus
-from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
@@ -24,7 +23,8 @@ _NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner
 class Ends:
     """Where the planner starts and where it may end, and how that is reached and left."""
 
-    compiled: CompiledScene
+    constraints: SceneConstraints
+    """What has to hold on the way."""
     departure: Path
     """From the real start to where the planner starts."""
     arrivals: tuple[Path, ...]
@@ -38,7 +38,7 @@ class Ends:
     def clearance(self) -> float:
         """Least clearance of the planner's start and goals [m]; at least 0."""
         q = np.stack([self.departure.q[-1], *(arrival.q[0] for arrival in self.arrivals)])
-        return max(0.0, float(self.compiled.kernels.clearance(q).min()))
+        return max(0.0, float(self.constraints.clearance(q).min()))
 
     def joined(self, path: Path) -> tuple[Path, int]:
         """Return the whole path, from the real start to a real goal, and which arrival it takes."""
@@ -55,7 +55,7 @@ class Ends:
 def find_ends(
     start: Configuration,
     goal: Goal,
-    scene: Scene,
+    constraints: SceneConstraints,
     rng: np.random.Generator,
     *,
     seed: int = 0,
@@ -66,7 +66,7 @@ def find_ends(
     Args:
         start: Configuration or keyframe.
         goal: Configuration, keyframe, several of them, or a pose.
-        scene: Where.
+        constraints: What has to hold, and where.
         rng: For ways out of tight places.
         seed: Of the random numbers of inverse kinematics.
         cancelled: Ends it early.
@@ -74,38 +74,47 @@ def find_ends(
     Raises:
         GracefulPlanError: For misuse: wrong shapes, NaN, names that do not exist.
     """
-    starts = resolve_start(start, scene)
+    scene = constraints.scene
+    starts = constrained("start", resolve_start(start, scene), constraints)
     if not len(starts.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
-    goals = resolve_goal(goal, scene, starts.q[0], seed=seed, cancelled=cancelled)
+    goals = constrained("goal", resolve_goal(goal, scene, starts.q[0], seed=seed, cancelled=cancelled), constraints)
     if cancelled():
         return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
     if not len(goals.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)
-    ends = ways_out(starts.q[0], goals.q, compile_scene(scene), scene, rng, cancelled)
+    ends = ways_out(starts.q[0], goals.q, constraints, rng, cancelled)
     if isinstance(ends, PlanResult):
         return ends
     index = tuple(goals.index[k] for k in ends.goal_index)
     return replace(ends, goal_index=index, notes=(*starts.notes, *goals.notes))
 
 
+def constrained(word: str, resolved: Resolved, constraints: SceneConstraints) -> Resolved:
+    """Return the configurations that keep the constraints, and what the others are lacking."""
+    objections = [constraints.objections(q) for q in resolved.q]
+    kept = [k for k, found in enumerate(objections) if not found]
+    told = tuple(f"{word}: {'; '.join(found)}" for found in objections if found)
+    index = tuple(resolved.index[k] for k in kept)
+    return Resolved(resolved.q[kept], index, resolved.notes, (*resolved.problems, *told))
+
+
 def ways_out(
     start: Float[Array, " nq"],
     goals: Float[Array, "goal nq"],
-    compiled: CompiledScene,
-    scene: Scene,
+    constraints: SceneConstraints,
     rng: np.random.Generator,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Ends | PlanResult:
     """Find a way from the start, and to as many goals as have one; a result that says so if there is none."""
-    departure = way_out(start, compiled.kernels, scene, rng)
+    departure = way_out(start, constraints, rng)
     if departure is None:
         return PlanResult(status=PlanStatus.INVALID_START, detail=_NO_WAY.format("start"))
-    ways = [(k, way_out(goal, compiled.kernels, scene, rng)) for k, goal in enumerate(goals) if not cancelled()]
+    ways = [(k, way_out(goal, constraints, rng)) for k, goal in enumerate(goals) if not cancelled()]
     arrivals = [(k, way.reversed()) for k, way in ways if way is not None]
     if cancelled():
         return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
     if not arrivals:
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_NO_WAY.format("goal"))
     index, paths = zip(*arrivals, strict=True)
-    return Ends(compiled=compiled, departure=departure, arrivals=paths, goal_index=index)
+    return Ends(constraints=constraints, departure=departure, arrivals=paths, goal_index=index)

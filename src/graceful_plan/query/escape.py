@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.core.kernels import Kernels
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.judge.exact import first_collision
 from graceful_plan.path import Path
-from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
@@ -28,35 +27,35 @@ _MAX_LENGTH = 1.0
 
 
 def way_out(
-    q: Float[Array, " nq"], kernels: Kernels, scene: Scene, rng: np.random.Generator, attempts: int = 8
+    q: Float[Array, " nq"], constraints: SceneConstraints, rng: np.random.Generator, attempts: int = 8
 ) -> Path | None:
     """Find a short exact-free path from `q` to a configuration with clearance.
 
     Args:
         q: A configuration that is free by exact geometry, contacts allowed at the ends aside.
-        kernels: The scene's kernels.
-        scene: The scene.
+        constraints: What has to hold there too, and where that is.
         rng: For a random nudge before each attempt but the first.
         attempts: How often to try.
 
     Returns:
         The path, a single configuration if `q` has clearance; None if no way out was found.
     """
-    tight = float(kernels.clearance(q))
+    tight = float(constraints.clearance(q[None])[0])
     if tight >= TARGET_CLEARANCE:
         return Path(q[None])
     for attempt in range(attempts):
         nudge = rng.normal(size=len(q)) * 0.01 * attempt
-        end = _ascend(q + nudge, kernels)
+        end = _ascend(q + nudge, constraints)
         if end is None:
             continue
         path = Path(np.stack([q, end]))
-        if path.length < _MAX_LENGTH and first_collision(path, scene) is None:
+        if path.length < _MAX_LENGTH and first_collision(path, constraints.scene) is None:
             return path
     return Path(q[None]) if tight > _LEAST else None
 
 
-def _ascend(q: Float[Array, " nq"], kernels: Kernels, iterations: int = 80) -> Float[Array, " nq"] | None:
+def _ascend(q: Float[Array, " nq"], constraints: SceneConstraints, iterations: int = 80) -> Float[Array, " nq"] | None:
+    kernels = constraints.kernels
     lower, upper = kernels.robot.lower, kernels.robot.upper
     q = np.clip(q, lower, upper)
     for _ in range(iterations):

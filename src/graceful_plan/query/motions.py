@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import TIME_PRICE, Effort, Landed, MotionDescents, Start
@@ -151,19 +151,20 @@ def smooth(
     if objective is None:
         return []
     scene, speed = objective.scene, request.speed
-    kernels = problem.kernels
+    free = replace(problem, margin=0.5 * problem.margin).states_free
 
     def is_free(curve: Spline, start: Start) -> bool:
         q = curve.grid(1).q
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
         clear = (done >= start.tight_start) & (done <= done[-1] - start.tight_end)
-        return bool(kernels.free(q[clear], 0.5 * problem.margin).all())
+        return bool(free(q[clear]).all())
 
     descents = MotionDescents(
         space=native_space(problem, objective),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
+        felt=[cone.native for cone in request.constraints.cones],
         effort=effort if objective.w > 0.0 else replace(effort, bends=0, hops=0),
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
@@ -180,10 +181,12 @@ def _tight(way: Path) -> float:
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
     scene = request.objective.scene
     try:
-        trajectory = timed(landed.curve, scene.limits, scene.joints, speed=request.speed)
+        trajectory = request.constraints.calmed(
+            timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=request.constraints.limits)
+        )
     except RetimingError:
         return None
-    if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.objective):
+    if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.constraints):
         return None
     estimate = landed.value - TIME_PRICE * trajectory.duration
     return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
@@ -198,7 +201,11 @@ def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
 def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline, its corners cut by so much."""
     scene = request.objective.scene
-    trajectory = retime(whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed)
+    restraint = request.constraints.limits
+    trajectory = retime(
+        whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=restraint
+    )
+    trajectory = request.constraints.calmed(trajectory)
     return _charged(whole, trajectory, arrival, request)
 
 
@@ -206,7 +213,7 @@ def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
     """How far each corner may be cut so that nothing comes too close [rad]."""
     q = merge_near_vertices(whole)
     chosen = np.full(max(0, len(q) - 2), DEVIATIONS[0])
-    kernels = request.objective.kernels
+    kernels = request.constraints.kernels
     for wider, narrower in pairwise(DEVIATIONS):
         open_ = np.flatnonzero(chosen == wider)
         if len(open_) == 0:
@@ -238,6 +245,6 @@ def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request
     )
 
 
-def _keeps_clear(trajectory: Trajectory, objective: SceneObjective) -> bool:
+def _keeps_clear(trajectory: Trajectory, constraints: SceneConstraints) -> bool:
     samples = trajectory.sample(max(trajectory.duration / _LOOKED_AT, 1e-3)).q
-    return bool(np.all(objective.kernels.free(samples)))
+    return bool(np.all(constraints.kernels.free(samples)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners import Planner
 from graceful_plan.query.prefer import Preference
@@ -19,6 +20,7 @@ class Request:
     |------------|-----------------------------------------------------------------------|------|
     | planner    | what searches                                                         |      |
     | objective  | what to minimise, in which scene                                      |      |
+    | constraints| what has to hold on the way                                           |      |
     | preference | what decides between paths instead, if the mean impact does not       |      |
     | pose       | the pose to be reached, if that is the goal                           |      |
     | speed      | fraction of the velocity limits to use                                |      |
@@ -28,6 +30,7 @@ class Request:
 
     planner: Planner
     objective: SceneObjective
+    constraints: SceneConstraints
     preference: Preference | None = None
     pose: PoseGoal | None = None
     speed: float = 1.0

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.planners.roadmaps.growth import Ground
@@ -58,7 +59,7 @@ def usable_pairs(motions: Iterable[Motion], scene: Scene, rng: np.random.Generat
     """Return where planners would start and end on these motions, as far as that is possible with clearance."""
     pairs: list[Array] = []
     for start, goal in motions:
-        ends = find_ends(start, goal, scene, rng)
+        ends = find_ends(start, goal, SceneConstraints(scene, ()), rng)
         if isinstance(ends, Ends):
             pairs += [np.stack([ends.departure.q[-1], arrival.q[0]]) for arrival in ends.arrivals]
     found = np.array(pairs).reshape(-1, 2, len(scene.joints))
@@ -74,7 +75,7 @@ def usable_ends(
     Raises:
         GracefulPlanError: For misuse, as `plan`.
     """
-    ends = find_ends(start, goal, scene, rng, seed=seed)
+    ends = find_ends(start, goal, SceneConstraints(scene, ()), rng, seed=seed)
     if isinstance(ends, Ends):
         return ends
     return QueryResult(status=QueryStatus[ends.status.name], detail=ends.detail)

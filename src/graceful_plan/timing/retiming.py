@@ -15,7 +15,7 @@ from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, merge_near_vertices, rounded
-from graceful_plan.timing.topp import InverseDynamics, fastest, fastest_with_toppra
+from graceful_plan.timing.topp import InverseDynamics, Restraint, fastest, fastest_with_toppra
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -34,6 +34,7 @@ def retime(
     deviation: float | Float[Array, " corner"] = 0.05,
     speed: float = 1.0,
     inverse_dynamics: InverseDynamics | None = None,
+    restraint: Restraint | None = None,
 ) -> Trajectory:
     """Time a path as fast as the limits allow, from rest to rest.
 
@@ -45,6 +46,7 @@ def retime(
             inner vertex. With 0 it follows the polyline exactly and stops at the corner.
         speed: In (0, 1]: velocities are scaled by it, accelerations by its square.
         inverse_dynamics: Joint torques of (q, qd, qdd), to keep torque limits too.
+        restraint: Further limits on path acceleration and speed, such as those of a full cup.
 
     Returns:
         A trajectory that keeps the limits at every time, not only at its samples. A path without length gives a single
@@ -68,7 +70,14 @@ def retime(
     if not pieces:
         still = np.zeros((1, nq))
         return Trajectory(np.zeros(1), path.q[:1], still, still, joints)
-    return timed(Polyline(pieces, path.q[-1]), limits, joints, speed=speed, inverse_dynamics=inverse_dynamics)
+    return timed(
+        Polyline(pieces, path.q[-1]),
+        limits,
+        joints,
+        speed=speed,
+        inverse_dynamics=inverse_dynamics,
+        restraint=restraint,
+    )
 
 
 def timed(
@@ -78,10 +87,21 @@ def timed(
     *,
     speed: float = 1.0,
     inverse_dynamics: InverseDynamics | None = None,
+    restraint: Restraint | None = None,
 ) -> Trajectory:
     """Travel a curve as fast as the limits allow, from rest to rest; otherwise as `retime`."""
     _check_limits(limits, joints)
-    return slowed(_refined(curve, _Robot(limits, joints, inverse_dynamics)), 1.0 / speed)
+    robot = _Robot(limits, joints, inverse_dynamics, None if restraint is None else _at_speed(restraint, speed))
+    return slowed(_refined(curve, robot), 1.0 / speed)
+
+
+def _at_speed(restraint: Restraint, speed: float) -> Restraint:
+    """Return what a restraint says of a motion that is slowed down afterwards."""
+
+    def limits(grid: CurveGrid) -> Float[Array, "interval limit 3"]:
+        return restraint(grid) * np.array([1.0, 1.0, 1.0 / speed**2])
+
+    return limits
 
 
 def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
@@ -119,6 +139,7 @@ class _Robot:
     joints: tuple[str, ...]
     inverse_dynamics: InverseDynamics | None
     """Torque limits are kept only with these."""
+    restraint: Restraint | None
 
 
 def _refined(curve: Curve, robot: _Robot) -> Trajectory:
@@ -133,9 +154,11 @@ def _refined(curve: Curve, robot: _Robot) -> Trajectory:
 
 def _on_grid(grid: CurveGrid, robot: _Robot) -> Trajectory:
     limits, torques = robot.limits, robot.inverse_dynamics
+    if torques is not None and robot.restraint is not None:
+        raise SettingError("restraint", robot.restraint, "None where torque limits are kept: toppra is not told of it")
     velocity, acceleration = np.asarray(limits.velocity, float), np.asarray(limits.acceleration, float)
     if torques is None:
-        speeds = fastest(grid, velocity, acceleration)
+        speeds = fastest(grid, velocity, acceleration, None if robot.restraint is None else robot.restraint(grid))
     else:
         _check_holdable(grid, np.asarray(limits.torque, float), robot.joints, torques)
         speeds = fastest_with_toppra(grid, velocity, acceleration, np.asarray(limits.torque, float), torques)

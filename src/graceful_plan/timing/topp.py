@@ -31,10 +31,15 @@ from graceful_plan.timing.blend import CurveGrid
 Array = np.ndarray
 InverseDynamics = Callable[[Array, Array, Array], Array]
 """Joint torques [N m] of (q, qd, qdd)."""
+Restraint = Callable[[CurveGrid], Array]
+"""Limits a u + b x <= c with c > 0 on path acceleration u and squared path speed x: [interval, limit, 3]."""
 
 
 def fastest(
-    grid: CurveGrid, velocity: Float[Array, " nq"], acceleration: Float[Array, " nq"]
+    grid: CurveGrid,
+    velocity: Float[Array, " nq"],
+    acceleration: Float[Array, " nq"],
+    limit: Float[Array, "interval limit 3"] | None = None,
 ) -> Float[Array, " point"]:
     """Compute the time-optimal path speed at each grid point, at rest where the grid says stop.
 
@@ -42,13 +47,14 @@ def fastest(
         grid: The curve.
         velocity: Limits of the joint speeds [rad/s], > 0.
         acceleration: Limits of the joint accelerations [rad/s^2], finite and > 0.
+        limit: Further limits, see `Restraint`.
 
     Returns:
         ds/dt [rad/s].
     """
     slope, bend = (np.ascontiguousarray(x, dtype=np.float64) for x in (grid.slope, grid.bend))
     limits = (np.ascontiguousarray(x, dtype=np.float64) for x in (velocity, acceleration))
-    return _native.fastest(np.diff(grid.s), slope, bend, grid.stop, *limits)
+    return _native.fastest(np.diff(grid.s), slope, bend, grid.stop, *limits, limit=limit)
 
 
 def fastest_with_toppra(

@@ -16,6 +16,7 @@ from typing import Any, final
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
@@ -122,12 +123,14 @@ def pareto(
     def failed(status: PlanStatus, detail: str) -> ParetoFront:
         return ParetoFront(status=status, detail=detail, scene=scene.notes.name)
 
-    ends = find_ends(start, goal, scene, rng, seed=seed)
+    held = SceneConstraints(scene, default_constraints(scene))
+    ends = find_ends(start, goal, held, rng, seed=seed)
     if not isinstance(ends, Ends):
         return failed(ends.status, ends.detail)
     request = Request(
         planner=solver,
         objective=wanted.bind(scene, search_paces(checked_speed(speed))),
+        constraints=held,
         pose=goal if isinstance(goal, PoseGoal) else None,
         speed=checked_speed(speed),
     )
@@ -146,7 +149,8 @@ class _Tuner:
         self.query, self.points, self.budget = query, points, budget
         ends = query.ends
         self.problem = SceneProblem(
-            kernels=ends.compiled.kernels,
+            kernels=ends.constraints.kernels,
+            constraints=ends.constraints,
             start=ends.departure.q[-1],
             goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
             margin=min(_MARGIN, 0.5 * ends.clearance),

@@ -15,8 +15,7 @@ from failbench.calibrations.calibrate import write
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.spill_fit import FAULTS, SPILT, SpillFamily
 from failbench.cli import DONE, main
-from failbench.recording.vessel import find_vessel
-from failbench.simulated.world import build_world
+from graceful_plan.constraints.vessel import find_vessel
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, drop_kernel
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
@@ -52,7 +51,7 @@ def test_it_predicts_what_the_model_does() -> None:
 )
 def test_the_container_is_the_one_that_failbench_empties(scene: str, task: str) -> None:
     where = gp.load_scene(scene).tasks[task].scene
-    vessel, tables = find_vessel(build_world(where)), spill_tables(where)
+    vessel, tables = find_vessel(where), spill_tables(where)
     assert vessel is not None
     assert (tables.rim, tables.depth) == (pytest.approx(vessel.radius), pytest.approx(vessel.height))
     assert tables.full == pytest.approx(np.pi * vessel.radius**2 * vessel.height / vessel.volume)

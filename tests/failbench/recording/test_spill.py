@@ -14,9 +14,9 @@ from failbench.recording.closeup import Closeup
 from failbench.recording.puddle import DEPTH, Parcel, Puddles
 from failbench.recording.recorder import Recorder
 from failbench.recording.spill import VesselMotion, kept_volume, remaining
-from failbench.recording.vessel import REPOSE, Vessel, find_vessel
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan import Dry, Liquid, Scene
+from graceful_plan.constraints.vessel import REPOSE, Vessel, find_vessel
 
 _G = 9.81
 _UP = np.array([0.0, 0.0, 1.0])
@@ -99,13 +99,13 @@ def test_capacity_at_the_ends() -> None:
 
 
 def test_the_container_is_found(world: World) -> None:
-    vessel = find_vessel(world)
+    vessel = find_vessel(world.scene)
     assert vessel is not None
     assert (vessel.radius, vessel.volume) == pytest.approx((0.04, 3e-4))
     assert vessel.height == pytest.approx(0.09)  # from the bottom of the contents to the top of the wall, not the ear's
     np.testing.assert_allclose(vessel.p_BR, [0.0, 0.0, 0.1], atol=1e-12)
-    assert find_vessel(_world(None)) is None
-    dry = find_vessel(_world(Dry(5.0)))
+    assert find_vessel(_world(None).scene) is None
+    dry = find_vessel(_world(Dry(5.0)).scene)
     assert dry is not None and dry.repose == REPOSE
     assert dry.volume == pytest.approx(np.pi * 0.04**2 * 0.09)  # no more than it holds
 
@@ -289,7 +289,7 @@ def test_nothing_spills_without_contents() -> None:
 
 def test_losses_of_the_healthy_run_do_not_count(world: World) -> None:
     """A healthy robot that tilts by 45 degrees leaves what a cylinder keeps; tilted no more, nothing is lost."""
-    vessel = find_vessel(world)
+    vessel = find_vessel(world.scene)
     assert vessel is not None
     model = world.model
     states = np.zeros((40, 1 + model.nq + model.nv))

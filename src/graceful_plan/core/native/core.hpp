@@ -89,6 +89,15 @@ struct WorldArrays {
   Bits ignores;
   Integers hull_start;
   Reals triangles;
+  Reals keep;
+};
+
+// Rows: axis, direction, angle; point, rotation, position, lower, upper.
+struct BoundArrays {
+  Integers cone_link;
+  Reals cone;
+  Integers room_link;
+  Reals room;
 };
 
 struct HazardArrays {
@@ -101,7 +110,8 @@ struct HazardArrays {
 
 class Core {
  public:
-  Core(const RobotArrays& robot, const WorldArrays& world, const HazardArrays& hazards, const std::string& isa)
+  Core(const RobotArrays& robot, const WorldArrays& world, const HazardArrays& hazards, const BoundArrays& bounds,
+       const std::string& isa)
       : isa_(choose(isa)), tool_link_(robot.tool_link) {
     const Reals& tool_position = robot.tool_position;
     const Integers& self_pair = robot.self_pair;
@@ -116,6 +126,7 @@ class Core {
     add_triangles(world.triangles);
     add_obstacles(world);
     add_hazards(hazards);
+    add_bounds(bounds);
     tables_.n_joint = robot.n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
     tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
     tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data();
@@ -251,6 +262,65 @@ class Core {
     tool_motion(q).add(step, 1.0, tables_.n_joint, d);
   }
 
+  bool has_bounds() const { return !cone_.empty() || !room_.empty(); }
+
+  // Newton's method on the bound that is kept least, until all are by so much [m].
+  bool project(double* q, const double* lower, const double* upper, double wanted) const {
+    constexpr int kSteps = 30;
+    constexpr double kLongest = 0.5;  // of a step [rad]
+    const size_t nq = size_t(tables_.n_joint);
+    Ride ride;
+    Point X(link_.size() * 16), gradient(nq), least_gradient(nq);
+    for (int step = 0; step <= kSteps; ++step) {
+      kernels().link_poses(tables_, {q, nullptr, 1}, X.data());
+      double least = std::numeric_limits<double>::infinity();
+      for (const Cone& cone : cone_) {
+        const double value = cone_clearance(X.data(), cone, ride, gradient);
+        if (value < least) least = value, least_gradient = gradient;
+      }
+      for (const Room& room : room_) {
+        const double value = room_clearance(X.data(), room, ride, gradient);
+        if (value < least) least = value, least_gradient = gradient;
+      }
+      if (least >= wanted) return true;
+      double squared = 0;
+      for (double d : least_gradient) squared += d * d;
+      if (step == kSteps || squared < 1e-12) return false;
+      // A little further than wanted, or the last steps are many.
+      const double length = (wanted - least + 0.1 * wanted + 1e-5) / squared;
+      const double shrink = std::min(1.0, kLongest / (length * std::sqrt(squared)));
+      for (size_t j = 0; j < nq; ++j) q[j] = std::clamp(q[j] + shrink * length * least_gradient[j], lower[j], upper[j]);
+    }
+    return false;
+  }
+
+  // A point of a link in n configurations, row by row.
+  void ride(const double* q, size_t n, int link, const double* point, Ride* out) const {
+    const size_t nq = size_t(tables_.n_joint), row = link_.size() * 16;
+    Point poses(n * row);
+    kernels().link_poses(tables_, {q, nullptr, n}, poses.data());
+    for (size_t k = 0; k < n; ++k) ride_on(&poses[k * row], link, point, nq, out[k]);
+  }
+  void ride_on(const double* X, int link, const double* point, size_t nq, Ride& out) const {
+    const double* L = X + 16 * link;
+    for (int r = 0; r < 3; ++r) {
+      out.p[r] = L[4 * r + 3];
+      for (int c = 0; c < 3; ++c) out.R[3 * r + c] = L[4 * r + c], out.p[r] += L[4 * r + c] * point[c];
+    }
+    out.J.assign(3 * nq, 0.0), out.turn.assign(3 * nq, 0.0);
+    for (int l = link; l >= 0; l = link_[size_t(l)].parent) {
+      const Link& joint = link_[size_t(l)];
+      if (joint.joint < 0) continue;
+      const double* J = X + 16 * l;
+      const double z[3] = {J[2], J[6], J[10]}, r[3] = {out.p[0] - J[3], out.p[1] - J[7], out.p[2] - J[11]};
+      for (size_t i = 0; i < 3; ++i) {
+        const size_t a = (i + 1) % 3, b = (i + 2) % 3, at = i * nq + size_t(joint.joint);
+        out.J[at] = joint.slide ? z[i] : z[a] * r[b] - z[b] * r[a];
+        out.turn[at] = joint.slide ? 0.0 : z[i];
+      }
+    }
+  }
+
   int frame(int link) const {
     require(link >= 0 && size_t(link) < link_.size(), "link");
     return link_[size_t(link)].frame;
@@ -356,10 +426,12 @@ class Core {
     t.edge[i][3] = float(1 / squared), t.inward[i][3] = float(across / std::sqrt(squared));
   }
   void add_obstacles(const WorldArrays& world) {
-    const auto& [kind, pose, size, bound, ignores, hull_start, triangles] = world;
+    const auto& [kind, pose, size, bound, ignores, hull_start, triangles, keep] = world;
+    require(keep.size() == kind.shape(0), "a distance to keep from each obstacle");
     for (size_t j = 0; j < kind.shape(0); ++j) {
       Obstacle o{};
-      o.kind = kind.data()[j], o.ignores = ignores.data()[j];
+      o.kind = kind.data()[j], o.ignores = ignores.data()[j], o.keep = float(keep.data()[j]);
+      require(o.keep >= 0, "distance to keep");
       require(o.kind >= kPlane && o.kind <= kMesh, "obstacle kind");
       for (int k = 0; k < 9; ++k) o.R[k] = float(pose.data()[12 * j + size_t(k)]);
       for (int k = 0; k < 3; ++k)
@@ -411,6 +483,72 @@ class Core {
     tables_.n_component = n_component, tables_.n_entity = n_entity;
   }
 
+  double cone_clearance(const double* X, const Cone& cone, Ride& ride, Point& gradient) const {
+    const size_t nq = size_t(tables_.n_joint);
+    const double origin[3] = {0, 0, 0};
+    ride_on(X, cone.link, origin, nq, ride);
+    double axis[3], about[3], cosine = 0, sine = 0;
+    for (size_t i = 0; i < 3; ++i) {
+      axis[i] = ride.R[3 * i] * cone.axis[0] + ride.R[3 * i + 1] * cone.axis[1] + ride.R[3 * i + 2] * cone.axis[2];
+      cosine += axis[i] * cone.direction[i];
+    }
+    for (size_t i = 0; i < 3; ++i) {
+      const size_t a = (i + 1) % 3, b = (i + 2) % 3;
+      about[i] = axis[a] * cone.direction[b] - axis[b] * cone.direction[a];
+      sine += about[i] * about[i];
+    }
+    sine = std::sqrt(sine);
+    for (size_t j = 0; j < nq; ++j) {
+      gradient[j] = 0;
+      for (size_t i = 0; i < 3; ++i) gradient[j] += kLever * ride.turn[i * nq + j] * about[i] / (sine + 1e-9);
+    }
+    return kLever * (cone.angle - std::atan2(sine, cosine));
+  }
+  double room_clearance(const double* X, const Room& room, Ride& ride, Point& gradient) const {
+    const size_t nq = size_t(tables_.n_joint);
+    ride_on(X, room.link, room.point, nq, ride);
+    double least = std::numeric_limits<double>::infinity();
+    for (size_t i = 0; i < 3; ++i) {
+      double along = 0;
+      for (size_t k = 0; k < 3; ++k) along += (ride.p[k] - room.p[k]) * room.R[3 * k + i];
+      for (double side : {1.0, -1.0}) {
+        const double inside = side > 0 ? along - room.lower[i] : room.upper[i] - along;
+        if (inside >= least) continue;
+        least = inside;
+        for (size_t j = 0; j < nq; ++j) {
+          gradient[j] = 0;
+          for (size_t k = 0; k < 3; ++k) gradient[j] += side * room.R[3 * k + i] * ride.J[k * nq + j];
+        }
+      }
+    }
+    return least;
+  }
+
+  void add_bounds(const BoundArrays& bounds) {
+    const auto rides_on = [&](int link) {
+      require(link >= 0 && size_t(link) < link_.size(), "link of a bound");
+      return link_[size_t(link)].frame;
+    };
+    require(bounds.cone.size() == 7 * bounds.cone_link.size(), "cones");
+    require(bounds.room.size() == 21 * bounds.room_link.size(), "rooms");
+    for (size_t k = 0; k < bounds.cone_link.size(); ++k) {
+      Cone cone{bounds.cone_link.data()[k], rides_on(bounds.cone_link.data()[k]), {}, {}, 0};
+      const double* row = bounds.cone.data() + 7 * k;
+      std::copy_n(row, 3, cone.axis), std::copy_n(row + 3, 3, cone.direction);
+      cone.angle = row[6];
+      cone_.push_back(cone);
+    }
+    for (size_t k = 0; k < bounds.room_link.size(); ++k) {
+      Room room{bounds.room_link.data()[k], rides_on(bounds.room_link.data()[k]), {}, {}, {}, {}, {}};
+      const double* row = bounds.room.data() + 21 * k;
+      std::copy_n(row, 3, room.point), std::copy_n(row + 3, 9, room.R), std::copy_n(row + 12, 3, room.p);
+      std::copy_n(row + 15, 3, room.lower), std::copy_n(row + 18, 3, room.upper);
+      room_.push_back(room);
+    }
+    tables_.n_cone = int(cone_.size()), tables_.n_room = int(room_.size());
+    tables_.cone = cone_.data(), tables_.room = room_.data();
+  }
+
   Isa isa_;
   int tool_link_;
   double tool_position_[3];
@@ -426,6 +564,8 @@ class Core {
   std::vector<Part> part_;
   std::vector<Target> target_;
   std::vector<Harmed> harmed_;
+  std::vector<Cone> cone_;
+  std::vector<Room> room_;
 };
 
 inline Point point(const Reals& q) { return Point(q.data(), q.data() + q.size()); }

@@ -13,6 +13,7 @@ namespace GP_ISA {
 #include "lanes.hpp"
 #include "single.hpp"
 #include "geometry/kinematics.hpp"
+#include "geometry/bounds.hpp"
 #include "geometry/clearance.hpp"
 #include "geometry/gradient.hpp"
 #include "geometry/tangent.hpp"
@@ -83,7 +84,7 @@ static void link_poses(const Tables& tables, const States& states, double* X_WL)
 
 static void free_states(const Tables& tables, const States& states, double margin, uint8_t* free) {
   for_each_block<F>(tables, states, [&](size_t first, int count, const Frame<F>* X_W) {
-    const MaskF hit = collides<false>(tables, X_W, float(margin));
+    const MaskF hit = breaks(tables, X_W, float(margin)) | collides<false>(tables, X_W, float(margin));
     for (int i = 0; i < count; ++i) free[first + size_t(i)] = !hit[i];
   });
 }
@@ -99,7 +100,7 @@ static bool edge_is_free(const Tables& tables, const double* q0, const double* q
   for (int b = 0; b < n_block; ++b) {
     interpolate<float>(tables, q0, q1, (lane * float(n_block) + float(b)) * spacing, qs);
     forward_kinematics(tables, qs, X_W);
-    if (any(collides<true>(tables, X_W, margin))) return false;
+    if (any(breaks(tables, X_W, margin)) || any(collides<true>(tables, X_W, margin))) return false;
   }
   return true;
 }
@@ -124,7 +125,8 @@ static void clearance(const Tables& tables, const States& states, double* out, d
   const size_t nq = size_t(tables.n_joint);
   for_each_block<F>(tables, states, [&](size_t first, int count, const Frame<F>* X_W) {
     const Nearest pair = nearest(tables, X_W);
-    for (int i = 0; i < count; ++i) out[first + size_t(i)] = pair.a[i] < 0 ? __builtin_inf() : double(pair.distance[i]);
+    for (int i = 0; i < count; ++i)
+      out[first + size_t(i)] = pair.a[i] == -1 ? __builtin_inf() : double(pair.distance[i]);
     const States block{states.q + first * nq, nullptr, size_t(count)};
     if (gradient) clearance_gradients(tables, pair, block, gradient + first * nq);
   });

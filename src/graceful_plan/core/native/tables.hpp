@@ -40,12 +40,27 @@ struct Obstacle {
   int32_t kind, first_triangle, n_triangle;
   uint64_t ignores;  // bit l: link l may touch it
   float R[9], p[3], size[3], bound[4];
+  float keep;  // distance that everything has to keep from it [m]
 };
 
 struct Triangle {
   float a[3], b[3], c[3], normal[3], offset;
   float edge[3][4],
       inward[3][4];  // from a to b, b to c, c to a, and 1/length^2; across it in the plane, and where it is
+};
+
+// What else has to hold in every configuration. An angle counts as clearance with a lever, so that one margin is for
+// all.
+constexpr double kLever = 0.25;  // [m/rad]
+
+struct Cone {  // an axis that rides on a frame stays within an angle of a direction of W
+  int32_t link, frame;
+  double axis[3], direction[3], angle;
+};
+
+struct Room {  // a point that rides on a frame stays inside a box
+  int32_t link, frame;
+  double point[3], R[9], p[3], lower[3], upper[3];
 };
 
 struct Part {  // a box of a component, riding on a frame
@@ -76,6 +91,9 @@ struct Tables {
   const Part* part;
   const Target* target;
   const Harmed* harmed;  // per entity; without targets first == last
+  int32_t n_cone, n_room;
+  const Cone* cone;
+  const Room* room;
 };
 
 // --- the drop model: costs/models/drop has its specification and the names of what stands here ---------

@@ -1,6 +1,9 @@
 // The native planners, the spaces that they plan in, and graphs.
 #include "search/graph_search.hpp"
 
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/vector.h>
+
 #include "bindings/bindings.hpp"
 #include "impact/impact.hpp"
 #include "search/anytime.hpp"
@@ -20,11 +23,23 @@ struct SpaceSettings {
   double weight, check_step, fine_step, cost_step, margin;
 };
 
-// Collision and cost from the kernels.
+// What only Python can check of configurations, row by row: holds(q) -> [n], clearance(q) -> [n] and its gradient.
+struct CustomConstraints {
+  nb::object holds, clearance;
+  bool any() const { return !holds.is_none(); }
+};
+
+template <class T, size_t Dims> using Answer = nb::ndarray<const T, nb::ndim<Dims>, nb::c_contig, nb::device::cpu>;
+
+// Collision and cost from the kernels, and from Python what else has to hold.
 class SceneSpace final : public Space {
  public:
-  SceneSpace(const Core& core, const Impact& impact, const SpaceSettings& settings)
-      : Space(settings.low, settings.high, settings.weight), core_(core), impact_(impact), settings_(settings) {
+  SceneSpace(const Core& core, const Impact& impact, const SpaceSettings& settings, CustomConstraints custom)
+      : Space(settings.low, settings.high, settings.weight),
+        core_(core),
+        impact_(impact),
+        settings_(settings),
+        custom_(std::move(custom)) {
     margin = settings.margin;
     require(dim == core.tables().n_joint, "limits");
   }
@@ -43,6 +58,13 @@ class SceneSpace final : public Space {
     core_.move_tool(q, step, displacement);
     return true;
   }
+  bool has_bounds() const override { return core_.has_bounds(); }
+  bool project(double* q) override { return project(q, margin + kReserve); }
+  bool project(double* q, double clearance) const { return core_.project(q, lower.data(), upper.data(), clearance); }
+  void ride(const Chain& of, int link, const double* point, Ride* out) override {
+    require(link >= 0 && link < core_.tables().n_link, "link");
+    core_.ride(of.points, size_t(of.n_edge) + 1, link, point, out);
+  }
   void impacts(const double* points, int n, double* out) override { impact_.rough_states(points, size_t(n), out); }
   double exposure(const double* a, const double* b) const override { return impact_.exposure(a, b); }
   bool has_state_slopes() const override { return true; }
@@ -55,6 +77,15 @@ class SceneSpace final : public Space {
     impact_.edge_gradients(edges, rough ? Sampling::kMean : Sampling::kBoth, {out.cost, out.by_from, out.by_to});
   }
   void clearances(const Probes& probes, double* out, double* gradient) override {
+    native_clearances(probes, out, gradient);
+    if (custom_.any()) custom_clearances(probes, out, gradient);
+  }
+
+ private:
+  // What a straight edge between two projected configurations may lose in between [m].
+  static constexpr double kReserve = 0.003;
+
+  void native_clearances(const Probes& probes, double* out, double* gradient) const {
     const size_t n = size_t(probes.n), nq = size_t(dim);
     std::vector<uint8_t> free(n, 0);
     if (std::isfinite(probes.wanted))
@@ -73,17 +104,46 @@ class SceneSpace final : public Space {
       ++i;
     }
   }
+  void custom_clearances(const Probes& probes, double* out, double* gradient) const {
+    nb::gil_scoped_acquire gil;
+    const size_t n = size_t(probes.n), nq = size_t(dim);
+    const nb::tuple answer = nb::cast<nb::tuple>(custom_.clearance(rows_of(probes.q, n)));
+    const auto value = nb::cast<Answer<double, 1>>(answer[0]);
+    const auto slope = nb::cast<Answer<double, 2>>(answer[1]);
+    require(value.size() == n && slope.size() == n * nq, "one clearance and gradient per configuration");
+    for (size_t k = 0; k < n; ++k) {
+      if (!(value.data()[k] < out[k])) continue;
+      out[k] = value.data()[k];
+      std::copy_n(slope.data() + k * nq, nq, gradient + k * nq);
+    }
+  }
+  nb::object rows_of(const double* points, size_t n) const {
+    double* data;
+    auto array = make<double>({n, size_t(dim)}, data);
+    std::copy_n(points, n * size_t(dim), data);
+    return nb::cast(array);
+  }
 
- private:
   bool free_at(const double* a, const double* b, double step) const {
     uint8_t free = 0;
     core_.kernels().free_edges(core_.tables(), {a, b, 1, step}, margin, &free);
-    return free != 0;
+    return free != 0 && (!custom_.any() || holds_along(a, b, step));
+  }
+  bool holds_along(const double* a, const double* b, double step) const {
+    const size_t n = size_t(std::ceil(distance(a, b) / step)) + 1, nq = size_t(dim);
+    Point points;
+    for (size_t k = 0; k <= n; ++k)
+      for (size_t j = 0; j < nq; ++j) points.push_back(a[j] + (b[j] - a[j]) * double(k) / double(n));
+    nb::gil_scoped_acquire gil;
+    const auto holds = nb::cast<Answer<bool, 1>>(custom_.holds(rows_of(points.data(), n + 1)));
+    require(holds.size() == n + 1, "one answer per configuration");
+    return std::all_of(holds.data(), holds.data() + n + 1, [](bool ok) { return ok; });
   }
 
   const Core& core_;
   const Impact& impact_;
   SpaceSettings settings_;
+  CustomConstraints custom_;
 };
 
 // Collision and cost from Python: edges_free(q0, q1) -> [1], edge_costs(q0, q1) -> [1, 2], state_costs(q) -> [n].
@@ -232,8 +292,10 @@ class MotionDescentRun {
 
 // The largest speeds at the points of a curve, see timing/speed_profile.hpp.
 Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool, nb::ndim<1>, nb::c_contig> stop,
-                    Reals velocity, Reals acceleration) {
+                    Reals velocity, Reals acceleration, const std::optional<Reals>& limit) {
   const size_t n = step.size(), dim = velocity.size();
+  require(!limit || (limit->ndim() == 3 && limit->shape(0) == n && limit->shape(2) == 3), "limits are [n, m, 3]");
+  const size_t further = limit ? limit->shape(1) : 0;
   require(slope.size() == 2 * n * dim && bend.size() == 2 * n * dim && stop.size() == n + 1 && n > 0 &&
               acceleration.size() == dim,
           "a curve");
@@ -242,7 +304,8 @@ Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool,
   double* out;
   auto array = make<double>({n + 1}, out);
   nb::gil_scoped_release release;
-  const std::vector<double>& squared = profile.compute({n, dim, step.data(), slope.data(), bend.data(), rests.data()});
+  const std::vector<double>& squared = profile.compute(
+      {n, dim, step.data(), slope.data(), bend.data(), rests.data(), further, limit ? limit->data() : nullptr});
   for (size_t i = 0; i <= n; ++i) out[i] = std::sqrt(squared[i]);
   return array;
 }
@@ -310,12 +373,23 @@ void bind_search(nb::module_& m) {
       .def(
           "__init__",
           [](SceneSpace* self, const Core& core, const Impact& impact, Reals lower, Reals upper, double w,
-             double check_step, double fine_step, double cost_step, double margin) {
+             double check_step, double fine_step, double cost_step, double margin, nb::object holds,
+             nb::object clearance) {
             new (self)
-                SceneSpace(core, impact, {point(lower), point(upper), w, check_step, fine_step, cost_step, margin});
+                SceneSpace(core, impact, {point(lower), point(upper), w, check_step, fine_step, cost_step, margin},
+                           {std::move(holds), std::move(clearance)});
           },
           nb::kw_only(), "core"_a, "impact"_a, "lower"_a, "upper"_a, "w"_a, "check_step"_a, "fine_step"_a,
-          "cost_step"_a, "margin"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
+          "cost_step"_a, "margin"_a, "holds"_a = nb::none(), "clearance"_a = nb::none(), nb::keep_alive<1, 2>(),
+          nb::keep_alive<1, 3>())
+      .def(
+          "project",
+          [](const SceneSpace& self, Reals q, double clearance) {
+            std::vector<Point> rows = points(q);
+            for (Point& row : rows) self.project(row.data(), clearance);
+            return as_array(rows, self.dim);
+          },
+          "q"_a, "clearance"_a);
   nb::class_<CallbackSpace, Space>(m, "CallbackSpace")
       .def(
           "__init__",
@@ -337,19 +411,31 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("path", &DescentRun::path, nb::rv_policy::move)
       .def_prop_ro("value", &DescentRun::value)
       .def_prop_ro("energy", &DescentRun::energy);
+  nb::class_<FeltLimit>(m, "FeltLimit")
+      .def(
+          "__init__",
+          [](FeltLimit* self, int link, Reals point, Reals facets, double gravity) {
+            require(point.size() == 3 && facets.ndim() == 2 && facets.shape(1) == 3 && gravity > 0, "a felt limit");
+            new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, gravity};
+            for (size_t k = 0; k < facets.shape(0); ++k) {
+              const double* v = facets.data() + 3 * k;
+              self->facets.push_back({v[0], v[1], v[2]});
+            }
+          },
+          nb::kw_only(), "link"_a, "point"_a, "facets"_a, "gravity"_a);
   nb::class_<MotionDescentRun>(m, "MotionDescent")
       .def(
           "__init__",
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
              size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
-             double tight_end) {
+             double tight_end, const std::vector<FeltLimit>& felt) {
             new (self) MotionDescentRun(space, path,
                                         {point(velocity), point(acceleration), controls, density, rough, time_price,
-                                         push, tolerance, tight_start, tight_end});
+                                         push, tolerance, tight_start, tight_end, felt});
           },
           "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
           "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
-          "tight_end"_a = 0.0, nb::keep_alive<1, 2>())
+          "tight_end"_a = 0.0, "felt"_a = std::vector<FeltLimit>{}, nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)
@@ -357,7 +443,8 @@ void bind_search(nb::module_& m) {
       .def_prop_ro("value", &MotionDescentRun::value)
       .def_prop_ro("duration", &MotionDescentRun::duration);
   m.def("spline", &spline, "controls"_a, "u"_a);
-  m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a);
+  m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a, nb::kw_only(),
+        "limit"_a = nb::none());
   nb::class_<AnytimePlanner>(m, "Anytime")
       .def(
           "__init__",

@@ -199,20 +199,20 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
   for (int g = tables.n_group - 1; g >= 0; --g) {  // the far links move most: test them first
     const Group& group = tables.group[g];
     if (group.frame == 0) continue;  // the base does not move
-    const float reach = group.bound[3] + margin;
     for (int j = 0; j < tables.n_obstacle; ++j) {
       const Obstacle& o = tables.obstacle[j];
       if (o.ignores >> group.link & 1) continue;
+      const float kept = margin + o.keep, reach = group.bound[3] + kept;
       if (!any(near_bound(o, placed.bound[g], F{} + reach))) continue;
       if (!any(touches(tables, o, placed.bound[g], reach))) continue;
       const Vec<F>* sphere = placed.spheres(g);
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
         if (group.n_cluster > 1 &&
-            !any(touches(tables, o, transform(X_W[group.frame], cluster.bound), cluster.bound[3] + margin)))
+            !any(touches(tables, o, transform(X_W[group.frame], cluster.bound), cluster.bound[3] + kept)))
           continue;
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
-          hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + margin);
+          hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + kept);
         if (first_hit ? any(hit) : all(hit)) return hit;
       }
     }
@@ -242,7 +242,7 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
   return hit;
 }
 
-// Who is nearest in each lane: sphere `a` against obstacle `b`, or against sphere -1 - b.
+// Who is nearest in each lane: sphere `a` against obstacle `b`, or against sphere -1 - b; bound -2 - a if a < -1.
 struct Nearest {
   F distance;
   MaskF a, b;
@@ -258,22 +258,24 @@ struct Nearest {
 static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
   Placed placed(tables, X_W);
   Nearest best = {F{} + 1e9f, MaskF{} - 1, MaskF{}};
+  for_each_bound(tables, X_W, [&](int k, F clearance) { best.update(clearance, -2 - k, 0); });
   for (int g = tables.n_group - 1; g >= 0; --g) {
     const Group& group = tables.group[g];
     if (group.frame == 0) continue;  // the base does not move
     for (int j = 0; j < tables.n_obstacle; ++j) {
       const Obstacle& o = tables.obstacle[j];
       if (o.ignores >> group.link & 1) continue;
-      if (!any(near_bound(o, placed.bound[g], relu(best.distance + group.bound[3])))) continue;
-      if (!any(signed_distance(tables, o, placed.bound[g]) - group.bound[3] < best.distance)) continue;
+      if (!any(near_bound(o, placed.bound[g], relu(best.distance + (group.bound[3] + o.keep))))) continue;
+      if (!any(signed_distance(tables, o, placed.bound[g]) - (group.bound[3] + o.keep) < best.distance)) continue;
       const Vec<F>* sphere = placed.spheres(g);
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
         const Vec<F> centre = transform(X_W[group.frame], cluster.bound);
-        if (group.n_cluster > 1 && !any(signed_distance(tables, o, centre) - cluster.bound[3] < best.distance))
+        if (group.n_cluster > 1 &&
+            !any(signed_distance(tables, o, centre) - (cluster.bound[3] + o.keep) < best.distance))
           continue;
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
-          best.update(signed_distance(tables, o, sphere[k]) - tables.sphere[4 * k + 3], k, j);
+          best.update(signed_distance(tables, o, sphere[k]) - (tables.sphere[4 * k + 3] + o.keep), k, j);
       }
     }
   }

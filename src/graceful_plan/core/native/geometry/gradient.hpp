@@ -154,11 +154,60 @@ static inline void sphere_position(const Posture& at, int sphere, const Group& g
   out[2] = X.p.z[lane] + X.R[6][lane] * c[0] + X.R[7][lane] * c[1] + X.R[8][lane] * c[2];
 }
 
+static inline void in_world(const Posture& at, int frame, const double v[3], double* out) {
+  const Frame<D>& X = at.X_W[frame];
+  for (int i = 0; i < 3; ++i)
+    out[i] = X.R[3 * i][at.lane] * v[0] + X.R[3 * i + 1][at.lane] * v[1] + X.R[3 * i + 2][at.lane] * v[2];
+}
+
+static inline void cross(const double* a, const double* b, double* out) {
+  for (int i = 0; i < 3; ++i) out[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
+}
+
+// A joint about z turns the axis towards the direction by z . (axis x direction) / sin(angle).
+static inline void cone_gradient(const Posture& at, const Cone& cone, double* gradient) {
+  double axis[3], about[3];
+  in_world(at, cone.frame, cone.axis, axis);
+  cross(axis, cone.direction, about);
+  const double sine = norm3(about) + 1e-9;
+  for (int l = cone.link; l >= 0; l = at.tables.link[l].parent) {
+    const Link& joint = at.tables.link[l];
+    if (joint.joint < 0 || joint.slide) continue;
+    const Frame<D>& X = at.X_W[l];
+    const double along = X.R[2][at.lane] * about[0] + X.R[5][at.lane] * about[1] + X.R[8][at.lane] * about[2];
+    gradient[joint.joint] += kLever * along / sine;
+  }
+}
+
+static inline void room_gradient(const Posture& at, const Room& room, double* gradient) {
+  const Frame<D>& X = at.X_W[room.frame];
+  const double origin[3] = {X.p.x[at.lane], X.p.y[at.lane], X.p.z[at.lane]};
+  double point[3], least = 1e30, inward[3] = {0, 0, 0};
+  in_world(at, room.frame, room.point, point);
+  for (int i = 0; i < 3; ++i) point[i] += origin[i];
+  for (int i = 0; i < 3; ++i) {
+    double along = 0;
+    for (int k = 0; k < 3; ++k) along += (point[k] - room.p[k]) * room.R[3 * k + i];
+    for (double side : {1.0, -1.0}) {
+      const double inside = side > 0 ? along - room.lower[i] : room.upper[i] - along;
+      if (inside >= least) continue;
+      least = inside;
+      for (int k = 0; k < 3; ++k) inward[k] = side * room.R[3 * k + i];
+    }
+  }
+  add_jacobian(at, room.link, point, inward, 1.0, gradient);
+}
+
 // `a` and `b` name the pair, as in `Nearest`.
 static inline void clearance_gradient(const Posture& at, int a, int b, double* gradient) {
   const Tables& tables = at.tables;
   for (int j = 0; j < tables.n_joint; ++j) gradient[j] = 0;
-  if (a < 0) return;
+  if (a == -1) return;
+  if (a < -1) {
+    const int bound = -2 - a;
+    if (bound < tables.n_cone) return cone_gradient(at, tables.cone[bound], gradient);
+    return room_gradient(at, tables.room[bound - tables.n_cone], gradient);
+  }
   const Group& group = tables.group[group_of(tables, a)];
   double p[3], other[3], normal[3];
   sphere_position(at, a, group, p);

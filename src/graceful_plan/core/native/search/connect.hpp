@@ -12,7 +12,10 @@ struct ConnectSettings {
   int max_nodes = 10000;
 };
 
-constexpr int kPatience = 40;  // attempts of the smaller tree before the other one gets a turn
+// Among bounds, edges are short and their ends are projected (constrained bidirectional RRT, Berenson et al. 2009).
+constexpr double kBoundedRange = 0.3;  // [rad]
+constexpr double kLeastGain = 0.1;     // of that, by which a step has to come nearer
+constexpr int kPatience = 40;          // attempts of the smaller tree before the other one gets a turn
 
 class Connect {
  public:
@@ -23,7 +26,9 @@ class Connect {
         settings_(settings),
         random_(seed),
         a_(space.dim),
-        b_(space.dim) {
+        b_(space.dim),
+        bounded_(space.has_bounds()),
+        range_(bounded_ ? std::min(settings.range, kBoundedRange) : settings.range) {
     reset(std::numeric_limits<double>::infinity());
   }
 
@@ -63,7 +68,7 @@ class Connect {
     Tree &grown = from_start_ ? a_ : b_, &other = from_start_ ? b_ : a_;
     from_start_ = !from_start_;
     Point target(size_t(space_.dim));
-    if (!sample(target)) return false;
+    if (!sample(target) || (bounded_ && !space_.project(target.data()))) return false;
     double limit = std::isinf(bound_) ? bound_ : random_.uniform(0, 1) * bound_;
     const int near = grown.nearest(target.data(), limit);
     if (near < 0) return false;
@@ -74,7 +79,7 @@ class Connect {
     int from = other.nearest(reached.data(), bound_ - grown.cost[size_t(added)]);
     while (from >= 0) {
       const double d = space_.distance(other.node(from), reached.data());
-      if (d <= settings_.range) return join(grown, added, other, from, reached);
+      if (d <= range_) return join(grown, added, other, from, reached);
       from = a_.size() + b_.size() > settings_.max_nodes ? -1 : extend(other, from, reached.data());
     }
     return false;
@@ -149,9 +154,13 @@ class Connect {
     const Point from(tree.node(near), tree.node(near) + space_.dim);
     const double d = space_.distance(from.data(), target);
     if (d < 1e-9) return -1;
-    if (d > settings_.range)
-      for (int j = 0; j < space_.dim; ++j)
-        to[size_t(j)] = from[size_t(j)] + (target[j] - from[size_t(j)]) * settings_.range / d;
+    if (d > range_)
+      for (int j = 0; j < space_.dim; ++j) to[size_t(j)] = from[size_t(j)] + (target[j] - from[size_t(j)]) * range_ / d;
+    if (bounded_ && d > range_) {
+      // What comes back to where it was, or leads away, would go on for ever.
+      if (!space_.project(to.data())) return -1;
+      if (space_.distance(to.data(), target) > d - kLeastGain * range_) return -1;
+    }
     const double cost = tree.cost[size_t(near)] + edge_cost(tree, from.data(), to.data());
     if (cost + lower_bound(tree, to.data()) >= bound_) return -1;
     if (!edge_free(tree, from.data(), to.data()) || !is_mild(tree, from.data(), to.data())) return -1;
@@ -189,6 +198,8 @@ class Connect {
   Random random_;
   Tree a_, b_;
   double bound_, impact_limit_;
+  const bool bounded_;
+  const double range_;
   double unavoidable_[2] = {0, 0};
   bool from_start_, tried_direct_;
   int stuck_ = 0;  // iterations since a tree grew

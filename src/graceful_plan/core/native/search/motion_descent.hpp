@@ -16,6 +16,7 @@
 #include <limits>
 
 #include "search/planning.hpp"
+#include "timing/felt.hpp"
 #include "timing/speed_profile.hpp"
 #include "timing/spline.hpp"
 
@@ -32,6 +33,7 @@ struct MotionSettings {
   // Parts of the length at both ends within which less than the wanted clearance may be kept: there the path leaves and
   // reaches places that are tight for the spheres.
   double tight_start = 0, tight_end = 0;
+  std::vector<FeltLimit> felt;  // where something is carried
 };
 
 class MotionDescent {
@@ -43,6 +45,7 @@ class MotionDescent {
         dim_(size_t(space.dim)),
         basis_(settings.controls),
         profile_(settings.velocity, settings.acceleration),
+        felt_(settings.felt),
         push_(settings.push) {
     for (size_t k = 0; k <= basis_.spans() * settings.density; ++k)
       row_.push_back(basis_.at(double(k) / double(settings.density)));
@@ -270,7 +273,8 @@ class MotionDescent {
   Evaluation evaluate(const Point& x, Point& gradient) {
     const size_t samples = row_.size();
     sample(x);
-    const CurveSamples curve{samples - 1, dim_, step_.data(), slope_.data(), bend_.data(), stop_.data()};
+    CurveSamples curve{samples - 1, dim_, step_.data(), slope_.data(), bend_.data(), stop_.data()};
+    if (!felt_.empty()) felt_.enter(space_, q_, step_.front(), curve);
     const std::vector<double>& squared = profile_.compute(curve);
     speed_.resize(samples), pause_.resize(samples - 1);
     double duration = 0;
@@ -291,7 +295,8 @@ class MotionDescent {
     }
     for (size_t k = 0; k < samples; ++k)
       d_speed[k] = stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed[k] / (2 * speed_[k]);  // now of the square
-    profile_.back(curve, d_speed, {d_slope_.data(), d_bend_.data()});
+    profile_.back(curve, d_speed, {d_slope_.data(), d_bend_.data(), felt_.empty() ? nullptr : felt_.slopes()});
+    if (!felt_.empty()) felt_.back(d_q_);
     const double total = length_ + space_.w * harm + settings_.time_price * duration;
     if (scale_ == 0) scale_ = total;
     const double penalty = collide();
@@ -383,6 +388,7 @@ class MotionDescent {
   const SplineBasis basis_;
   std::vector<SplineBasis::Row> row_;
   SpeedProfile profile_;
+  FeltLimits felt_;
   double push_, scale_ = 0, length_ = 0;
   Point first_, last_, x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;
   Point q_, qd_, impact_, impact_by_q_, impact_by_qd_, d_q_, clearance_, by_clearance_, wanted_;

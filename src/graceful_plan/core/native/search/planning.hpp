@@ -38,6 +38,12 @@ struct StateSlopes {
   double *impact, *by_q, *by_qd;
 };
 
+// Something that rides on a link: where a point of it is, how it is turned, and how both move with the joints.
+struct Ride {
+  double p[3], R[9];
+  Point J, turn;  // [3, nq]: of the point, and the axes about which joints turn it
+};
+
 // What a planner sees of the world and of the cost J = V + w S.
 struct Space {
   int dim = 0;
@@ -61,6 +67,12 @@ struct Space {
   virtual bool keep_tool(const double*, double*) { return false; }
   // The smallest displacement that moves the tool by so much, to first order; false if the space knows no tool.
   virtual bool move_tool(const double*, const double*, double*) { return false; }
+  // Whether configurations have to keep bounds that are thin among all configurations: sampling needs project() then.
+  virtual bool has_bounds() const { return false; }
+  // Move a configuration to where its bounds hold, with a margin; false if that is not found nearby.
+  virtual bool project(double*) { return true; }
+  // A point of a link in so many configurations; only asked where the space knows links.
+  virtual void ride(const Chain&, int, const double*, Ride*) { throw std::logic_error("a space without links"); }
   // Whether the two below are known.
   virtual bool has_slopes() const { return false; }
   // Of edges sampled at so long steps; `rough` halves the work again.

@@ -1,9 +1,11 @@
 // How fast to go where on a curve: time-optimal path parametrisation by reachability analysis (TOPP-RA) between rests,
-// under symmetric limits of the joints' velocities and accelerations, and the derivatives of its result.
+// under symmetric limits of the joints' velocities and accelerations and other limits of that form, and the derivatives
+// of its result.
 //
 // With x the squared speed of the curve's parameter and u its acceleration, constant on each interval, every joint
-// acceleration slope u + bend x is linear in (u, x). Standing still is feasible everywhere, so that the set of x from
-// which the end can be reached is [0, beta]: both passes are a minimum over linear functions, no general LP.
+// acceleration slope u + bend x is linear in (u, x), and so is what is felt in a cup. Standing still is feasible
+// everywhere, so that the set of x from which the end can be reached is [0, beta]: both passes are a minimum over
+// linear functions, no general LP.
 //
 // References:
 //   H. Pham and Q.-C. Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis",
@@ -23,10 +25,14 @@ struct CurveSamples {
   const double* step;          // [n] length of each interval, in terms of the parameter
   const double *slope, *bend;  // [n, 2, dim] first and second derivative with respect to the parameter
   const uint8_t* stop;         // [n + 1] where the motion has to rest
+  // One-sided limits a u + b x <= c on each interval, each (a, b, c) with c > 0.
+  size_t n_limit = 0;
+  const double* limit = nullptr;  // [n, n_limit, 3]
 };
 
-struct CurveSlopes {  // derivatives with respect to slope and bend, added up
+struct CurveSlopes {  // derivatives with respect to slope, bend and limits, added up
   double *slope, *bend;
+  double* limit = nullptr;
 };
 
 class SpeedProfile {
@@ -36,8 +42,9 @@ class SpeedProfile {
 
   // The largest squared speeds at the n + 1 points.
   const std::vector<double>& compute(const CurveSamples& curve) {
-    const size_t n = curve.n, rows = 2 * curve.dim;
+    const size_t n = curve.n, rows = rows_of(curve);
     A_.resize(n * rows), B_.resize(n * rows), reach_.resize(n * rows), tilt_.resize(n * rows);
+    side_.assign(n * rows, kBoth);
     beta_.assign(n + 1, kUnbounded), x_.resize(n + 1), bound_.assign(n + 1, {}), limited_.assign(n + 1, kBeta);
     for (size_t i = 0; i < n; ++i) add_rows(curve, i);
     for (size_t i = 0; i < n; ++i) cap(curve, i);
@@ -51,7 +58,7 @@ class SpeedProfile {
 
   // Derivatives of something whose derivatives with respect to the squared speeds are `d_x`; of the last compute().
   void back(const CurveSamples& curve, std::vector<double> d_x, const CurveSlopes& out) const {
-    const size_t n = curve.n, rows = 2 * curve.dim;
+    const size_t n = curve.n, rows = rows_of(curve);
     std::vector<double> d_beta(n + 1, 0.0), d_reach(n * rows, 0.0), d_tilt(n * rows, 0.0);
     for (size_t i = n; i-- > 0;) {
       const double d = d_x[i + 1], S = 2 * curve.step[i];
@@ -77,13 +84,23 @@ class SpeedProfile {
     size_t first = 0, second = 0;
   };
 
-  // |A u + B x| <= limit at the beginning of an interval, and at its end, where x + 2 step u holds.
+  enum Side : uint8_t { kUpper = 1, kLower = 2, kBoth = 3 };  // of u, which a row bounds
+
+  static size_t rows_of(const CurveSamples& curve) { return 2 * curve.dim + curve.n_limit; }
+
+  // |A u + B x| <= limit at the beginning of an interval, and at its end, where x + 2 step u holds; then the others.
   void add_rows(const CurveSamples& curve, size_t i) {
-    const size_t dim = curve.dim;
+    const size_t dim = curve.dim, rows = rows_of(curve);
     const double *slope = curve.slope + 2 * dim * i, *bend = curve.bend + 2 * dim * i, S = 2 * curve.step[i];
     for (size_t j = 0; j < dim; ++j) {
-      set_row(2 * dim * i + j, slope[j], bend[j], acceleration_[j]);
-      set_row(2 * dim * i + dim + j, slope[dim + j] + S * bend[dim + j], bend[dim + j], acceleration_[j]);
+      set_row(rows * i + j, slope[j], bend[j], acceleration_[j]);
+      set_row(rows * i + dim + j, slope[dim + j] + S * bend[dim + j], bend[dim + j], acceleration_[j]);
+    }
+    for (size_t k = 0; k < curve.n_limit; ++k) {
+      const double* limit = curve.limit + 3 * (curve.n_limit * i + k);
+      const size_t r = rows * i + 2 * dim + k;
+      set_row(r, limit[0], limit[1], limit[2]);
+      side_[r] = A_[r] > 0 ? kUpper : kLower;
     }
   }
   void set_row(size_t r, double a, double b, double limit) {
@@ -94,36 +111,40 @@ class SpeedProfile {
     if (value < beta_[i]) beta_[i] = value, bound_[i] = bound;
   }
   void cap(const CurveSamples& curve, size_t i) {
-    const size_t dim = curve.dim, rows = 2 * dim;
+    const size_t dim = curve.dim, rows = rows_of(curve);
     const double S = 2 * curve.step[i];
     for (size_t side = 0; side < 2; ++side)
       for (size_t j = 0; j < dim; ++j) {
-        const double fast = velocity_[j] / std::max(std::abs(curve.slope[rows * i + side * dim + j]), kLeast);
-        lower(i + side, fast * fast, {kVelocity, rows * i + side * dim + j, 0});
+        const double fast = velocity_[j] / std::max(std::abs(curve.slope[2 * dim * i + side * dim + j]), kLeast);
+        lower(i + side, fast * fast, {kVelocity, 2 * dim * i + side * dim + j, 0});
       }
     const double *reach = &reach_[rows * i], *tilt = &tilt_[rows * i];
+    const uint8_t* bounds = &side_[rows * i];
     for (size_t r = 0; r < rows; ++r) {
+      if (!(bounds[r] & kUpper)) continue;
       for (size_t s = 0; s < rows; ++s)  // no lower bound of u may pass an upper one
-        if ((tilt[r] - tilt[s]) * beta_[i] > reach[r] + reach[s])
+        if ((bounds[s] & kLower) && (tilt[r] - tilt[s]) * beta_[i] > reach[r] + reach[s])
           lower(i, (reach[r] + reach[s]) / (tilt[r] - tilt[s]), {kPair, rows * i + r, rows * i + s});
       const double gain = 1 - S * tilt[r];
       if (gain < 0) lower(i, S * reach[r] / -gain, {kOverturn, rows * i + r, 0});  // not below rest within the interval
     }
   }
   void reach_back(const CurveSamples& curve, size_t i) {
-    const size_t rows = 2 * curve.dim;
+    const size_t rows = rows_of(curve);
     const double S = 2 * curve.step[i];
     for (size_t r = rows * i; r < rows * (i + 1); ++r) {
+      if (!(side_[r] & kLower)) continue;
       const double gain = 1 - S * tilt_[r];
       if (gain > 0) lower(i, (beta_[i + 1] + S * reach_[r]) / gain, {kChain, r, 0});
     }
   }
   void go_on(const CurveSamples& curve, size_t i) {
-    const size_t rows = 2 * curve.dim;
+    const size_t rows = rows_of(curve);
     const double S = 2 * curve.step[i];
     double best = beta_[i + 1];
     for (size_t k = 0; k < rows; ++k) {
       const size_t r = rows * i + k;
+      if (!(side_[r] & kUpper)) continue;
       const double next = (1 - S * tilt_[r]) * x_[i] + S * reach_[r];
       if (next < best) best = next, limited_[i + 1] = int(k);
     }
@@ -151,18 +172,25 @@ class SpeedProfile {
   }
   void back_rows(const CurveSamples& curve, size_t i, const std::vector<double>& d_reach,
                  const std::vector<double>& d_tilt, const CurveSlopes& out) const {
-    const size_t dim = curve.dim;
-    for (size_t k = 0; k < 2 * dim; ++k) {
-      const size_t r = 2 * dim * i + k;
+    const size_t dim = curve.dim, rows = rows_of(curve);
+    for (size_t k = 0; k < rows; ++k) {
+      const size_t r = rows * i + k;
       if (d_reach[r] == 0 && d_tilt[r] == 0) continue;
       const double d_A = -(reach_[r] * d_reach[r] + tilt_[r] * d_tilt[r]) / A_[r], d_B = d_tilt[r] / A_[r];
-      out.slope[r] += d_A;  // rows are laid out as slopes are: the beginning's joints, then the end's
-      out.bend[r] += d_B + (k < dim ? 0.0 : 2 * curve.step[i] * d_A);
+      if (k < 2 * dim) {
+        const size_t at = 2 * dim * i + k;  // slopes are laid out so too: the beginning's joints, then the end's
+        out.slope[at] += d_A;
+        out.bend[at] += d_B + (k < dim ? 0.0 : 2 * curve.step[i] * d_A);
+      } else if (out.limit) {
+        double* limit = out.limit + 3 * (curve.n_limit * i + k - 2 * dim);
+        limit[0] += d_A, limit[1] += d_B, limit[2] += d_reach[r] / std::abs(A_[r]);
+      }
     }
   }
 
   std::vector<double> velocity_, acceleration_;
   std::vector<double> A_, B_, reach_, tilt_, beta_, x_;
+  std::vector<uint8_t> side_;
   std::vector<Bound> bound_;
   std::vector<int> limited_;
 };

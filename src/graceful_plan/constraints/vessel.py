@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from failbench.simulated.world import World
-from graceful_plan import Dry
 from graceful_plan.array_types import Float
+from graceful_plan.scene.elements import Dry
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
+_ROUNDING = 1e-9
 REPOSE = np.deg2rad(33.0)
 """Slope at which dry contents begin to slide [rad]."""
 
@@ -38,6 +40,11 @@ class Vessel:
     p_BR: Float[Array, " xyz"]
     repose: float
 
+    @property
+    def p_BS(self) -> Float[Array, " xyz"]:
+        """Middle of the surface of the contents, upright [m]."""
+        return self.p_BR - (self.height - self.volume / (np.pi * self.radius**2)) * self.axis
+
     def capacity(self, tilt: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Return what stays in at most [m^3] when the axis is off the felt vertical by `tilt` [rad].
 
@@ -53,16 +60,26 @@ class Vessel:
         kept = np.where(2.0 * R * slope <= H, full, wedge)
         return np.where(tilt - self.repose < np.pi / 2, np.maximum(kept, 0.0), 0.0)
 
+    def held_tilt(self, part: float = 1.0) -> float:
+        """Return the largest tilt [rad] at which so much of the contents stays in, felt vertical and no sloshing."""
+        low, high = 0.0, float(np.pi)
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            enough = float(self.capacity(np.array(middle))) >= part * self.volume * (1.0 - _ROUNDING)
+            low, high = (middle, high) if enough else (low, middle)
+        return low
 
-def find_vessel(world: World) -> Vessel | None:
-    """Return the container of a world's contents; None if nothing is carried in one.
+
+@per_scene
+def find_vessel(scene: Scene) -> Vessel | None:
+    """Return the container of what is carried, in the frame of the carried body; None if nothing is carried in one.
 
     The geom of the contents gives the bottom and the radius, round about its z axis. The rim is the top of the highest
     geom of the carried object that is round about the same axis: a bottle's neck, but not a teapot's handle. Lids are
     taken to be off.
     """
-    scene, model = world.scene, world.model
-    if scene.contents is None:
+    model = scene.model
+    if scene.contents is None or scene.carried is None:
         return None
     geoms = list(scene.components["contents"].geoms)
     geom = max(geoms, key=lambda g: float(np.prod(model.geom_aabb[g, 3:])))
@@ -71,7 +88,7 @@ def find_vessel(world: World) -> Vessel | None:
     half = model.geom_aabb[geom, 3:]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    up = data.xmat[world.carried_body].reshape(3, 3)[2] @ R_BG[:, 2]
+    up = data.xmat[model.body(scene.carried.body).id].reshape(3, 3)[2] @ R_BG[:, 2]
     axis = R_BG[:, 2] * (1.0 if up >= 0.0 else -1.0)
     bottom = centre - half[2] * axis
     radius = float(2.0 * np.sqrt(half[0] * half[1] / np.pi)) if _is_box(model, geom) else float(half[:2].max())

@@ -1,0 +1,135 @@
+"""Axes that stay within an angle of a direction: trays that stay level, cameras that keep looking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.constraint import AxisBound, NativeConstraint, StateBounds
+from graceful_plan.constraints.riders import default_frame, frame_in_link, standing_axis
+from graceful_plan.core.kernels import LEVER
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+Vector = tuple[float, float, float]
+
+
+@final
+@dataclass(frozen=True)
+class AxisWithin(NativeConstraint):
+    """An axis of the tool or of the carried object stays within an angle of a direction in W.
+
+    Args:
+        axis: In the frame; of any length above 0.
+        direction: In W; of any length above 0.
+        angle: Largest angle between them [rad], above 0 and at most pi.
+        frame: "tool" or "object"; the carried object by default, the tool where nothing is carried.
+    """
+
+    axis: Vector
+    direction: Vector
+    angle: float
+    frame: str | None = None
+    lever: ClassVar[float] = LEVER
+
+    def __post_init__(self) -> None:
+        for name in ("axis", "direction"):
+            object.__setattr__(self, name, _unit(name, getattr(self, name)))
+        check_angle("angle", self.angle)
+
+    def check(self, scene: Scene) -> None:
+        """Raise if there is no such frame."""
+        frame_in_link(scene, default_frame(scene, self.frame))
+
+    def bounds(self, scene: Scene) -> StateBounds:
+        """Return what has to hold in every configuration."""
+        link, X_LF = frame_in_link(scene, default_frame(scene, self.frame))
+        return StateBounds(
+            axes=(
+                AxisBound(
+                    link=link, axis=_vector(X_LF[:3, :3] @ self.axis), direction=self.direction, angle=self.angle
+                ),
+            )
+        )
+
+    def residual(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return by how much the angle is too large [rad]."""
+        return axis_residual(batch, self.bounds(batch.scene).axes[0])
+
+    def told(self, residual: float) -> str:
+        """Say in words how far outside a state is."""
+        return told_angle(self.name, residual, self.angle)
+
+
+@final
+@dataclass(frozen=True)
+class Upright(NativeConstraint):
+    """What is carried stays as upright as it stood.
+
+    The axis is the one that is vertical where the object stands in the scene; where nothing is carried, the one that
+    points back from the fingers, so that the gripper points down.
+
+    Args:
+        max_tilt: Largest angle between that axis and the vertical [rad].
+    """
+
+    max_tilt: float = float(np.deg2rad(15.0))
+    lever: ClassVar[float] = LEVER
+
+    def __post_init__(self) -> None:
+        check_angle("max_tilt", self.max_tilt)
+
+    def bounds(self, scene: Scene) -> StateBounds:
+        """Return what has to hold in every configuration."""
+        link, X_LF = frame_in_link(scene, default_frame(scene, None))
+        axis = _vector(X_LF[:3, :3] @ standing_axis(scene))
+        return StateBounds(axes=(AxisBound(link=link, axis=axis, direction=(0.0, 0.0, 1.0), angle=self.max_tilt),))
+
+    def residual(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return by how much the tilt is too large [rad]."""
+        return axis_residual(batch, self.bounds(batch.scene).axes[0])
+
+    def told(self, residual: float) -> str:
+        """Say in words how far outside a state is."""
+        return told_angle(self.name, residual, self.max_tilt)
+
+
+def axis_residual(batch: StateBatch, bound: AxisBound) -> Float[Array, " n"]:
+    """Return by how much the angle between axis and direction is too large [rad]."""
+    axis = batch.link_poses[:, bound.link, :3, :3] @ np.array(bound.axis)
+    across = np.linalg.norm(np.cross(axis, bound.direction), axis=1)
+    return np.arctan2(across, axis @ np.array(bound.direction)) - bound.angle
+
+
+def told_angle(name: str, residual: float, angle: float) -> str:
+    """Say that something is tilted too much."""
+    tilt, allowed = np.rad2deg([residual + angle, angle])
+    return f"{name}: {tilt:.1f} degrees, {np.rad2deg(residual):.1f} more than the {allowed:.1f} that are allowed"
+
+
+def check_angle(name: str, angle: float) -> None:
+    """Raise unless an angle is above 0 and at most pi.
+
+    Raises:
+        SettingError: If it is not.
+    """
+    if not 0.0 < angle <= np.pi:
+        raise SettingError(name, angle, "an angle above 0 and at most pi rad")
+
+
+def _unit(name: str, value: Vector) -> Vector:
+    array = np.asarray(value, dtype=float)
+    length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
+    if not (np.isfinite(length) and length > 0.0):
+        raise SettingError(name, value, "three finite numbers, not all 0")
+    return _vector(array / length)
+
+
+def _vector(array: Float[Array, " xyz"]) -> Vector:
+    x, y, z = array.tolist()
+    return x, y, z

@@ -1,0 +1,125 @@
+"""The constraint contract: how far outside a state is, by batches.
+
+A constraint is a small frozen object, like a cost. It needs no registration: `plan(..., constraints=[MyConstraint()])`.
+Planners check it along every edge as densely as collisions, the judge checks the timed motion.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.cost import Contract, StateBatch
+from graceful_plan.exceptions import CostError
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_NUDGE = 1e-5
+"""Step of the finite differences that stand for a gradient [rad]."""
+
+
+class Constraint(Contract):
+    """Base of all constraints: a frozen object with `residual`, and `gradient` if it can."""
+
+    lever: ClassVar[float] = 1.0
+    """What one unit of the residual counts as clearance [m]: planners keep one margin from everything."""
+
+    @property
+    def name(self) -> str:
+        """What messages and verdicts call it."""
+        return type(self).__name__
+
+    @abstractmethod
+    def residual(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return how far outside each state is: at most 0 where the constraint holds.
+
+        Laws: finite and continuous; each entry depends on its own configuration alone; the same input gives the same
+        output.
+        """
+
+    def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
+        """Return the derivative of `residual` with respect to q, or None, and finite differences take its place."""
+        del batch
+        return None
+
+    def check(self, scene: Scene) -> None:
+        """Raise an error that says what is missing if this cannot be asked for in a scene."""
+        del scene
+
+    def told(self, residual: float) -> str:
+        """Say in words how far outside a state is."""
+        return f"{residual:.3g} beyond what {self.name} allows"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisBound:
+    """A unit axis in the frame of a link stays within an angle [rad] of a unit direction in W."""
+
+    link: int
+    axis: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    angle: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointBound:
+    """A point in the frame of a link stays inside a box: pose X_WB row-major, lower and upper corner in B [m]."""
+
+    link: int
+    point: tuple[float, float, float]
+    rotation: tuple[float, ...]
+    position: tuple[float, float, float]
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateBounds:
+    """What the core checks itself."""
+
+    axes: tuple[AxisBound, ...] = ()
+    points: tuple[PointBound, ...] = ()
+    keep: tuple[tuple[int, float], ...] = field(default=())
+    """Geoms, and the distance to keep from each [m]."""
+
+
+class NativeConstraint(Constraint):
+    """A constraint that the core checks itself: as fast as collisions, and with gradients."""
+
+    @abstractmethod
+    def bounds(self, scene: Scene) -> StateBounds:
+        """Return what has to hold in every configuration."""
+
+
+def checked_residual(constraint: Constraint, batch: StateBatch) -> Float[Array, " n"]:
+    """Evaluate a constraint and hold it to its contract.
+
+    Raises:
+        CostError: If it returns the wrong shape, a NaN or an infinity.
+    """
+    value = np.asarray(constraint.residual(batch), dtype=np.float64)
+    if value.shape != (len(batch),):
+        raise CostError(
+            constraint, f"residual() returned shape {value.shape} for {len(batch)} states, expected ({len(batch)},)"
+        )
+    if not np.all(np.isfinite(value)):
+        worst = int(np.flatnonzero(~np.isfinite(value))[0])
+        raise CostError(constraint, f"residual() returned {value[worst]} at q = {batch.q[worst].round(4).tolist()}")
+    return value
+
+
+def residual_gradient(constraint: Constraint, batch: StateBatch) -> Float[Array, "n nq"]:
+    """Return the gradient of a residual, by central differences if the constraint has none."""
+    own = constraint.gradient(batch)
+    if own is not None:
+        return np.asarray(own, dtype=np.float64)
+    n, nq = batch.q.shape
+    nudges = _NUDGE * np.concatenate([np.eye(nq), -np.eye(nq)])
+    around = StateBatch(batch.scene, (batch.q[:, None] + nudges).reshape(-1, nq))
+    values = checked_residual(constraint, around).reshape(n, 2, nq)
+    return (values[:, 0] - values[:, 1]) / (2.0 * _NUDGE)

@@ -1,0 +1,112 @@
+"""Contents stay in the vessel that is carried: at rest, while it is moved, and as they slosh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.axes import axis_residual
+from graceful_plan.constraints.constraint import AxisBound, NativeConstraint, StateBounds
+from graceful_plan.constraints.felt import FeltCone, curve_of_point
+from graceful_plan.constraints.riders import frame_in_link
+from graceful_plan.constraints.slosh import Slosh
+from graceful_plan.constraints.vessel import Vessel, find_vessel
+from graceful_plan.core.kernels import LEVER, Kernels
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_SAMPLES = 0.005
+"""Between two looks at the surface [s]; the fastest of them swing with 5 Hz."""
+_AFTER = 0.5
+"""For how long the surface is followed after the end [s]."""
+_AT_REST = 0.9
+"""Of the angle that what is felt may use, what the vessel may be tilted at rest: the motion needs the others."""
+
+
+@final
+@dataclass(frozen=True)
+class KeepContents(NativeConstraint):
+    """What is in the carried vessel stays in it.
+
+    The fill says how far the vessel may be tilted: until the surface reaches the rim; something dry may be tilted
+    further by its angle of repose. At rest that is about gravity; in motion about what is felt in the vessel, gravity
+    less the acceleration of its contents. The surface lags behind and overshoots (`Slosh`): a part of the angle is left
+    to that, and motions whose first mode still reaches the rim are slowed down until it does not.
+
+    Args:
+        share: Part of the angle that the fill allows which tilt and acceleration may use, above 0 and at most 1.
+    """
+
+    share: float = 0.6
+    lever: ClassVar[float] = LEVER
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.share <= 1.0:
+            raise SettingError("share", self.share, "above 0 and at most 1")
+
+    def check(self, scene: Scene) -> None:
+        """Raise if nothing is carried in a vessel."""
+        _vessel(scene)
+
+    def bounds(self, scene: Scene) -> StateBounds:
+        """Return what has to hold in every configuration."""
+        link, X_LO = frame_in_link(scene, "object")
+        x, y, z = (X_LO[:3, :3] @ _vessel(scene).axis).tolist()
+        angle = _AT_REST * self.felt_angle(scene)
+        return StateBounds(axes=(AxisBound(link=link, axis=(x, y, z), direction=(0.0, 0.0, 1.0), angle=angle),))
+
+    def felt_angle(self, scene: Scene) -> float:
+        """Return the largest angle between the vessel's axis and what is felt in it, sloshing aside [rad]."""
+        return self.share * min(_vessel(scene).held_tilt(), np.deg2rad(80.0))
+
+    def felt(self, scene: Scene) -> FeltCone:
+        """Return what has to hold for what is felt in the vessel, in motion."""
+        vessel = _vessel(scene)
+        link, X_LO = frame_in_link(scene, "object")
+        return FeltCone(
+            name=self.name,
+            link=link,
+            point=X_LO[:3, :3] @ vessel.p_BS + X_LO[:3, 3],
+            axis=X_LO[:3, :3] @ vessel.axis,
+            angle=self.felt_angle(scene),
+            gravity=-float(scene.model.opt.gravity[2]),
+        )
+
+    def holds(self, trajectory: Trajectory, scene: Scene, kernels: Kernels) -> bool:
+        """Whether the surface stays below the rim along a motion, and while it comes to rest, sloshing included."""
+        vessel, cone = _vessel(scene), self.felt(scene)
+        motion = trajectory.sample(_SAMPLES)
+        X_WL = kernels.link_poses(motion.q)
+        _, acceleration = curve_of_point(kernels.robot, X_WL, (cone.link, cone.point), (motion.qd, motion.qdd))
+        axis = X_WL[:, cone.link, :3, :3] @ cone.axis
+        after = int(_AFTER / _SAMPLES)
+        acceleration = np.concatenate([acceleration, np.zeros((after, 3))])
+        axis = np.concatenate([axis, np.repeat(axis[-1:], after, axis=0)])
+        level = acceleration[:, :2] / (cone.gravity + acceleration[:, 2:])
+        if vessel.repose == 0.0:
+            level = Slosh.of(vessel, cone.gravity).follow(level, _SAMPLES)
+        normal = np.column_stack([level, np.ones(len(level))])
+        cosine = (normal * axis).sum(axis=1) / np.linalg.norm(normal, axis=1)
+        return bool(cosine.min() >= np.cos(min(vessel.held_tilt(), np.pi / 2)))
+
+    def residual(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return by how much the vessel is tilted too much at rest [rad]."""
+        return axis_residual(batch, self.bounds(batch.scene).axes[0])
+
+    def told(self, residual: float) -> str:
+        """Say in words how far outside a state is."""
+        return f"{self.name}: the vessel is tilted by {np.rad2deg(residual):.1f} degrees more than its fill allows"
+
+
+def _vessel(scene: Scene) -> Vessel:
+    vessel = find_vessel(scene)
+    if vessel is None:
+        raise SettingError("constraints", "KeepContents()", "KeepContents only where a vessel with contents is carried")
+    return vessel

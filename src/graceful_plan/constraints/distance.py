@@ -1,0 +1,79 @@
+"""Distance to keep from an entity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.constraint import NativeConstraint, StateBounds
+from graceful_plan.core.arrays import HazardArrays, WorldArrays
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import Kernels
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True)
+class KeepDistance(NativeConstraint):
+    """Robot and carried object stay away from an entity.
+
+    Args:
+        entity: Name of an entity that stands still.
+        metres: Least distance [m], above 0.
+    """
+
+    entity: str
+    metres: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.metres) and self.metres > 0.0):
+            raise SettingError("metres", self.metres, "a finite distance above 0 m")
+
+    def check(self, scene: Scene) -> None:
+        """Raise if there is no such entity."""
+        if self.entity not in scene.entities:
+            raise UnknownNameError("entity", self.entity, scene.entities)
+
+    def bounds(self, scene: Scene) -> StateBounds:
+        """Return what has to hold in every configuration."""
+        return StateBounds(keep=tuple((int(geom), self.metres) for geom in scene.entities[self.entity].geoms))
+
+    def residual(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return how much too near the entity is [m], by the spheres that stand for the robot."""
+        clearance = distance_kernels(batch.scene, self.entity).clearance(batch.q)
+        return np.maximum(self.metres - clearance, -1e3)
+
+    def told(self, residual: float) -> str:
+        """Say in words how far outside a state is."""
+        return f"{self.name}: {1e3 * residual:.3g} mm nearer to {self.entity!r} than the {self.metres:g} m to be kept"
+
+
+@per_scene
+def distance_kernels(scene: Scene, entity: str) -> Kernels:
+    """Return kernels for which an entity is all that stands around."""
+    compiled = compile_scene(scene)
+    world = compiled.world
+    mine = np.isin(world.geom, list(scene.entities[entity].geoms))
+    first, count = world.hull_start[:-1][mine], np.diff(world.hull_start)[mine]
+    triangles = [world.triangles[a : a + n] for a, n in zip(first, count, strict=True)]
+    only = WorldArrays(
+        kind=world.kind[mine],
+        pose=world.pose[mine],
+        size=world.size[mine],
+        bound=world.bound[mine],
+        ignores=np.zeros_like(world.ignores[mine]),
+        hull_start=np.concatenate([[0], np.cumsum(count)]).astype(world.hull_start.dtype),
+        triangles=np.concatenate([np.zeros((0, 3, 3)), *triangles]),
+        geom=world.geom[mine],
+    )
+    robot = replace(compiled.robot, self_pair=compiled.robot.self_pair[:0])
+    hazards: HazardArrays = compiled.hazards
+    return Kernels(robot, only, hazards)

@@ -1,0 +1,132 @@
+r"""What is felt where something is carried, as limits on how fast a curve is travelled.
+
+A point that moves by p' per unit of a curve's parameter s is accelerated by :math:`p'\ddot s + p''\dot s^2`: linear in
+path acceleration and squared path speed, the form that TOPP-RA takes. What is felt there is that acceleration less
+gravity. Facets around an axis hold it inside a pyramid that stands for a cone about the axis: what is level at rest
+stays level for what is carried.
+
+References:
+    J. Ichnowski et al., "GOMP-FIT: Grasp-Optimized Motion Planning for Fast Inertial Transport", ICRA 2022.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import _native
+from graceful_plan.core.arrays import RobotArrays
+from graceful_plan.core.kernels import Kernels
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.timing.blend import CurveGrid
+
+Array = np.ndarray
+
+FACETS = 8
+"""Sides of the pyramid, inscribed in the cone: it takes at most 1 - cos(pi / 8), 8 %, of the tangent."""
+_LEAST_ROOM = 1e-3
+"""Share of gravity by which a facet has to hold at rest."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FeltCone:
+    """What is felt at a point stays within an angle of an axis.
+
+    | field   | meaning                                        | unit  | shape |
+    |---------|------------------------------------------------|-------|-------|
+    | name    | of the constraint that asks for it             |       |       |
+    | link    | link that the point rides on                   |       |       |
+    | point   | in the link                                    | m     | 3     |
+    | axis    | unit axis in the link                          |       | 3     |
+    | angle   | largest angle, below a right one               | rad   |       |
+    | gravity |                                                | m/s^2 |       |
+    """
+
+    name: str
+    link: int
+    point: Float[Array, " xyz"]
+    axis: Float[Array, " xyz"]
+    angle: float
+    gravity: float
+
+    @property
+    def facets(self) -> Float[Array, "facet xyz"]:
+        """Vectors v in the link: v times what is felt is at most 0 inside the pyramid."""
+        first = np.cross(self.axis, np.eye(3)[np.argmin(np.abs(self.axis))])
+        first /= np.linalg.norm(first)
+        turn = 2.0 * np.pi * np.arange(FACETS) / FACETS
+        around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(self.axis, first))
+        return around - np.tan(self.angle) * np.cos(np.pi / FACETS) * self.axis
+
+    @property
+    def native(self) -> _native.FeltLimit:
+        """The same for descents of motions."""
+        return _native.FeltLimit(
+            link=self.link, point=self.point, facets=np.ascontiguousarray(self.facets), gravity=self.gravity
+        )
+
+
+def felt_limits(cones: Sequence[FeltCone], kernels: Kernels, grid: CurveGrid) -> Float[Array, "interval limit 3"]:
+    """Return limits a u + b x <= c on path acceleration u and squared path speed x, at both ends of each interval.
+
+    Raises:
+        RetimingError: If the curve passes where a cone does not even hold at rest.
+    """
+    steps = np.diff(grid.s)[:, None]
+    rows = []
+    for cone in cones:
+        for end in (0, 1):
+            q = grid.q[end : len(grid.q) - 1 + end]
+            X_WL = kernels.link_poses(q)
+            slope, bend = curve_of_point(
+                kernels.robot, X_WL, (cone.link, cone.point), (grid.slope[:, end], grid.bend[:, end])
+            )
+            v = np.einsum("nij,fj->nfi", X_WL[:, cone.link, :3, :3], cone.facets)
+            a, b = np.einsum("nfi,ni->nf", v, slope), np.einsum("nfi,ni->nf", v, bend)
+            c = -cone.gravity * v[..., 2]
+            if np.any(c < _LEAST_ROOM * cone.gravity):
+                at = grid.s[int(np.argmin(c.min(axis=1))) + end] / grid.s[-1]
+                raise RetimingError(f"{cone.name} does not hold at rest after {at:.0%} of the path")
+            # At the end of an interval the squared speed is x + 2 step u.
+            rows.append(np.stack([a + (2.0 * steps * b if end else 0.0), b, c], axis=-1))
+    return np.ascontiguousarray(np.concatenate(rows, axis=1))
+
+
+def curve_of_point(
+    robot: RobotArrays,
+    X_WL: Float[Array, "n link 4 4"],
+    rider: tuple[int, Float[Array, " xyz"]],
+    derivatives: tuple[Float[Array, "n nq"], Float[Array, "n nq"]],
+) -> tuple[Float[Array, "n xyz"], Float[Array, "n xyz"]]:
+    """Return the first and second derivative of a point's position along a curve in joint space.
+
+    Args:
+        robot: Whose links.
+        X_WL: Poses of all links.
+        rider: The link that the point rides on, and where it is in it [m].
+        derivatives: dq/ds and d2q/ds2.
+    """
+    link, point = rider
+    slope, bend = derivatives
+    at = X_WL[:, link, :3, 3] + X_WL[:, link, :3, :3] @ point
+    chain, k = [], link
+    while k >= 0:
+        if robot.joint[k] >= 0:
+            chain.append(k)
+        k = int(robot.parent[k])
+    first, second, omega = np.zeros_like(at), np.zeros_like(at), np.zeros_like(at)
+    for k in reversed(chain):  # from the base on
+        j, z = int(robot.joint[k]), X_WL[:, k, :3, 2]
+        s, b = slope[:, j : j + 1], bend[:, j : j + 1]
+        turned = omega if robot.slide[k] else omega + s * z
+        J = z if robot.slide[k] else np.cross(z, at - X_WL[:, k, :3, 3])
+        first += s * J
+        # dJ/ds: joints before it turn it, and it turns itself.
+        second += b * J + s * np.cross(omega + turned, J)
+        omega = turned
+    return first, second

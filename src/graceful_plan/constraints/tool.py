@@ -1,0 +1,96 @@
+"""Where the tool may be, and how fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.constraints.constraint import NativeConstraint, PointBound, StateBounds
+from graceful_plan.constraints.riders import frame_in_link
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.exceptions import SettingError
+from graceful_plan.path import finite_array
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True)
+class ToolWithin(NativeConstraint):
+    """The tool's origin stays inside a box.
+
+    Args:
+        lower: Lower corner of the box [m].
+        upper: Upper corner [m].
+        frame: X_WB, pose of the box's axes in W [m]; W itself by default.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    frame: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, tuple(finite_array(name, getattr(self, name), ndim=1, last=3).tolist()))
+        if not np.all(np.array(self.lower) < np.array(self.upper)):
+            raise SettingError("upper", self.upper, f"above lower, {self.lower}, in each coordinate")
+        X_WB = np.eye(4) if self.frame is None else finite_array("frame", self.frame, ndim=2, last=4)
+        if X_WB.shape != (4, 4) or not np.allclose(X_WB[:3, :3] @ X_WB[:3, :3].T, np.eye(3), atol=1e-6):
+            raise SettingError("frame", self.frame, "a pose [4, 4] with a rotation")
+        object.__setattr__(self, "frame", tuple(map(tuple, X_WB.tolist())))
+
+    def bounds(self, scene: Scene) -> StateBounds:
+        """Return what has to hold in every configuration."""
+        link, X_LT = frame_in_link(scene, "tool")
+        X_WB = np.array(self.frame)
+        point = PointBound(
+            link=link,
+            point=tuple(X_LT[:3, 3].tolist()),
+            rotation=tuple(X_WB[:3, :3].ravel().tolist()),
+            position=tuple(X_WB[:3, 3].tolist()),
+            lower=self.lower,
+            upper=self.upper,
+        )
+        return StateBounds(points=(point,))
+
+    def residual(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return how far outside of the box the tool is, by the worst coordinate [m]."""
+        X_WB = np.array(self.frame)
+        at = (batch.tool_poses[:, :3, 3] - X_WB[:3, 3]) @ X_WB[:3, :3]
+        return np.maximum(np.array(self.lower) - at, at - np.array(self.upper)).max(axis=1)
+
+    def told(self, residual: float) -> str:
+        """Say in words how far outside a state is."""
+        return f"{self.name}: the tool is {1e3 * residual:.3g} mm outside of its box"
+
+
+@final
+@dataclass(frozen=True)
+class ToolSpeed:
+    """The tool's origin moves no faster than a limit, everywhere or only near an entity. A limit on timing alone.
+
+    Args:
+        limit: Of its speed [m/s], above 0.
+        near: Entity near which it holds; everywhere by default.
+        within: How near that is [m]: distance of robot and carried object from it.
+    """
+
+    limit: float
+    near: str | None = None
+    within: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("limit", "within"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise SettingError(name, value, "a finite number above 0")
+
+    @property
+    def name(self) -> str:
+        """What messages and verdicts call it."""
+        return type(self).__name__
