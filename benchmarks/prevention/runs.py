@@ -28,7 +28,7 @@ from failbench.recording.spill import kept_volume
 from failbench.report import FAILURES_PER_HOUR
 from failbench.scenario import usual_grasp
 from failbench.validation import chosen_faults
-from graceful_plan.constraints.vessel import find_vessel
+from graceful_plan.scene.rules.vessel import find_vessel
 
 SEED = 77
 SPEED = 0.5

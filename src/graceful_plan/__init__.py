@@ -7,6 +7,11 @@ from graceful_plan.analysis.explanation import explain
 from graceful_plan.analysis.impact_maps import impact_map
 from graceful_plan.analysis.risk_measures import RiskMeasure, risk
 from graceful_plan.compare.problems.problem_files import load_problems
+from graceful_plan.constraints.axes import AxisWithin, Upright
+from graceful_plan.constraints.constraint import Constraint
+from graceful_plan.constraints.contents import KeepContents
+from graceful_plan.constraints.distance import KeepDistance
+from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.impact import ImpactCost
@@ -37,9 +42,11 @@ __all__ = [
     "AllowedContact",
     "Anytime",
     "Auto",
+    "AxisWithin",
     "BoxOverlap",
     "CHOMP",
     "CasADi",
+    "Constraint",
     "Cost",
     "CostBreakdown",
     "Dry",
@@ -50,6 +57,8 @@ __all__ = [
     "ImpactCost",
     "InteractionModel",
     "JointLength",
+    "KeepContents",
+    "KeepDistance",
     "Liquid",
     "MovingEntity",
     "Objective",
@@ -71,7 +80,10 @@ __all__ = [
     "SeverityTable",
     "StateBatch",
     "Task",
+    "ToolSpeed",
+    "ToolWithin",
     "Trajectory",
+    "Upright",
     "Verdict",
     "__version__",
     "certify",

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from graceful_plan.analysis.risk_measures import RiskMeasure
-from graceful_plan.constraints.scene_constraints import AnyConstraint, SceneConstraints, default_constraints
+from graceful_plan.constraints.constraint import Constraint
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
@@ -64,7 +65,7 @@ def plan(
     speed: float = 1.0,
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
-    constraints: Iterable[AnyConstraint] | None = None,
+    constraints: Iterable[Constraint] | None = None,
     callback: Callback | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:

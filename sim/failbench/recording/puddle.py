@@ -18,7 +18,7 @@ from failbench.recording.records import ContactEvent
 from failbench.simulated.world import World
 from graceful_plan import Dry
 from graceful_plan.array_types import Float
-from graceful_plan.constraints.vessel import REPOSE
+from graceful_plan.scene.rules.vessel import REPOSE
 
 Array = np.ndarray
 

@@ -19,7 +19,7 @@ from failbench.recording.records import ContactEvent
 from failbench.simulated.execution import CHECKPOINT
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float
-from graceful_plan.constraints.vessel import Vessel, find_vessel
+from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 
 Array = np.ndarray
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final
 
+import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.constraints.constraint import AxisBound, NativeConstraint, StateBounds
-from graceful_plan.constraints.riders import default_frame, frame_in_link, standing_axis
+from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.rules.rules import AxisRule, Vector, checked_frame
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
-Vector = tuple[float, float, float]
 
 
 @final
 @dataclass(frozen=True)
-class AxisWithin(NativeConstraint):
+class AxisWithin(Constraint):
     """An axis of the tool or of the carried object stays within an angle of a direction in W.
 
     Args:
@@ -40,26 +40,16 @@ class AxisWithin(NativeConstraint):
     def __post_init__(self) -> None:
         for name in ("axis", "direction"):
             object.__setattr__(self, name, _unit(name, getattr(self, name)))
-        check_angle("angle", self.angle)
+        _check_angle("angle", self.angle)
 
-    def check(self, scene: Scene) -> None:
-        """Raise if there is no such frame."""
-        frame_in_link(scene, default_frame(scene, self.frame))
-
-    def bounds(self, scene: Scene) -> StateBounds:
-        """Return what has to hold in every configuration."""
-        link, X_LF = frame_in_link(scene, default_frame(scene, self.frame))
-        return StateBounds(
-            axes=(
-                AxisBound(
-                    link=link, axis=_vector(X_LF[:3, :3] @ self.axis), direction=self.direction, angle=self.angle
-                ),
-            )
-        )
+    def rule(self, scene: Scene) -> AxisRule:
+        """Return what has to hold in a scene; raise if it has no such frame."""
+        frame = checked_frame(scene, self.frame)
+        return AxisRule(name=self.name, frame=frame, axis=self.axis, direction=self.direction, angle=self.angle)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return by how much the angle is too large [rad]."""
-        return axis_residual(batch, self.bounds(batch.scene).axes[0])
+        return axis_residual(batch, self.rule(batch.scene))
 
     def told(self, residual: float) -> str:
         """Say in words how far outside a state is."""
@@ -68,7 +58,7 @@ class AxisWithin(NativeConstraint):
 
 @final
 @dataclass(frozen=True)
-class Upright(NativeConstraint):
+class Upright(Constraint):
     """What is carried stays as upright as it stood.
 
     The axis is the one that is vertical where the object stands in the scene; where nothing is carried, the one that
@@ -82,28 +72,33 @@ class Upright(NativeConstraint):
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
-        check_angle("max_tilt", self.max_tilt)
+        _check_angle("max_tilt", self.max_tilt)
 
-    def bounds(self, scene: Scene) -> StateBounds:
-        """Return what has to hold in every configuration."""
-        link, X_LF = frame_in_link(scene, default_frame(scene, None))
-        axis = _vector(X_LF[:3, :3] @ standing_axis(scene))
-        return StateBounds(axes=(AxisBound(link=link, axis=axis, direction=(0.0, 0.0, 1.0), angle=self.max_tilt),))
+    def rule(self, scene: Scene) -> AxisRule:
+        """Return what has to hold in a scene."""
+        return AxisRule(
+            name=self.name,
+            frame=checked_frame(scene, None),
+            axis=_standing_axis(scene),
+            direction=(0.0, 0.0, 1.0),
+            angle=self.max_tilt,
+        )
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return by how much the tilt is too large [rad]."""
-        return axis_residual(batch, self.bounds(batch.scene).axes[0])
+        return axis_residual(batch, self.rule(batch.scene))
 
     def told(self, residual: float) -> str:
         """Say in words how far outside a state is."""
         return told_angle(self.name, residual, self.max_tilt)
 
 
-def axis_residual(batch: StateBatch, bound: AxisBound) -> Float[Array, " n"]:
+def axis_residual(batch: StateBatch, rule: AxisRule) -> Float[Array, " n"]:
     """Return by how much the angle between axis and direction is too large [rad]."""
-    axis = batch.link_poses[:, bound.link, :3, :3] @ np.array(bound.axis)
-    across = np.linalg.norm(np.cross(axis, bound.direction), axis=1)
-    return np.arctan2(across, axis @ np.array(bound.direction)) - bound.angle
+    poses = batch.object_poses if rule.frame == "object" else batch.tool_poses
+    axis = poses[:, :3, :3] @ np.array(rule.axis)
+    across = np.linalg.norm(np.cross(axis, rule.direction), axis=1)
+    return np.arctan2(across, axis @ np.array(rule.direction)) - rule.angle
 
 
 def told_angle(name: str, residual: float, angle: float) -> str:
@@ -112,12 +107,16 @@ def told_angle(name: str, residual: float, angle: float) -> str:
     return f"{name}: {tilt:.1f} degrees, {np.rad2deg(residual):.1f} more than the {allowed:.1f} that are allowed"
 
 
-def check_angle(name: str, angle: float) -> None:
-    """Raise unless an angle is above 0 and at most pi.
+def _standing_axis(scene: Scene) -> Vector:
+    """Return the axis of the carried object that is vertical where it stands in the scene; else the tool's."""
+    if scene.carried is None:
+        return 0.0, 0.0, -1.0
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_kinematics(scene.model, data)
+    return _vector(data.xmat[scene.model.body(scene.carried.body).id].reshape(3, 3)[2])
 
-    Raises:
-        SettingError: If it is not.
-    """
+
+def _check_angle(name: str, angle: float) -> None:
     if not 0.0 < angle <= np.pi:
         raise SettingError(name, angle, "an angle above 0 and at most pi rad")
 

@@ -7,7 +7,6 @@ Planners check it along every edge as densely as collisions, the judge checks th
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Contract, StateBatch
 from graceful_plan.exceptions import CostError
+from graceful_plan.scene.rules.rules import CustomRule, Rule
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -47,53 +47,19 @@ class Constraint(Contract):
         del batch
         return None
 
-    def check(self, scene: Scene) -> None:
-        """Raise an error that says what is missing if this cannot be asked for in a scene."""
-        del scene
-
     def told(self, residual: float) -> str:
         """Say in words how far outside a state is."""
-        return f"{residual:.3g} beyond what {self.name} allows"
+        return f"{self.name}: {residual:.3g} beyond what is allowed"
 
+    def rule(self, scene: Scene) -> Rule:
+        """Return what has to hold in a scene, for the judge.
 
-@dataclass(frozen=True, kw_only=True)
-class AxisBound:
-    """A unit axis in the frame of a link stays within an angle [rad] of a unit direction in W."""
-
-    link: int
-    axis: tuple[float, float, float]
-    direction: tuple[float, float, float]
-    angle: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class PointBound:
-    """A point in the frame of a link stays inside a box: pose X_WB row-major, lower and upper corner in B [m]."""
-
-    link: int
-    point: tuple[float, float, float]
-    rotation: tuple[float, ...]
-    position: tuple[float, float, float]
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class StateBounds:
-    """What the core checks itself."""
-
-    axes: tuple[AxisBound, ...] = ()
-    points: tuple[PointBound, ...] = ()
-    keep: tuple[tuple[int, float], ...] = field(default=())
-    """Geoms, and the distance to keep from each [m]."""
-
-
-class NativeConstraint(Constraint):
-    """A constraint that the core checks itself: as fast as collisions, and with gradients."""
-
-    @abstractmethod
-    def bounds(self, scene: Scene) -> StateBounds:
-        """Return what has to hold in every configuration."""
+        Raises:
+            GracefulPlanError: If this cannot be asked for there.
+        """
+        return CustomRule(
+            name=self.name, residual=lambda q: checked_residual(self, StateBatch(scene, q)), told=self.told
+        )
 
 
 def checked_residual(constraint: Constraint, batch: StateBatch) -> Float[Array, " n"]:

@@ -9,30 +9,36 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.axes import axis_residual
-from graceful_plan.constraints.constraint import AxisBound, NativeConstraint, StateBounds
+from graceful_plan.constraints.bounds import frame_in_link
+from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.felt import FeltCone, curve_of_point
-from graceful_plan.constraints.riders import frame_in_link
 from graceful_plan.constraints.slosh import Slosh
-from graceful_plan.constraints.vessel import Vessel, find_vessel
-from graceful_plan.core.kernels import LEVER, Kernels
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.rules.rules import AxisRule, ContentsRule
+from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
-_SAMPLES = 0.005
+_SAMPLES = 0.004
 """Between two looks at the surface [s]; the fastest of them swing with 5 Hz."""
 _AFTER = 0.5
 """For how long the surface is followed after the end [s]."""
+_BELOW = 0.97
+"""Of the tilt that brings the surface to the rim, what the sloshing surface may have: others sample it elsewhere."""
 _AT_REST = 0.9
 """Of the angle that what is felt may use, what the vessel may be tilted at rest: the motion needs the others."""
+_STEEPEST = float(np.deg2rad(80.0))
+"""Of that angle, whatever the vessel holds: what is felt has to have a direction."""
 
 
 @final
 @dataclass(frozen=True)
-class KeepContents(NativeConstraint):
+class KeepContents(Constraint):
     """What is in the carried vessel stays in it.
 
     The fill says how far the vessel may be tilted: until the surface reaches the rim; something dry may be tilted
@@ -51,37 +57,36 @@ class KeepContents(NativeConstraint):
         if not 0.0 < self.share <= 1.0:
             raise SettingError("share", self.share, "above 0 and at most 1")
 
-    def check(self, scene: Scene) -> None:
-        """Raise if nothing is carried in a vessel."""
-        _vessel(scene)
+    def rule(self, scene: Scene) -> ContentsRule:
+        """Return what has to hold in a scene; raise if nothing is carried in a vessel."""
+        return ContentsRule(name=self.name, vessel=_vessel(scene))
 
-    def bounds(self, scene: Scene) -> StateBounds:
-        """Return what has to hold in every configuration."""
-        link, X_LO = frame_in_link(scene, "object")
-        x, y, z = (X_LO[:3, :3] @ _vessel(scene).axis).tolist()
+    def upright(self, scene: Scene) -> AxisRule:
+        """Return what has to hold in every configuration: that the vessel is not tilted too much."""
+        x, y, z = _vessel(scene).axis.tolist()
         angle = _AT_REST * self.felt_angle(scene)
-        return StateBounds(axes=(AxisBound(link=link, axis=(x, y, z), direction=(0.0, 0.0, 1.0), angle=angle),))
+        return AxisRule(name=self.name, frame="object", axis=(x, y, z), direction=(0.0, 0.0, 1.0), angle=angle)
 
     def felt_angle(self, scene: Scene) -> float:
         """Return the largest angle between the vessel's axis and what is felt in it, sloshing aside [rad]."""
-        return self.share * min(_vessel(scene).held_tilt(), np.deg2rad(80.0))
+        return self.share * min(_vessel(scene).brim_tilt, _STEEPEST)
 
     def felt(self, scene: Scene) -> FeltCone:
         """Return what has to hold for what is felt in the vessel, in motion."""
-        vessel = _vessel(scene)
-        link, X_LO = frame_in_link(scene, "object")
+        vessel, robot = _vessel(scene), compile_scene(scene).robot
+        X_LO = frame_in_link(scene, robot, "object")
         return FeltCone(
             name=self.name,
-            link=link,
+            link=robot.tool_link,
             point=X_LO[:3, :3] @ vessel.p_BS + X_LO[:3, 3],
             axis=X_LO[:3, :3] @ vessel.axis,
             angle=self.felt_angle(scene),
             gravity=-float(scene.model.opt.gravity[2]),
         )
 
-    def holds(self, trajectory: Trajectory, scene: Scene, kernels: Kernels) -> bool:
+    def holds(self, trajectory: Trajectory, scene: Scene) -> bool:
         """Whether the surface stays below the rim along a motion, and while it comes to rest, sloshing included."""
-        vessel, cone = _vessel(scene), self.felt(scene)
+        vessel, cone, kernels = _vessel(scene), self.felt(scene), compile_scene(scene).kernels
         motion = trajectory.sample(_SAMPLES)
         X_WL = kernels.link_poses(motion.q)
         _, acceleration = curve_of_point(kernels.robot, X_WL, (cone.link, cone.point), (motion.qd, motion.qdd))
@@ -89,16 +94,15 @@ class KeepContents(NativeConstraint):
         after = int(_AFTER / _SAMPLES)
         acceleration = np.concatenate([acceleration, np.zeros((after, 3))])
         axis = np.concatenate([axis, np.repeat(axis[-1:], after, axis=0)])
-        level = acceleration[:, :2] / (cone.gravity + acceleration[:, 2:])
+        surface = acceleration + [0.0, 0.0, cone.gravity]
         if vessel.repose == 0.0:
-            level = Slosh.of(vessel, cone.gravity).follow(level, _SAMPLES)
-        normal = np.column_stack([level, np.ones(len(level))])
-        cosine = (normal * axis).sum(axis=1) / np.linalg.norm(normal, axis=1)
-        return bool(cosine.min() >= np.cos(min(vessel.held_tilt(), np.pi / 2)))
+            surface = Slosh.of(vessel, cone.gravity).follow(surface, _SAMPLES)
+        cosine = (surface * axis).sum(axis=1) / np.linalg.norm(surface, axis=1)
+        return bool(cosine.min() >= np.cos(_BELOW * min(vessel.brim_tilt, _STEEPEST)))
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return by how much the vessel is tilted too much at rest [rad]."""
-        return axis_residual(batch, self.bounds(batch.scene).axes[0])
+        return axis_residual(batch, self.upright(batch.scene))
 
     def told(self, residual: float) -> str:
         """Say in words how far outside a state is."""

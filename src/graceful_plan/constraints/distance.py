@@ -8,21 +8,25 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.constraints.constraint import NativeConstraint, StateBounds
-from graceful_plan.core.arrays import HazardArrays, WorldArrays
+from graceful_plan.constraints.constraint import Constraint
+from graceful_plan.core.arrays import WorldArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.rules.rules import DistanceRule
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
+_FAR = 1e3
+"""Where there is nothing to be near to [m]."""
+
 
 @final
 @dataclass(frozen=True)
-class KeepDistance(NativeConstraint):
+class KeepDistance(Constraint):
     """Robot and carried object stay away from an entity.
 
     Args:
@@ -37,19 +41,15 @@ class KeepDistance(NativeConstraint):
         if not (np.isfinite(self.metres) and self.metres > 0.0):
             raise SettingError("metres", self.metres, "a finite distance above 0 m")
 
-    def check(self, scene: Scene) -> None:
-        """Raise if there is no such entity."""
+    def rule(self, scene: Scene) -> DistanceRule:
+        """Return what has to hold in a scene; raise if it has no such entity."""
         if self.entity not in scene.entities:
             raise UnknownNameError("entity", self.entity, scene.entities)
-
-    def bounds(self, scene: Scene) -> StateBounds:
-        """Return what has to hold in every configuration."""
-        return StateBounds(keep=tuple((int(geom), self.metres) for geom in scene.entities[self.entity].geoms))
+        return DistanceRule(name=self.name, entity=self.entity, metres=self.metres)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return how much too near the entity is [m], by the spheres that stand for the robot."""
-        clearance = distance_kernels(batch.scene, self.entity).clearance(batch.q)
-        return np.maximum(self.metres - clearance, -1e3)
+        return np.maximum(self.metres - distance_kernels(batch.scene, self.entity).clearance(batch.q), -_FAR)
 
     def told(self, residual: float) -> str:
         """Say in words how far outside a state is."""
@@ -58,7 +58,7 @@ class KeepDistance(NativeConstraint):
 
 @per_scene
 def distance_kernels(scene: Scene, entity: str) -> Kernels:
-    """Return kernels for which an entity is all that stands around."""
+    """Return kernels for which an entity is all that stands around: their clearance is the distance from it."""
     compiled = compile_scene(scene)
     world = compiled.world
     mine = np.isin(world.geom, list(scene.entities[entity].geoms))
@@ -75,5 +75,4 @@ def distance_kernels(scene: Scene, entity: str) -> Kernels:
         geom=world.geom[mine],
     )
     robot = replace(compiled.robot, self_pair=compiled.robot.self_pair[:0])
-    hazards: HazardArrays = compiled.hazards
-    return Kernels(robot, only, hazards)
+    return Kernels(robot, only, compiled.hazards)

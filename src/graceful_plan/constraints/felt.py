@@ -78,7 +78,7 @@ def felt_limits(cones: Sequence[FeltCone], kernels: Kernels, grid: CurveGrid) ->
         RetimingError: If the curve passes where a cone does not even hold at rest.
     """
     steps = np.diff(grid.s)[:, None]
-    rows = []
+    rows = [np.zeros((len(grid.s) - 1, 0, 3))]
     for cone in cones:
         for end in (0, 1):
             q = grid.q[end : len(grid.q) - 1 + end]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.constraints.constraint import NativeConstraint, PointBound, StateBounds
-from graceful_plan.constraints.riders import frame_in_link
+from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.rules.rules import BoxRule, SpeedRule, Vector
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -21,7 +21,7 @@ Array = np.ndarray
 
 @final
 @dataclass(frozen=True)
-class ToolWithin(NativeConstraint):
+class ToolWithin(Constraint):
     """The tool's origin stays inside a box.
 
     Args:
@@ -30,8 +30,8 @@ class ToolWithin(NativeConstraint):
         frame: X_WB, pose of the box's axes in W [m]; W itself by default.
     """
 
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
+    lower: Vector
+    upper: Vector
     frame: ArrayLike | None = None
 
     def __post_init__(self) -> None:
@@ -44,19 +44,10 @@ class ToolWithin(NativeConstraint):
             raise SettingError("frame", self.frame, "a pose [4, 4] with a rotation")
         object.__setattr__(self, "frame", tuple(map(tuple, X_WB.tolist())))
 
-    def bounds(self, scene: Scene) -> StateBounds:
-        """Return what has to hold in every configuration."""
-        link, X_LT = frame_in_link(scene, "tool")
-        X_WB = np.array(self.frame)
-        point = PointBound(
-            link=link,
-            point=tuple(X_LT[:3, 3].tolist()),
-            rotation=tuple(X_WB[:3, :3].ravel().tolist()),
-            position=tuple(X_WB[:3, 3].tolist()),
-            lower=self.lower,
-            upper=self.upper,
-        )
-        return StateBounds(points=(point,))
+    def rule(self, scene: Scene) -> BoxRule:
+        """Return what has to hold in a scene."""
+        del scene
+        return BoxRule(name=self.name, X_WB=np.array(self.frame), lower=self.lower, upper=self.upper)
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return how far outside of the box the tool is, by the worst coordinate [m]."""
@@ -71,8 +62,10 @@ class ToolWithin(NativeConstraint):
 
 @final
 @dataclass(frozen=True)
-class ToolSpeed:
-    """The tool's origin moves no faster than a limit, everywhere or only near an entity. A limit on timing alone.
+class ToolSpeed(Constraint):
+    """The tool's origin moves no faster than a limit, everywhere or only near an entity.
+
+    A limit on timing: no configuration is outside.
 
     Args:
         limit: Of its speed [m/s], above 0.
@@ -90,7 +83,12 @@ class ToolSpeed:
             if not (np.isfinite(value) and value > 0.0):
                 raise SettingError(name, value, "a finite number above 0")
 
-    @property
-    def name(self) -> str:
-        """What messages and verdicts call it."""
-        return type(self).__name__
+    def rule(self, scene: Scene) -> SpeedRule:
+        """Return what has to hold in a scene; raise if it has no such entity."""
+        if self.near is not None and self.near not in scene.entities:
+            raise UnknownNameError("entity", self.near, scene.entities)
+        return SpeedRule(name=self.name, limit=self.limit, near=self.near, within=self.within)
+
+    def residual(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return less than 0 everywhere: a robot at rest is anywhere slow enough."""
+        return np.full(len(batch), -self.limit)

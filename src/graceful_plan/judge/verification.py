@@ -7,7 +7,7 @@ kernels (`reference_cost`); no other model, the default one included, has a seco
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,11 +17,13 @@ from graceful_plan.exceptions import ShapeError
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.motion_samples import MotionSamples, motion_samples
 from graceful_plan.judge.reference_cost import reference_cost
+from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.judge.second_opinion import opinion_of_fcl
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, Verdict
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
+from graceful_plan.scene.rules.rules import Ruled, default_rules
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -43,6 +45,7 @@ def verify(
     cost_path: Path | None = None,
     components: Sequence[str] = ("carried", "contents"),
     exposure: str = "time",
+    constraints: Iterable[Ruled] | None = None,
     step: float = 0.002,
     second_opinion: bool = False,
 ) -> Verdict:
@@ -58,13 +61,15 @@ def verify(
         cost_path: The path that the cost is claimed of, if not the motion itself.
         components: Components whose impact is in that cost.
         exposure: How that cost integrates impact.
+        constraints: What has to hold along the motion; by default that contents stay in the vessel that is carried.
         step: No point of the robot moves farther than this between two checks of collision [m].
         second_opinion: Whether to ask python-fcl too, every 10 steps.
 
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
-        "consistency" and "rest"; and "start", "goal", "cost", "second_opinion" where asked for. Without "cost" among
-        them, nothing is said about what the motion costs.
+        "consistency" and "rest"; "contents" where they are to stay in a vessel, and one for each other constraint, such
+        as "upright"; and "start", "goal", "cost", "second_opinion" where asked for. Without "cost" among them, nothing
+        is said about what the motion costs.
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.
@@ -77,6 +82,8 @@ def verify(
     checks = {"collision": _collision(samples, scene), "position_limits": _position(samples, motion, scene)}
     if isinstance(motion, Trajectory):
         checks |= _dynamics(motion, scene)
+    rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
+    checks |= rule_checks(motion, scene, rules)
     if start is not None:
         checks["start"] = _end_point(motion.q[0], finite_array("start", start, ndim=1, last=nq)[None], samples.at[0])
     if isinstance(goal, PoseGoal):

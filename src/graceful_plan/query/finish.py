@@ -45,4 +45,5 @@ def _judge(motion: Motion, request: Request) -> Verdict:
         cost=motion.cost if recomputable else None,
         components=impact.components if isinstance(impact, ImpactCost) else (),
         exposure=exposure,
+        constraints=request.constraints.constraints,
     )

@@ -15,12 +15,12 @@ from failbench.calibrations.calibrate import write
 from failbench.calibrations.failures import Failures
 from failbench.calibrations.spill_fit import FAULTS, SPILT, SpillFamily
 from failbench.cli import DONE, main
-from graceful_plan.constraints.vessel import find_vessel
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, drop_kernel
 from graceful_plan.costs.models.spill.constants import USES, SpillConstants, SpillSettings
 from graceful_plan.costs.models.spill.tables import DEPTH, spill_tables
 from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.scene.rules.vessel import find_vessel
 
 
 @pytest.mark.parametrize("use", USES)

@@ -16,7 +16,7 @@ from failbench.recording.recorder import Recorder
 from failbench.recording.spill import VesselMotion, kept_volume, remaining
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan import Dry, Liquid, Scene
-from graceful_plan.constraints.vessel import REPOSE, Vessel, find_vessel
+from graceful_plan.scene.rules.vessel import REPOSE, Vessel, find_vessel
 
 _G = 9.81
 _UP = np.array([0.0, 0.0, 1.0])

@@ -10,6 +10,7 @@
 #include "search/connect.hpp"
 #include "search/descent.hpp"
 #include "search/motion_descent.hpp"
+#include "timing/pendulum.hpp"
 #include "timing/speed_profile.hpp"
 
 using namespace nb::literals;
@@ -310,6 +311,16 @@ Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool,
   return array;
 }
 
+// The answer of a pendulum, see timing/pendulum.hpp.
+Out<double> swing_along(Reals felt, double dt, double length, double drag) {
+  require(felt.ndim() == 2 && felt.shape(0) > 0 && felt.shape(1) == 3 && dt > 0 && length > 0, "what is felt");
+  double* out;
+  auto array = make<double>({felt.shape(0), 3}, out);
+  nb::gil_scoped_release release;
+  swing({length, drag}, felt.data(), felt.shape(0), dt, out);
+  return array;
+}
+
 // A spline and its first two derivatives at some parameters: [3, n, dim].
 Out<double> spline(Reals controls, Reals u) {
   require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
@@ -442,6 +453,7 @@ void bind_search(nb::module_& m) {
       .def("energy", &MotionDescentRun::energy, "controls"_a)
       .def_prop_ro("value", &MotionDescentRun::value)
       .def_prop_ro("duration", &MotionDescentRun::duration);
+  m.def("swing", &swing_along, "felt"_a, "dt"_a, "length"_a, "drag"_a);
   m.def("spline", &spline, "controls"_a, "u"_a);
   m.def("fastest", &fastest, "step"_a, "slope"_a, "bend"_a, "stop"_a, "velocity"_a, "acceleration"_a, nb::kw_only(),
         "limit"_a = nb::none());

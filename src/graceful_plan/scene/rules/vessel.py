@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -60,12 +61,13 @@ class Vessel:
         kept = np.where(2.0 * R * slope <= H, full, wedge)
         return np.where(tilt - self.repose < np.pi / 2, np.maximum(kept, 0.0), 0.0)
 
-    def held_tilt(self, part: float = 1.0) -> float:
-        """Return the largest tilt [rad] at which so much of the contents stays in, felt vertical and no sloshing."""
+    @cached_property
+    def brim_tilt(self) -> float:
+        """Largest tilt at which all of the contents stay in, for a level surface [rad]."""
         low, high = 0.0, float(np.pi)
         for _ in range(60):
             middle = 0.5 * (low + high)
-            enough = float(self.capacity(np.array(middle))) >= part * self.volume * (1.0 - _ROUNDING)
+            enough = float(self.capacity(np.array(middle))) >= self.volume * (1.0 - _ROUNDING)
             low, high = (middle, high) if enough else (low, middle)
         return low
 

@@ -1,0 +1,66 @@
+"""Rules as tables for the core: axes within cones, points within boxes, distances from obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.arrays import BoundArrays, RobotArrays
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import Kernels
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.rules.rules import AxisRule, BoxRule, DistanceRule, Rule
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+Numbers = tuple[float, ...]
+
+
+def bounded_kernels(scene: Scene, rules: Iterable[Rule]) -> Kernels:
+    """Return the scene's kernels with those rules that the core checks."""
+    robot = compile_scene(scene).robot
+    cones: list[Numbers] = []
+    rooms: list[Numbers] = []
+    keep: list[tuple[str, float]] = []
+    for rule in rules:
+        if isinstance(rule, AxisRule):
+            axis = frame_in_link(scene, robot, rule.frame)[:3, :3] @ rule.axis
+            cones.append((*axis.tolist(), *rule.direction, rule.angle))
+        elif isinstance(rule, BoxRule):
+            pose = *rule.X_WB[:3, :3].ravel().tolist(), *rule.X_WB[:3, 3].tolist()
+            rooms.append((*robot.X_LT[:3, 3].tolist(), *pose, *rule.lower, *rule.upper))
+        elif isinstance(rule, DistanceRule):
+            keep.append((rule.entity, rule.metres))
+    if not (cones or rooms or keep):
+        return compile_scene(scene).kernels
+    return _kernels(scene, tuple(cones), tuple(rooms), tuple(keep))
+
+
+@per_scene(most=8)
+def _kernels(
+    scene: Scene, cones: tuple[Numbers, ...], rooms: tuple[Numbers, ...], keep: tuple[tuple[str, float], ...]
+) -> Kernels:
+    """Make kernels with bounds; that takes milliseconds, so the last ones are kept."""
+    compiled = compile_scene(scene)
+    robot, world = compiled.robot, compiled.world
+    kept = np.zeros(len(world.geom))
+    for entity, metres in keep:
+        mine = np.isin(world.geom, list(scene.entities[entity].geoms))
+        kept[mine] = np.maximum(kept[mine], metres)
+    bounds = BoundArrays(
+        cone_link=np.full(len(cones), robot.tool_link),
+        cone=np.array(cones).reshape(-1, 7),
+        room_link=np.full(len(rooms), robot.tool_link),
+        room=np.array(rooms).reshape(-1, 21),
+        keep=kept,
+    )
+    return Kernels(robot, world, compiled.hazards, bounds=bounds)
+
+
+def frame_in_link(scene: Scene, robot: RobotArrays, frame: str) -> Float[Array, "4 4"]:
+    """Return the pose of the frame "tool" or "object" in the link of the tool, which both ride on."""
+    if frame == "tool" or scene.carried is None:
+        return robot.X_LT
+    return robot.X_LT @ scene.carried.X_TO

@@ -1,0 +1,120 @@
+"""What has to hold along a motion, as plain facts about the frames of a scene.
+
+Constraints say it in these words; planners turn them into tables for the core, the judge looks at them with MuJoCo's
+kinematics alone. Frames: W world, T tool, O carried object, B box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, final, runtime_checkable
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.rules.vessel import Vessel, find_vessel
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+Vector = tuple[float, float, float]
+
+FRAMES = ("tool", "object")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class AxisRule:
+    """A unit axis in a frame, "tool" or "object", stays within an angle [rad] of a unit direction in W."""
+
+    name: str
+    frame: str
+    axis: Vector
+    direction: Vector
+    angle: float
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoxRule:
+    """The tool's origin stays between two corners [m] of a box with the pose X_WB."""
+
+    name: str
+    X_WB: Float[Array, "4 4"]
+    lower: Vector
+    upper: Vector
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DistanceRule:
+    """Robot and carried object keep a distance [m] from an entity."""
+
+    name: str
+    entity: str
+    metres: float
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SpeedRule:
+    """The tool's origin is no faster than a limit [m/s]: everywhere, or where the robot is near an entity [m]."""
+
+    name: str
+    limit: float
+    near: str | None
+    within: float
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContentsRule:
+    """A part of the contents stays in the vessel: at rest, for what is felt in motion, and as they slosh."""
+
+    name: str
+    vessel: Vessel
+    part: float = 0.99
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CustomRule:
+    """Whatever somebody asks of configurations: `residual` [n, nq] -> [n] is at most 0."""
+
+    name: str
+    residual: Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
+    told: Callable[[float], str]
+
+
+Rule = AxisRule | BoxRule | DistanceRule | SpeedRule | ContentsRule | CustomRule
+
+
+@runtime_checkable
+class Ruled(Protocol):
+    """What can say in plain facts what it asks for: every constraint can."""
+
+    def rule(self, scene: Scene) -> Rule:
+        """Return what has to hold in a scene; raise an error that says what is missing if that cannot be asked."""
+        ...
+
+
+def default_rules(scene: Scene) -> tuple[Rule, ...]:
+    """Return what has to hold unless somebody says otherwise: contents stay in the vessel that is carried."""
+    vessel = find_vessel(scene)
+    return () if vessel is None else (ContentsRule(name="KeepContents", vessel=vessel),)
+
+
+def checked_frame(scene: Scene, frame: str | None) -> str:
+    """Return the name of a frame: by default the carried object's, where nothing is carried the tool's.
+
+    Raises:
+        SettingError: If there is no such frame.
+    """
+    if frame is None:
+        return "tool" if scene.carried is None else "object"
+    if frame not in FRAMES:
+        raise SettingError("frame", frame, f"one of {', '.join(FRAMES)}")
+    if frame == "object" and scene.carried is None:
+        raise SettingError("frame", frame, "'tool': nothing is carried in this scene")
+    return frame
