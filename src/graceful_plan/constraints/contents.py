@@ -30,6 +30,8 @@ _AFTER = 0.5
 """For how long the surface is followed after the end [s]."""
 _BELOW = 0.97
 """Of the tilt that brings the surface to the rim, what the sloshing surface may have: others sample it elsewhere."""
+_AIMED = 0.92
+"""The same in descents: what is charged ends a little beyond its limit."""
 _AT_REST = 0.9
 """Of the angle that what is felt may use, what the vessel may be tilted at rest: the motion needs the others."""
 _STEEPEST = float(np.deg2rad(80.0))
@@ -74,6 +76,7 @@ class KeepContents(Constraint):
     def felt(self, scene: Scene) -> FeltCone:
         """Return what has to hold for what is felt in the vessel, in motion."""
         vessel, robot = _vessel(scene), compile_scene(scene).robot
+        gravity = -float(scene.model.opt.gravity[2])
         X_LO = frame_in_link(scene, robot, "object")
         return FeltCone(
             name=self.name,
@@ -81,12 +84,14 @@ class KeepContents(Constraint):
             point=X_LO[:3, :3] @ vessel.p_BS + X_LO[:3, 3],
             axis=X_LO[:3, :3] @ vessel.axis,
             angle=self.felt_angle(scene),
-            gravity=-float(scene.model.opt.gravity[2]),
+            gravity=gravity,
+            slosh=Slosh.of(vessel, gravity) if vessel.repose == 0.0 else None,
+            brim=_AIMED * min(vessel.brim_tilt, _STEEPEST),
         )
 
     def holds(self, trajectory: Trajectory, scene: Scene) -> bool:
         """Whether the surface stays below the rim along a motion, and while it comes to rest, sloshing included."""
-        vessel, cone, kernels = _vessel(scene), self.felt(scene), compile_scene(scene).kernels
+        cone, kernels = self.felt(scene), compile_scene(scene).kernels
         motion = trajectory.sample(_SAMPLES)
         X_WL = kernels.link_poses(motion.q)
         _, acceleration = curve_of_point(kernels.robot, X_WL, (cone.link, cone.point), (motion.qd, motion.qdd))
@@ -95,10 +100,10 @@ class KeepContents(Constraint):
         acceleration = np.concatenate([acceleration, np.zeros((after, 3))])
         axis = np.concatenate([axis, np.repeat(axis[-1:], after, axis=0)])
         surface = acceleration + [0.0, 0.0, cone.gravity]
-        if vessel.repose == 0.0:
-            surface = Slosh.of(vessel, cone.gravity).follow(surface, _SAMPLES)
+        if cone.slosh is not None:
+            surface = cone.slosh.follow(surface, _SAMPLES)
         cosine = (surface * axis).sum(axis=1) / np.linalg.norm(surface, axis=1)
-        return bool(cosine.min() >= np.cos(_BELOW * min(vessel.brim_tilt, _STEEPEST)))
+        return bool(cosine.min() >= np.cos(_BELOW * min(_vessel(scene).brim_tilt, _STEEPEST)))
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return by how much the vessel is tilted too much at rest [rad]."""

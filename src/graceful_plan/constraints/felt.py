@@ -18,6 +18,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.slosh import Slosh
 from graceful_plan.core import _native
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.kernels import Kernels
@@ -45,6 +46,8 @@ class FeltCone:
     | axis    | unit axis in the link                          |       | 3     |
     | angle   | largest angle, below a right one               | rad   |       |
     | gravity |                                                | m/s^2 |       |
+    | slosh   | of a liquid there; None if it is none          |       |       |
+    | brim    | largest angle between axis and surface normal  | rad   |       |
     """
 
     name: str
@@ -53,6 +56,8 @@ class FeltCone:
     axis: Float[Array, " xyz"]
     angle: float
     gravity: float
+    slosh: Slosh | None
+    brim: float
 
     @property
     def facets(self) -> Float[Array, "facet xyz"]:
@@ -66,8 +71,18 @@ class FeltCone:
     @property
     def native(self) -> _native.FeltLimit:
         """The same for descents of motions."""
+        facets = np.ascontiguousarray(self.facets)
+        if self.slosh is None:
+            return _native.FeltLimit(link=self.link, point=self.point, facets=facets, gravity=self.gravity)
         return _native.FeltLimit(
-            link=self.link, point=self.point, facets=np.ascontiguousarray(self.facets), gravity=self.gravity
+            link=self.link,
+            point=self.point,
+            facets=facets,
+            gravity=self.gravity,
+            axis=self.axis,
+            angle=self.brim,
+            length=self.slosh.length,
+            drag=self.slosh.drag,
         )
 
 

@@ -26,7 +26,7 @@ Array = np.ndarray
 
 _SLOWDOWN = 1.08
 """By how much a motion is slowed down at a time."""
-_MOST_SLOWDOWNS = 12
+_MOST_SLOWDOWNS = 40
 
 
 @final

@@ -58,5 +58,9 @@ class Slosh:
 
     def follow(self, felt: Float[Array, "n xyz"], dt: float) -> Float[Array, "n xyz"]:
         """Return the unit normals of the surface, from rest, for what is felt [m/s^2] at even times `dt` apart [s]."""
-        drag = 2.0 * self.damping * self.frequency
-        return _native.swing(np.ascontiguousarray(felt), dt, self.length, drag)
+        return _native.swing(np.ascontiguousarray(felt), dt, self.length, self.drag)
+
+    @property
+    def drag(self) -> float:
+        """Of the pendulum's velocity [1/s]."""
+        return 2.0 * self.damping * self.frequency

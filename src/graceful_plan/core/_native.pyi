@@ -212,7 +212,18 @@ class Descent:
 
 @final
 class FeltLimit:
-    def __init__(self, *, link: int, point: Reals, facets: Reals, gravity: float) -> None: ...
+    def __init__(
+        self,
+        *,
+        link: int,
+        point: Reals,
+        facets: Reals,
+        gravity: float,
+        axis: Reals | None = None,
+        angle: float = 0.0,
+        length: float = 0.0,
+        drag: float = 0.0,
+    ) -> None: ...
 
 @final
 class MotionDescent:

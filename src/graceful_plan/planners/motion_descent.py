@@ -26,6 +26,9 @@ Array = np.ndarray
 
 TIME_PRICE = 0.05
 """What a second of motion counts on top of J [rad/s]: it decides between motions of about the same J."""
+CAREFUL_TIME_PRICE = 0.3
+"""The same where something full is carried [rad/s]: how long it takes does not follow from how far it is any more, and
+motions of the shortest paths would take up to half as long again for a hundredth less length."""
 _ROUND = 20
 """Evaluations of a descent between two looks at the clock."""
 _HARDENINGS = 3
@@ -53,6 +56,11 @@ _WIDE_BENDS = 2
 """Bends that are added up in one of these."""
 _RESAMPLED = 64
 """Points of a curve from which the next descent begins."""
+
+
+def time_price(*, careful: bool) -> float:
+    """Return what a second of motion counts on top of J [rad/s]; careful is who carries something full."""
+    return CAREFUL_TIME_PRICE if careful else TIME_PRICE
 
 
 @final
@@ -137,6 +145,11 @@ class MotionDescents:
     effort: Effort = Effort()
     felt: Sequence[_native.FeltLimit] = ()
 
+    @property
+    def time_price(self) -> float:
+        """What a second of motion counts on top of J [rad/s]."""
+        return time_price(careful=bool(self.felt))
+
     def run(
         self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, *, raw: int | None = None
     ) -> list[Landed]:
@@ -165,7 +178,7 @@ class MotionDescents:
             controls=stage.controls,
             density=stage.density,
             rough=stage.rough,
-            time_price=TIME_PRICE,
+            time_price=self.time_price,
             tight_start=start.tight_start,
             tight_end=start.tight_end,
             felt=self.felt,

@@ -18,7 +18,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import TIME_PRICE, Effort, Landed, MotionDescents, Start
+from graceful_plan.planners.motion_descent import Effort, Landed, MotionDescents, Start, time_price
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -165,7 +165,7 @@ def smooth(
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
         felt=[cone.native for cone in request.constraints.cones],
-        effort=effort if objective.w > 0.0 else replace(effort, bends=0, hops=0),
+        effort=effort if objective.w > 0.0 or request.constraints.cones else replace(effort, bends=0, hops=0),
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
@@ -188,7 +188,7 @@ def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | 
         return None
     if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.constraints):
         return None
-    estimate = landed.value - TIME_PRICE * trajectory.duration
+    estimate = landed.value - _time_price(request) * trajectory.duration
     return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
 
 
@@ -241,8 +241,12 @@ def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request
         trajectory=trajectory,
         cost=cost,
         arrival=arrival,
-        ranking=total + TIME_PRICE * trajectory.duration,
+        ranking=total + _time_price(request) * trajectory.duration,
     )
+
+
+def _time_price(request: Request) -> float:
+    return time_price(careful=bool(request.constraints.cones))
 
 
 def _keeps_clear(trajectory: Trajectory, constraints: SceneConstraints) -> bool:

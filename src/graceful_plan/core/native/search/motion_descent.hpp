@@ -288,18 +288,24 @@ class MotionDescent {
     std::vector<double> d_speed(samples, 0.0);
     const double length = lengthen();
     const double harm = space_.w > 0 ? fail(d_speed) : 0.0;
+    const double total = length_ + space_.w * harm + settings_.time_price * duration;
+    if (scale_ == 0) scale_ = total;
+    const double weight = push_ * scale_ / double(samples);
+    const double slosh = weight * felt_.slosh(squared, pause_);
+    std::vector<double> d_pause(samples - 1, 0.0), d_squared(samples, 0.0);
+    felt_.back_slosh(squared, weight, d_squared, d_pause, d_q_);
     for (size_t k = 0; k + 1 < samples; ++k) {
-      const double price = settings_.time_price + 0.5 * space_.w * (space_.w > 0 ? impact_[k] + impact_[k + 1] : 0.0);
+      const double price =
+          settings_.time_price + d_pause[k] + 0.5 * space_.w * (space_.w > 0 ? impact_[k] + impact_[k + 1] : 0.0);
       const double by_speed = -price * pause_[k] / std::max(speed_[k] + speed_[k + 1], kSlowest);
       d_speed[k] += by_speed, d_speed[k + 1] += by_speed;
     }
     for (size_t k = 0; k < samples; ++k)
-      d_speed[k] = stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed[k] / (2 * speed_[k]);  // now of the square
+      d_speed[k] =
+          stop_[k] || speed_[k] < kSlowest ? 0.0 : d_speed[k] / (2 * speed_[k]) + d_squared[k];  // now of the square
     profile_.back(curve, d_speed, {d_slope_.data(), d_bend_.data(), felt_.empty() ? nullptr : felt_.slopes()});
     if (!felt_.empty()) felt_.back(d_q_);
-    const double total = length_ + space_.w * harm + settings_.time_price * duration;
-    if (scale_ == 0) scale_ = total;
-    const double penalty = collide();
+    const double penalty = collide() + slosh;
     collect(gradient);
     return {length + space_.w * harm + settings_.time_price * duration + penalty, total + penalty, duration};
   }

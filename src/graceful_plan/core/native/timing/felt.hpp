@@ -9,9 +9,11 @@
 #pragma once
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <vector>
 
 #include "search/planning.hpp"
+#include "timing/slosh.hpp"
 #include "timing/speed_profile.hpp"
 
 namespace gp {
@@ -21,12 +23,17 @@ struct FeltLimit {
   std::array<double, 3> point;                // in the link
   std::vector<std::array<double, 3>> facets;  // in the axes of the link
   double gravity;                             // [m/s^2]
+  std::optional<SloshLimit> slosh;            // of what is carried there, if it is a liquid
 };
 
 class FeltLimits {
  public:
   explicit FeltLimits(std::vector<FeltLimit> limits) : limits_(std::move(limits)) {
-    for (const FeltLimit& limit : limits_) facets_ += limit.facets.size();
+    for (const FeltLimit& limit : limits_) {
+      facets_ += limit.facets.size();
+      swing_.push_back(limit.slosh ? std::optional<Swing>(*limit.slosh) : std::nullopt);
+    }
+    drive_.resize(limits_.size()), by_drive_.resize(limits_.size());
   }
   bool empty() const { return facets_ == 0; }
 
@@ -48,6 +55,65 @@ class FeltLimits {
       first += limits_[l].facets.size();
     }
     curve.n_limit = 2 * facets_, curve.limit = row_.data();
+  }
+
+  // What sloshing is charged along the curve of the last enter(), travelled at squared speeds `x`, so long on each
+  // interval.
+  double slosh(const std::vector<double>& x, const std::vector<double>& pause) {
+    double sum = 0;
+    for (size_t l = 0; l < limits_.size(); ++l) {
+      if (!swing_[l]) continue;
+      const size_t n = pause.size(), samples = n + 1;
+      const Ride* ride = &ride_[l * samples];
+      Swing::Drive& drive = drive_[l];
+      drive.resize(n);
+      drive.pause = pause;
+      for (size_t k = 0; k < samples; ++k) {
+        double velocity[3], bend[3];
+        differences(ride, samples, k, velocity, bend);
+        turn(ride[k], limits_[l].slosh->axis, drive.axis[k].data());
+        for (size_t i = 0; i < 3; ++i) {
+          const double gravity = i == 2 ? limits_[l].gravity : 0;
+          if (k < n) drive.begun[k][i] = velocity[i] * push(x, k) + bend[i] * x[k] + gravity;
+          if (k > 0) drive.ended[k - 1][i] = velocity[i] * push(x, k - 1) + bend[i] * x[k] + gravity;
+        }
+      }
+      sum += swing_[l]->charge(drive, limits_[l].gravity);
+    }
+    return sum;
+  }
+
+  // Derivatives of a weight times the last slosh(), added up.
+  void back_slosh(const std::vector<double>& x, double weight, std::vector<double>& d_x, std::vector<double>& d_pause,
+                  std::vector<double>& d_q) {
+    for (size_t l = 0; l < limits_.size(); ++l) {
+      if (!swing_[l]) continue;
+      const size_t n = d_pause.size(), samples = n + 1;
+      const Ride* ride = &ride_[l * samples];
+      Swing::Drive& by = by_drive_[l];
+      by = {};
+      by.resize(n);
+      swing_[l]->back(drive_[l], weight, by);
+      for (size_t k = 0; k < n; ++k) d_pause[k] += by.pause[k];
+      for (size_t k = 0; k < samples; ++k) {
+        double velocity[3], bend[3], d_velocity[3] = {}, d_bend[3] = {};
+        differences(ride, samples, k, velocity, bend);
+        for (size_t i = 0; i < 3; ++i) {
+          if (k < n) {
+            const double d = by.begun[k][i], d_push = d * velocity[i] / (2 * h_);
+            d_velocity[i] += d * push(x, k), d_bend[i] += d * x[k], d_x[k] += d * bend[i];
+            d_x[k + 1] += d_push, d_x[k] -= d_push;
+          }
+          if (k > 0) {
+            const double d = by.ended[k - 1][i], d_push = d * velocity[i] / (2 * h_);
+            d_velocity[i] += d * push(x, k - 1), d_bend[i] += d * x[k], d_x[k] += d * bend[i];
+            d_x[k] += d_push, d_x[k - 1] -= d_push;
+          }
+        }
+        back_turn(ride[k], drive_[l].axis[k].data(), by.axis[k].data(), &d_q[k * dim_]);
+        back_differences(ride, samples, k, d_velocity, d_bend, d_q);
+      }
+    }
   }
 
   double* slopes() {
@@ -74,11 +140,7 @@ class FeltLimits {
             d_v[i] = by[0] * velocity[i] + by[1] * bend[i];
           }
           if (-limits_[l].gravity * v[2] > kLeastRoom * limits_[l].gravity) d_v[2] -= limits_[l].gravity * by[2];
-          // A joint about z turns v by z x v.
-          const double about[3] = {v[1] * d_v[2] - v[2] * d_v[1], v[2] * d_v[0] - v[0] * d_v[2],
-                                   v[0] * d_v[1] - v[1] * d_v[0]};
-          for (size_t j = 0; j < dim_; ++j)
-            for (size_t i = 0; i < 3; ++i) d_q[k * dim_ + j] += ride[k].turn[i * dim_ + j] * about[i];
+          back_turn(ride[k], v, d_v, &d_q[k * dim_]);
         }
         back_differences(ride, samples, k, d_velocity, d_bend, d_q);
       }
@@ -93,6 +155,16 @@ class FeltLimits {
     for (size_t i = 0; i < 3; ++i)
       v[i] = ride.R[3 * i] * facet[0] + ride.R[3 * i + 1] * facet[1] + ride.R[3 * i + 2] * facet[2];
   }
+
+  // A joint about z turns v by z x v.
+  void back_turn(const Ride& ride, const double v[3], const double d_v[3], double* d_q) const {
+    const double about[3] = {v[1] * d_v[2] - v[2] * d_v[1], v[2] * d_v[0] - v[0] * d_v[2],
+                             v[0] * d_v[1] - v[1] * d_v[0]};
+    for (size_t j = 0; j < dim_; ++j)
+      for (size_t i = 0; i < 3; ++i) d_q[j] += ride.turn[i * dim_ + j] * about[i];
+  }
+  // Acceleration of the parameter on an interval.
+  double push(const std::vector<double>& x, size_t k) const { return (x[k + 1] - x[k]) / (2 * h_); }
 
   // First differences to both sides, at the ends those of a parabola; second ones, at the ends those next to them.
   struct Stencil {
@@ -158,6 +230,8 @@ class FeltLimits {
   double h_ = 0;
   std::vector<double> row_, slope_;
   std::vector<Ride> ride_;
+  std::vector<std::optional<Swing>> swing_;
+  std::vector<Swing::Drive> drive_, by_drive_;
 };
 
 }  // namespace gp

@@ -11,15 +11,14 @@ struct Pendulum {
   double drag;    // [1/s]
 };
 
-// Unit directions away from the bob at n even times, `dt` apart, from felt accelerations [n, 3]; from rest.
+// Unit directions away from the bob at n even times, `dt` apart, from felt accelerations [n, 3]. It
+// hangs at rest at first, whatever is felt then.
 inline void swing(const Pendulum& pendulum, const double* felt, size_t n, double dt, double* out) {
   constexpr double kStep = 0.001;
   const int steps = std::max(1, int(std::ceil(dt / kStep)));
   const double h = dt / steps;
   const auto size = [](const double* a) { return std::sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); };
-  double d[3], rate[3] = {0, 0, 0};  // of the bob
-  const double first = size(felt);
-  for (int i = 0; i < 3; ++i) d[i] = -felt[i] / first;
+  double d[3] = {0, 0, -1}, rate[3] = {0, 0, 0};  // of the bob
   for (size_t k = 0; k < n; ++k) {
     for (int i = 0; i < 3; ++i) out[3 * k + i] = -d[i];
     const double *begin = felt + 3 * k, *end = k + 1 < n ? begin + 3 : begin;

@@ -1,0 +1,186 @@
+// What a liquid does that is carried along a curve: a pendulum swung by what is felt, charged where its surface rises
+// above the rim, and the derivatives of that charge.
+//
+// The pendulum is the one of pendulum.hpp, in steps that are shares of the intervals of the curve; derivatives come
+// from running them backwards.
+#pragma once
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include "timing/pendulum.hpp"
+
+namespace gp {
+
+using Vector3 = std::array<double, 3>;
+
+inline double dot3(const Vector3& a, const Vector3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+struct SloshLimit {
+  Vector3 axis;  // of the vessel, in the link
+  double angle;  // between the axis and the surface's normal, at most
+  Pendulum pendulum;
+};
+
+class Swing {
+ public:
+  // Where the pendulum hangs, what is felt at both ends of each interval, and how long each takes.
+  struct Drive {
+    std::vector<Vector3> axis;          // [n + 1], in W
+    std::vector<Vector3> begun, ended;  // [n]
+    std::vector<double> pause;          // [n]
+    void resize(size_t n) { axis.resize(n + 1), begun.resize(n), ended.resize(n), pause.resize(n); }
+  };
+
+  explicit Swing(const SloshLimit& limit) : limit_(limit) {}
+
+  // The charge: squares of what angles exceed the limit by, a tenth of the limit counted as one, added up.
+  double charge(const Drive& drive, double gravity) {
+    const size_t n = drive.pause.size();
+    steps_ = int(std::max(size_t(2), (kSteps + n - 1) / n));
+    frequency_ = std::sqrt(gravity / limit_.pendulum.length);
+    state_.clear();
+    excess_.clear();
+    Vector3 d{0, 0, -1}, rate{};  // at rest before it is moved
+    double sum = 0;
+    for (size_t k = 0; k < n; ++k) {
+      sum += exceed(drive.axis[k], d);
+      const double h = step_of(drive.pause[k]);
+      for (int s = 0; s < steps_; ++s) advance(pull(drive, k, s), h, d, rate);
+    }
+    // Then the robot rests.
+    const Vector3 rest = scaled({0, 0, gravity}, -1 / limit_.pendulum.length);
+    sum += exceed(drive.axis[n], d);
+    for (int s = 0; s < kAfter; ++s) {
+      advance(rest, kRest / frequency_, d, rate);
+      if (s % steps_ == 0) sum += exceed(drive.axis[n], d);
+    }
+    return sum;
+  }
+
+  // Derivatives of the last charge, times a weight, added up.
+  void back(const Drive& drive, double weight, Drive& out) const {
+    const size_t n = drive.pause.size();
+    Vector3 by_d{}, by_rate{};
+    size_t looked = excess_.size(), at = state_.size();
+    const auto look = [&](size_t k) {
+      const Excess& excess = excess_[--looked];
+      if (excess.slope == 0) return;
+      for (size_t i = 0; i < 3; ++i) {  // the cosine is -axis . d
+        by_d[i] -= weight * excess.slope * drive.axis[k][i];
+        out.axis[k][i] -= weight * excess.slope * excess.d[i];
+      }
+    };
+    double unused = 0;
+    Vector3 none{};
+    for (int s = kAfter; s-- > 0;) {
+      if (s % steps_ == 0) look(n);
+      retreat(state_[--at], by_d, by_rate, none, unused);
+    }
+    look(n);
+    for (size_t k = n; k-- > 0;) {
+      double by_step = 0;
+      for (int s = steps_; s-- > 0;) {
+        Vector3 by_pull{};
+        retreat(state_[--at], by_d, by_rate, by_pull, by_step);
+        const double share = (s + 0.5) / steps_, per = -1 / limit_.pendulum.length;
+        for (size_t i = 0; i < 3; ++i) {
+          out.begun[k][i] += (1 - share) * per * by_pull[i];
+          out.ended[k][i] += share * per * by_pull[i];
+        }
+      }
+      if (step_of(drive.pause[k]) < kLongest / frequency_) out.pause[k] += by_step / steps_;
+      look(k);
+    }
+  }
+
+ private:
+  static constexpr size_t kSteps = 160;    // along the curve, at least
+  static constexpr int kAfter = 24;        // after its end: about two thirds of a period
+  static constexpr double kRest = 0.18;    // of the frequency's inverse, a step there
+  static constexpr double kLongest = 0.8;  // of it, any step: beyond, the pendulum would gain energy
+  static constexpr double kUnit = 0.1;
+  static constexpr double kKnee = 5.0;  // units beyond which the charge grows evenly
+
+  struct State {  // before a step
+    Vector3 d, rate, pull;
+    double h;
+  };
+  struct Excess {
+    Vector3 d;
+    double slope;  // of the charge with respect to the cosine
+  };
+
+  static Vector3 scaled(const Vector3& a, double factor) { return {factor * a[0], factor * a[1], factor * a[2]}; }
+
+  double step_of(double pause) const { return std::min(pause / steps_, kLongest / frequency_); }
+  Vector3 pull(const Drive& drive, size_t k, int s) const {
+    const double share = (s + 0.5) / steps_, per = -1 / limit_.pendulum.length;
+    Vector3 pull;
+    for (size_t i = 0; i < 3; ++i) pull[i] = per * ((1 - share) * drive.begun[k][i] + share * drive.ended[k][i]);
+    return pull;
+  }
+
+  double exceed(const Vector3& axis, const Vector3& d) {
+    const double cosine = std::clamp(-dot3(axis, d), -1.0, 1.0), angle = std::acos(cosine);
+    const double unit = kUnit * limit_.angle, lack = (angle - limit_.angle) / unit;
+    if (!(lack > 0)) {
+      excess_.push_back({d, 0});
+      return 0;
+    }
+    const double sine = std::max(std::sqrt(1 - cosine * cosine), 1e-6);
+    const double depth = std::min(lack, kKnee);
+    excess_.push_back({d, -2 * depth / unit / sine});
+    return depth * depth + 2 * kKnee * (lack - depth);
+  }
+
+  void advance(const Vector3& pull, double h, Vector3& d, Vector3& rate) {
+    state_.push_back({d, rate, pull, h});
+    const double along = dot3(pull, d), drag = limit_.pendulum.drag;
+    for (size_t i = 0; i < 3; ++i) rate[i] += h * (pull[i] - along * d[i] - drag * rate[i]);
+    for (size_t i = 0; i < 3; ++i) d[i] += h * rate[i];
+    const double size = std::sqrt(dot3(d, d));
+    for (double& x : d) x /= size;
+    const double radial = dot3(rate, d);
+    for (size_t i = 0; i < 3; ++i) rate[i] -= radial * d[i];
+  }
+
+  // From derivatives with respect to what a step leads to, to those of where it begins.
+  void retreat(const State& from, Vector3& by_d, Vector3& by_rate, Vector3& by_pull, double& by_h) const {
+    const auto& [d, rate, pull, h] = from;
+    const double along = dot3(pull, d), drag = limit_.pendulum.drag;
+    Vector3 force, faster, moved;
+    for (size_t i = 0; i < 3; ++i) {
+      force[i] = pull[i] - along * d[i] - drag * rate[i];
+      faster[i] = rate[i] + h * force[i];
+      moved[i] = d[i] + h * faster[i];
+    }
+    const double size = std::sqrt(dot3(moved, moved));
+    const Vector3 next = scaled(moved, 1 / size);
+    const double radial = dot3(faster, next), by_radial = dot3(by_rate, next);
+    Vector3 by_faster, by_moved;
+    for (size_t i = 0; i < 3; ++i) {
+      by_faster[i] = by_rate[i] - by_radial * next[i];
+      by_d[i] -= radial * by_rate[i] + by_radial * faster[i];
+    }
+    const double outward = dot3(by_d, next);
+    for (size_t i = 0; i < 3; ++i) by_moved[i] = (by_d[i] - outward * next[i]) / size;
+    by_h += dot3(by_moved, faster);
+    for (size_t i = 0; i < 3; ++i) by_faster[i] += h * by_moved[i];
+    by_h += dot3(by_faster, force);
+    const double across = dot3(by_faster, d);
+    for (size_t i = 0; i < 3; ++i) {
+      by_pull[i] += h * (by_faster[i] - across * d[i]);
+      by_d[i] = by_moved[i] - h * (along * by_faster[i] + across * pull[i]);
+      by_rate[i] = (1 - h * drag) * by_faster[i];
+    }
+  }
+
+  SloshLimit limit_;
+  int steps_ = 1;
+  double frequency_ = 1;
+  std::vector<State> state_;
+  std::vector<Excess> excess_;
+};
+
+}  // namespace gp
