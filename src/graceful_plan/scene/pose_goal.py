@@ -89,8 +89,8 @@ class PoseGoal:
         q: ArrayLike,
         scene: Scene,
         *,
-        translation: ArrayLike = (0.0, 0.0, 0.0),
-        rotation: ArrayLike = (0.0, 0.0, 0.0),
+        translation: ArrayLike | None = None,
+        rotation: ArrayLike | None = None,
         frame: str = "world",
         position_tolerance: float = 0.001,
         orientation_tolerance: float = 0.01,
@@ -101,8 +101,8 @@ class PoseGoal:
         Args:
             q: The configuration [rad or m].
             scene: Robot and tool.
-            translation: Of the tool's origin [m].
-            rotation: About the tool's origin, as a rotation vector [rad].
+            translation: Of the tool's origin [m]; none by default.
+            rotation: About the tool's origin, as a rotation vector [rad]; none by default.
             frame: "world" or "tool": whose axes translation and rotation are along.
             position_tolerance: As for the goal itself.
             orientation_tolerance: As for the goal itself.
@@ -116,9 +116,12 @@ class PoseGoal:
             raise SettingError("frame", frame, "'world' or 'tool'")
         site = Placement(scene).place(finite_array("q", q, ndim=1, last=len(scene.joints))).site(scene.tool)
         R_WT, turn, quat = site.xmat.reshape(3, 3), np.empty(9), np.array([1.0, 0.0, 0.0, 0.0])
-        mujoco.mju_quatIntegrate(quat, finite_array("rotation", rotation, ndim=1, last=3), 1.0)
+        none = [0.0, 0.0, 0.0]
+        p = finite_array("translation", none if translation is None else translation, ndim=1, last=3)
+        vector = finite_array("rotation", none if rotation is None else rotation, ndim=1, last=3)
+        mujoco.mju_quatIntegrate(quat, vector, 1.0)
         mujoco.mju_quat2Mat(turn, quat)
-        p, R = finite_array("translation", translation, ndim=1, last=3), turn.reshape(3, 3)
+        R = turn.reshape(3, 3)
         X_WT = np.eye(4)
         X_WT[:3, :3] = R @ R_WT if frame == "world" else R_WT @ R
         X_WT[:3, 3] = site.xpos + (p if frame == "world" else R_WT @ p)

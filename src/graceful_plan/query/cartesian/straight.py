@@ -229,5 +229,5 @@ class _Query:
         """Return where on the line the judge first objects, and to what."""
         checks = [(name, verdict.checks[name]) for name in verdict.failures]
         first = min((check.first for _, check in checks if check.first is not None), default=trajectory.t[-1])
-        X_WT = self.objective.kernels.tool_pose(trajectory.at(first).q)
+        X_WT = self.objective.kernels.tool_pose(trajectory.at(np.array(first)).q)
         return self.line.share_of(X_WT), "; ".join(f"{name}: {check.detail}" for name, check in checks)
