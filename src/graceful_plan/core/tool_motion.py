@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.kernels import Kernels
 
 Array = np.ndarray
@@ -33,19 +34,24 @@ def tool_jacobian(kernels: Kernels, q: Float[Array, "n nq"]) -> tuple[Float[Arra
     robot = kernels.robot
     X_WL = kernels.link_poses(q)
     X_WT = X_WL[:, robot.tool_link] @ robot.X_LT
+    links = _moving_links(robot)
+    joints, slides = robot.joint[links], robot.slide[links] > 0
+    moving = X_WL[:, links]
+    axis = moving[:, :, :3, 2]  # of a joint: its link's own z axis
+    lever = X_WT[:, None, :3, 3] - moving[:, :, :3, 3]
     jacobian = np.zeros((len(q), 6, kernels.nq))
-    link = int(robot.tool_link)
-    while link >= 0:
-        joint = int(robot.joint[link])
-        if joint >= 0:
-            axis = X_WL[:, link, :3, 2]  # of a joint, the link's own z axis
-            if robot.slide[link]:
-                jacobian[:, :3, joint] = axis
-            else:
-                jacobian[:, :3, joint] = np.cross(axis, X_WT[:, :3, 3] - X_WL[:, link, :3, 3])
-                jacobian[:, 3:, joint] = axis
-        link = int(robot.parent[link])
+    jacobian[:, :3, joints] = np.where(slides[:, None], axis, np.cross(axis, lever)).transpose(0, 2, 1)
+    jacobian[:, 3:, joints] = np.where(slides[:, None], 0.0, axis).transpose(0, 2, 1)
     return X_WT, jacobian
+
+
+def _moving_links(robot: RobotArrays) -> list[int]:
+    """Return the links with a joint that moves the tool."""
+    links, link = [], int(robot.tool_link)
+    while link >= 0:
+        links += [link] if robot.joint[link] >= 0 else []
+        link = int(robot.parent[link])
+    return links
 
 
 def missing_twist(
