@@ -39,8 +39,8 @@ DEVIATION = 1e-3
 ANGLE = float(np.deg2rad(0.5))
 """Angle to the orientation on the line by default [rad]."""
 _ROUNDS = ((16, 1), (48, 1), (16, 4))
-"""Candidates, and what divides their steps: further rounds are run while none before has succeeded. Of 299 lines that
-end at a possible pose in the benchmark `straight_tool`, 244 are solved without the second round, 247 with it."""
+"""Candidates, and what divides their steps: further rounds are run while none before has succeeded. Of 299 lines of the
+benchmark `straight_tool` that end at a possible pose, 244 are solved without the second round and 245 with it."""
 _MOST_JUDGED = 4
 """Motions of a round that are timed and compared."""
 _USED = 0.5
