@@ -27,6 +27,7 @@ SUBJECTS = (
     "safety",
     "first_path",
     "inverse_kinematics",
+    "straight_tool",
     "motion_problems",
     "planners",
     "best_known",

@@ -25,6 +25,7 @@ from graceful_plan.judge.verification import verify
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import CHOMP, PLANNERS, STOMP, Anytime, Auto, CasADi, Planner, PRMStar, RRTConnect, RRTStar
+from graceful_plan.query.cartesian.straight import straight_motion
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult, PlanStatus, Verdict
 from graceful_plan.roadmap import Roadmap
 from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
@@ -100,5 +101,6 @@ __all__ = [
     "retime",
     "risk",
     "scenes",
+    "straight_motion",
     "verify",
 ]

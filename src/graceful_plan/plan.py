@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -37,6 +38,8 @@ from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
 from graceful_plan.query.restarts import search_for_motions
 from graceful_plan.query.search import KEPT, Callback, Search
+from graceful_plan.query.via.legs import plan_through
+from graceful_plan.query.via.stages import Via, checked_via
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
@@ -57,6 +60,7 @@ def plan(
     scene: Scene,
     w: float | None = None,
     *,
+    via: Sequence[Via] = (),
     planner: str | Planner = "auto",
     objective: Objective | None = None,
     time_limit: float | None = None,
@@ -77,6 +81,8 @@ def plan(
         scene: Robot, surroundings and what is carried.
         w: Safety weight: how many radians of joint motion it is worth to spare one second in which a failure would do
             harm of severity 1; default: the objective's, or 0.3.
+        via: Configurations, keyframes and `PoseGoal`s to pass on the way, in this order, and without a stop where there
+            is room; the callback is then told of the motion alone. See `query.via.legs`.
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
@@ -115,6 +121,10 @@ def plan(
         callback=callback,
     )
     rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
+    if passed := checked_via(via, scene):
+        asked = {"planner": planner, "objective": bound.objective, "seed": seed, "speed": share, "risk": measure}
+        leg = partial(plan, scene=scene, constraints=held.constraints, cancelled=stop, **asked)
+        return plan_through((start, passed, goal), leg, request, Budget(limit, iterations, stop, started), seed)
     ends = find_ends(start, goal, held, rng, seed=seed, cancelled=stop)
     if isinstance(ends, PlanResult):
         return ends

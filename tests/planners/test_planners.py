@@ -25,8 +25,8 @@ from graceful_plan.planners.roadmaps.lazy_roadmap import LazyRoadmap
 from graceful_plan.testing import PlannerTrial, check_planner
 
 _NAMES = (
-    "auto", "anytime", "rrt_connect", "prm", "prm_star", "trrt", "bitrrt", "rrt", "rrt_star", "informed_rrt_star",
-    "bit_star", "stomp", "chomp", "casadi",
+    "auto", "anytime", "rrt_connect", "prm", "prm_star", "trrt", "bitrrt", "tool_rrt", "rrt", "rrt_star",
+    "informed_rrt_star", "bit_star", "stomp", "chomp", "casadi",
 )  # fmt: skip
 
 _ITERATIONS = {

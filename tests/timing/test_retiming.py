@@ -13,6 +13,7 @@ from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import rounded, sampled
 from graceful_plan.timing.retiming import ACCEPTED_SLOWDOWN, retime, slowed
+from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.topp import fastest, fastest_with_toppra
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -196,3 +197,15 @@ def test_slowed_keeps_the_geometry() -> None:
     slower = slowed(trajectory, 2.0)
     times = np.linspace(0.0, trajectory.duration, 100)
     np.testing.assert_allclose(slower.at(2.0 * times).q, trajectory.at(times).q, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [4, 5, 9, 40])
+def test_a_spline_goes_through_its_points_and_is_exact_for_cubics(n):
+    u = np.arange(n, dtype=float)
+    rng = np.random.default_rng(n)
+    points = rng.normal(size=(n, 3))
+    np.testing.assert_allclose(Spline.through(points).at(u), points, atol=1e-9)
+    cubic = np.stack([np.polyval(rng.normal(size=4), u / n) for _ in range(3)], axis=1)
+    fine = np.linspace(0.0, n - 1.0, 50)
+    expected = np.stack([np.polyval(np.polyfit(u, column, 3), fine) for column in cubic.T], axis=1)
+    np.testing.assert_allclose(Spline.through(cubic).at(fine), expected, atol=1e-8)

@@ -11,6 +11,7 @@ from graceful_plan.planners.roadmaps.prm import PRM, PRMStar
 from graceful_plan.planners.trees.bitrrt import BiTRRT
 from graceful_plan.planners.trees.rrt_connect import RRTConnect
 from graceful_plan.planners.trees.rrt_star import InformedRRTStar, RRTStar
+from graceful_plan.planners.trees.tool_rrt import ToolRRT
 from graceful_plan.planners.trees.trrt import TRRT
 
 _ALL = (
@@ -21,6 +22,7 @@ _ALL = (
     PRMStar,
     TRRT,
     BiTRRT,
+    ToolRRT,
     RRT,
     RRTStar,
     InformedRRTStar,
@@ -50,4 +52,5 @@ __all__ = [
     "RRTStar",
     "STOMP",
     "TRRT",
+    "ToolRRT",
 ]

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import verify
 from graceful_plan.query.motions import Motion
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
+from graceful_plan.scene.pose_goal import PoseGoal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,15 +27,18 @@ def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None
     """Return the first motion that the judge passes; if there is none, the first with what the judge objects to it."""
     refused = None
     for motion in motions:
-        judged = Judged(motion=motion, verdict=_judge(motion, request))
+        judged = Judged(motion=motion, verdict=verdict_of(motion, request.objective, request.constraints, request.pose))
         if judged.verdict.passed:
             return judged
         refused = refused or judged
     return refused
 
 
-def _judge(motion: Motion, request: Request) -> Verdict:
-    objective, scene = request.objective, request.objective.scene
+def verdict_of(
+    motion: Motion, objective: SceneObjective, constraints: SceneConstraints, pose: PoseGoal | None = None
+) -> Verdict:
+    """Return what the judge says of a motion: from the first to the last vertex of its path, or to a pose."""
+    scene = objective.scene
     impact, exposure = objective.objective.impact, objective.objective.exposure
     # The judge knows how to recompute the published model over length or time; other costs it takes as they are.
     published = isinstance(impact, ImpactCost) and impact.is_published()
@@ -41,9 +47,9 @@ def _judge(motion: Motion, request: Request) -> Verdict:
         motion.trajectory,
         scene,
         start=motion.path.q[0],
-        goal=motion.path.q[-1] if request.pose is None else request.pose,
+        goal=motion.path.q[-1] if pose is None else pose,
         cost=motion.cost if recomputable else None,
         components=impact.components if isinstance(impact, ImpactCost) else (),
         exposure=exposure,
-        constraints=request.constraints.constraints,
+        constraints=constraints.constraints,
     )

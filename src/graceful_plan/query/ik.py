@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.core.tool_motion import damped_step, matrix_vector, rotation_vector
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.placement import Placement
@@ -165,12 +166,12 @@ class PoseSolver:
             active, error, jacobian = _select(going, active, error, jacobian)
             if not len(active) or self.cancelled():
                 break
-            step = _damped_step(error, jacobian)
+            step = _short_step(error, jacobian)
             blocked = ((q[active] + step < self.lower) & (step < 0.0)) | (
                 (q[active] + step > self.upper) & (step > 0.0)
             )
             # Joints that would leave their limits stay; the others make up for them.
-            again = _damped_step(error, np.where(blocked[:, None, :], 0.0, jacobian))
+            again = _short_step(error, np.where(blocked[:, None, :], 0.0, jacobian))
             q[active] = np.clip(q[active] + again, self.lower, self.upper)
         error, _ = self._linearised(q)
         return q[_within(error, *_NEAR)], q[_best_first(error)]
@@ -254,12 +255,10 @@ class PoseSolver:
             error[i, :3] = goal[:3, 3] - data.site_xpos[self.site]
         if self.goal.free_yaw:
             z = R[:, :, 2]
-            error[:, 3:] = _turn(np.cross(z, goal[:3, 2]), z @ goal[:3, 2], np.array([1.0, 0.0, 0.0]))
+            error[:, 3:] = rotation_vector(np.cross(z, goal[:3, 2]), z @ goal[:3, 2])
             jacobian[:, 3:] -= z[:, :, None] * np.einsum("ni,nij->nj", z, jacobian[:, 3:])[:, None]
         else:
-            D = goal[:3, :3] @ R.transpose(0, 2, 1)
-            skew = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
-            error[:, 3:] = _turn(skew, 0.5 * (np.trace(D, axis1=1, axis2=2) - 1.0), np.array([1.0, 0.0, 0.0]))
+            error[:, 3:] = matrix_vector(goal[:3, :3] @ R.transpose(0, 2, 1))
         return error, jacobian
 
 
@@ -271,20 +270,9 @@ def _best_first(error: Float[Array, "n 6"]) -> Int[Array, " n"]:
     return np.argsort(np.linalg.norm(error, axis=1), kind="stable")
 
 
-def _damped_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
-    """Least-squares steps; damping fades with the error: steady far away, as fast as Newton's method close by."""
-    damping = 1e-2 * (error**2).sum(axis=1) + 1e-9
-    gram = jacobian @ jacobian.transpose(0, 2, 1) + damping[:, None, None] * np.eye(6)
-    step = np.einsum("nij,ni->nj", jacobian, np.linalg.solve(gram, error[..., None])[..., 0])
+def _short_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
+    step = damped_step(error, jacobian)
     return step * np.minimum(1.0, _LARGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
-
-
-def _turn(sine: Float[Array, "n 3"], cosine: Float[Array, " n"], fallback: Float[Array, " 3"]) -> Float[Array, "n 3"]:
-    """Return rotation vectors from sin(angle) * axis and cos(angle); any axis if the angle is pi."""
-    length = np.linalg.norm(sine, axis=1, keepdims=True)
-    angle = np.arctan2(length[:, 0], cosine)[:, None]
-    axis = np.where(length > 1e-9, sine / np.maximum(length, 1e-9), np.where(angle > 1.0, fallback, 0.0))
-    return angle * axis
 
 
 def _select(mask: Bool[Array, " n"], *arrays: Array) -> tuple[Array, ...]:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.scene import Scene
 
 if TYPE_CHECKING:
     from typing import Self
@@ -78,6 +81,50 @@ class PoseGoal:
         X_WT = np.eye(4)
         X_WT[:3, :3] = ((w * w - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) + 2.0 * w * cross) / norm
         X_WT[:3, 3] = finite_array("position", position, ndim=1, last=3)
+        return cls(X_WT, position_tolerance, orientation_tolerance, free_yaw)
+
+    @classmethod
+    def from_tool(
+        cls,
+        q: ArrayLike,
+        scene: Scene,
+        *,
+        translation: ArrayLike | None = None,
+        rotation: ArrayLike | None = None,
+        frame: str = "world",
+        position_tolerance: float = 0.001,
+        orientation_tolerance: float = 0.01,
+        free_yaw: bool = False,
+    ) -> Self:
+        """Make a goal from where the tool is in a configuration, and how far it should go from there.
+
+        Args:
+            q: The configuration [rad or m].
+            scene: Robot and tool.
+            translation: Of the tool's origin [m]; none by default.
+            rotation: About the tool's origin, as a rotation vector [rad]; none by default.
+            frame: "world" or "tool": whose axes translation and rotation are along.
+            position_tolerance: As for the goal itself.
+            orientation_tolerance: As for the goal itself.
+            free_yaw: As for the goal itself.
+
+        Raises:
+            ShapeError: If the configuration does not fit the scene's joints, or a vector is not of length 3.
+            SettingError: If there is no such frame.
+        """
+        if frame not in ("world", "tool"):
+            raise SettingError("frame", frame, "'world' or 'tool'")
+        site = Placement(scene).place(finite_array("q", q, ndim=1, last=len(scene.joints))).site(scene.tool)
+        R_WT, turn, quat = site.xmat.reshape(3, 3), np.empty(9), np.array([1.0, 0.0, 0.0, 0.0])
+        none = [0.0, 0.0, 0.0]
+        p = finite_array("translation", none if translation is None else translation, ndim=1, last=3)
+        vector = finite_array("rotation", none if rotation is None else rotation, ndim=1, last=3)
+        mujoco.mju_quatIntegrate(quat, vector, 1.0)
+        mujoco.mju_quat2Mat(turn, quat)
+        R = turn.reshape(3, 3)
+        X_WT = np.eye(4)
+        X_WT[:3, :3] = R @ R_WT if frame == "world" else R_WT @ R
+        X_WT[:3, 3] = site.xpos + (p if frame == "world" else R_WT @ p)
         return cls(X_WT, position_tolerance, orientation_tolerance, free_yaw)
 
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.timing.blend import CurveGrid, places
+
+if TYPE_CHECKING:
+    from typing import Self
 
 Array = np.ndarray
 
@@ -26,9 +31,28 @@ class Spline:
 
     controls: Float[Array, "control nq"]
 
+    @classmethod
+    def through(cls, points: Float[Array, "point nq"]) -> Self:
+        """Return the curve that passes through points, at least four, at its knots, with even steps in between.
+
+        The first two and the last two spans are one cubic each (de Boor's not-a-knot), since nothing is known of the
+        derivatives at the ends.
+        """
+        none = np.zeros((2, points.shape[1]))
+        return cls(_collocation(len(points)) @ np.concatenate([points, none]))
+
+    @property
+    def spans(self) -> int:
+        """Number of intervals between knots; the parameter goes from 0 to it."""
+        return len(self.controls) - 3
+
+    def at(self, u: Float[Array, " n"]) -> Float[Array, "n nq"]:
+        """Evaluate it at parameters."""
+        return _native.spline(np.ascontiguousarray(self.controls, dtype=np.float64), u)[0]
+
     def grid(self, density: int) -> CurveGrid:
         """Sample it for timing; see `Curve`."""
-        spans = len(self.controls) - 3
+        spans = self.spans
         n = density * max(_INTERVALS, 4 * spans)
         u = places(n, from_rest=True, to_rest=True) * spans
         u[-1] = spans
@@ -38,3 +62,12 @@ class Spline:
         both = np.stack([slope[:-1], slope[1:]], axis=1), np.stack([bend[:-1], bend[1:]], axis=1)
         q[0], q[-1] = self.controls[0], self.controls[-1]
         return CurveGrid(u, q, *both, stop)
+
+
+@lru_cache(maxsize=16)
+def _collocation(points: int) -> Float[Array, "control control"]:
+    """Return what takes points at the knots, and two zeros for the ends, to control points."""
+    value, _, bend = _native.spline(np.eye(points + 2), np.arange(points, dtype=np.float64))
+    # The third derivative is constant on a span; two spans are one cubic if the second one changes evenly over both.
+    ends = np.stack([bend[0] - 2.0 * bend[1] + bend[2], bend[-1] - 2.0 * bend[-2] + bend[-3]])
+    return np.linalg.inv(np.concatenate([value, ends]))

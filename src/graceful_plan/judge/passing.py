@@ -1,0 +1,98 @@
+"""The judge of poses on the way: does a motion pass them all, in their order, and when?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.judge.motion_samples import motion_samples
+from graceful_plan.result import Check
+from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.pose_goal import PoseGoal, pose_error
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+NEAR = 1e-4
+"""Largest joint error [rad or m] with which a configuration counts as passed: a tenth of a millimetre at a metre."""
+_NARROWED = 60
+"""Steps of the golden section, which narrow a time down to rounding."""
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+
+def passing(
+    trajectory: Trajectory, via: Sequence[Float[Array, " nq"] | PoseGoal], scene: Scene, *, step: float = 0.002
+) -> tuple[Check, tuple[float, ...]]:
+    """Judge whether a motion passes configurations and poses of the tool in their order.
+
+    Args:
+        trajectory: What is to be judged.
+        via: What it should pass: configurations to within `NEAR`, poses to within their tolerances.
+        scene: Where.
+        step: No point of the robot moves farther than this between two samples [m].
+
+    Returns:
+        The check, and the times at which they are passed [s]; its worst value is in shares of the tolerance.
+    """
+    samples = motion_samples(trajectory, scene, step)
+    worst, since, times = 0.0, -np.inf, []
+    for number, one in enumerate(via):
+        error = _error(one, scene)
+        found = _first(error, trajectory, samples.q, samples.at, since)
+        worst = max(worst, found[1])
+        if found[1] > 1.0:
+            detail = f"via {number} is missed by {found[1]:.3g} times its tolerance, at {found[0]:.3g} s"
+            return Check(worst=worst, limit=1.0, first=found[0], detail=detail), tuple(times)
+        since = found[0]
+        times.append(since)
+    detail = f"of the tolerance of a pose on the way; passed at {', '.join(f'{t:.3f}' for t in times)} s"
+    return Check(passed=True, worst=worst, limit=1.0, detail=detail), tuple(times)
+
+
+def _error(one: Float[Array, " nq"] | PoseGoal, scene: Scene) -> Callable[[Float[Array, " nq"]], float]:
+    """Return the error of a configuration, in shares of the tolerance."""
+    if not isinstance(one, PoseGoal):
+        return lambda q: float(np.abs(q - one).max()) / NEAR
+    placement = Placement(scene)
+
+    def of_pose(q: Float[Array, " nq"]) -> float:
+        site, X_WT = placement.place(q).site(scene.tool), np.eye(4)
+        X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
+        distance, angle = pose_error(one, X_WT)
+        return max(distance / one.position_tolerance, angle / one.orientation_tolerance)
+
+    return of_pose
+
+
+def _first(
+    error: Callable[[Float[Array, " nq"]], float],
+    trajectory: Trajectory,
+    q: Float[Array, "sample nq"],
+    at: Float[Array, " sample"],
+    since: float,
+) -> tuple[float, float]:
+    """Return the first time from `since` on when an error is within its tolerance, else the best, and the error."""
+    errors = np.array([error(x) for x in q])
+    around = np.pad(errors, 1, constant_values=np.inf)
+    valleys = np.flatnonzero((errors <= around[:-2]) & (errors <= around[2:]))
+    best = (float(at[-1]), np.inf)
+    for k in valleys:
+        lower, upper = max(since, float(at[max(k - 1, 0)])), float(at[min(k + 1, len(at) - 1)])
+        if lower > upper:
+            continue
+        found = _narrowed(lambda t: error(trajectory.at(np.array(t)).q), lower, upper)
+        if found[1] <= 1.0:
+            return found
+        best = min(best, found, key=lambda one: one[1])
+    return best
+
+
+def _narrowed(value: Callable[[float], float], lower: float, upper: float) -> tuple[float, float]:
+    """Return where a function with one valley is least, and how much that is (golden section)."""
+    for _ in range(_NARROWED):
+        a, b = upper - _GOLDEN * (upper - lower), lower + _GOLDEN * (upper - lower)
+        lower, upper = (lower, b) if value(a) <= value(b) else (a, upper)
+    return min(((t, value(t)) for t in (lower, 0.5 * (lower + upper), upper)), key=lambda one: one[1])

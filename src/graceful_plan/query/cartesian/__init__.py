@@ -1,0 +1,1 @@
+"""Motions that are asked for in the tool's space."""

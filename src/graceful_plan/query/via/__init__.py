@@ -1,0 +1,1 @@
+"""Poses and configurations to pass on the way."""

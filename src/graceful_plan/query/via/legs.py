@@ -1,0 +1,218 @@
+"""Motions through poses on the way: planned leg by leg, then joined into one that does not stop.
+
+Each leg is planned as a motion of its own, from rest to rest. A smooth curve through points of all legs, those on the
+way among them, is one motion that passes them at speed; with closer points it keeps nearer to the legs, and turns more
+sharply where two of them meet. Curves of several spacings are compared by J; where none of them is free, the legs
+are executed one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.judge.passing import passing
+from graceful_plan.path import Path
+from graceful_plan.planners.planner import Budget
+from graceful_plan.query.finish import verdict_of
+from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.query.motions import Motion, recharged
+from graceful_plan.query.request import Request
+from graceful_plan.query.via.stages import Stages, find_stages
+from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus, TracePoint, Verdict
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.timing.retiming import timed
+from graceful_plan.timing.spline import Spline
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+_SPACINGS = (0.8, 0.4, 0.2, 0.1, 0.05)
+"""Between points of a curve, along the legs [rad]."""
+_FEWEST = 2
+"""Pieces of a leg at least."""
+_LOOKED_AT = 0.02
+"""Between configurations of a curve that are looked at with the fast checker [rad]."""
+_MOST_JUDGED = 4
+"""Curves."""
+_JOINING = 0.2
+"""Share of the time that is kept for joining legs, and judging the whole."""
+_LEAST = 0.2
+"""Share of the time for legs that is divided evenly; the rest is by their lengths."""
+
+
+@runtime_checkable
+class Leg(Protocol):
+    """Plans one leg, as `plan` does."""
+
+    def __call__(
+        self, start: Float[Array, " nq"], goal: Goal, *, time_limit: float | None, iterations: int | None
+    ) -> PlanResult:
+        """Plan from a configuration to a goal, within a budget."""
+        ...
+
+
+def plan_through(
+    stops: tuple[Configuration, Sequence[Float[Array, " nq"] | PoseGoal], Goal],
+    leg: Leg,
+    request: Request,
+    budget: Budget,
+    seed: int = 0,
+) -> PlanResult:
+    """Plan a motion from a start past poses to a goal.
+
+    Args:
+        stops: The start, what is passed on the way (see `checked_via`), and the goal.
+        leg: Plans from one to the next.
+        request: What is asked of the whole.
+        budget: For everything.
+        seed: Of the random numbers of inverse kinematics.
+    """
+    scene = request.objective.scene
+    stages = find_stages(*stops, scene, seed)
+    if isinstance(stages, PlanResult):
+        return stages
+    legs = _legs(stages, leg, budget)
+    result = legs if isinstance(legs, PlanResult) else _Joining(stages, request, budget).joined(legs)
+    detail = "; ".join([*stages.notes, *([result.detail] if result.detail else [])])
+    return replace(result, detail=detail, stats={**result.stats, "total_time": budget.elapsed})
+
+
+def _legs(stages: Stages, leg: Leg, budget: Budget) -> list[PlanResult] | PlanResult:
+    """Return a motion for each leg, or the result that says which of them has none."""
+    legs: list[PlanResult] = []
+    chosen = stages.chosen()
+    lengths = np.array([np.linalg.norm(b - a) for a, b in pairwise(chosen)])
+    shares = _LEAST / len(lengths) + (1.0 - _LEAST) * lengths / max(lengths.sum(), 1e-12)
+    shares = shares / shares.sum()
+    seconds = (1.0 - _JOINING) * budget.remaining_seconds
+    at = chosen[0]
+    for k, share in enumerate(shares):
+        last = k == len(shares) - 1
+        limits = {
+            "time_limit": None if np.isinf(seconds) else share * seconds,
+            "iterations": None if budget.iterations is None else max(1, int(share * budget.iterations)),
+        }
+        result = leg(at, stages.goal if last else chosen[k + 1], **limits)
+        others = stages.usable[k + 1]
+        if result.status is not PlanStatus.SOLVED and not last and len(others) > 1 and not budget.cancelled():
+            result = leg(at, others, **limits)
+        if result.trajectory is None:
+            return _not_solved(result, k, len(shares))
+        legs.append(result)
+        at = result.trajectory.q[-1]
+    return legs
+
+
+def _not_solved(result: PlanResult, k: int, count: int) -> PlanResult:
+    ends = ("the start" if k == 0 else f"via {k - 1}", "the goal" if k == count - 1 else f"via {k}")
+    # A start in the middle is no start that was given.
+    status = PlanStatus.INVALID_GOAL if k and result.status is PlanStatus.INVALID_START else result.status
+    detail = f"from {ends[0]} to {ends[1]}: {result.detail or result.status.value}"
+    return PlanResult(status=status, detail=detail, verdict=result.verdict, stats=result.stats)
+
+
+@dataclass(frozen=True, eq=False)
+class _Joining:
+    """From legs to one motion."""
+
+    stages: Stages
+    request: Request
+    budget: Budget
+
+    def joined(self, legs: Sequence[PlanResult]) -> PlanResult:
+        """Return the cheapest curve that the judge passes; the legs one after the other if there is none."""
+        trajectories = [leg.unwrap() for leg in legs]
+        clear, others, why = [], [], ""
+        scene, held = self.request.objective.scene, self.request.constraints
+        for spacing in _SPACINGS:
+            curve = _through([trajectory.path for trajectory in trajectories], spacing)
+            if curve is None:
+                continue
+            try:
+                trajectory = timed(curve, scene.limits, scene.joints, speed=self.request.speed, restraint=held.limits)
+                motion = self._charged(held.calmed(trajectory))
+            except RetimingError as error:
+                why = str(error)
+                continue
+            (clear if self._is_clear(curve) else others).append(motion)
+        # Closer curves are the likelier to be free where the fast checker cannot tell.
+        smooth = [*sorted(clear, key=lambda motion: motion.ranking), *reversed(others)][:_MOST_JUDGED]
+        stopping = self._charged(one_after_the_other(trajectories))
+        refused: Verdict | None = None
+        for motion in (*smooth, stopping):
+            verdict = self._verdict(motion)
+            if verdict.passed:
+                note = "" if motion is not stopping else f"it stops at each pose on the way{f' ({why})' if why else ''}"
+                return self._solved(motion, verdict, legs, note)
+            refused = refused or verdict
+        verdict = refused or Verdict()
+        told = "; ".join(f"{name}: {verdict.checks[name].detail}" for name in verdict.failures)
+        detail = f"the judge refused the motion as a whole: {told}"
+        return PlanResult(status=PlanStatus.INFEASIBLE, detail=detail, verdict=verdict)
+
+    def _charged(self, trajectory: Trajectory) -> Motion:
+        bare = Motion(path=trajectory.path, trajectory=trajectory, cost=CostBreakdown(), arrival=0, ranking=np.inf)
+        return recharged(bare, self.request)
+
+    def _is_clear(self, curve: Spline) -> bool:
+        n = 2 + int(Path(curve.controls).length / _LOOKED_AT)
+        q, scene = curve.at(np.linspace(0.0, curve.spans, n)), self.request.objective.scene
+        lower, upper = scene.limits.position.T
+        return bool(((q >= lower) & (q <= upper)).all() and self.request.constraints.kernels.free(q).all())
+
+    def _verdict(self, motion: Motion) -> Verdict:
+        scene = self.request.objective.scene
+        checks = dict(verdict_of(motion, self.request.objective, self.request.constraints, self.request.pose).checks)
+        checks["via"], _ = passing(motion.trajectory, self.stages.wanted, scene)
+        return Verdict(checks=checks)
+
+    def _solved(self, motion: Motion, verdict: Verdict, legs: Sequence[PlanResult], note: str) -> PlanResult:
+        cost = motion.cost
+        point = TracePoint(time=self.budget.elapsed, total=cost.total, motion=cost.motion, impact=cost.impact)
+        if self.request.callback is not None:
+            self.request.callback(point)
+        iterations = sum(leg.stats.get("iterations", 0.0) for leg in legs)
+        return PlanResult(
+            status=PlanStatus.SOLVED,
+            path=motion.path,
+            trajectory=motion.trajectory,
+            cost=cost,
+            verdict=verdict,
+            trace=(point,),
+            detail=note,
+            goal_index=legs[-1].goal_index,
+            stats={"iterations": iterations},
+        )
+
+
+def _through(legs: Sequence[Path], spacing: float) -> Spline | None:
+    """Return a curve through points of the legs, their ends among them; None if there are too few."""
+    points = [legs[0].q[:1]]
+    for leg in legs:
+        if leg.length > 0.0:
+            done = np.concatenate([[0.0], np.cumsum(leg.segment_lengths)])
+            n = max(_FEWEST, int(np.ceil(leg.length / spacing)))
+            at = np.linspace(0.0, done[-1], n + 1)[1:]
+            inner = np.stack([np.interp(at[:-1], done, column) for column in leg.q.T], axis=1)
+            points += [inner, leg.q[-1:]]
+    q = np.concatenate(points)
+    return Spline.through(q) if len(q) >= 4 else None
+
+
+def one_after_the_other(trajectories: Sequence[Trajectory]) -> Trajectory:
+    """Return trajectories in a row; each ends at rest where the next begins."""
+    whole = trajectories[0]
+    for after in trajectories[1:]:
+        if len(after) == 1:
+            continue
+        t = np.concatenate([whole.t[:-1], whole.t[-1] + after.t - after.t[0]])
+        q, qd, qdd = (np.concatenate([getattr(whole, x)[:-1], getattr(after, x)]) for x in ("q", "qd", "qdd"))
+        whole = Trajectory(t, q, qd, qdd, whole.joints)
+    return whole

@@ -1,0 +1,92 @@
+"""What a motion passes, stage by stage: configurations for each pose on the way, and which of them to take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.path import finite_array
+from graceful_plan.query.goals import Configuration, Goal, resolve_goal, resolve_start
+from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+Via = Configuration | PoseGoal
+"""A configuration [nq], the name of a keyframe, or a pose of the tool."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """What is passed, from the start to the goal.
+
+    Args:
+        usable: Configurations of each stage that are free and inside the limits; one at the start.
+        wanted: What was asked for in between: configurations, or poses of the tool.
+        goal: The last stage, as it was given.
+        notes: What was adjusted.
+    """
+
+    usable: tuple[Float[Array, "_ nq"], ...]
+    wanted: tuple[Float[Array, " nq"] | PoseGoal, ...]
+    goal: Goal
+    notes: tuple[str, ...]
+
+    def chosen(self) -> tuple[Float[Array, " nq"], ...]:
+        """Return one configuration of each stage, such that the straight moves between them are shortest in all."""
+        length, steps = np.zeros(1), []
+        for before, after in pairwise(self.usable):
+            total = length[:, None] + np.linalg.norm(before[:, None] - after[None], axis=2)
+            steps.append(total.argmin(axis=0))
+            length = total.min(axis=0)
+        index = [int(length.argmin())]
+        for step in reversed(steps):
+            index.append(int(step[index[-1]]))
+        return tuple(q[i] for q, i in zip(self.usable, reversed(index), strict=True))
+
+
+def checked_via(via: object, scene: Scene) -> tuple[Float[Array, " nq"] | PoseGoal, ...]:
+    """Return what is to be passed, keyframes looked up.
+
+    Raises:
+        GracefulPlanError: For wrong shapes, NaN and names that do not exist.
+    """
+    if isinstance(via, str | PoseGoal) or not isinstance(via, Sequence | np.ndarray):
+        raise SettingError("via", via, "a list of configurations, keyframes and PoseGoals, such as [pose]")
+    return tuple(_checked(k, one, scene) for k, one in enumerate(via))
+
+
+def _checked(k: int, one: Via, scene: Scene) -> Float[Array, " nq"] | PoseGoal:
+    if isinstance(one, PoseGoal):
+        return one
+    if not isinstance(one, str):
+        return finite_array(f"via[{k}]", one, ndim=1, last=len(scene.joints))
+    if one not in scene.keyframes:
+        raise UnknownNameError("keyframe", one, scene.keyframes)
+    return np.asarray(scene.keyframes[one], dtype=float)
+
+
+def find_stages(
+    start: Configuration, via: Sequence[Float[Array, " nq"] | PoseGoal], goal: Goal, scene: Scene, seed: int
+) -> Stages | PlanResult:
+    """Return the stages of a motion, or a result that says which of them cannot be passed."""
+    starts = resolve_start(start, scene)
+    if not len(starts.q):
+        return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
+    usable, notes, wanted = [starts.q], list(starts.notes), list(via)
+    for k, one in enumerate([*via, goal]):
+        word = "" if k == len(via) else f"via {k}: "
+        found = resolve_goal(one, scene, starts.q[0], seed=seed)
+        told = word + found.detail.replace("goal: ", "") if word else found.detail
+        if not len(found.q):
+            return PlanResult(status=PlanStatus.INVALID_GOAL, detail=told)
+        notes += [told] if found.notes else []
+        usable.append(found.q)
+        if word and not isinstance(one, PoseGoal):
+            wanted[k] = found.q[0]  # as it is inside the limits
+    return Stages(tuple(usable), tuple(wanted), goal, tuple(notes))
