@@ -36,7 +36,7 @@ class ToolWithin(Constraint):
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
-            object.__setattr__(self, name, tuple(finite_array(name, getattr(self, name), ndim=1, last=3).tolist()))
+            object.__setattr__(self, name, _corner(name, getattr(self, name)))
         if not np.all(np.array(self.lower) < np.array(self.upper)):
             raise SettingError("upper", self.upper, f"above lower, {self.lower}, in each coordinate")
         X_WB = np.eye(4) if self.frame is None else finite_array("frame", self.frame, ndim=2, last=4)
@@ -92,3 +92,8 @@ class ToolSpeed(Constraint):
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return less than 0 everywhere: a robot at rest is anywhere slow enough."""
         return np.full(len(batch), -self.limit)
+
+
+def _corner(name: str, value: Vector) -> Vector:
+    x, y, z = finite_array(name, np.asarray(value, dtype=object), ndim=1, last=3).tolist()
+    return x, y, z

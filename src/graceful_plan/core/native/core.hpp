@@ -284,7 +284,11 @@ class Core {
       }
       if (least >= wanted) return true;
       double squared = 0;
-      for (double d : least_gradient) squared += d * d;
+      for (size_t j = 0; j < nq; ++j) {
+        const double d = least_gradient[j];
+        if (d > 0 ? q[j] >= upper[j] : q[j] <= lower[j]) least_gradient[j] = 0;  // no way there
+        squared += least_gradient[j] * least_gradient[j];
+      }
       if (step == kSteps || squared < 1e-12) return false;
       // A little further than wanted, or the last steps are many.
       const double length = (wanted - least + 0.1 * wanted + 1e-5) / squared;

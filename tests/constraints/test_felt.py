@@ -1,0 +1,195 @@
+"""What is felt: at rest gravity; derivatives by differences, limits that timing keeps, a pendulum that swings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import graceful_plan as gp
+from graceful_plan.constraints.distance import distance_kernels
+from graceful_plan.constraints.felt import FeltCone, curve_of_point, felt_limits
+from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.constraints.slosh import Slosh
+from graceful_plan.core import _native
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.costs.objective import Objective, search_paces
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.scene.rules.vessel import Vessel, find_vessel
+from graceful_plan.timing.retiming import timed
+from graceful_plan.timing.spline import Spline
+
+Array = np.ndarray
+G = 9.81
+
+
+@pytest.fixture(scope="module")
+def coffee() -> gp.Task:
+    return gp.load_scene("desk").tasks["bring_coffee"]
+
+
+def curve(task: gp.Task, size: float = 0.1, seed: int = 0) -> Spline:
+    start, goal = np.asarray(task.start), np.atleast_2d(task.goal)[0]
+    s = np.linspace(0.0, 1.0, 8)[:, None]
+    noise = np.random.default_rng(seed).normal(size=len(start))
+    return Spline(start + s * (goal - start) + size * s * (1.0 - s) * noise)
+
+
+def cone_of(task: gp.Task, angle: float) -> FeltCone:
+    return replace(SceneConstraints(task.scene, [gp.KeepContents()]).cones[0], angle=angle)
+
+
+def test_derivatives_of_a_point_are_those_of_differences(coffee: gp.Task) -> None:
+    kernels, cone = compile_scene(coffee.scene).kernels, cone_of(coffee, 0.5)
+    spline, h = curve(coffee), 1e-4
+    u = np.linspace(0.5, 4.5, 9)
+    controls = np.ascontiguousarray(spline.controls)
+
+    def place(at: Array) -> Array:
+        X = kernels.link_poses(_native.spline(controls, at)[0])[:, cone.link]
+        return X[:, :3, 3] + X[:, :3, :3] @ cone.point
+
+    q, slope, bend = _native.spline(controls, u)
+    first, second = curve_of_point(kernels.robot, kernels.link_poses(q), (cone.link, cone.point), (slope, bend))
+    np.testing.assert_allclose(first, (place(u + h) - place(u - h)) / (2.0 * h), atol=1e-6)
+    np.testing.assert_allclose(second, (place(u + h) - 2.0 * place(u) + place(u - h)) / h**2, atol=1e-5)
+
+
+def test_at_rest_what_is_felt_is_gravity(coffee: gp.Task) -> None:
+    """Without motion, u = x = 0, a facet holds by as much as gravity is inside of it."""
+    kernels, cone = compile_scene(coffee.scene).kernels, cone_of(coffee, 0.5)
+    grid = curve(coffee).grid(1)
+    limits = felt_limits([cone], kernels, grid)
+    R = kernels.link_poses(grid.q[:-1])[:, cone.link, :3, :3]
+    inside = -np.einsum("nij,fj->nfi", R, cone.facets)[..., 2] * cone.gravity
+    np.testing.assert_allclose(limits[:, : len(cone.facets), 2], inside, atol=1e-12)
+    tilt = np.arccos(np.clip((R @ cone.axis)[:, 2], -1.0, 1.0))
+    steepest = np.arctan(np.tan(tilt).max() / np.cos(np.pi / len(cone.facets)))
+    felt_limits([replace(cone, angle=steepest + 0.01)], kernels, grid)
+    with pytest.raises(RetimingError, match="rest"):
+        felt_limits([replace(cone, angle=0.5 * float(tilt.max()))], kernels, curve(coffee, 3.0).grid(1))
+
+
+def test_timed_motions_feel_what_they_may(coffee: gp.Task) -> None:
+    """By differences of positions: the angle between the vessel and what is felt in it."""
+    scene, kernels = coffee.scene, compile_scene(coffee.scene).kernels
+    cone = cone_of(coffee, 0.25)
+    spline = curve(coffee)
+    trajectory = timed(spline, scene.limits, scene.joints, restraint=lambda grid: felt_limits([cone], kernels, grid))
+    free = timed(spline, scene.limits, scene.joints)
+    assert trajectory.duration > 1.1 * free.duration
+    assert felt_angle(trajectory, cone, coffee) < 0.26 < felt_angle(free, cone, coffee)
+
+
+def felt_angle(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> float:
+    dt = 0.002
+    X = compile_scene(task.scene).kernels.link_poses(trajectory.sample(dt).q[:-1])[:, cone.link]
+    p = X[:, :3, 3] + X[:, :3, :3] @ cone.point
+    felt = np.diff(p, 2, axis=0) / dt**2 + [0.0, 0.0, cone.gravity]
+    axis = (X[:, :3, :3] @ cone.axis)[1:-1]
+    cosine = (felt * axis).sum(axis=1) / np.linalg.norm(felt, axis=1)
+    return float(np.arccos(cosine).max())
+
+
+@settings(max_examples=15)
+@given(st.floats(0.15, 0.8), st.floats(1.05, 3.0), st.integers(0, 100))
+def test_tightening_never_makes_a_motion_faster(angle: float, wider: float, seed: int) -> None:
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    scene, kernels = task.scene, compile_scene(task.scene).kernels
+    spline = curve(task, 0.05, seed)
+
+    def fastest(most: float) -> gp.Trajectory:
+        cone = cone_of(task, most)
+        return timed(spline, scene.limits, scene.joints, restraint=lambda grid: felt_limits([cone], kernels, grid))
+
+    tight, loose = fastest(angle), fastest(min(angle * wider, 1.4))
+    assert tight.duration >= loose.duration * (1.0 - 1e-3)
+
+
+@pytest.mark.parametrize("sloshing", [False, True])
+def test_gradients_of_descents_know_what_is_felt(coffee: gp.Task, sloshing: bool) -> None:
+    """What they add to J of the same descent without them, against differences."""
+    scene = coffee.scene
+    objective = Objective(w=0.0).bind(scene, search_paces())
+    path = curve(coffee).controls
+    clear = distance_kernels(scene, "monitor")  # what is charged for collisions is in single precision
+    assert clear.clearance(path).min() > 0.05
+    problem = SceneProblem(kernels=clear, start=path[0], goals=path[-1:], margin=0.002)
+    cone = replace(cone_of(coffee, 0.3), brim=0.2)
+
+    def descent(felt: list[_native.FeltLimit]) -> _native.MotionDescent:
+        return _native.MotionDescent(
+            native_space(problem, objective),
+            path=path,
+            velocity=scene.limits.velocity,
+            acceleration=scene.limits.acceleration,
+            controls=10,
+            density=6,
+            time_price=5.0,
+            felt=felt,
+        )
+
+    without = descent([] if not sloshing else [replace(cone, slosh=None).native])
+    given = descent([replace(cone, slosh=None).native if not sloshing else cone.native])
+    x = given.controls[1:-1].ravel()
+    added = given.energy(x)[0] - without.energy(x)[0]
+    assert added > 0.1
+    gradient = (given.energy(x)[1] - without.energy(x)[1]).ravel()
+    step = 1e-6
+    by = np.array(
+        [
+            (given.energy(y)[0] - without.energy(y)[0] - given.energy(z)[0] + without.energy(z)[0]) / (2.0 * step)
+            for y, z in ((x + step * e, x - step * e) for e in np.eye(len(x)))
+        ]
+    )
+    error = np.abs(gradient - by) / np.abs(by).max()
+    assert np.mean(error < 1e-5) > 0.9, np.sort(error)[-6:]  # the profile has kinks
+
+
+def test_a_pendulum_swings_with_its_frequency_and_loses_what_its_damping_says() -> None:
+    slosh = Slosh(frequency=20.0, damping=0.02, length=G / 400.0)
+    dt, n = 0.001, 4000
+    felt = np.tile([0.0, 0.0, G], (n, 1))
+    felt[:5, 0] = 0.5  # a nudge
+    angle = slosh.follow(felt, dt)[:, 0]
+    up = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))
+    period = np.diff(up).mean() * dt
+    assert period == pytest.approx(2.0 * np.pi / 20.0, rel=0.01)
+    peaks = [angle[a:b].max() for a, b in pairwise(up)]
+    assert np.log(peaks[0] / peaks[10]) == pytest.approx(10 * 2.0 * np.pi * 0.02, rel=0.05)
+
+
+def test_a_liquid_at_rest_stays_level_and_a_steady_push_tilts_it() -> None:
+    slosh = Slosh(frequency=20.0, damping=0.3, length=G / 400.0)
+    level = slosh.follow(np.tile([0.0, 0.0, G], (200, 1)), 0.005)
+    np.testing.assert_allclose(level, np.tile([0.0, 0.0, 1.0], (200, 1)), atol=1e-12)
+    pushed = slosh.follow(np.tile([3.0, 4.0, G], (2000, 1)), 0.005)
+    np.testing.assert_allclose(pushed[-1], np.array([3.0, 4.0, G]) / np.linalg.norm([3.0, 4.0, G]), atol=1e-6)
+
+
+@settings(max_examples=30)
+@given(st.floats(0.02, 0.1), st.floats(0.05, 0.2), st.floats(0.55, 0.99))
+def test_the_brim_is_reached_where_the_surface_meets_the_rim(R: float, H: float, fill: float) -> None:
+    """A closed form where the surface does not reach the bottom: it falls by R tan(tilt) at the one side."""
+    vessel = Vessel(
+        radius=R,
+        height=H,
+        volume=np.pi * R**2 * H * fill,
+        axis=np.array([0.0, 0.0, 1.0]),
+        p_BR=np.array([0.0, 0.0, H]),
+        repose=0.0,
+    )
+    assert vessel.brim_tilt == pytest.approx(np.arctan(H * (1.0 - fill) / R), abs=1e-6)
+    assert np.linalg.norm(vessel.p_BS - [0.0, 0.0, fill * H]) < 1e-12
+
+
+def test_a_vessel_is_found_where_something_is_carried_in_one(coffee: gp.Task) -> None:
+    assert find_vessel(gp.load_scene("desk")) is None
+    vessel = find_vessel(coffee.scene)
+    assert vessel is not None and 0.0 < vessel.brim_tilt < np.pi / 2
