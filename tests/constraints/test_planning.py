@@ -78,7 +78,7 @@ def test_a_constraint_that_is_never_active_changes_nothing_to_the_byte(task: gp.
 def test_distance_box_and_speed_hold_at_once(task: gp.Task) -> None:
     entity = max(task.scene.entities, key=lambda name: name == "floor")
     others = [name for name in task.scene.entities if name not in (entity, "table")]
-    asked = [gp.ToolWithin((-0.1, -0.9, 0.0), (0.9, 0.9, 2.0)), gp.ToolSpeed(0.4), gp.KeepDistance(others[0], 0.03)]
+    asked = [gp.ToolWithin((-0.5, -0.9, 0.0), (0.9, 0.9, 2.0)), gp.ToolSpeed(0.4), gp.KeepDistance(others[0], 0.03)]
     result = planned(task, constraints=asked, iterations=2 * ENOUGH)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
     checks = result.verdict.checks
