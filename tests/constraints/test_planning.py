@@ -9,7 +9,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.array_types import Float
-from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Liquid
 
@@ -139,3 +139,16 @@ def test_straight_motions_and_poses_on_the_way_keep_contents(coffee: gp.Task) ->
 def test_half_speed_allows_more_of_the_cup(coffee: gp.Task) -> None:
     half = replace(planned(coffee, speed=0.5), stats={})
     assert half.status is gp.PlanStatus.SOLVED and half.verdict.checks["contents"].passed
+
+
+def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
+    asking = scene.with_constraints(gp.Upright(0.12))
+    task = asking.tasks["green_to_blue"]
+    result = planned(task)
+    assert result.status is gp.PlanStatus.SOLVED and "upright" in result.verdict.checks
+    assert "Upright is switched off" in planned(task, constraints=[]).detail
+    assert "upright" in gp.verify(result.trajectory, task.scene).checks
+    with pytest.raises(gp.GracefulPlanError, match="Constraint"):
+        scene.with_constraints(0.3)
+    desk = gp.load_scene("desk").with_constraints(gp.KeepContents(0.4), gp.Upright(0.5))
+    assert default_constraints(desk.tasks["bring_coffee"].scene) == (gp.KeepContents(0.4), gp.Upright(0.5))

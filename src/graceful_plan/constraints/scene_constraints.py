@@ -16,7 +16,8 @@ from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
-from graceful_plan.scene.rules.rules import CustomRule, SpeedRule, default_rules
+from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
+from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.retiming import slowed
@@ -111,5 +112,8 @@ class SceneConstraints:
 
 
 def default_constraints(scene: Scene) -> tuple[Constraint, ...]:
-    """Return what holds in a scene unless somebody says otherwise: contents stay in the vessel that is carried."""
-    return tuple(KeepContents() for _ in default_rules(scene))
+    """Return what holds unless a call says otherwise: what the scene asks for, and that carried contents are kept."""
+    declared = tuple(asked for asked in scene.notes.constraints if isinstance(asked, Constraint))
+    if find_vessel(scene) is None or any(isinstance(asked, KeepContents) for asked in declared):
+        return declared
+    return (*declared, KeepContents())

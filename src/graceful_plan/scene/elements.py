@@ -197,6 +197,8 @@ class Notes:
     tasks: Mapping[str, TaskNote] = field(default_factory=lambda: MappingProxyType({}))
     allowed: tuple[AllowedContact, ...] = ()
     moving: Mapping[str, MovingEntity] = field(default_factory=lambda: MappingProxyType({}))
+    constraints: tuple[object, ...] = ()
+    """What has to hold along motions in it, by default: `graceful_plan.Constraint` objects."""
     held: ObjectNote | None = None
     """The object in the gripper, with nothing left to default."""
     support: tuple[str, ...] = ()

@@ -286,6 +286,20 @@ class Scene(SceneFacts):
         """Return this scene without entities that move."""
         return Scene.build(self.spec, replace(self.notes, moving=MappingProxyType({})), self.model)
 
+    def with_constraints(self, *constraints: object) -> Scene:
+        """Return this scene with constraints that hold along motions in it unless a call says otherwise.
+
+        They stay with what is made of it: its tasks, the scene with another object in the gripper. Contents that are
+        carried are kept besides, without being asked for.
+
+        Raises:
+            SettingError: If one of them is no `graceful_plan.Constraint`.
+        """
+        for constraint in constraints:
+            if not callable(getattr(constraint, "rule", None)):
+                raise SettingError("constraints", constraint, "graceful_plan.Constraint objects, such as Upright()")
+        return Scene.build(self.spec, replace(self.notes, constraints=constraints), self.model)
+
     def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with a box that does not move.
 

@@ -100,9 +100,15 @@ class Ruled(Protocol):
 
 
 def default_rules(scene: Scene) -> tuple[Rule, ...]:
-    """Return what has to hold unless somebody says otherwise: contents stay in the vessel that is carried."""
+    """Return what has to hold unless a call says otherwise.
+
+    That is what the scene asks for, and that contents stay in the vessel that is carried.
+    """
+    declared = tuple(asked.rule(scene) for asked in scene.notes.constraints if isinstance(asked, Ruled))
     vessel = find_vessel(scene)
-    return () if vessel is None else (ContentsRule(name="KeepContents", vessel=vessel),)
+    if vessel is None or any(isinstance(rule, ContentsRule) for rule in declared):
+        return declared
+    return (*declared, ContentsRule(name="KeepContents", vessel=vessel))
 
 
 def checked_frame(scene: Scene, frame: str | None) -> str:
