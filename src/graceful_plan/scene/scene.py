@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import SceneError
+from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
