@@ -54,6 +54,12 @@ _TIMING_RESERVE = RESERVE + 0.2
 """Seconds kept besides to time candidates and to evaluate the chosen one if something moves."""
 
 
+_NOT_FOR_CORNERS = frozenset(
+    ("position_limits", "velocity_limits", "acceleration_limits", "consistency", "rest", "start", "goal", "cost")
+)
+"""What the judge may object to that it would also say of a motion which keeps nearer to the polyline."""
+
+
 def plan(
     start: Configuration,
     goal: Goal,
@@ -128,6 +134,7 @@ def plan(
     ends = find_ends(start, goal, held, rng, seed=seed, cancelled=stop)
     if isinstance(ends, PlanResult):
         return ends
+    request = replace(request, constraints=ends.constraints)
     reserve = _RESERVE + (_TIMING_RESERVE if scene.moving else 0.0)
     budget = Budget(limit - min(reserve, limit / 4.0), iterations, stop, started)
     try:
@@ -166,7 +173,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
         judged = first_verified(candidates, request)
         for path in reversed(found.paths[-KEPT:]):
-            if judged is None or judged.verdict.passed or "collision" not in judged.verdict.failures:
+            if judged is None or not set(judged.verdict.failures) - _NOT_FOR_CORNERS:
                 break
             judged = first_verified(along(path, request, ends, swift=False), request) or judged
         if judged is not None and judged.verdict.passed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
 import numpy as np
@@ -34,6 +34,8 @@ _AIMED = 0.92
 """The same in descents: what is charged ends a little beyond its limit."""
 _AT_REST = 0.9
 """Of the angle that what is felt may use, what the vessel may be tilted at rest: the motion needs the others."""
+_ROOM = 0.01
+"""What a vessel may be tilted further than at a tilted end [rad]."""
 _STEEPEST = float(np.deg2rad(80.0))
 """Of that angle, whatever the vessel holds: what is felt has to have a direction."""
 
@@ -49,7 +51,8 @@ class KeepContents(Constraint):
     to that, and motions whose first mode still reaches the rim are slowed down until it does not.
 
     Args:
-        share: Part of the angle that the fill allows which tilt and acceleration may use, above 0 and at most 1.
+        share: Part of the angle that the fill allows which tilt and acceleration may use, above 0 and at most 1. Where
+            start or goal need more, they get more.
     """
 
     share: float = 0.6
@@ -63,8 +66,14 @@ class KeepContents(Constraint):
         """Return what has to hold in a scene; raise if nothing is carried in a vessel."""
         return ContentsRule(name=self.name, vessel=_vessel(scene))
 
+    def around(self, q: Float[Array, "n nq"], scene: Scene) -> KeepContents:
+        """Return one with room for some configurations, as far as they are allowed: ends that are tilted further."""
+        tilt = float(axis_residual(StateBatch(scene, q), self.upright(scene)).max()) + self.upright(scene).angle
+        needed = (tilt + _ROOM) / (_AT_REST * min(_vessel(scene).brim_tilt, _STEEPEST))
+        return self if needed <= self.share else KeepContents(min(needed, 1.0))
+
     def upright(self, scene: Scene) -> AxisRule:
-        """Return what has to hold in every configuration: that the vessel is not tilted too much."""
+        """Return what planners have to hold in every configuration: that the vessel is not tilted too much."""
         x, y, z = _vessel(scene).axis.tolist()
         angle = _AT_REST * self.felt_angle(scene)
         return AxisRule(name=self.name, frame="object", axis=(x, y, z), direction=(0.0, 0.0, 1.0), angle=angle)
@@ -107,7 +116,8 @@ class KeepContents(Constraint):
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return by how much the vessel is tilted too much at rest [rad]."""
-        return axis_residual(batch, self.upright(batch.scene))
+        brim = _AT_REST * min(_vessel(batch.scene).brim_tilt, _STEEPEST)
+        return axis_residual(batch, replace(self.upright(batch.scene), angle=brim))
 
     def told(self, residual: float) -> str:
         """Say in words how far outside a state is."""

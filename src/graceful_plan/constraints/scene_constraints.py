@@ -73,6 +73,11 @@ class SceneConstraints:
         """Return the same constraints in another scene."""
         return SceneConstraints(scene, self.constraints)
 
+    def around(self, q: Float[Array, "n nq"]) -> SceneConstraints:
+        """Return constraints with room for some configurations in which they hold."""
+        fitted = [c.around(q, self.scene) if isinstance(c, KeepContents) else c for c in self.constraints]
+        return self if fitted == list(self.constraints) else SceneConstraints(self.scene, fitted)
+
     def custom_clearance(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         """Return how far inside of all custom constraints configurations are, as clearance [m], and its gradient."""
         batch = StateBatch(self.scene, q)

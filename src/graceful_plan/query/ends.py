@@ -83,7 +83,8 @@ def find_ends(
         return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
     if not len(goals.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)
-    ends = ways_out(starts.q[0], goals.q, constraints, rng, cancelled)
+    held = constraints.around(np.vstack([starts.q[:1], goals.q]))
+    ends = ways_out(starts.q[0], goals.q, held, rng, cancelled)
     if isinstance(ends, PlanResult):
         return ends
     index = tuple(goals.index[k] for k in ends.goal_index)

@@ -130,7 +130,7 @@ def pareto(
     request = Request(
         planner=solver,
         objective=wanted.bind(scene, search_paces(checked_speed(speed))),
-        constraints=held,
+        constraints=ends.constraints,
         pose=goal if isinstance(goal, PoseGoal) else None,
         speed=checked_speed(speed),
     )

@@ -7,6 +7,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.compare.problems.analytic import disc
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.objective import Objective
@@ -24,10 +25,10 @@ _TASKS = (("desk", "lift_coffee"), ("kitchen_counter", "shelve_jar"), ("tabletop
 
 def _problem(scene_name: str, task_name: str) -> tuple[SceneProblem, gp.Scene]:
     task = gp.load_scene(scene_name).tasks[task_name]
-    ends = find_ends(task.start, task.goal, task.scene, np.random.default_rng(0))
+    ends = find_ends(task.start, task.goal, SceneConstraints(task.scene, ()), np.random.default_rng(0))
     assert isinstance(ends, Ends)
     goals = np.stack([arrival.q[0] for arrival in ends.arrivals])
-    return SceneProblem(kernels=ends.compiled.kernels, start=ends.departure.q[-1], goals=goals), task.scene
+    return SceneProblem(kernels=ends.constraints.kernels, start=ends.departure.q[-1], goals=goals), task.scene
 
 
 @pytest.mark.parametrize(("scene_name", "task_name"), _TASKS)

@@ -194,11 +194,16 @@ def test_ready_is_free(name: str) -> None:
 @pytest.mark.slow
 def test_caution_halves_the_impact_of_three_quarters_of_the_tasks() -> None:
     """As Algorithm 1 counts it: where things go after a fall, and with them their contents, is harder to avoid."""
-    halved, boxes = [], gp.Objective(impact=gp.ImpactCost(model="aabb"))
+    halved = []
+    boxes = {"objective": gp.Objective(impact=gp.ImpactCost(model="aabb")), "constraints": (), "seed": 1}
     for name, task in TASKS:
         found = household(name).tasks[task]
-        quick = gp.plan(found.start, found.goal, found.scene, 0.0, objective=boxes, iterations=400, seed=1)
-        careful = gp.plan(found.start, found.goal, found.scene, 1.0, objective=boxes, iterations=2000, seed=1)
+        quick = gp.plan(
+            found.start, found.goal, found.scene, 0.0, objective=boxes, constraints=[], iterations=400, seed=1
+        )
+        careful = gp.plan(
+            found.start, found.goal, found.scene, 1.0, objective=boxes, constraints=[], iterations=2000, seed=1
+        )
         assert (quick.status, careful.status) == (gp.PlanStatus.SOLVED, gp.PlanStatus.SOLVED), task
         assert quick.cost is not None and careful.cost is not None
         assert careful.cost.motion + careful.cost.impact < quick.cost.motion + quick.cost.impact

@@ -76,7 +76,7 @@ class SpeedProfile {
   }
 
  private:
-  static constexpr double kUnbounded = 1e12, kLeast = 1e-12;
+  static constexpr double kUnbounded = 1e12, kLeast = 1e-12, kApart = 1e-9;
   static constexpr int kBeta = -1;
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain };
   struct Bound {  // what limits beta: a joint at one side, two rows, one row
@@ -121,12 +121,21 @@ class SpeedProfile {
     const double *reach = &reach_[rows * i], *tilt = &tilt_[rows * i];
     const uint8_t* bounds = &side_[rows * i];
     for (size_t r = 0; r < rows; ++r) {
+      const double gain = 1 - S * tilt[r];  // not below rest within the interval
+      if (gain < 0 && (bounds[r] & kUpper)) lower(i, S * reach[r] / -gain, {kOverturn, rows * i + r, 0});
+    }
+    // No lower bound of u may pass an upper one. Mostly the tightest of each do not, and no pair has to be looked at.
+    double floor = -kUnbounded, ceiling = kUnbounded;
+    for (size_t r = 0; r < rows; ++r) {
+      if (bounds[r] & kLower) floor = std::max(floor, -reach[r] - tilt[r] * beta_[i]);
+      if (bounds[r] & kUpper) ceiling = std::min(ceiling, reach[r] - tilt[r] * beta_[i]);
+    }
+    if (floor < ceiling - kApart * (std::abs(floor) + std::abs(ceiling))) return;
+    for (size_t r = 0; r < rows; ++r) {
       if (!(bounds[r] & kUpper)) continue;
-      for (size_t s = 0; s < rows; ++s)  // no lower bound of u may pass an upper one
+      for (size_t s = 0; s < rows; ++s)
         if ((bounds[s] & kLower) && (tilt[r] - tilt[s]) * beta_[i] > reach[r] + reach[s])
           lower(i, (reach[r] + reach[s]) / (tilt[r] - tilt[s]), {kPair, rows * i + r, rows * i + s});
-      const double gain = 1 - S * tilt[r];
-      if (gain < 0) lower(i, S * reach[r] / -gain, {kOverturn, rows * i + r, 0});  // not below rest within the interval
     }
   }
   void reach_back(const CurveSamples& curve, size_t i) {
