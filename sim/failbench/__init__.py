@@ -17,7 +17,7 @@ from failbench.report import EntityReport, ValidationReport
 from failbench.rollouts.rollout import run
 from failbench.rollouts.single import steps
 from failbench.scenario import Scenario, scenarios
-from failbench.simulated.execution import Execution, execute
+from failbench.rollouts.execution import Execution, execute
 from failbench.simulated.plant import Plant
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.sweeps.dataset import Dataset, read_dataset

@@ -31,7 +31,7 @@ from failbench.report import FAILURES_PER_HOUR, EntityReport, ValidationReport
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid
 from failbench.scenario import scenarios as find_scenarios
-from failbench.simulated.execution import execute
+from failbench.rollouts.execution import execute
 from failbench.simulated.world import SimSettings, build_world
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float

@@ -22,7 +22,7 @@ from failbench.fault.fault import Fault
 from failbench.recording.records import Rollout
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import make_jobs
-from failbench.simulated.execution import Execution, execute
+from failbench.rollouts.execution import Execution, execute
 from failbench.simulated.world import SimSettings, build_world
 from graceful_plan import Scene, StateBatch, Trajectory
 from graceful_plan.array_types import Bool, Float, Int

@@ -9,7 +9,8 @@ import mujoco
 
 from failbench.recording.records import Job
 from failbench.rollouts.injection import Injection
-from failbench.simulated.execution import STATE, Execution
+from failbench.rollouts.execution import Execution
+from failbench.simulated.states import STATE
 from failbench.simulated.rest import PERIOD, let_sleep
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from failbench.fault.registry import to_document
 from failbench.recording.records import Rollout
 from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
-from failbench.simulated.execution import Execution
+from failbench.rollouts.execution import Execution
 from graceful_plan import Scene
 
 
