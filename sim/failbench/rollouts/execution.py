@@ -190,19 +190,18 @@ def _simulated(batch: Batch, command: Float[Array, "step actuator"], start: Floa
     """Go on with the only simulation of a batch."""
     record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
     out = batch.rollout(len(command), command[None], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
-    *recorded, states = (out[name][0] for name in record)
-    return _Run(*recorded, np.vstack([start, states]))
+    qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
+    return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
 
 
 def _joined(first: _Run, second: _Run) -> _Run:
     """Return a simulation and what came after it as one."""
-    parts = zip(first[:-1], second[:-1], strict=True)
-    return _Run(*(np.concatenate(pair) for pair in parts), np.concatenate([first.states, second.states[1:]]))
+    return _Run._make(map(np.concatenate, zip(first, second._replace(states=second.states[1:]), strict=True)))
 
 
 def _touched(world: World, sensordata: Float[Array, "step sensordata"]) -> frozenset[tuple[str, str]]:
     """Return the components and entities that touch at any of some steps."""
-    felt = (sensordata[:, world.sensor_adr] > 0.0).any(axis=0)
+    felt = np.any(sensordata[:, world.sensor_adr] > 0.0, axis=0)
     return frozenset(pair for pair, touches in zip(world.pairs, felt, strict=True) if touches)
 
 

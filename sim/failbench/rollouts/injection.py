@@ -9,8 +9,8 @@ import numpy as np
 
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution
-from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.plant import Plant
+from failbench.simulated.states import CHECKPOINT
 
 Array = np.ndarray
 

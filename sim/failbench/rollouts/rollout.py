@@ -16,10 +16,10 @@ from mujoco.batch import Batch
 
 from failbench.recording.recorder import Recorder
 from failbench.recording.records import Job, Rollout
-from failbench.rollouts.injection import CTRL, Injection
 from failbench.rollouts.execution import Execution
-from failbench.simulated.states import CHECKPOINT, put, warnings_counted_only
+from failbench.rollouts.injection import CTRL, Injection
 from failbench.simulated.rest import PERIOD, let_sleep
+from failbench.simulated.states import CHECKPOINT, put, warnings_counted_only
 from failbench.simulated.world import World
 from graceful_plan.exceptions import SettingError
 
