@@ -14,7 +14,7 @@ from failbench import Execution, Job, ObjectLost, SimSettings, build_world, exec
 from failbench.recording.healthy import HealthyHarm, whole_execution
 from failbench.recording.records import ContactEvent, Rollout
 from failbench.recording.score import observed_impact
-from graceful_plan.constraints.vessel import find_vessel
+from graceful_plan.scene.rules.vessel import find_vessel
 
 _LEVEL, _HALF, _OVER = 0.3, 0.8, 1.6
 """Turns of the wrist [rad] that tilt the mug by 17, 46 and 92 degrees."""
