@@ -16,6 +16,8 @@ Array = np.ndarray
 
 MILLION = 1e6
 """Tasks that absolute harm is stated for."""
+_HOUR = 3600.0
+"""Seconds of an hour."""
 _LOST = 0.01
 """Part of the contents of which nobody notices the loss."""
 
@@ -40,8 +42,9 @@ def less(done: Headline, label: str, kind: str, *, per: str) -> float:
     base, own = done.motions[NONE], done.motions[label]
     if kind not in base.harm or kind not in own.harm:
         return math.nan
-    ratio = _impact(base, kind, done.least) / _impact(own, kind, done.least)
-    return ratio * base.duration / own.duration if per == "task" else ratio
+    if per == "task":
+        return _per_task(base, kind, done) / _per_task(own, kind, done)
+    return _impact(base, kind, done.least) / _impact(own, kind, done.least)
 
 
 def offers(done: Headline, curve: Curve, extent: str) -> list[Offer]:
@@ -51,7 +54,7 @@ def offers(done: Headline, curve: Curve, extent: str) -> list[Offer]:
     if curve.cost in done.motions:
         motions.append(done.motions[curve.cost])
     return [
-        Offer(getattr(x, extent) / getattr(base, extent), _impact(x, "drops", done.least) * x.duration)
+        Offer(getattr(x, extent) / getattr(base, extent), _per_task(x, "drops", done))
         for x in motions
         if "drops" in x.harm
     ]
@@ -66,6 +69,11 @@ def against_ours(found: Found, group: Group, cost: str, extent: str, at: float) 
             theirs, ours = (harm_at(offers(done, curve, extent), at) for curve in pair if curve is not None)
             ratios.append(theirs / ours)
     return ratios
+
+
+def _per_task(motion: Motion, kind: str, done: Headline) -> float:
+    """Return harm per executed task over the rate of failures per second, that of the healthy robot with it."""
+    return _impact(motion, kind, done.least) * motion.duration + motion.healthy * _HOUR / done.rate
 
 
 def _impact(motion: Motion, kind: str, least: float) -> float:
@@ -120,7 +128,7 @@ def at_weight(found: Found, group: Group, w: float) -> tuple[float, float, Typic
         if own is None or "drops" not in own.harm or "drops" not in base.harm:
             continue
         extents.append((own.duration / base.duration, own.length / base.length))
-        harm = [_impact(x, "drops", done.least) * x.duration for x in (base, own)]
+        harm = [_per_task(x, "drops", done) for x in (base, own)]
         ratios.append(harm[0] / harm[1])
     duration, length = np.median(extents, axis=0) if extents else (math.nan, math.nan)
     return float(duration), float(length), typical(ratios)
@@ -153,7 +161,7 @@ def draw(found: Found, file: Path) -> None:
             if curve is None or "drops" not in done.motions[NONE].harm:
                 continue
             points = sorted(offers(done, curve, "duration"))
-            unit = done.rate / 3600.0 * MILLION
+            unit = done.rate / _HOUR * MILLION
             label = task if cost == OURS else None
             (drawn,) = panels[name].plot(
                 [p.extent for p in points], [p.harm * unit for p in points], style, ms=3, lw=1, color=color, label=label

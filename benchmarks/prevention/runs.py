@@ -24,11 +24,9 @@ from benchmarks.store import read_lines
 from failbench import Estimate, ExecutionRefused, SimSettings, ValidationReport
 from failbench.calibrations.failures import DROP
 from failbench.fault.fault import Fault
-from failbench.recording.spill import kept_volume
 from failbench.report import FAILURES_PER_HOUR
 from failbench.scenario import usual_grasp
 from failbench.validation import chosen_faults
-from graceful_plan.scene.rules.vessel import find_vessel
 
 SEED = 77
 SPEED = 0.5
@@ -80,6 +78,7 @@ class Motion:
         length: Joint-space length [rad].
         duration: [s].
         kept: Part of the contents that the healthy robot arrives with; 1 if there are none, or if nobody looked.
+        healthy: Harm of the healthy robot, with probability 1.
         harm: By kind of failures, "drops" or "mixed".
     """
 
@@ -88,6 +87,7 @@ class Motion:
     length: float = float("nan")
     duration: float = float("nan")
     kept: float = 1.0
+    healthy: float = 0.0
     harm: Mapping[str, Harm] = field(default_factory=dict)
 
 
@@ -161,8 +161,8 @@ def do_headline(job: HeadlineJob) -> Headline:
         reports = {} if refused[label] else _reports(task, result, counts, grasp)
         paired = {} if reference is None else reference
         harm = {kind: _harm(own, paired.get(kind)) for kind, own in reports.items()}
-        kept = 1.0 if refused[label] else _kept(task, result, grasp)
-        motions[label] = replace(_motion(result, objectives[label].w, refused[label], harm), kept=kept)
+        motion = _motion(result, objectives[label].w, refused[label], harm)
+        motions[label] = replace(motion, **_without_failure(reports))
         reference = reports if label == NONE else reference
     rate = FAILURES_PER_HOUR
     return Headline(task=job.task, grasp=grasp, least=_least(task.scene), rate=rate, motions=motions)
@@ -180,7 +180,7 @@ def do_curve(job: CurveJob) -> Curve:
         refused = _refusal(task, result, job.grasp)
         reports = {} if refused else _reports(task, result, {"drops": job.drops}, job.grasp)
         harm = {kind: _harm(found, None) for kind, found in reports.items()}
-        points[f"{asked:g}"] = _motion(result, w, refused, harm)
+        points[f"{asked:g}"] = replace(_motion(result, w, refused, harm), **_without_failure(reports))
     return Curve(task=job.task, cost=job.cost, points=points)
 
 
@@ -228,11 +228,11 @@ def _refusal(task: gp.Task, result: gp.PlanResult, grasp: str) -> str:
     return ""
 
 
-def _kept(task: gp.Task, result: gp.PlanResult, grasp: str) -> float:
-    """Return the part of the contents that is there after a healthy run."""
-    world = fb.build_world(task.scene, SimSettings(grasp=grasp))
-    vessel = find_vessel(world.scene)
-    return 1.0 if vessel is None else kept_volume(world, fb.execute(result, world).states) / vessel.volume
+def _without_failure(reports: Mapping[str, ValidationReport]) -> dict[str, float]:
+    """Return the fields of a motion that say what the healthy robot does; all reports say the same."""
+    for found in reports.values():
+        return {"kept": 1.0 - found.healthy.spilled, "healthy": found.healthy.harm}
+    return {}
 
 
 def _reports(

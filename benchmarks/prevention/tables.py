@@ -247,8 +247,8 @@ def _rows(found: Found, kind: str) -> Iterator[Sequence[object]]:
             *("-" if harm is None else f"{harm.mean:.2f}" for harm in harms),
             "-" if kind not in ours.harm else f"{ours.harm[kind].predicted:.2f}",
             *(
-                "-" if harm is None else f"{harm.mean * factor:.2f}{_mark(harm.rise)}"
-                for harm, factor in zip(harms, per_hour, strict=True)
+                "-" if harm is None else f"{harm.mean * factor + motion.healthy * MILLION:.2f}{_mark(harm.rise)}"
+                for harm, factor, motion in zip(harms, per_hour, (base, *motions), strict=True)
             ),
             "-" if times is None else "{:.2f} [{:.2f}, {:.2f}]".format(*times),
         )

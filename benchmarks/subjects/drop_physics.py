@@ -16,7 +16,7 @@ from benchmarks import materials, report, suite
 from failbench.fault.registry import GripperFailure
 from failbench.recording.closeup import Closeup
 from failbench.rollouts.sampling import make_jobs
-from failbench.simulated.execution import STATE
+from failbench.simulated.states import STATE
 
 TITLE = "Drop physics: flight against ballistics, and how the shipped objects bounce, slide and roll"
 MEASURED = """\

@@ -18,7 +18,7 @@ from failbench.fault.registry import GripperFailure, faults
 from failbench.recording.recorder import Recorder
 from failbench.rollouts import rollout
 from failbench.rollouts.sampling import make_jobs
-from failbench.simulated.execution import CHECKPOINT
+from failbench.simulated.states import CHECKPOINT
 
 TITLE = "FailBench: rollouts a second"
 MEASURED = """\

@@ -50,9 +50,9 @@ over tasks, the latter with the 95 % interval between percentiles of resampled t
 task than at w = 0 beyond the 95 % interval of the paired difference; "better" likewise. "{ALL_FAULTS}": the default
 model with that prior of faults.
 
-What a healthy robot spills on its way is **not** in these figures, and then there is nothing left to be spilt when it
-fails. So tasks of which a motion at w = 0 or of the default loses more than 1 % are left out of the groups "nothing
-spilt on the way".
+What a healthy robot does harm to on its way, such as by spilling, is in harm per task with probability 1, whatever the
+rate. It is no failure's harm, and what has left before a failure cannot be spilt by it. Tasks of which a motion at
+w = 0 or of the default loses more than 1 % are left out of the groups "nothing spilt on the way".
 
 Targets are for {DROPS:,} drops and {MIXED} mixed failures a motion on all tasks; what holds with fewer is "not
 measured".

@@ -11,13 +11,14 @@ from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
 from failbench.front_validation import FrontValidation, validate_front
 from failbench.pictures.playback import replay
+from failbench.recording.healthy import HealthyHarm
 from failbench.recording.records import ContactEvent, Job, Rollout
 from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
 from failbench.report import EntityReport, ValidationReport
+from failbench.rollouts.execution import Execution, ObjectLost, execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.single import steps
 from failbench.scenario import Scenario, scenarios
-from failbench.simulated.execution import Execution, execute
 from failbench.simulated.plant import Plant
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.sweeps.dataset import Dataset, read_dataset
@@ -35,7 +36,9 @@ __all__ = [
     "ExecutionRefused",
     "Fault",
     "FrontValidation",
+    "HealthyHarm",
     "Job",
+    "ObjectLost",
     "Plant",
     "Rollout",
     "Scenario",

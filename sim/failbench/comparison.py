@@ -47,7 +47,8 @@ def compare(
         second: Likewise.
         scene: Where; not needed for reports.
         scenarios: What fails, as of `validate`.
-        per: "failure", or "task" for harm per executed task, in which a longer motion has more failures.
+        per: "failure", or "task" for harm per executed task, in which a longer motion has more failures, and what the
+            healthy robot does harm to counts with probability 1.
         n: Number of failures.
         horizon: How long is simulated after the onset [s].
         seed: Of everything random.
@@ -79,9 +80,10 @@ def compare(
         )
 
     pairs = _paired(validated(first), validated(second), per)
-    return estimate_difference(
+    failures = estimate_difference(
         pairs.first, pairs.second, (0.0, pairs.greatest), weights=pairs.weights, confidence=confidence
     )
+    return failures.shifted(pairs.certain[0] - pairs.certain[1])
 
 
 def harm_ratio(
@@ -103,7 +105,12 @@ def harm_ratio(
     """
     pairs = _paired(first, second, per)
     return estimate_ratio(
-        pairs.first, pairs.second, (0.0, pairs.greatest), weights=pairs.weights, confidence=confidence
+        pairs.first,
+        pairs.second,
+        (0.0, pairs.greatest),
+        weights=pairs.weights,
+        certain=pairs.certain,
+        confidence=confidence,
     )
 
 
@@ -115,6 +122,8 @@ class _Pairs(NamedTuple):
     weights: Float[Array, " n"]
     greatest: float
     """That one of them can be expected to do."""
+    certain: tuple[float, float]
+    """Harm per task without any failure, of the first and of the second; 0 per failure."""
 
 
 def _paired(first: ValidationReport, second: ValidationReport, per: str) -> _Pairs:
@@ -127,11 +136,13 @@ def _paired(first: ValidationReport, second: ValidationReport, per: str) -> _Pai
     if per == "task" and first.rate != second.rate:
         raise SettingError("second", second.rate, f"the rate of the first, {first.rate:g} failures per hour")
     scales = [report.failures_per_task if per == "task" else 1.0 for report in reports]
-    harms = [scale * report.impacts for scale, report in zip(scales, reports, strict=True)]
-    paired = ~np.isnan(harms[0] + harms[1])
+    observed = [report.wholes if per == "task" else report.impacts for report in reports]
+    harms = [scale * impacts for scale, impacts in zip(scales, observed, strict=True)]
+    paired = ~np.isnan(first.impacts + second.impacts)
     greatest = max(scale * report.greatest for scale, report in zip(scales, reports, strict=True))
     weights = np.array([job.weight for job in first.jobs])[paired]
-    return _Pairs(harms[0][paired], harms[1][paired], weights, greatest)
+    first_certain, second_certain = (report.certain_per_task if per == "task" else 0.0 for report in reports)
+    return _Pairs(harms[0][paired], harms[1][paired], weights, greatest, (first_certain, second_certain))
 
 
 def _needed(scene: Scene | None) -> Scene:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from failbench.basics.errors import ExecutionRefused
-from failbench.report import FAILURES_PER_HOUR, ValidationReport
+from failbench.recording.healthy import HealthyHarm
+from failbench.report import FAILURES_PER_HOUR, ValidationReport, loudly
+from failbench.rollouts.execution import ObjectLost
 from failbench.simulated.world import SimSettings
 from failbench.validation import Scenarios, validate
 from graceful_plan import ParetoFront, Scene, documents
@@ -18,7 +20,7 @@ from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 
-_SCHEMA = {"schema": "failbench.front_validation", "version": 1}
+_SCHEMA = {"schema": "failbench.front_validation", "version": 2}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,12 +32,19 @@ class PointValidation:
         impact: Impact S that the planner charges: an integral over the length of the path.
         report: Predicted and observed impact of a failure; None if the healthy robot cannot carry out the motion.
         refused: Why it cannot.
+        lost: What the healthy robot does harm to if it cannot because it loses the object.
     """
 
     motion: float
     impact: float
     report: ValidationReport | None = None
     refused: str = ""
+    lost: HealthyHarm | None = None
+
+    @property
+    def healthy(self) -> HealthyHarm | None:
+        """What the healthy robot does harm to, with probability 1; None if it cannot carry out the motion at all."""
+        return self.lost if self.report is None else self.report.healthy
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +85,7 @@ class FrontValidation:
             {
                 "motion": point.motion,
                 "impact": point.impact,
+                "healthy": None if point.healthy is None else point.healthy.to_document(),
                 "predicted": None if point.report is None else point.report.predicted,
                 "observed": None if point.report is None else asdict(point.report.observed),
                 "duration": None if point.report is None else point.report.duration,
@@ -99,6 +109,7 @@ class FrontValidation:
         rows = []
         for point in self.points:
             row: list[object] = [f"{point.motion:.4g}", point.impact]
+            row.append("-" if point.healthy is None else point.healthy.harm)
             if point.report is None:
                 row += ["-", "refused", point.refused, "-", "-"]
             else:
@@ -108,8 +119,14 @@ class FrontValidation:
             rows.append(row)
         head = f"{self.scene}: {self.n} failures along each of {len(self.points)} motions, seed {self.seed}; "
         head += f"Kendall's tau of predicted and observed impact {self.rank_correlation:.2f}; {self.rate:g} failures/h"
-        columns = ["motion V", "impact S", "predicted per failure", "observed", "", "duration", "observed per task"]
-        return f"{head}\n\n{documents.table(columns, rows)}"
+        columns = ["motion V", "impact S", "without failure", "predicted per failure", "observed", ""]
+        columns += ["duration", "observed per task"]
+        loud = [
+            f"motion V {point.motion:.4g}: {loudly(point.healthy)}\n\n"
+            for point in self.points
+            if point.healthy is not None and not point.healthy.harmless
+        ]
+        return f"{''.join(loud)}{head}\n\n{documents.table(columns, rows)}"
 
 
 def validate_front(
@@ -165,7 +182,8 @@ def validate_front(
             )
             points.append(PointValidation(motion=point.motion, impact=point.impact, report=report))
         except ExecutionRefused as error:
-            points.append(PointValidation(motion=point.motion, impact=point.impact, refused=str(error)))
+            lost = error.healthy if isinstance(error, ObjectLost) else None
+            points.append(PointValidation(motion=point.motion, impact=point.impact, refused=str(error), lost=lost))
         if progress is not None:
             progress(done, len(loaded))
     return FrontValidation(scene=scene.notes.name, points=tuple(points), n=n, seed=seed, rate=rate)

@@ -24,8 +24,9 @@ from mujoco.batch import MODEL_FIELDS
 from failbench.fault.fault import CATEGORIES, DEGREES, Fault
 from failbench.fault.registry import faults, from_document, to_document
 from failbench.recording.records import Job
+from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.injection import Injection
-from failbench.simulated.execution import STATE, Execution, execute
+from failbench.simulated.states import STATE
 from failbench.simulated.world import build_world
 from graceful_plan import GracefulPlanError, load_scene
 from graceful_plan.exceptions import UnknownNameError

@@ -3,13 +3,16 @@
 Both have one unit, severity per failure, and one rule, the sum over components and entities, one of which is the
 carried object itself. Observed: the mean over rollouts of the summed severities of what was touched. Predicted: the
 mean of the planner's sum of P S over the times at which the same faults begin. Times the failures while the motion
-lasts, either is the harm to be expected of an executed task.
+lasts, either is the harm of failures to be expected of an executed task. What the healthy robot does harm to comes on
+top, with probability 1, and is reported first.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import mujoco
@@ -25,13 +28,21 @@ from failbench.basics.statistics import (
     estimate_probability,
 )
 from failbench.fault.fault import Fault
+from failbench.recording.healthy import HealthyHarm, whole_execution
 from failbench.recording.records import Job, Rollout
-from failbench.recording.score import energy_impact, impact_by_entity, own_damage, own_loss, secondary_impact
+from failbench.recording.score import (
+    Touches,
+    energy_impact,
+    impact_by_entity,
+    own_damage,
+    own_loss,
+    secondary_impact,
+)
 from failbench.report import FAILURES_PER_HOUR, EntityReport, ValidationReport
+from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid
 from failbench.scenario import scenarios as find_scenarios
-from failbench.simulated.execution import execute
 from failbench.simulated.world import SimSettings, build_world
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
@@ -86,7 +97,8 @@ def validate(
         progress: Called now and then with the number of rollouts done and of all.
 
     Raises:
-        ExecutionRefused: If the healthy robot cannot carry out the motion.
+        ExecutionRefused: If the healthy robot cannot carry out the motion, or loses the object (`ObjectLost`). Spilling
+            is not refused: it is what the report says first.
         UnknownNameError: If a pattern matches nothing, or a fault strikes a joint that the robot does not have.
         PlanningFailed: If `motion` is the result of a plan that failed.
         SettingError: If a setting makes no sense, or only the gripper fails and there is nothing in it.
@@ -113,7 +125,7 @@ def validate(
             progress(len(rollouts), len(jobs))
     expected = np.mean([predict(_onsets(fault, execution.duration)).mean(axis=0) for fault in faults], axis=0)
     failures = _Failures(faults, jobs, rollouts, _Expected(cost, expected))
-    return _report(scene, failures, execution.duration, rate, seed=seed, horizon=horizon, confidence=confidence)
+    return _report(execution, failures, rate, seed=seed, horizon=horizon, confidence=confidence)
 
 
 def chosen_faults(scenarios: Scenarios) -> tuple[Fault, ...]:
@@ -186,20 +198,21 @@ class _Failures(NamedTuple):
 
 
 def _report(
-    scene: Scene,
+    execution: Execution,
     failures: _Failures,
-    duration: float,
     rate: float,
     *,
     seed: int,
     horizon: float,
     confidence: float,
 ) -> ValidationReport:
-    faults, jobs, rollouts, expected = failures
+    scene, (faults, jobs, rollouts, expected) = execution.world.scene, failures
     valid = np.array([rollout.status == "completed" for rollout in rollouts])
     weights = np.array([job.weight for job in jobs])
     own, table = expected.cost.own_loss and scene.carried is not None, expected.cost.fragility
     shares = _shares(scene, rollouts, table, own=own)
+    healthy = execution.healthy
+    executions = [whole_execution(rollout, healthy) for rollout in rollouts]
     touches = [s for entity in scene.entities.values() for s in entity.severity.values()]
     greatest = max([*touches, scene.own_severity if own else 0.0])
 
@@ -211,6 +224,7 @@ def _report(
         return estimate_probability(np.asarray(hits)[valid], weights=weights[valid], confidence=confidence)
 
     impacts = shares.sum(axis=1)
+    wholes = impacts if healthy.harmless else _shares(scene, executions, table, own=own).sum(axis=1)
     by_entity = {
         entity.name: EntityReport(
             probability=fraction([_touches(rollout, entity.name) for rollout in rollouts]),
@@ -228,12 +242,14 @@ def _report(
     struck = {label: np.array([job.fault == fault for job in jobs]) for label, fault in _labels(faults).items()}
     return ValidationReport(
         scene=scene.notes.name,
+        healthy=_counted(healthy, scene, table, own=own),
         observed=mean(impacts),
+        whole=mean(wholes),
         energy=mean([energy_impact(rollout, scene, table, own=own) for rollout in rollouts]),
         own_loss=mean([own_loss(rollout, scene, table) for rollout in rollouts], scene.own_severity),
         secondary=mean([secondary_impact(rollout, scene) for rollout in rollouts]),
         predicted=float(expected.impact.sum()),
-        duration=duration,
+        duration=execution.duration,
         rate=rate,
         by_fault={label: mean(impacts, among=valid & mine) for label, mine in struck.items()},
         by_entity=by_entity,
@@ -249,11 +265,18 @@ def _report(
         versions={"graceful_plan": gp.__version__, "mujoco": mujoco.__version__},
         jobs=jobs,
         impacts=np.where(valid, impacts, np.nan),
+        wholes=np.where(valid, wholes, np.nan),
     )
 
 
+def _counted(healthy: HealthyHarm, scene: Scene, fragility: FragilityTable, *, own: bool) -> HealthyHarm:
+    """Return harm without failure, counted as that of failures is."""
+    found = impact_by_entity(healthy, scene, fragility, own=own)
+    return replace(healthy, by_entity=MappingProxyType({name: x for name, x in found.items() if x > 0.0}))
+
+
 def _shares(
-    scene: Scene, rollouts: Sequence[Rollout], fragility: FragilityTable, *, own: bool
+    scene: Scene, rollouts: Sequence[Touches], fragility: FragilityTable, *, own: bool
 ) -> Float[Array, "n hazard"]:
     """Return each entity's share in the observed impacts, and last that of the carried object itself if it counts."""
     names = [*scene.entities, *([scene.carried.body] if own and scene.carried is not None else [])]

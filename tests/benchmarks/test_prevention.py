@@ -203,6 +203,11 @@ def test_harm_per_task_counts_the_duration():
     assert math.isnan(figures.less(done, runs.ALL_FAULTS, "drops", per="task"))
     assert figures.longer([done], OURS, "duration") == pytest.approx(0.25)
     assert figures.beyond([done], OURS, "drops", -1.0) == [done.task] and not figures.beyond([done], OURS, "drops", 1.0)
+    spilling = replace(done, motions={**done.motions, OURS: replace(done.motions[OURS], healthy=8.0)})
+    before, after = (done.motions[label] for label in (NONE, OURS))
+    per_second = done.rate / 3600.0
+    failing = [x.harm["drops"].mean * x.duration * per_second for x in (before, after)]
+    assert figures.less(spilling, OURS, "drops", per="task") == pytest.approx(failing[0] / (failing[1] + 8.0))
     nothing = head(**{OURS: motion(1.0, 2.0, 0.0)})
     assert figures.less(nothing, OURS, "drops", per="failure") == pytest.approx(10.0 / (0.2 / 100))
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 from processes import all_end, children_of
 
@@ -89,6 +90,38 @@ def test_validate_prints_observed_and_predicted(run, motion):
     assert (document["n"], document["rate"]) == (4, 2.0)
     failures = 2.0 * document["duration"] / 3600.0
     assert document["per_task"]["observed"]["mean"] == pytest.approx(document["observed"]["mean"] * failures)
+
+
+@pytest.fixture(scope="module")
+def pouring(tmp_path_factory):
+    """A trajectory that turns the mug of coffee over."""
+    file = tmp_path_factory.mktemp("pouring") / "trajectory.json"
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    turn = 1.6 * np.eye(7)[5] * np.sign(task.scene.limits.position[5].mean() - task.start[5])
+    path = gp.Path(np.stack([task.start, task.start + turn]))
+    gp.retime(path, task.scene.limits, task.scene.joints, speed=0.2).to_json(file)
+    return file
+
+
+def test_harm_without_failure_is_printed_first(run, pouring, tmp_path):
+    given = ("--trajectory", str(pouring), "--horizon", "0.1", "--grasp", "weld")
+    code, out, _ = run("validate", "--scene", "desk", "--task", "bring_coffee", "-n", "3", *given)
+    assert code == cli.DONE and out.startswith(
+        "HARM WITHOUT FAILURE: the healthy robot pours out 100 % of the contents"
+    )
+    code, out, _ = run("run", "desk/bring_coffee/gripper_failure/severe", "-n", "2", *given)
+    assert code == cli.DONE and out.startswith(
+        "HARM WITHOUT FAILURE: the healthy robot pours out 100 % of the contents"
+    )
+    folder = tmp_path / "data"
+    sweep = ("generate", str(folder), "desk/bring_coffee/gripper_failure/severe", "-n", "2", *given, "--workers", "1")
+    code, out, _ = run(*sweep)
+    assert code == cli.DONE and out.startswith("HARM WITHOUT FAILURE: desk/bring_coffee: harm ")
+    rows = read_dataset(folder).rollouts.to_pylist()
+    assert all(row["healthy_spilled"] > 0.98 and row["healthy_harm"] >= 20.0 for row in rows)
+    assert all(row["observed_impact"] <= row["whole_impact"] for row in rows)
+    code, out, _ = run("resume", str(folder), "--json")
+    assert json.loads(out)["healthy"]["desk/bring_coffee"]["harm"] == rows[0]["healthy_harm"]
 
 
 def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench import ExecutionRefused, cli, front_validation, validate_front
+from failbench import ExecutionRefused, HealthyHarm, ObjectLost, cli, front_validation, validate_front
 from failbench.front_validation import FrontValidation, PointValidation
 from graceful_plan.exceptions import FormatError, SettingError
 
@@ -52,6 +52,24 @@ def test_motions_that_cannot_be_executed_are_told(task, front, monkeypatch):
     assert np.isnan(found.rank_correlation)
     assert found.to_document()["points"][0]["observed"] is None
     assert "refused" in str(found)
+
+
+def test_harm_without_failure_is_told_first(found, task, front, monkeypatch):
+    assert "HARM" not in str(found)
+    assert all(entry["healthy"]["harm"] == 0.0 for entry in found.to_document()["points"])
+    spilt = HealthyHarm(carried="green", contents="hot", spilled=1.0, by_entity={"red1": 8.0})
+    point = replace(found.points[0], report=replace(found.points[0].report, healthy=spilt))
+    told = replace(found, points=(point, *found.points[1:]))
+    assert str(told).startswith(f"motion V {point.motion:.4g}: HARM WITHOUT FAILURE: the healthy robot pours out 100 %")
+    assert told.to_document()["points"][0]["healthy"]["harm"] == 8.0
+
+    def lose(*arguments, **settings):
+        raise ObjectLost("the object 'green'", 0.2, "it has slipped", spilt)
+
+    monkeypatch.setattr(front_validation, "validate", lose)
+    lost = validate_front(front, task.scene, n=2)
+    assert all(p.report is None and p.healthy is spilt for p in lost.points)
+    assert "HARM WITHOUT FAILURE" in str(lost) and "it has slipped" in str(lost)
 
 
 def test_rank_correlation_of_known_orders(found):

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench import AtFraction, ContactEvent, Fault, Job, Rollout, Uniform
-from failbench.comparison import compare
+from failbench import AtFraction, ContactEvent, Fault, HealthyHarm, Job, ObjectLost, Rollout, SimSettings, Uniform
+from failbench.comparison import compare, harm_ratio
 from failbench.fault.registry import GripperFailure, Noise, PowerLoss
 from failbench.report import ValidationReport
 from failbench.scenario import scenarios
@@ -253,6 +253,74 @@ def test_harm_per_task_is_that_per_failure_times_the_failures(simulated: Callabl
     assert never.observed_per_task.high == 0.0 < never.observed.high
 
 
+# --- harm without failure --------------------------------------------------------------------------------------------
+
+
+@cache
+def pouring() -> ValidationReport:
+    """Report on a motion that turns the mug of coffee over the laptop."""
+    task = gp.load_scene("desk").tasks["bring_coffee"]
+    turn = 1.6 * np.eye(7)[5] * np.sign(task.scene.limits.position[5].mean() - task.start[5])
+    path = gp.Path(np.stack([task.start, task.start + turn]))
+    over = gp.retime(path, task.scene.limits, task.scene.joints, speed=0.2)
+    return validate(over, task.scene, GripperFailure(), n=8, horizon=0.5, settings=SimSettings(grasp="weld"))
+
+
+def test_what_the_healthy_robot_spills_is_reported_first() -> None:
+    found = pouring()
+    assert found.healthy.spilled > 0.98 and found.healthy.by_entity["laptop"] == 20.0
+    first, *others = str(found).split("\n\n")
+    assert first.startswith(
+        "HARM WITHOUT FAILURE: the healthy robot pours out 100 % of the contents of 'mug' (hot): harm "
+    )
+    assert others[0].startswith("desk: 8 failures")
+    assert re.search(r"^  without any failure +\d", str(found), flags=re.MULTILINE)
+    document = json.loads(found.to_json())
+    assert list(document)[:3] == ["schema", "version", "healthy"]
+    assert document["healthy"]["harm"] == found.healthy.harm
+    assert document["per_task"]["healthy"] == found.certain_per_task
+
+
+def test_harm_without_failure_comes_with_probability_1() -> None:
+    found = pouring()
+    failures = found.failures_per_task
+    assert 0.0 < failures < 1e-5
+    assert found.certain_per_task == pytest.approx(found.healthy.harm, rel=2.0 * failures)
+    expected = (1.0 - failures) * found.healthy.harm + failures * found.whole.mean
+    assert found.observed_per_task.mean == pytest.approx(expected)
+    assert (found.wholes >= found.impacts).all()
+    always = dataclasses.replace(found, rate=3600.0 / found.duration)
+    assert always.certain_per_task == 0.0 and always.observed_per_task.mean == pytest.approx(found.whole.mean)
+    later = [i for i, job in enumerate(found.jobs) if job.onset > max(found.healthy.poured.values())]
+    assert later and all(found.wholes[i] == pytest.approx(found.impacts[i] + found.healthy.harm) for i in later)
+
+
+def test_harm_without_failure_is_compared_per_task() -> None:
+    found = pouring()
+    level = dataclasses.replace(found, healthy=HealthyHarm(), whole=found.observed, wholes=found.impacts)
+    assert compare(found, level).mean == 0.0 == harm_ratio(found, found, per="failure").mean - 1.0
+    difference = compare(found, level, per="task")
+    assert difference.mean == pytest.approx(found.observed_per_task.mean - level.observed_per_task.mean)
+    assert difference.low > 0.99 * found.healthy.harm
+    ratio = harm_ratio(found, level)
+    assert ratio.mean == pytest.approx(found.observed_per_task.mean / level.observed_per_task.mean)
+    assert ratio.low > 1e3
+
+
+def test_where_nothing_is_spilt_nothing_changes() -> None:
+    found = report()
+    assert found.healthy.harmless and found.certain_per_task == 0.0
+    assert found.whole == found.observed and np.array_equal(found.wholes, found.impacts)
+    assert found.observed_per_task == found.observed.scaled(found.failures_per_task)
+    assert "HARM" not in str(found) and "without any failure" not in str(found)
+
+
+def test_a_lost_object_is_refused_with_its_harm() -> None:
+    pan = gp.load_scene("kitchen_counter").tasks["move_oil"]
+    with pytest.raises(ObjectLost, match=r"harm .* with probability 1, before any failure"):
+        validate(np.stack([pan.start, pan.start + 0.01]), pan.scene, n=3)
+
+
 # --- what fails ------------------------------------------------------------------------------------------------------
 
 
@@ -307,7 +375,7 @@ def test_the_document_holds_everything(tmp_path: Path) -> None:
     text = report().to_json(tmp_path / "report.json")
     assert (tmp_path / "report.json").read_text() == text
     document = json.loads(text)
-    fields = {field.name for field in dataclasses.fields(ValidationReport)} - {"jobs", "impacts"}
+    fields = {field.name for field in dataclasses.fields(ValidationReport)} - {"jobs", "impacts", "wholes"}
     assert document.keys() == fields | {"schema", "version", "per_task"}
     assert document["per_task"]["observed"] == dataclasses.asdict(report().observed_per_task)
     assert document["per_task"]["predicted"] == report().predicted_per_task

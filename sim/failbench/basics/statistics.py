@@ -53,6 +53,16 @@ class Estimate:
             raise SettingError("factor", factor, "a finite number >= 0")
         return Estimate(factor * self.mean, factor * self.low, factor * self.high, self.n)
 
+    def shifted(self, by: float) -> Estimate:
+        """Return the estimate of what is estimated plus something that is known.
+
+        Raises:
+            SettingError: Unless that is a finite number.
+        """
+        if not math.isfinite(by):
+            raise SettingError("by", by, "a finite number")
+        return Estimate(self.mean + by, self.low + by, self.high + by, self.n)
+
 
 def wilson(hits: int, n: int, confidence: float = 0.95) -> Estimate:
     """Estimate a probability from `hits` out of `n` alike and independent trials, with Wilson's interval.
@@ -149,6 +159,7 @@ def estimate_ratio(
     bounds: tuple[float, float],
     *,
     weights: ArrayLike | None = None,
+    certain: tuple[float, float] = (0.0, 0.0),
     confidence: float = 0.95,
 ) -> Estimate:
     """Estimate the mean of `first` over the mean of `second` from pairs that share their random numbers.
@@ -162,6 +173,7 @@ def estimate_ratio(
         second: Observations under the same random numbers, pair by pair, >= 0.
         bounds: The least and the greatest value that an observation may be expected to have, >= 0.
         weights: Of the pairs.
+        certain: What is known to come on top of each observation and of the bounds, of `first` and of `second`, >= 0.
         confidence: Probability that the interval covers the truth.
 
     Returns:
@@ -176,12 +188,16 @@ def estimate_ratio(
         raise ShapeError("weights", w.shape, f"{a.shape}, a weight for each pair")
     if not 0.0 <= bounds[0] <= bounds[1] or min(a.min(initial=0.0), b.min(initial=0.0)) < 0.0:
         raise SettingError("bounds", bounds, "observations and bounds >= 0, the lower bound first")
+    if not 0.0 <= min(certain) <= max(certain) < math.inf:
+        raise SettingError("certain", certain, "finite numbers >= 0")
     if w.sum() == 0.0:
         return Estimate(math.nan, 0.0, math.inf, len(a))
-    ratio = _quotient(float(w @ a), float(w @ b))
     least, greatest = bounds[0], max(bounds[1], a.max(), b.max())
-    low = _log_limit(np.append(a, least), np.append(b, greatest), np.append(w, w.max()), confidence, -1.0)
-    high = _log_limit(np.append(a, greatest), np.append(b, least), np.append(w, w.max()), confidence, 1.0)
+    above, below = certain
+    ratio = _quotient(float(w @ (a + above)), float(w @ (b + below)))
+    w = np.append(w, w.max())
+    low = _log_limit(np.append(a, least) + above, np.append(b, greatest) + below, w, confidence, -1.0)
+    high = _log_limit(np.append(a, greatest) + above, np.append(b, least) + below, w, confidence, 1.0)
     if math.isnan(ratio):
         return Estimate(ratio, 0.0, math.inf, len(a))
     return Estimate(ratio, min(low, ratio), max(high, ratio), len(a))

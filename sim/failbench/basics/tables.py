@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 2
+VERSION = 3
 """Of the tables' layout; it grows when a column is added, removed or changes its meaning."""
-ADDED = {"own_loss": 2}
+ADDED = {"own_loss": 2, "healthy_harm": 3, "healthy_spilled": 3, "whole_impact": 3}
 """Columns that came later than with version 1, with the version that they came with."""
 
 
@@ -37,12 +37,15 @@ ROLLOUTS = (
     Column("seed", "int64", "", "of everything random in the rollout"),
     Column("weight", "double", "", "of the rollout in means: density of onsets asked about over density drawn from"),
     Column("status", "string", "", "completed, or diverged if the simulation blew up"),
+    Column("healthy_harm", "double", "", "severities of all that the motion hits without failure, with probability 1"),
+    Column("healthy_spilled", "double", "", "part of the contents that the motion loses without failure, in [0, 1]"),
     Column("observed_impact", "double", "", "severities of all touches of entities, and own_loss; null if diverged"),
+    Column("whole_impact", "double", "", "the same with all hits before the onset, each pair once; null if diverged"),
     Column("own_loss", "double", "", "severity of the carried object's loss times P(it is damaged); null if diverged"),
-    Column("energy_impact", "double", "", "the same, times the probability of damage at that energy; null if diverged"),
+    Column("energy_impact", "double", "", "observed_impact, times P(damage at that energy); null if diverged"),
     Column("secondary_impact", "double", "", "severities of what only other entities touched; null if diverged"),
     Column("dropped", "bool", "", "whether the carried object left the gripper; null if diverged"),
-    Column("spilled", "double", "", "lost fraction of the contents, in [0, 1]; null if diverged"),
+    Column("spilled", "double", "", "lost fraction of what the container held at the onset; null if diverged"),
     Column("contacts", "int64", "", "rows of this rollout in the table of contacts"),
     Column("fell", "list<string>", "", "entities that ended more than 5 cm lower than they began"),
     Column("tipped", "list<string>", "", "entities that ended more than 30 degrees off their initial axis"),

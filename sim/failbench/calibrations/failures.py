@@ -20,9 +20,9 @@ from failbench.basics.errors import ExecutionRefused
 from failbench.fault.end_effector import GripperFailure
 from failbench.fault.fault import Fault
 from failbench.recording.records import Rollout
+from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import make_jobs
-from failbench.simulated.execution import Execution, execute
 from failbench.simulated.world import SimSettings, build_world
 from graceful_plan import Scene, StateBatch, Trajectory
 from graceful_plan.array_types import Bool, Float, Int

@@ -11,6 +11,7 @@ from failbench.commands.options import add_command, add_scenario, single
 from failbench.commands.output import Answer, Bar
 from failbench.fault.registry import to_document
 from failbench.pictures.playback import replay
+from failbench.report import loudly
 from failbench.scenario import scenarios
 from failbench.sweeps import summary
 from failbench.sweeps.sweep import read_sweep
@@ -51,8 +52,17 @@ def _run(args: argparse.Namespace) -> Answer:
             for table, found in run_chunk(sweep, chunk).items():
                 rows[table] += found
             bar.show(len(rows["rollouts"]), sweep.rollouts)
-    document = {"schema": "failbench.run", "version": 1, "sweep": sweep.to_document(), **rows}
-    return Answer(document, summary.rollouts(rows, scene_of(sweep.motions[0].scene, sweep.motions[0].task)))
+    healthy = execution_of(sweep, 0).healthy
+    document = {
+        "schema": "failbench.run",
+        "version": 2,
+        "healthy": healthy.to_document(),
+        "sweep": sweep.to_document(),
+        **rows,
+    }
+    text = summary.rollouts(rows, scene_of(sweep.motions[0].scene, sweep.motions[0].task))
+    loud = loudly(healthy)
+    return Answer(document, f"{loud}\n\n{text}" if loud else text)
 
 
 def _replay(args: argparse.Namespace) -> Answer:

@@ -55,8 +55,19 @@ def _resume(args: argparse.Namespace) -> Answer:
 
 def _made(made: Generated) -> Answer:
     rows = made.manifest["rows"]
-    document = {"folder": str(made.folder), "rows": rows, "content": made.manifest["content"]}
-    return Answer(document, f"{rows['rollouts']} rollouts with {rows['contacts']} contacts in {made.folder}")
+    healthy = {name: {"harm": harm, "spilled": spilled} for name, (harm, spilled) in made.healthy.items()}
+    document = {
+        "folder": str(made.folder),
+        "healthy": healthy,
+        "rows": rows,
+        "content": made.manifest["content"],
+    }
+    loud = [
+        f"HARM WITHOUT FAILURE: {name}: harm {harm:.3g} with probability 1, {100.0 * spilled:.3g} % of contents"
+        for name, (harm, spilled) in made.healthy.items()
+    ]
+    done = f"{rows['rollouts']} rollouts with {rows['contacts']} contacts in {made.folder}"
+    return Answer(document, "\n".join([*loud, done]))
 
 
 def _sweep(args: argparse.Namespace) -> Sweep:

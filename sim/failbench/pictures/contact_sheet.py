@@ -22,8 +22,8 @@ from failbench.pictures.film import font
 from failbench.pictures.offscreen import Offscreen, close_to
 from failbench.pictures.playback import film, healthy
 from failbench.recording.records import Job, Rollout
+from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run
-from failbench.simulated.execution import Execution, execute
 from failbench.simulated.world import build_world
 from graceful_plan.array_types import Float, UInt8
 

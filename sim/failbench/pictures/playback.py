@@ -24,7 +24,8 @@ from failbench.pictures.film import captioned, check_output, write_film
 from failbench.pictures.offscreen import Offscreen, find_camera, has_display
 from failbench.recording.records import Job, Rollout
 from failbench.rollouts import single
-from failbench.simulated.execution import CHECKPOINT, STATE, Execution, warnings_counted_only
+from failbench.rollouts.execution import Execution
+from failbench.simulated.states import CHECKPOINT, STATE, warnings_counted_only
 from graceful_plan.exceptions import SettingError
 
 if TYPE_CHECKING:

@@ -57,8 +57,8 @@ class Recorder:
             carried object.
         qpos: Positions at the onset.
         qvel: Velocities at the onset.
-        kept: Volume that the healthy run leaves in the container, see `spill.kept_volume` [m^3]; by default what the
-            tilt at the onset leaves.
+        kept: Volume that is in the container at each onset, see `spill.HealthyLoss` [m^3]; by default what the tilt at
+            the onset leaves.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Recorder:
         baseline: frozenset[tuple[str, str]],
         qpos: Float[Array, "sim qpos"],
         qvel: Float[Array, "sim qvel"],
-        kept: float | None = None,
+        kept: Float[Array, " sim"] | None = None,
     ) -> None:
         self._world = world
         self._dt = float(world.model.opt.timestep)

@@ -83,7 +83,7 @@ class Rollout:
         fell: Movable entities that ended more than 5 cm lower than they began.
         tipped: Movable entities that ended more than 30 degrees off their initial axis.
         left_support: Movable entities that ended without touching what they stood on.
-        spilled: Lost fraction of the contents, in [0, 1]; 0 if there are none.
+        spilled: Lost fraction of the contents that were there at the onset, in [0, 1]; 0 if there were none.
         dropped: Whether the carried object left the gripper.
         poses: Final pose of every movable entity and of the carried object, wxyz_xyz in W.
         state: If it diverged: MuJoCo's integration state at the last checkpoint before, for replay. Else None.

@@ -9,13 +9,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
-from failbench.recording.records import ContactEvent, Rollout
+from failbench.recording.records import ContactEvent
 from graceful_plan import Scene
 from graceful_plan.scene.harm.fragility import FragilityTable
 
 
-def observed_impact(rollout: Rollout, scene: Scene, *, own: bool = True) -> float:
+@runtime_checkable
+class Touches(Protocol):
+    """What scores are made of: a `Rollout`, or what a healthy run does."""
+
+    @property
+    def events(self) -> tuple[ContactEvent, ...]:
+        """Contacts with entities."""
+        ...
+
+    @property
+    def landings(self) -> tuple[ContactEvent, ...]:
+        """What else the carried object touched."""
+        ...
+
+
+def observed_impact(rollout: Touches, scene: Scene, *, own: bool = True) -> float:
     """Return the sum of severities over components and the entities that they touched.
 
     Args:
@@ -27,7 +43,7 @@ def observed_impact(rollout: Rollout, scene: Scene, *, own: bool = True) -> floa
 
 
 def energy_impact(
-    rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None, *, own: bool = True
+    rollout: Touches, scene: Scene, fragility: FragilityTable | None = None, *, own: bool = True
 ) -> float:
     """Return the same, with each severity times the probability of damage at the energy of the first touch.
 
@@ -45,7 +61,7 @@ def energy_impact(
     return math.fsum(impact_by_entity(rollout, scene, table, own=own, factor=damage).values())
 
 
-def secondary_impact(rollout: Rollout, scene: Scene) -> float:
+def secondary_impact(rollout: Touches, scene: Scene) -> float:
     """Return the sum of the severities of the entities that nothing but other entities touched.
 
     An entity that is knocked over counts as if it were the carried object, or the body if nothing is carried.
@@ -56,7 +72,7 @@ def secondary_impact(rollout: Rollout, scene: Scene) -> float:
     return math.fsum(scene.entities[name].severity[component] for name in knocked)
 
 
-def own_loss(rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None) -> float:
+def own_loss(rollout: Touches, scene: Scene, fragility: FragilityTable | None = None) -> float:
     """Return the severity of the loss of the carried object itself, times the probability that it is damaged.
 
     Args:
@@ -67,7 +83,7 @@ def own_loss(rollout: Rollout, scene: Scene, fragility: FragilityTable | None = 
     return scene.own_severity * own_damage(rollout, scene, fragility)
 
 
-def own_damage(rollout: Rollout, scene: Scene, fragility: FragilityTable | None = None) -> float:
+def own_damage(rollout: Touches, scene: Scene, fragility: FragilityTable | None = None) -> float:
     """Return the probability that what the carried object touched damages it; 0 if nothing is carried."""
     if scene.carried is None:
         return 0.0
@@ -82,7 +98,7 @@ def own_damage(rollout: Rollout, scene: Scene, fragility: FragilityTable | None 
 
 
 def impact_by_entity(
-    rollout: Rollout,
+    rollout: Touches,
     scene: Scene,
     fragility: FragilityTable | None = None,
     *,

@@ -2,8 +2,8 @@
 
 Contents stay in their container as a plane surface would, level with the vertical that is felt in it: gravity less the
 container's acceleration, averaged over the time that slow sloshing needs. What stands above the rim is lost at once. A
-jolt throws a stated part out. What is lost flies on its own from the rim, and what lands runs out to a puddle. Losses
-of the healthy run do not count: what that leaves is what is there to be lost.
+jolt throws a stated part out. What is lost flies on its own from the rim, and what lands runs out to a puddle. Of a
+failure counts what is lost from its onset on; what a healthy run loses is `HealthyLoss`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from failbench.recording.bounds import rotations
 from failbench.recording.closeup import Closeup
 from failbench.recording.puddle import Parcel, Puddles
 from failbench.recording.records import ContactEvent
-from failbench.simulated.execution import CHECKPOINT
+from failbench.simulated.states import CHECKPOINT
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
@@ -56,6 +56,24 @@ class VesselMotion(NamedTuple):
     """Gravity's reaction plus acceleration [m/s^2]: upward, where the container stands still."""
 
 
+class HealthyLoss(NamedTuple):
+    """What leaves the container without any failure."""
+
+    there: float
+    """Volume that stands in it at rest in the first state [m^3]."""
+    kept: Float[Array, " checkpoint"]
+    """Volume that is still in it at each checkpoint [m^3]."""
+    end: float
+    """Volume that is left when it has come to a stop [m^3]."""
+    parcels: tuple[Parcel, ...]
+    """What is gone, in the order in which it leaves; none if nobody would notice."""
+
+    @property
+    def part(self) -> float:
+        """Lost part of what was there, in [0, 1]; exactly 0 if nobody would notice."""
+        return 1.0 - self.end / self.there if self.parcels else 0.0
+
+
 class Spill:
     """Follows the container through a batch of simulations.
 
@@ -63,10 +81,16 @@ class Spill:
         world: Where.
         closeup: What to look with.
         onset: Positions and velocities at the onset [sim, ...].
-        kept: Volume [m^3] that the healthy run leaves in; by default what the tilt at the onset leaves.
+        kept: Volume [m^3] that is in the container at each onset; by default what the tilt there leaves.
     """
 
-    def __init__(self, world: World, closeup: Closeup, onset: tuple[Array, Array], kept: float | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        closeup: Closeup,
+        onset: tuple[Array, Array],
+        kept: Float[Array, " sim"] | None = None,
+    ) -> None:
         self._dt = STRIDE * float(world.model.opt.timestep)
         self._vessel = find_vessel(world.scene)
         self._kept = kept
@@ -106,24 +130,31 @@ class Spill:
         """Return all motions, and the volumes that are in the containers first and at each sample [m^3]."""
         pose, twist = (np.concatenate([sample[i] for sample in self._samples], axis=1) for i in (0, 1))
         motion = _motion(vessel, pose, twist, self._dt, self._gravity)
-        if self._kept is None:
-            there = vessel.capacity(_angle(motion.axis[:, 0], np.broadcast_to([0.0, 0.0, 1.0], (len(pose), 3))))
-            kept = np.minimum(vessel.volume, there)
-        else:
-            kept = np.full(len(pose), min(vessel.volume, self._kept))
+        kept = _standing(vessel, motion) if self._kept is None else np.minimum(vessel.volume, self._kept)
         return motion, kept, kept[:, None] * remaining(vessel, motion, kept, self._gravity)
 
 
-def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
+def kept_volume(world: World, states: Float[Array, "checkpoint state"]) -> float:
     """Return the volume [m^3] that a healthy run leaves in the container; 0 if there is none.
 
     Args:
         world: Where.
         states: MuJoCo's integration state, which begins with time, positions and velocities, at each checkpoint.
     """
+    loss = healthy_loss(world, states)
+    return 0.0 if loss is None else loss.end
+
+
+def healthy_loss(world: World, states: Float[Array, "checkpoint state"]) -> HealthyLoss | None:
+    """Return what a healthy run loses of the contents; None if nothing is carried in a container.
+
+    Args:
+        world: Where.
+        states: As of `kept_volume`. What does not stand in the container at rest in the first one was never there.
+    """
     vessel = find_vessel(world.scene)
     if vessel is None:
-        return 0.0
+        return None
     nq, nv = world.model.nq, world.model.nv
     parts = states[:, 1 : 1 + nq], states[:, 1 + nq : 1 + nq + nv]
     pose, twist = (x[:, c] for x, c in zip(parts, _columns(world), strict=True))
@@ -133,7 +164,11 @@ def kept_volume(world: World, states: Float[Array, "sample state"]) -> float:
     twist = np.vstack([twist, np.zeros((after, 6))])
     gravity = -float(world.model.opt.gravity[2])
     motion = _motion(vessel, pose[None], twist[None], dt, gravity)
-    return vessel.volume * float(remaining(vessel, motion, np.array([vessel.volume]), gravity)[0, -1])
+    there = _standing(vessel, motion)
+    left = there[0] * remaining(vessel, motion, there, gravity)[0]
+    gone = there[0] - left
+    parcels = _parcels(vessel, motion, gone) if gone[-1] > _NOTHING * vessel.volume else []
+    return HealthyLoss(float(there[0]), left[: len(states)], float(left[-1]), tuple(parcels))
 
 
 def remaining(
@@ -144,6 +179,12 @@ def remaining(
     capacity = vessel.capacity(_angle(motion.axis, motion.felt)) / np.maximum(kept, 1e-12)[:, None]
     part = np.minimum(np.where(heavy, capacity, 1.0), _after_jolts(motion, gravity))
     return np.minimum.accumulate(part, axis=1)
+
+
+def _standing(vessel: Vessel, motion: VesselMotion) -> Float[Array, " sim"]:
+    """Return the volume [m^3] that stands in each container if it rests as it does in the first sample."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], motion.axis[:, 0].shape)
+    return np.minimum(vessel.volume, vessel.capacity(_angle(motion.axis[:, 0], up)))
 
 
 def _after_jolts(motion: VesselMotion, gravity: float) -> Float[Array, "sim sample"]:

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 
 from failbench.recording.records import Job
-from failbench.simulated.execution import CHECKPOINT, Execution
+from failbench.rollouts.execution import Execution
 from failbench.simulated.plant import Plant
+from failbench.simulated.states import CHECKPOINT
 
 Array = np.ndarray
 

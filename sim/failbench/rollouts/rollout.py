@@ -16,10 +16,10 @@ from mujoco.batch import Batch
 
 from failbench.recording.recorder import Recorder
 from failbench.recording.records import Job, Rollout
-from failbench.recording.spill import kept_volume
+from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import CTRL, Injection
-from failbench.simulated.execution import CHECKPOINT, Execution, put, warnings_counted_only
 from failbench.simulated.rest import PERIOD, let_sleep
+from failbench.simulated.states import CHECKPOINT, put, warnings_counted_only
 from failbench.simulated.world import World
 from graceful_plan.exceptions import SettingError
 
@@ -61,13 +61,12 @@ def run(
     size = min(batch, -(-len(jobs) // threads))
     groups = iter([order[first : first + size] for first in range(0, len(jobs), size)])
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
-    kept = kept_volume(execution.world, execution.states)
     rollouts: dict[int, Rollout] = {}
 
     def work(simulations: Batch) -> None:
         fields = {name: simulations.expand(name) for name in names}
         for group in groups:
-            done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps, kept)
+            done = _run_group(execution, simulations, fields, [jobs[i] for i in group], steps)
             rollouts.update(zip(group, done, strict=True))
 
     # Made here, not in the threads, whose separate heaps would grow.
@@ -98,7 +97,6 @@ def _run_group(
     fields: Mapping[str, Array],
     jobs: Sequence[Job],
     steps: int,
-    kept: float,
 ) -> list[Rollout]:
     model = execution.world.model
     sims = np.arange(len(jobs))
@@ -107,6 +105,8 @@ def _run_group(
     checkpoints = [execution.checkpoint(job.onset) for job in jobs]
     put(simulations, sims, execution.states[checkpoints])
     qpos, qvel, active = (simulations.bind(name) for name in ("qpos", "qvel", "eq_active"))
+    healthy = execution.healthy.kept
+    kept = None if healthy is None else healthy[checkpoints]
     recorder = Recorder(execution.world, execution.baseline, qpos[sims].copy(), qvel[sims].copy(), kept)
     injections = [
         Injection(

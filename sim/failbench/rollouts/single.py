@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import mujoco
 
 from failbench.recording.records import Job
+from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import Injection
-from failbench.simulated.execution import STATE, Execution
 from failbench.simulated.rest import PERIOD, let_sleep
+from failbench.simulated.states import STATE
 
 
 def steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:

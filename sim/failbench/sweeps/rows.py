@@ -7,9 +7,10 @@ import math
 from typing import Any
 
 from failbench.fault.registry import to_document
+from failbench.recording.healthy import HealthyHarm, whole_execution
 from failbench.recording.records import Rollout
 from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
-from failbench.simulated.execution import Execution
+from failbench.rollouts.execution import Execution
 from graceful_plan import Scene
 
 
@@ -26,7 +27,9 @@ def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
         "seed": job.seed,
         "weight": job.weight,
         "status": rollout.status,
-        **_consequences(rollout, scene),
+        "healthy_harm": _number(execution.healthy.harm),
+        "healthy_spilled": _number(execution.healthy.spilled),
+        **_consequences(rollout, execution.healthy, scene),
         "contacts": len(rollout.events),
         "fell": list(rollout.fell),
         "tipped": list(rollout.tipped),
@@ -38,12 +41,16 @@ def rollout_row(rollout: Rollout, execution: Execution) -> dict[str, Any]:
     }
 
 
-def _consequences(rollout: Rollout, scene: Scene) -> dict[str, Any]:
+_AVERAGED = ("observed_impact", "whole_impact", "own_loss", "energy_impact", "secondary_impact", "dropped", "spilled")
+
+
+def _consequences(rollout: Rollout, healthy: HealthyHarm, scene: Scene) -> dict[str, Any]:
     """Return what can be averaged; null where nothing is known, so that nobody takes it for harmless."""
     if rollout.status == "diverged":
-        return dict.fromkeys(("observed_impact", "own_loss", "energy_impact", "secondary_impact", "dropped", "spilled"))
+        return dict.fromkeys(_AVERAGED)
     return {
         "observed_impact": _number(observed_impact(rollout, scene)),
+        "whole_impact": _number(observed_impact(whole_execution(rollout, healthy), scene)),
         "own_loss": _number(own_loss(rollout, scene)),
         "energy_impact": _number(energy_impact(rollout, scene)),
         "secondary_impact": _number(secondary_impact(rollout, scene)),

@@ -7,7 +7,7 @@ any moment; `resume` goes on, and what comes out is the same as if nothing had h
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -46,10 +46,18 @@ class SweepProgress(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Generated:
-    """A sweep that is complete: its folder, and the manifest of its dataset."""
+    """A sweep that is complete.
+
+    Args:
+        folder: Where it is.
+        manifest: Of its dataset.
+        healthy: Motions that do harm without any failure, by name: the harm, and the part of the contents that they
+            lose.
+    """
 
     folder: Path
     manifest: dict[str, Any]
+    healthy: Mapping[str, tuple[float, float]]
 
 
 Callback = Callable[[SweepProgress], None]
@@ -194,7 +202,18 @@ def _finish(journal: SweepJournal, folder: Path, executor: Executor | None, call
         raise SweepFailed(folder, list(errors.values()), len(sweep.chunks))
     rows = (journal.rows(chunk) for chunk in sweep.chunks)
     manifest = write_dataset(folder, rows, {"sweep": about["sweep"], "versions": about["versions"]})
-    return Generated(folder=folder, manifest=manifest)
+    return Generated(folder=folder, manifest=manifest, healthy=_healthy(journal, sweep))
+
+
+def _healthy(journal: SweepJournal, sweep: Sweep) -> dict[str, tuple[float, float]]:
+    """Return harm and spilled part of each motion that does harm without any failure, as one of its rows says."""
+    found = {}
+    for chunk in sweep.chunks:
+        name = sweep.motions[chunk.motion].name
+        if name not in found:
+            row = journal.rows(chunk)["rollouts"][0]
+            found[name] = row.get("healthy_harm") or 0.0, row.get("healthy_spilled") or 0.0
+    return {name: both for name, both in found.items() if any(both)}
 
 
 def _do(

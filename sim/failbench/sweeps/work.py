@@ -13,9 +13,9 @@ import graceful_plan as gp
 from failbench.basics.chunks import Chunk, Rows
 from failbench.fault.registry import Fault, from_document, load_class
 from failbench.recording.records import Job
+from failbench.rollouts.execution import LONGEST, Execution, execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs
-from failbench.simulated.execution import LONGEST, Execution, execute
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory

@@ -253,6 +253,30 @@ def test_coverage_of_a_ratio_of_impacts_that_are_mostly_zero(p: float, reduced: 
     assert found >= _LEAST_COVERAGE
 
 
+def test_what_is_certain_comes_on_top_of_both_sides_of_a_ratio() -> None:
+    a, b = np.array([0.0, 4.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0, 3.0])
+    plain, none = (estimate_ratio(a, b, (0.0, 5.0), **x) for x in ({}, {"certain": (0.0, 0.0)}))
+    assert plain == none
+    found = estimate_ratio(a, b, (0.0, 5.0), certain=(10.0, 100.0))
+    assert found.mean == pytest.approx(11.5 / 101.0)
+    shifted = estimate_ratio(a + 10.0, b + 100.0, (0.0, 105.0))
+    assert shifted.mean == pytest.approx(found.mean)
+    assert shifted.low < found.low < found.mean < found.high < shifted.high  # what is certain does not widen it
+    sure = estimate_ratio(1e-6 * a, 1e-6 * b, (0.0, 5e-6), certain=(8.0, 4.0))
+    assert (sure.low, sure.high) == pytest.approx((2.0, 2.0), rel=1e-5)
+    with pytest.raises(SettingError, match="certain"):
+        estimate_ratio(a, b, (0.0, 5.0), certain=(-1.0, 0.0))
+
+
+def test_what_is_known_shifts_an_estimate() -> None:
+    found = estimate_mean([0.0, 1.0, 5.0], (0.0, 5.0))
+    moved = found.shifted(2.0)
+    assert (moved.mean, moved.low, moved.high, moved.n) == (found.mean + 2.0, found.low + 2.0, found.high + 2.0, 3)
+    assert found.shifted(0.0) == found
+    with pytest.raises(SettingError, match="by = inf"):
+        found.shifted(float("inf"))
+
+
 def test_what_is_no_ratio_is_refused() -> None:
     with pytest.raises(ShapeError, match="pairs"):
         estimate_ratio([1.0], [1.0, 2.0], (0.0, 1.0))

@@ -11,9 +11,9 @@ from failbench.calibrations import failures
 from failbench.calibrations.failure_jobs import MotionKind, make_motion
 from failbench.calibrations.failures import Failures
 from failbench.fault.registry import GripperFailure, PowerLoss
+from failbench.rollouts.execution import execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import make_jobs
-from failbench.simulated.execution import execute
 from failbench.simulated.world import build_world
 from graceful_plan.exceptions import SettingError
 

@@ -22,7 +22,7 @@ from failbench.pictures import contact_sheet, film, offscreen
 from failbench.pictures.drawing import TouchPaint, outlined
 from failbench.pictures.playback import film as moments_of
 from failbench.pictures.playback import replay
-from failbench.simulated.execution import STATE
+from failbench.simulated.states import STATE
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
 SIZE = (96, 72)

@@ -13,7 +13,7 @@ from failbench import Job, run
 from failbench.recording.closeup import Closeup
 from failbench.recording.puddle import DEPTH, Parcel, Puddles
 from failbench.recording.recorder import Recorder
-from failbench.recording.spill import VesselMotion, kept_volume, remaining
+from failbench.recording.spill import VesselMotion, healthy_loss, kept_volume, remaining
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan import Dry, Liquid, Scene
 from graceful_plan.scene.rules.vessel import REPOSE, Vessel, find_vessel
@@ -251,7 +251,13 @@ def test_coffee_is_lost_by_failures_only() -> None:
 # --- all of it --------------------------------------------------------------------------------------------------------
 
 
-def _fly(world: World, pose: list[float], twist: tuple[float, ...] = (0,) * 6, steps: int = 300) -> dict[str, Any]:
+def _fly(
+    world: World,
+    pose: list[float],
+    twist: tuple[float, ...] = (0,) * 6,
+    steps: int = 300,
+    kept: float | None = None,
+) -> dict[str, Any]:
     model = world.model
     data = mujoco.MjData(model)
     data.eq_active[:] = 0
@@ -260,7 +266,8 @@ def _fly(world: World, pose: list[float], twist: tuple[float, ...] = (0,) * 6, s
     data.qpos[qpos : qpos + 7] = pose
     data.qvel[dof : dof + 6] = twist
     mujoco.mj_forward(model, data)
-    recorder = Recorder(world, frozenset(), data.qpos[None].copy(), data.qvel[None].copy())
+    there = None if kept is None else np.array([kept])
+    recorder = Recorder(world, frozenset(), data.qpos[None].copy(), data.qvel[None].copy(), there)
     rows: list[list[np.ndarray]] = [[], [], []]
     for _ in range(steps):
         mujoco.mj_step(model, data)
@@ -287,8 +294,8 @@ def test_nothing_spills_without_contents() -> None:
     assert _fly(_world(None), [0.3, 0.2, 1.2, 0, 1, 0, 0], steps=20)["spilled"] == 0.0
 
 
-def test_losses_of_the_healthy_run_do_not_count(world: World) -> None:
-    """A healthy robot that tilts by 45 degrees leaves what a cylinder keeps; tilted no more, nothing is lost."""
+def test_a_healthy_run_loses_what_a_cylinder_does_not_keep(world: World) -> None:
+    """A healthy robot that tilts by 45 degrees leaves what a cylinder keeps; tilted no more, nothing else is lost."""
     vessel = find_vessel(world.scene)
     assert vessel is not None
     model = world.model
@@ -304,3 +311,35 @@ def test_losses_of_the_healthy_run_do_not_count(world: World) -> None:
     assert _left(vessel, motion, kept)[-1] == pytest.approx(1.0)
     assert _left(vessel, motion, vessel.volume)[-1] == pytest.approx(kept / vessel.volume)
     assert kept_volume(_world(None), states) == 0.0
+    assert healthy_loss(_world(None), states) is None
+    loss = healthy_loss(world, states)
+    assert loss is not None and loss.there == vessel.volume and loss.end == pytest.approx(kept)
+    assert loss.kept.shape == (40,) and (np.diff(loss.kept) <= 0.0).all()
+    assert loss.part == pytest.approx(1.0 - kept / vessel.volume)
+    assert sum(parcel.volume for parcel in loss.parcels) == pytest.approx(vessel.volume - kept)
+    times = [parcel.time for parcel in loss.parcels]
+    assert times == sorted(times) and 0.0 < times[0] and times[-1] < 0.2  # none after it has been tilted the most
+
+
+def test_what_does_not_stand_in_it_at_first_was_never_there(world: World) -> None:
+    vessel = find_vessel(world.scene)
+    assert vessel is not None
+    model = world.model
+    states = np.zeros((40, 1 + model.nq + model.nv))
+    states[:, 1 : 1 + model.nq] = model.qpos0
+    adr = 1 + int(model.jnt_qposadr[model.body_jntadr[world.carried_body]])
+    states[:, adr + 3], states[:, adr + 4] = np.cos(np.pi / 8), np.sin(np.pi / 8)
+    loss = healthy_loss(world, states)
+    assert loss is not None and loss.part == 0.0 and not loss.parcels
+    assert loss.there == pytest.approx(float(vessel.capacity(np.array(np.pi / 4)))) == pytest.approx(loss.end)
+
+
+def test_only_what_is_there_at_the_onset_can_be_lost(world: World) -> None:
+    """Two mugs fall alike; one of them was nearly empty."""
+    vessel = find_vessel(world.scene)
+    assert vessel is not None
+    pose = [0.3, 0.2, 1.2, 1.0, 0.0, 0.0, 0.0]
+    full, rest, empty = (_fly(world, pose, kept=part * vessel.volume) for part in (1.0, 0.1, 0.0))
+    assert full["spilled"] > 0.8 and rest["spilled"] > 0.8 and empty["spilled"] == 0.0
+    wet = [[event for event in x["events"] if event.striker == "contents"] for x in (full, rest, empty)]
+    assert wet[0] and wet[1] and not wet[2]

@@ -8,7 +8,7 @@ from motions import Drop, Shake, Weaken, execution
 
 from failbench import Job, SimSettings, run, steps
 from failbench.rollouts.rollout import _run_group
-from failbench.simulated.execution import CHECKPOINT
+from failbench.simulated.states import CHECKPOINT
 from failbench.sweeps.rows import rollout_row
 from graceful_plan.exceptions import SettingError, UnknownNameError
 

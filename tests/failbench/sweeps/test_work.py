@@ -96,6 +96,8 @@ def test_rows_are_the_columns_and_say_what_the_rollouts_said(sweep):
     assert poses == [{name: list(pose) for name, pose in rollout.poses.items()} for rollout in rollouts]
     assert json.loads(json.dumps(rows, allow_nan=False)) == rows
     assert json.loads(rows["rollouts"][0]["fault_settings"]) == LOOSE
+    assert all(row["healthy_harm"] == row["healthy_spilled"] == 0.0 for row in rows["rollouts"])
+    assert all(row["whole_impact"] == row["observed_impact"] for row in rows["rollouts"])
 
 
 def test_rows_depend_on_the_chunk_alone(sweep):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,6 +11,8 @@ from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
 from failbench.basics.errors import ExecutionRefused
+from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
+from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
@@ -19,10 +20,6 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.timing.dynamics import RobotDynamics
 
 Array = np.ndarray
-
-STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-CHECKPOINT = 5
-"""Steps from one checkpoint to the next."""
 
 LONGEST = 200.0
 """Longest motion and horizon [s]: states and commands of all steps are in memory."""
@@ -34,6 +31,8 @@ _TRACKING = 0.05
 """A joint farther [rad or m] than this from where it should be does not follow."""
 _SLIP = 0.02
 """An object that moved farther [m] than this in the tool frame is not held."""
+_FALL = 1.0
+"""For how long a healthy run goes on that lost its object [s]: as long as rollouts do by default."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +48,7 @@ class Execution:
     | baseline       | components and entities that touch anyway                                  |                  |
     | tracking_error | greatest distance of each joint from where it should be [rad or m]         | nq               |
     | slip           | greatest distance of the carried object from where it was in the tool [m]  |                  |
+    | healthy        | what is spilt and hit without any failure                                  |                  |
     """
 
     world: World
@@ -58,6 +58,7 @@ class Execution:
     baseline: frozenset[tuple[str, str]]
     tracking_error: Float[Array, " nq"]
     slip: float
+    healthy: HealthyHarm
 
     @property
     def dt(self) -> float:
@@ -87,6 +88,21 @@ class Execution:
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
         """Return a copy of the commands of `count` steps from a step on, the last one held after the end."""
         return self.command[np.minimum(np.arange(step, step + count), len(self.command) - 1)]
+
+
+class ObjectLost(ExecutionRefused):
+    """A motion along which the object slips out of the healthy gripper.
+
+    Args:
+        what: The object.
+        time: When, on the trajectory's clock [s].
+        problem: How far, and what to do about it.
+        healthy: What is hit because of it, with probability 1.
+    """
+
+    def __init__(self, what: str, time: float, problem: str, healthy: HealthyHarm) -> None:
+        self.healthy = healthy
+        super().__init__(what, time, f"{problem}; {healthy}" if str(healthy) else problem)
 
 
 def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: World) -> Trajectory:
@@ -119,8 +135,8 @@ def execute(
         tolerance: How far a joint may be from where it should be [rad or m].
 
     Raises:
-        ExecutionRefused: If a joint does not follow, or has to leave its range, or the object does not stay in the
-            gripper.
+        ExecutionRefused: If a joint does not follow, or has to leave its range.
+        ObjectLost: If the object does not stay in the gripper; it says what that does harm to.
     """
     trajectory = as_trajectory(motion, world)
     dt = world.settings.timestep
@@ -128,45 +144,84 @@ def execute(
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
     _check_range(wanted, tolerance, world, dt)
     command = _commands(trajectory, world, steps)
-    record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
     with warnings_counted_only():
         start = _settled(trajectory, world, command[0])
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
-        out = batch.rollout(steps, command[None, :steps], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
-    error = np.abs(out["qpos"][0][:, world.robot.qpos] - wanted)
-    _check_tracking(error, tolerance, world, dt)
-    slip = _slip(out["xpos"][0], out["xquat"][0], world)
-    _check_slip(slip, world, dt)
-    touched = (out["sensordata"][0][:, world.sensor_adr] > 0.0).any(axis=0)
-    states = np.vstack([start[None], out[int(STATE)][0]])[::CHECKPOINT]
+        run = _simulated(batch, command[:steps], start[None])
+        error = np.abs(run.qpos[:, world.robot.qpos] - wanted)
+        _check_tracking(error, tolerance, world, dt)
+        slip = _slip(run.xpos, run.xquat, world)
+        stays = slip <= _SLIP
+        lost = None if stays.all() else int(stays.argmin())
+        if lost is not None:
+            fall = np.repeat(command[-1:], round(_FALL / dt), axis=0)
+            run = _joined(run, _simulated(batch, fall, run.states[-1:]))
+    healthy = _healthy(world, run, lost)
+    if lost is not None:
+        problem = f"it has slipped by {slip[lost]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
+        raise ObjectLost(f"the object {world.model.body(world.carried_body).name!r}", (lost + 1) * dt, problem, healthy)
+    states = run.states[::CHECKPOINT].copy()
     states.flags.writeable = command.flags.writeable = False
     return Execution(
         world=world,
         trajectory=trajectory,
         states=states,
         command=command,
-        baseline=frozenset(pair for pair, touches in zip(world.pairs, touched, strict=True) if touches),
+        baseline=_touched(world, run.sensordata),
         tracking_error=error.max(axis=0),
         slip=float(slip.max()),
+        healthy=healthy,
     )
 
 
-def put(batch: Batch, sims: Array, states: Float[Array, "sim state"]) -> None:
-    """Set simulations of a batch to states, with nothing left of what they did before."""
-    batch.reset(sims, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-    batch.state[sims] = states
+class _Run(NamedTuple):
+    """A simulation, step by step."""
+
+    qpos: Float[Array, "step qpos"]
+    sensordata: Float[Array, "step sensordata"]
+    xpos: Float[Array, "step body xyz"]
+    xquat: Float[Array, "step body wxyz"]
+    states: Float[Array, "state_and_step state"]
+    """At the beginning and after each step."""
 
 
-@contextmanager
-def warnings_counted_only() -> Generator[None, None, None]:
-    """Keep MuJoCo from writing its log into the working directory; each simulation counts its own warnings."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
+def _simulated(batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]) -> _Run:
+    """Go on with the only simulation of a batch."""
+    record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
+    out = batch.rollout(len(command), command[None], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
+    qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
+    return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
+
+
+def _joined(first: _Run, second: _Run) -> _Run:
+    """Return a simulation and what came after it as one."""
+    return _Run._make(map(np.concatenate, zip(first, second._replace(states=second.states[1:]), strict=True)))
+
+
+def _touched(world: World, sensordata: Float[Array, "step sensordata"]) -> frozenset[tuple[str, str]]:
+    """Return the components and entities that touch at any of some steps."""
+    felt = np.any(sensordata[:, world.sensor_adr] > 0.0, axis=0)
+    return frozenset(pair for pair, touches in zip(world.pairs, felt, strict=True) if touches)
+
+
+def _healthy(world: World, run: _Run, lost: int | None) -> HealthyHarm:
+    """Find out what a run does harm to in which the object slips at some step, if at any.
+
+    Touches with which it begins are none, nor those that the scene allows, as long as the object is held.
+    """
+    at_first, held = _touched(world, run.sensordata[:1]), _touched(world, run.sensordata[:lost])
+    allowed = at_first | {pair for pair in held - at_first if _is_allowed(world, *pair)}
+    steps = HealthySteps(run.sensordata, run.states)
+    return healthy_harm(world, steps, touched=lost is not None or bool(held - allowed), allowed=allowed)
+
+
+def _is_allowed(world: World, component: str, entity: str) -> bool:
+    """Whether the scene allows a component to touch an entity, such as an object its support."""
+    scene = world.scene
+    pairs = scene.allowed_pairs("always") | scene.allowed_pairs("ends")
+    own, other = scene.components[component].geoms, scene.entities[entity].geoms
+    return any((min(a, b), max(a, b)) in pairs for a in own for b in other)
 
 
 def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
@@ -255,11 +310,3 @@ def _slip(
     turned = Rotation.from_quat(xquat[:, tool], scalar_first=True)
     place = turned.apply(xpos[:, world.carried_body] - xpos[:, tool], inverse=True)
     return np.linalg.norm(place - place[0], axis=-1)
-
-
-def _check_slip(slip: Float[Array, " step"], world: World, dt: float) -> None:
-    lost = np.flatnonzero(~(slip <= _SLIP))
-    if len(lost):
-        step = int(lost[0])
-        problem = f"it has slipped by {slip[step]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
-        raise ExecutionRefused(f"the object {world.model.body(world.carried_body).name!r}", (step + 1) * dt, problem)

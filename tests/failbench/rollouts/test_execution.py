@@ -4,7 +4,7 @@ from motions import ARM, SERVO, arm, execution, world
 
 import graceful_plan as gp
 from failbench import ExecutionRefused, SimSettings, build_world, execute
-from failbench.simulated.execution import CHECKPOINT
+from failbench.simulated.states import CHECKPOINT
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 

@@ -1,0 +1,196 @@
+"""What a healthy robot does harm to: with probability 1, before anything fails.
+
+Contents that it pours out reach whom they reach, by the same puddles as after a failure. What it touches that the scene
+does not allow counts by the same sum, and so does what an object hits that slips out of the healthy gripper.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from failbench.recording.closeup import Closeup
+from failbench.recording.puddle import Parcel, Puddles
+from failbench.recording.recorder import Recorder
+from failbench.recording.records import ContactEvent, Rollout
+from failbench.recording.score import Touches, impact_by_entity
+from failbench.recording.spill import HealthyLoss, healthy_loss
+from failbench.simulated.states import CHECKPOINT
+from failbench.simulated.world import World
+from graceful_plan import Scene
+from graceful_plan.array_types import Float
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HealthyHarm:
+    """What a healthy run does harm to. Made by `execute`.
+
+    Args:
+        carried: Name of the carried object; "" if there is none.
+        contents: Class of its contents, such as "hot"; "" if there are none.
+        spilled: Part of the contents that is lost on the way, in [0, 1].
+        kept: Volume of the contents that is still there at each checkpoint [m^3]; None if there is no container.
+        dropped: Whether the object left the gripper.
+        events: Whom contents, object and robot reach, in the order of time; times are after the start of the motion
+            [s]. Touches with which the motion begins, and those that the scene allows, are none.
+        landings: What else the object touched, as of a `Rollout`; it may damage the object itself.
+        poured: By the entity that contents reach, when so much had left that they would [s].
+        by_entity: Severity of it all, entity by entity, the carried object itself last, as of a failure.
+    """
+
+    carried: str = ""
+    contents: str = ""
+    spilled: float = 0.0
+    kept: Float[Array, " checkpoint"] | None = None
+    dropped: bool = False
+    events: tuple[ContactEvent, ...] = ()
+    landings: tuple[ContactEvent, ...] = ()
+    poured: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    by_entity: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def harm(self) -> float:
+        """Severities of all that is hit, added up as after a failure."""
+        return math.fsum(self.by_entity.values())
+
+    @property
+    def harmless(self) -> bool:
+        """Whether nothing is spilt, dropped or touched."""
+        return not (self.spilled or self.dropped or self.events)
+
+    def __str__(self) -> str:
+        """Say what it does, in one sentence; "" if that is nothing."""
+        if self.harmless:
+            return ""
+        touched = dict.fromkeys(e.entity for e in self.events if e.striker != "contents" and not e.secondary)
+        said = [
+            f"pours out {100.0 * self.spilled:.3g} % of the contents of {self.carried!r} ({self.contents})"
+            if self.spilled
+            else "",
+            f"drops {self.carried!r}" if self.dropped else "",
+            f"touches {', '.join(touched)}" if touched else "",
+        ]
+        hit = sorted(((name, x) for name, x in self.by_entity.items() if x > 0.0), key=lambda item: -item[1])
+        shares = ": " + ", ".join(f"{name} {x:.3g}" for name, x in hit) if hit else ""
+        done = " and ".join(part for part in said if part)
+        return f"the healthy robot {done}: harm {self.harm:.3g} with probability 1, before any failure{shares}"
+
+    def to_document(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            "harm": self.harm,
+            "spilled": self.spilled,
+            "dropped": self.dropped,
+            "by_entity": dict(self.by_entity),
+            "events": [asdict(event) for event in self.events],
+        }
+
+
+class ExecutionTouches(NamedTuple):
+    """What one execution does, a healthy beginning and a failure together; each pair of things stands there once."""
+
+    events: tuple[ContactEvent, ...]
+    landings: tuple[ContactEvent, ...]
+
+
+def whole_execution(rollout: Rollout, healthy: HealthyHarm) -> ExecutionTouches:
+    """Return what an execution hits that ends in a failure, before and after its onset.
+
+    Contents that had left before the onset have reached whom they reached; what had not left is the failure's. What
+    else the healthy run touches counts whenever the failure begins, for failures leave it out.
+
+    Args:
+        rollout: From the onset on.
+        healthy: Of the same execution.
+    """
+    own = {(event.striker, event.entity) for event in rollout.events if not event.secondary}
+    before = [event for event in healthy.events if _had_happened(event, healthy, rollout.onset)]
+    return ExecutionTouches(
+        (*(event for event in before if (event.striker, event.entity) not in own), *rollout.events),
+        (*healthy.landings, *rollout.landings),
+    )
+
+
+def _had_happened(event: ContactEvent, healthy: HealthyHarm, onset: float) -> bool:
+    return event.striker != "contents" or healthy.poured[event.entity] <= onset
+
+
+class HealthySteps(NamedTuple):
+    """A healthy run, step by step, as the recorder reads it."""
+
+    sensordata: Float[Array, "step sensordata"]
+    """Of the state before each step."""
+    states: Float[Array, "state_and_step state"]
+    """MuJoCo's integration state at the beginning and after each step."""
+
+
+def healthy_harm(world: World, run: HealthySteps, *, touched: bool, allowed: frozenset[tuple[str, str]]) -> HealthyHarm:
+    """Find out what a healthy run does harm to.
+
+    Args:
+        world: Where.
+        run: What happened; if the object is lost, with the time in which it falls.
+        touched: Whether anything is touched that is not allowed, or the object is lost; else nobody looks.
+        allowed: Components and entities whose touches are no harm.
+    """
+    scene = world.scene
+    loss = healthy_loss(world, run.states[::CHECKPOINT])
+    events, poured = _reached(world, run, loss)
+    found = _touches(world, run, allowed) if touched else {}
+    others = [event for event in found.get("events", ()) if event.striker != "contents"]
+    landings = found.get("landings", ())
+    ordered = tuple(sorted((*events, *others), key=lambda event: (event.time, event.entity, event.striker)))
+    hits = ExecutionTouches(ordered, landings)
+    return HealthyHarm(
+        carried="" if scene.carried is None else scene.carried.body,
+        contents="" if scene.contents is None else scene.contents.component_class,
+        spilled=0.0 if loss is None else loss.part,
+        kept=None if loss is None else loss.kept,
+        dropped=bool(found.get("dropped", False)),
+        events=ordered,
+        landings=landings,
+        poured=MappingProxyType(poured),
+        by_entity=MappingProxyType(_shares(hits, scene)),
+    )
+
+
+def _shares(hits: Touches, scene: Scene) -> dict[str, float]:
+    """Return the severities by entity, nothing for an object that touches nothing."""
+    return {name: x for name, x in impact_by_entity(hits, scene).items() if x > 0.0}
+
+
+def _touches(world: World, run: HealthySteps, allowed: frozenset[tuple[str, str]]) -> dict[str, Any]:
+    """Return the fields of a rollout that say what came of it, as if the run were one from its first state on."""
+    nq, nv = world.model.nq, world.model.nv
+    qpos, qvel = run.states[:, 1 : 1 + nq], run.states[:, 1 + nq : 1 + nq + nv]
+    recorder = Recorder(world, allowed, qpos[:1], qvel[:1])
+    recorder.observe(run.sensordata[None], qpos[None, 1:], qvel[None, 1:])
+    return recorder.finish(0)
+
+
+def _reached(
+    world: World, run: HealthySteps, loss: HealthyLoss | None
+) -> tuple[Sequence[ContactEvent], dict[str, float]]:
+    """Return whom contents reach, and by whom when enough had left for that [s]."""
+    if loss is None or not loss.parcels:
+        return (), {}
+    puddles = Puddles(world, Closeup(world))
+    qpos = run.states[-1, 1 : 1 + world.model.nq]
+
+    def reached(parcels: Sequence[Parcel]) -> list[ContactEvent]:
+        return puddles.events(qpos, parcels)
+
+    events = reached(loss.parcels)
+    names, poured = {event.entity for event in events}, dict[str, float]()
+    for n, parcel in enumerate(loss.parcels, 1):
+        for event in reached(loss.parcels[:n]) if n < len(loss.parcels) else events:
+            if event.entity in names:
+                poured.setdefault(event.entity, parcel.time)
+    return events, poured

@@ -1,0 +1,35 @@
+"""MuJoCo's states as FailBench keeps them: whole ones, every few steps, to begin simulations from."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from graceful_plan.array_types import Float
+
+Array = np.ndarray
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+CHECKPOINT = 5
+"""Steps from one checkpoint to the next."""
+
+
+def put(batch: Batch, sims: Array, states: Float[Array, "sim state"]) -> None:
+    """Set simulations of a batch to states, with nothing left of what they did before."""
+    batch.reset(sims, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+    batch.state[sims] = states
+
+
+@contextmanager
+def warnings_counted_only() -> Generator[None, None, None]:
+    """Keep MuJoCo from writing its log into the working directory; each simulation counts its own warnings."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
