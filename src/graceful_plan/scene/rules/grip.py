@@ -132,7 +132,7 @@ def _touched(model: mujoco.MjModel, data: mujoco.MjData, finger: int, body: int)
     for contact in data.contact[: data.ncon]:
         bodies = model.geom_bodyid[[contact.geom1, contact.geom2]].tolist()
         hers = [int(model.body_rootid[b]) == body for b in bodies]
-        if not any(hers) or bodies[int(hers[0])] not in mine and bodies[1 - int(hers[0])] not in mine:
+        if not any(hers) or bodies[int(hers[0])] not in mine:
             continue
         normal = np.array(contact.frame[:3])
         if abs(float(normal @ closing)) < _FACING:
