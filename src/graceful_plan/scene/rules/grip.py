@@ -92,7 +92,7 @@ def find_grip(scene: Scene) -> Grip:
     data = Placement(scene, model).place(scene.home_qpos[scene.qpos_adr])
     mujoco.mj_fwdPosition(model, data)
     X_BW = data.xmat[body].reshape(3, 3).T
-    pads = [_touched(model, data, finger, body) for finger in model.jnt_bodyid[joints]]
+    pads = [_touched(model, data, finger, body) for finger in model.jnt_bodyid[joints].tolist()]
     touched = [pad for pad in pads if len(pad)]
     if len(touched) != 2:
         raise UnsupportedError(f"{scene.carried.body!r} is held by {len(touched)} fingers; GraspHolds() knows two pads")
@@ -127,7 +127,7 @@ def _finger_joints(scene: Scene, model: mujoco.MjModel, tool: int) -> Int[Array,
 
 def _touched(model: mujoco.MjModel, data: mujoco.MjData, finger: int, body: int) -> Float[Array, "contact 8"]:
     """Return contacts between a finger and what is carried: where, normal (both in W), friction, torsion [m]."""
-    mine, rows, dist = subtree(model, int(finger)), [], []
+    mine, rows, dist = subtree(model, finger), [], []
     closing = data.xmat[finger].reshape(3, 3) @ model.jnt_axis[model.body_jntadr[finger]]
     for contact in data.contact[: data.ncon]:
         bodies = model.geom_bodyid[[contact.geom1, contact.geom2]].tolist()
