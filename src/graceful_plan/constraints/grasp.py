@@ -52,13 +52,13 @@ class GraspHolds(FeltConstraint):
     Args:
         friction: Coefficient between pads and object; the model's by default. Torsion grows with it.
         force: What both fingers press with together [N]; by default what the model's drives can.
-        share: Part of what the pads can carry that the motion may use, above 0 and at most 1. With .9 and with 1, no
-            bundled task is lost by simulated fingers that press with the force that was planned with.
+        share: Part of what the pads can carry that the motion may use, above 0 and at most 1. With .9 simulated
+            fingers that press with the force that was planned with lose nothing along planned motions of bundled tasks.
     """
 
     friction: float | None = None
     force: float | None = None
-    share: float = 0.95
+    share: float = 0.9
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:

@@ -97,7 +97,7 @@ def find_grip(scene: Scene) -> Grip:
     if len(touched) != 2:
         raise UnsupportedError(f"{scene.carried.body!r} is held by {len(touched)} fingers; GraspHolds() knows two pads")
     centres = [pad[:, :3].mean(axis=0) for pad in touched]
-    closing = _unit(sum(pad[:, 3:6].mean(axis=0) * side for pad, side in zip(touched, (1.0, -1.0), strict=True)))
+    closing = _unit(touched[0][:, 3:6].mean(axis=0) - touched[1][:, 3:6].mean(axis=0))
     away = data.site_xmat[site].reshape(3, 3)[:, 2]
     first = _unit(away - closing * (closing @ away))
     axes = np.stack([closing, first, np.cross(closing, first)])
