@@ -304,8 +304,9 @@ def guide_snippets(guide: str) -> list[str]:
 
 
 GUIDES = (
-    "auto.md", "cartesian.md", "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md", "extending.md",
-    "faults-prior.md", "impact-models.md", "moving.md", "optimisers.md", "planners.md", "roadmap.md", "tuning.md",
+    "auto.md", "cartesian.md", "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md",
+    "constraints-grasp.md", "extending.md", "faults-prior.md", "impact-models.md", "moving.md", "optimisers.md",
+    "planners.md", "roadmap.md", "tuning.md",
 )  # fmt: skip
 
 

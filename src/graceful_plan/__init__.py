@@ -11,6 +11,8 @@ from graceful_plan.constraints.axes import AxisWithin, Upright
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.contents import KeepContents
 from graceful_plan.constraints.distance import KeepDistance
+from graceful_plan.constraints.grasp import GraspHolds
+from graceful_plan.constraints.standing import KeepStanding
 from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
@@ -55,11 +57,13 @@ __all__ = [
     "FaultPrior",
     "Footprint",
     "GracefulPlanError",
+    "GraspHolds",
     "ImpactCost",
     "InteractionModel",
     "JointLength",
     "KeepContents",
     "KeepDistance",
+    "KeepStanding",
     "Liquid",
     "MovingEntity",
     "Objective",

@@ -79,7 +79,7 @@ class Upright(Constraint):
         return AxisRule(
             name=self.name,
             frame=checked_frame(scene, None),
-            axis=_standing_axis(scene),
+            axis=standing_axis(scene),
             direction=(0.0, 0.0, 1.0),
             angle=self.max_tilt,
         )
@@ -107,7 +107,7 @@ def told_angle(name: str, residual: float, angle: float) -> str:
     return f"{name}: {tilt:.1f} degrees, {np.rad2deg(residual):.1f} more than the {allowed:.1f} that are allowed"
 
 
-def _standing_axis(scene: Scene) -> Vector:
+def standing_axis(scene: Scene) -> Vector:
     """Return the axis of the carried object that is vertical where it stands in the scene; else the tool's."""
     if scene.carried is None:
         return 0.0, 0.0, -1.0

@@ -10,8 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.axes import axis_residual
 from graceful_plan.constraints.bounds import frame_in_link
-from graceful_plan.constraints.constraint import Constraint
-from graceful_plan.constraints.felt import FeltCone, curve_of_point
+from graceful_plan.constraints.felt import FeltCone, FeltConstraint, curve_of_point
 from graceful_plan.constraints.slosh import Slosh
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
@@ -42,7 +41,7 @@ _STEEPEST = float(np.deg2rad(80.0))
 
 @final
 @dataclass(frozen=True)
-class KeepContents(Constraint):
+class KeepContents(FeltConstraint):
     """What is in the carried vessel stays in it.
 
     The fill says how far the vessel may be tilted: until the surface reaches the rim; something dry may be tilted
@@ -77,6 +76,10 @@ class KeepContents(Constraint):
         x, y, z = _vessel(scene).axis.tolist()
         angle = _AT_REST * self.felt_angle(scene)
         return AxisRule(name=self.name, frame="object", axis=(x, y, z), direction=(0.0, 0.0, 1.0), angle=angle)
+
+    def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
+        """Return the same for the core."""
+        return (self.upright(scene),)
 
     def felt_angle(self, scene: Scene) -> float:
         """Return the largest angle between the vessel's axis and what is felt in it, sloshing aside [rad]."""

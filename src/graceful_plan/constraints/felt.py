@@ -3,7 +3,7 @@ r"""What is felt where something is carried, as limits on how fast a curve is tr
 A point that moves by p' per unit of a curve's parameter s is accelerated by :math:`p'\ddot s + p''\dot s^2`: linear in
 path acceleration and squared path speed, the form that TOPP-RA takes. What is felt there is that acceleration less
 gravity. Facets around an axis hold it inside a pyramid that stands for a cone about the axis: what is level at rest
-stays level for what is carried.
+stays level for what is carried. Facets with room hold it below what a grasp can carry.
 
 References:
     J. Ichnowski et al., "GOMP-FIT: Grasp-Optimized Motion Planning for Fast Inertial Transport", ICRA 2022.
@@ -11,6 +11,7 @@ References:
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -18,11 +19,14 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.slosh import Slosh
 from graceful_plan.core import _native
 from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.exceptions import RetimingError
+from graceful_plan.scene.rules.rules import AxisRule
+from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
 
 Array = np.ndarray
@@ -69,15 +73,23 @@ class FeltCone:
         return around - np.tan(self.angle) * np.cos(np.pi / FACETS) * self.axis
 
     @property
+    def room(self) -> Float[Array, " facet"]:
+        """None: what counts is a direction."""
+        return np.zeros(FACETS)
+
+    @property
     def native(self) -> _native.FeltLimit:
         """The same for descents of motions."""
         facets = np.ascontiguousarray(self.facets)
         if self.slosh is None:
-            return _native.FeltLimit(link=self.link, point=self.point, facets=facets, gravity=self.gravity)
+            return _native.FeltLimit(
+                link=self.link, point=self.point, facets=facets, room=self.room, gravity=self.gravity
+            )
         return _native.FeltLimit(
             link=self.link,
             point=self.point,
             facets=facets,
+            room=self.room,
             gravity=self.gravity,
             axis=self.axis,
             angle=self.brim,
@@ -86,7 +98,51 @@ class FeltCone:
         )
 
 
-def felt_limits(cones: Sequence[FeltCone], kernels: Kernels, grid: CurveGrid) -> Float[Array, "interval limit 3"]:
+@final
+@dataclass(frozen=True, eq=False)
+class FeltLoad:
+    """What is felt at a point stays small enough: facets times it at most `room`.
+
+    | field   | meaning                            | unit  | shape     |
+    |---------|------------------------------------|-------|-----------|
+    | name    | of the constraint that asks for it |       |           |
+    | link    | link that the point rides on       |       |           |
+    | point   | in the link                        | m     | 3         |
+    | facets  | unit vectors in the link           |       | facet 3   |
+    | room    | above 0                            | m/s^2 | facet     |
+    | gravity |                                    | m/s^2 |           |
+    """
+
+    name: str
+    link: int
+    point: Float[Array, " xyz"]
+    facets: Float[Array, "facet xyz"]
+    room: Float[Array, " facet"]
+    gravity: float
+
+    @property
+    def native(self) -> _native.FeltLimit:
+        """The same for descents of motions."""
+        facets = np.ascontiguousarray(self.facets)
+        return _native.FeltLimit(link=self.link, point=self.point, facets=facets, room=self.room, gravity=self.gravity)
+
+
+Felt = FeltCone | FeltLoad
+
+
+class FeltConstraint(Constraint):
+    """Base of constraints on what is felt where something is carried, at rest and in motion."""
+
+    @abstractmethod
+    def felt(self, scene: Scene) -> Felt:
+        """Return what has to hold in motion."""
+
+    @abstractmethod
+    def resting(self, scene: Scene) -> tuple[AxisRule, ...]:
+        """Return what has to hold in every configuration, at rest: all that the core has to check."""
+
+
+def felt_limits(cones: Sequence[Felt], kernels: Kernels, grid: CurveGrid) -> Float[Array, "interval limit 3"]:
     """Return limits a u + b x <= c on path acceleration u and squared path speed x, at both ends of each interval.
 
     Raises:
@@ -103,7 +159,7 @@ def felt_limits(cones: Sequence[FeltCone], kernels: Kernels, grid: CurveGrid) ->
             )
             v = np.einsum("nij,fj->nfi", X_WL[:, cone.link, :3, :3], cone.facets)
             a, b = np.einsum("nfi,ni->nf", v, slope), np.einsum("nfi,ni->nf", v, bend)
-            c = -cone.gravity * v[..., 2]
+            c = cone.room - cone.gravity * v[..., 2]
             if np.any(c < _LEAST_ROOM * cone.gravity):
                 at = grid.s[int(np.argmin(c.min(axis=1))) + end] / grid.s[-1]
                 raise RetimingError(f"{cone.name} does not hold at rest after {at:.0%} of the path")

@@ -11,7 +11,7 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.constraints.bounds import bounded_kernels
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
-from graceful_plan.constraints.felt import felt_limits
+from graceful_plan.constraints.felt import FeltConstraint, felt_limits
 from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
@@ -52,10 +52,11 @@ class SceneConstraints:
         self.custom = tuple(constraint for constraint, rule in rules if isinstance(rule, CustomRule))
         """Those that only Python can check."""
         self.keepers = tuple(c for c in self.constraints if isinstance(c, KeepContents))
-        self.cones = tuple(keeper.felt(scene) for keeper in self.keepers)
+        carrying = [c for c in self.constraints if isinstance(c, FeltConstraint)]
+        self.cones = tuple(c.felt(scene) for c in carrying)
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
-        uprights = [keeper.upright(scene) for keeper in self.keepers]
-        self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *uprights])
+        resting = [rule for c in carrying for rule in c.resting(scene)]
+        self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
         """The scene's kernels, which also check what the core can."""
 
     def objections(self, q: Float[Array, " nq"]) -> list[str]:

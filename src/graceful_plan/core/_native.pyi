@@ -218,6 +218,7 @@ class FeltLimit:
         link: int,
         point: Reals,
         facets: Reals,
+        room: Reals,
         gravity: float,
         axis: Reals | None = None,
         angle: float = 0.0,

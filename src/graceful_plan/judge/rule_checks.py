@@ -24,8 +24,10 @@ from graceful_plan.scene.rules.rules import (
     ContentsRule,
     CustomRule,
     DistanceRule,
+    GripRule,
     Rule,
     SpeedRule,
+    StandsRule,
 )
 from graceful_plan.scene.rules.vessel import Vessel
 from graceful_plan.scene.scene import Scene
@@ -41,6 +43,10 @@ _STRIDE = 8
 """Samples from one distance between meshes to the next."""
 _ANGLE, _LENGTH, _SPEED = 1e-4, 1e-4, 1e-3
 """What a rule may be missed by: [rad], [m], share of the limit."""
+_LOAD = 1e-3
+"""Share of what a grasp carries, or of the slope on which something stands, that may be missed."""
+_UPSIDE = 0.5 * np.pi - 1e-6
+"""Beyond any slope on which something stands [rad]."""
 _SETTLES = 0.5
 """How long a liquid is followed after the end [s]."""
 _SWING = 0.0005
@@ -118,6 +124,10 @@ def _check(rule: Rule, frames: FrameMotion) -> Check:
     if isinstance(rule, CustomRule):
         residual = np.asarray(rule.residual(frames.q))
         return _limit(residual, frames.at, _LENGTH, rule.told(float(residual.max())))
+    if isinstance(rule, GripRule):
+        return _grip(rule, frames)
+    if isinstance(rule, StandsRule):
+        return _stands(rule, frames)
     return _contents(rule, frames)
 
 
@@ -150,6 +160,47 @@ def _contents(rule: ContentsRule, frames: FrameMotion) -> Check:
         surface = _swung(felt, vessel, dt) if vessel.repose == 0.0 else felt
     left = np.minimum(vessel.capacity(_angle(axis, surface)) / vessel.volume, 1.0)
     return _limit(1.0 - left, t, 1.0 - rule.part, "share of the contents that the surface leaves above the rim")
+
+
+def _felt(frames: FrameMotion, point: Float[Array, " xyz"]) -> Float[Array, "n xyz"]:
+    """Return what is felt at a point of the carried object, in its frame [m/s^2]: acceleration less gravity."""
+    X_WO, t = frames.poses["object"], frames.at
+    felt = np.tile([0.0, 0.0, -float(frames.scene.model.opt.gravity[2])], (len(t), 1))
+    if frames.timed and len(t) > 2:
+        p = X_WO[:, :3, 3] + X_WO[:, :3, :3] @ point
+        felt[1:-1] += np.diff(p, 2, axis=0) / float(t[1] - t[0]) ** 2
+    return np.einsum("nji,nj->ni", X_WO[:, :3, :3], felt)
+
+
+def _grip(rule: GripRule, frames: FrameMotion) -> Check:
+    """Follow the load on each pad: tangential force and torsion over what friction carries at its pressing force."""
+    grip = rule.grip
+    force = grip.mass * _felt(frames, grip.p_BC)
+    moment = np.cross(grip.p_GC, force) @ grip.axes.T
+    pushed, first, second = (force @ grip.axes.T).T
+    by_friction = [not pressed for pressed in grip.pressed]
+    h = float(grip.half[0])
+    rims = [
+        np.abs(moment[:, k]) / (grip.force * float(grip.half[3 - k])) if grip.pressed[k - 1] else np.zeros(len(moment))
+        for k in (1, 2)
+    ]
+    loads = []
+    for side in (0.5, -0.5):
+        presses = np.maximum(0.5 * grip.force + side * pushed, 1e-9 * grip.force)
+        along = 0.5 * first + side * moment[:, 2] / h * by_friction[1]
+        across = 0.5 * second - side * moment[:, 1] / h * by_friction[0]
+        turned = 0.5 * moment[:, 0] / grip.torsion if grip.torsion > 0.0 else np.zeros(len(moment))
+        loads.append(np.hypot(np.hypot(along, across) / grip.friction, turned) / presses)
+    load = np.max([*loads, *rims], axis=0)
+    return _limit(load, frames.at, rule.share * (1.0 + _LOAD), "load on a pad, as a share of what it carries")
+
+
+def _stands(rule: StandsRule, frames: FrameMotion) -> Check:
+    felt = _felt(frames, np.array(rule.point))
+    slope = np.tan(np.minimum(_angle(felt, np.array(rule.axis)), _UPSIDE))
+    slides = rule.friction < rule.support
+    detail = f"slope of what is felt where it {'slides' if slides else 'tips'} first"
+    return _limit(slope, frames.at, min(rule.friction, rule.support) * (1.0 + _LOAD), detail)
 
 
 def _swung(felt: Float[Array, "n xyz"], vessel: Vessel, dt: float) -> Float[Array, "n xyz"]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.rules.grip import Grip
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
 from graceful_plan.scene.scene import Scene
 
@@ -79,6 +80,36 @@ class ContentsRule:
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
+class GripRule:
+    """Two pads carry the load of what they hold: its weight and inertia, with their moment about the grasp.
+
+    `grip` says how; pads that are as good as `share` of it are enough.
+    """
+
+    name: str
+    grip: Grip
+    share: float
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class StandsRule:
+    """What stands loose on the carried object neither slides nor tips.
+
+    Its centre of mass is at `point` in the object's frame [m]; `axis` points up from what it stands on. What is felt
+    there is off that axis by a slope of at most `friction`, and of at most `support`, the radius of what it stands on
+    over the height of its centre of mass.
+    """
+
+    name: str
+    point: Vector
+    axis: Vector
+    friction: float
+    support: float
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
 class CustomRule:
     """Whatever somebody asks of configurations: `residual` [n, nq] -> [n] is at most 0."""
 
@@ -87,7 +118,7 @@ class CustomRule:
     told: Callable[[float], str]
 
 
-Rule = AxisRule | BoxRule | DistanceRule | SpeedRule | ContentsRule | CustomRule
+Rule = AxisRule | BoxRule | DistanceRule | SpeedRule | ContentsRule | GripRule | StandsRule | CustomRule
 
 
 @runtime_checkable

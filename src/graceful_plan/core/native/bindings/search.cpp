@@ -425,10 +425,12 @@ void bind_search(nb::module_& m) {
   nb::class_<FeltLimit>(m, "FeltLimit")
       .def(
           "__init__",
-          [](FeltLimit* self, int link, Reals point, Reals facets, double gravity, std::optional<Reals> axis,
-             double angle, double length, double drag) {
+          [](FeltLimit* self, int link, Reals point, Reals facets, Reals room, double gravity,
+             std::optional<Reals> axis, double angle, double length, double drag) {
             require(point.size() == 3 && facets.ndim() == 2 && facets.shape(1) == 3 && gravity > 0, "a felt limit");
-            new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, gravity, {}};
+            require(room.ndim() == 1 && room.shape(0) == facets.shape(0), "room for every facet");
+            const std::vector<double> rooms(room.data(), room.data() + room.size());
+            new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, rooms, gravity, {}};
             if (axis) {
               require(axis->size() == 3 && angle > 0 && length > 0, "a slosh limit");
               const double* a = axis->data();
@@ -439,7 +441,7 @@ void bind_search(nb::module_& m) {
               self->facets.push_back({v[0], v[1], v[2]});
             }
           },
-          nb::kw_only(), "link"_a, "point"_a, "facets"_a, "gravity"_a, "axis"_a = nb::none(), "angle"_a = 0.0,
+          nb::kw_only(), "link"_a, "point"_a, "facets"_a, "room"_a, "gravity"_a, "axis"_a = nb::none(), "angle"_a = 0.0,
           "length"_a = 0.0, "drag"_a = 0.0);
   nb::class_<MotionDescentRun>(m, "MotionDescent")
       .def(

@@ -3,7 +3,8 @@
 // At a point p of the robot that moves by p' per unit of the curve's parameter, the acceleration is p' u + p'' x:
 // linear in the parameter's acceleration u and squared speed x, like the joints' accelerations. What is felt there is
 // that acceleration less gravity. A facet v, a vector that turns with the robot, asks that v . (p' u + p'' x + g e_z)
-// <= 0: facets around an axis hold what is felt inside a pyramid, which stands for a cone.
+// <= room: facets around an axis without room hold what is felt inside a pyramid, which stands for a cone; those with
+// room hold a load below what a grasp can carry.
 //
 // Derivatives p' and p'' are differences between even samples, so that those of the limits need no more than Jacobians.
 #pragma once
@@ -22,6 +23,7 @@ struct FeltLimit {
   int link;
   std::array<double, 3> point;                // in the link
   std::vector<std::array<double, 3>> facets;  // in the axes of the link
+  std::vector<double> room;                   // of each facet [m/s^2]
   double gravity;                             // [m/s^2]
   std::optional<SloshLimit> slosh;            // of what is carried there, if it is a liquid
 };
@@ -139,7 +141,7 @@ class FeltLimits {
             d_velocity[i] += by[0] * v[i], d_bend[i] += by[1] * v[i];
             d_v[i] = by[0] * velocity[i] + by[1] * bend[i];
           }
-          if (-limits_[l].gravity * v[2] > kLeastRoom * limits_[l].gravity) d_v[2] -= limits_[l].gravity * by[2];
+          if (rest(l, f, v) > kLeastRoom * limits_[l].gravity) d_v[2] -= limits_[l].gravity * by[2];
           back_turn(ride[k], v, d_v, &d_q[k * dim_]);
         }
         back_differences(ride, samples, k, d_velocity, d_bend, d_q);
@@ -150,6 +152,9 @@ class FeltLimits {
 
  private:
   static constexpr double kLeastRoom = 0.02;  // of gravity: where the robot may not even rest, it crawls
+
+  // What a facet, turned to W, leaves to the motion.
+  double rest(size_t l, size_t f, const double v[3]) const { return limits_[l].room[f] - limits_[l].gravity * v[2]; }
 
   static void turn(const Ride& ride, const std::array<double, 3>& facet, double v[3]) {
     for (size_t i = 0; i < 3; ++i)
@@ -206,10 +211,11 @@ class FeltLimits {
     double v[3];
     size_t first = 0;
     for (size_t m = 0; m < l; ++m) first += limits_[m].facets.size();
-    turn(ride_[l * samples + k], limits_[l].facets[facet - first], v);
+    const size_t f = facet - first;
+    turn(ride_[l * samples + k], limits_[l].facets[f], v);
     const double a = v[0] * velocity[0] + v[1] * velocity[1] + v[2] * velocity[2];
     const double b = v[0] * bend[0] + v[1] * bend[1] + v[2] * bend[2];
-    const double c = limits_[l].gravity * std::max(-v[2], kLeastRoom);
+    const double c = std::max(rest(l, f, v), kLeastRoom * limits_[l].gravity);
     if (k + 1 < samples) std::copy_n(std::array{a, b, c}.data(), 3, begun(facet, k));
     if (k > 0) std::copy_n(std::array{a + 2 * h_ * b, b, c}.data(), 3, ended(facet, k));
   }

@@ -1,0 +1,207 @@
+"""The load on a grasp: facets against the ellipsoid, retiming, gradients, plans, and MuJoCo's fingers."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+import graceful_plan as gp
+from failbench import ExecutionRefused, SimSettings, build_world, execute
+from graceful_plan.constraints.felt import FeltCone
+from graceful_plan.constraints.grasp import load_facets
+from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.core import _native
+from graceful_plan.costs.objective import Objective, search_paces
+from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.scene.rules.grip import find_grip
+
+CARRIED = {
+    "serve_tea": "dining_table",
+    "pass_bottle": "dining_table",
+    "serve_stew": "dining_table",
+    "serve_cake": "dining_table",
+    "put_book_away": "desk",
+    "bring_coffee": "desk",
+    "green_to_blue": "tabletop",
+}
+_INSIDE = 0.115
+"""What flat facets take of an ellipsoid at most: 1 less the radius of the ball inside the 26 facets of a cube's
+directions."""
+_GRIPPED = 43.0
+"""What the simulated fingers press the bottle with [N]: their servo's stiffness times its half width, on both sides."""
+numbers = st.floats(-1.0, 1.0, allow_nan=False)
+
+
+@cache
+def task_of(name):
+    return gp.load_scene(CARRIED[name]).tasks[name]
+
+
+def exact_load(grip, felt):
+    """Return how much of what each pad carries is used, from forces and moments at the pads one by one."""
+    force = grip.mass * np.asarray(felt)
+    moment = np.cross(grip.p_GC, force)
+    n, a, b = grip.axes
+    h = grip.half[0]
+    loads = [0.0]
+    couple = np.zeros(3)
+    for axis, other, pressed, rim in ((a, b, grip.pressed[0], grip.half[2]), (b, a, grip.pressed[1], grip.half[1])):
+        about = float(moment @ axis)
+        if pressed:
+            loads.append(abs(about) / (grip.force * rim))
+        else:
+            # Opposite forces c at +-h n turn by 2 h n x c.
+            direction = other * np.sign(np.cross(n, other) @ axis)
+            couple = couple + about / (2.0 * h) * direction
+    for side in (1.0, -1.0):
+        tangential = 0.5 * (force - (force @ n) * n) + side * couple
+        torsion = 0.5 * float(moment @ n)
+        presses = 0.5 * grip.force + 0.5 * side * float(force @ n)
+        if presses <= 0.0:
+            return np.inf
+        used = np.hypot(np.linalg.norm(tangential) / grip.friction, torsion / grip.torsion)
+        loads.append(used / presses)
+    return max(loads)
+
+
+@pytest.mark.parametrize("name", CARRIED)
+@given(numbers, numbers, numbers)
+def test_facets_are_inside_of_the_ellipsoid_and_near_it(name, x, y, z):
+    direction = np.array([x, y, z])
+    assume(np.linalg.norm(direction) > 0.1)
+    grip = gp.GraspHolds().grip(task_of(name).scene)
+    facets, room = load_facets(grip)
+    most = 1.0 / (facets @ direction / room).max()  # where a ray leaves them
+    assert exact_load(grip, most * direction) <= 1.0 + 1e-9
+    assert exact_load(grip, (1.0 + 1e-9) * most / (1.0 - _INSIDE) * direction) >= 1.0
+
+
+@pytest.mark.parametrize("name", CARRIED)
+def test_at_rest_the_load_is_weight(name):
+    task = task_of(name)
+    holds = gp.GraspHolds(share=1.0)
+    grip = holds.grip(task.scene)
+    ends = np.vstack([task.start, task.goal])
+    batch = gp.StateBatch(task.scene, ends)
+    loads = holds.residual(batch) + 0.95  # of which nothing is left at the limit
+    for load, pose in zip(loads, batch.object_poses, strict=True):
+        exact = exact_load(grip, 9.81 * pose[2, :3])
+        assert (1.0 - 1e-9) * exact <= load <= exact / (1.0 - _INSIDE)
+
+
+@pytest.mark.parametrize("name", ["serve_tea", "put_book_away"])
+def test_the_cones_of_the_core_say_what_the_residual_says(name):
+    scene = task_of(name).scene
+    holds = gp.GraspHolds(force=20.0)
+    q = np.random.default_rng(0).uniform(*scene.limits.position.T, size=(400, 7))
+    poses = gp.StateBatch(scene, q).object_poses
+    kept = np.ones(len(q), dtype=bool)
+    for rule in holds.resting(scene):
+        kept &= poses[:, 2, :3] @ np.array(rule.axis) >= np.cos(rule.angle)
+    assert 0 < kept.sum() < len(kept)
+    assert np.array_equal(kept, holds.residual(gp.StateBatch(scene, q)) <= 0.0)
+
+
+def duration(task, constraints):
+    path = gp.Path(np.vstack([task.start, np.atleast_2d(task.goal)[0]]))
+    scene = task.scene
+    limits = SceneConstraints(scene, constraints).limits if constraints else None
+    return gp.retime(path, scene.limits, scene.joints, restraint=limits).duration
+
+
+@pytest.mark.parametrize("name", ["serve_tea", "pass_bottle", "serve_cake"])
+def test_a_weaker_grasp_never_makes_a_motion_faster(name):
+    task = task_of(name)
+    durations = [duration(task, [gp.GraspHolds(force=force)]) for force in (1e6, 140.0, 70.0, 50.0)]
+    assert durations[0] == duration(task, [])
+    assert all(a <= b * (1.0 + 1e-9) for a, b in pairwise(durations))
+    assert durations[-1] > durations[0]
+
+
+@pytest.mark.parametrize("name", ["serve_tea", "serve_cake"])
+def test_gradients_of_descents_are_those_of_finite_differences(name):
+    task = task_of(name)
+    objective = Objective(w=0.0).bind(task.scene, search_paces())
+    felt = SceneConstraints(task.scene, [gp.GraspHolds(force=60.0)]).cones
+    assert not isinstance(felt[0], FeltCone)
+    s = np.linspace(0.0, 1.0, 9)[:, None]
+    bent = 0.05 * 4.0 * s * (1.0 - s) * np.random.default_rng(1).normal(size=7)
+    q = task.start + s * (np.atleast_2d(task.goal)[0] - task.start) + bent
+    problem = SceneProblem(kernels=objective.kernels, start=q[0], goals=q[-1:], margin=0.002)
+    space, limits = native_space(problem, objective), task.scene.limits
+
+    def descent(felt):
+        return _native.MotionDescent(
+            space,
+            path=q,
+            velocity=limits.velocity,
+            acceleration=limits.acceleration,
+            controls=12,
+            density=6,
+            time_price=0.05,
+            felt=felt,
+        )
+
+    held, free = descent([one.native for one in felt]), descent([])
+    x = held.controls[1:-1].ravel()
+
+    def added(x):
+        """Return what the limits add: the rest of the energy is rougher than they are."""
+        return held.energy(x)[0] - free.energy(x)[0]
+
+    assert added(x) > 0.0  # it takes longer
+    gradient = np.ravel(held.energy(x)[1] - free.energy(x)[1])
+    step = 1e-4  # below, the single precision of positions shows
+    slopes = [(added(x + step * k) - added(x - step * k)) / (2.0 * step) for k in np.eye(len(x))]
+    error = np.abs(gradient - slopes) / np.abs(slopes).max()
+    assert np.median(error) < 1e-3 and np.quantile(error, 0.9) < 5e-3
+
+
+def test_what_cannot_even_rest_says_by_how_much():
+    task = task_of("serve_stew")
+    result = gp.plan(task.start, task.goal, task.scene, constraints=[gp.GraspHolds(force=30.0)])
+    assert result.status is gp.PlanStatus.INVALID_START
+    assert "at rest the load is 2.04 of what the fingers hold, 0.85 is allowed" in result.detail
+
+
+def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
+    task = task_of("pass_bottle")
+    world = build_world(task.scene, SimSettings(grasp="fingers"))
+    path = gp.Path(np.vstack([task.start, np.atleast_2d(task.goal)[0]]))
+    scene = task.scene
+
+    def timed(constraints):
+        limits = SceneConstraints(scene, constraints).limits
+        return gp.retime(path, scene.limits, scene.joints, restraint=limits)
+
+    # Half of it: a motion that starts and stops as abruptly as this swings on the fingers.
+    swift, careful = timed([]), timed([gp.GraspHolds(force=_GRIPPED, share=0.5)])
+    asked = [gp.GraspHolds(force=_GRIPPED)]
+    assert not gp.verify(swift, scene, constraints=asked).checks["grasp_holds"].passed
+    assert gp.verify(careful, scene, constraints=asked).checks["grasp_holds"].passed
+    with pytest.raises(ExecutionRefused, match="slipped"):
+        execute(swift, world)
+    assert execute(careful, world).slip < 0.016
+
+
+def test_model_says_how_it_holds():
+    grip = find_grip(task_of("serve_tea").scene)
+    assert grip.force == pytest.approx(70.0) and grip.friction == 1.0
+    assert np.allclose(grip.axes @ grip.axes.T, np.eye(3))
+    more = gp.GraspHolds(friction=0.5, force=30.0).grip(task_of("serve_tea").scene)
+    assert (more.friction, more.force) == (0.5, 30.0) and more.torsion == pytest.approx(0.5 * grip.torsion)
+
+
+def test_misuse_is_refused():
+    for wrong in ({"friction": 0.0}, {"force": np.nan}, {"share": 1.5}):
+        with pytest.raises(SettingError, match=next(iter(wrong))):
+            gp.GraspHolds(**wrong)
+    with pytest.raises(UnsupportedError, match="nothing is in this scene"):
+        gp.GraspHolds().rule(gp.load_scene("tabletop"))
