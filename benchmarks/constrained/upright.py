@@ -12,7 +12,6 @@ import graceful_plan as gp
 from benchmarks import motion_problems, suite
 from benchmarks.constrained.projected import connect, ompl_connect
 from graceful_plan.constraints.scene_constraints import SceneConstraints
-from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.ends import find_ends
 
@@ -106,8 +105,8 @@ def names(options: suite.Options) -> dict[str, list[str]]:
     made, kept = options.pick((PER_KIND, KEPT), quick=(2, 1))
     found = {"tasks": suite.task_names(options)}
     for kind in ("box", "table_pick"):
-        problems = _made(kind, made)
-        upright = [k for k, p in enumerate(problems) if not objection(Question(scene=p.scene, start=p.start, goal=p.goals))]
+        asked = [Question(scene=p.scene, start=p.start, goal=p.goals) for p in _made(kind, made)]
+        upright = [k for k, one in enumerate(asked) if not objection(one)]
         found[kind] = [f"{kind}/{k}" for k in upright[:kept]]
     return {group: suite.chosen(all_of, options.tasks) for group, all_of in found.items()}
 

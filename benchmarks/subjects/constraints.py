@@ -23,25 +23,25 @@ from benchmarks.store import read_lines
 
 TITLE = "Constraints: what is carried is kept, and planning upright"
 MEASURED = f"""\
-**Contents.** All bundled tasks that carry a vessel with contents, and six of `benchmarks/vessels/`: a bowl of soup filled
-to 90 %, a wine glass held from the side, a tray with three cups, a ladle, a bucket on its handle, a pan with oil. Carried
-objects have one vessel each, so that of the three cups it is the one farthest from the grip; the bucket's handle is
-fixed. `plan` with its defaults but for w and `constraints`, full speed, 5 seeds. "Lost, FailBench": share of the
-contents that are not there after FailBench's healthy robot has carried the motion out, by its own model of
+**Contents.** All bundled tasks that carry a vessel with contents, and six of `benchmarks/vessels/`: a bowl of soup
+filled to 90 %, a wine glass held from the side, a tray with three cups, a ladle, a bucket on its handle, a pan with
+oil. Carried objects have one vessel each, so that of the three cups it is the one farthest from the grip; the bucket's
+handle is fixed. `plan` with its defaults but for w and `constraints`, full speed, 5 seeds. "Lost, FailBench": share of
+the contents that are not there after FailBench's healthy robot has carried the motion out, by its own model of
 containers. "Lost, pendulum": share that the judge's pendulum leaves above the rim at worst, for unconstrained motions
 too. Fingers hold the vessel where FailBench's usually do; "fingers lose it" counts motions along which a weld has to
-take their place, "not carried out" those that even then leave the tolerance of the joints (0.05 rad). "Longer": duration
-of a constrained motion over that of the unconstrained one with the same task, w and seed.
+take their place, "not carried out" those that even then leave the tolerance of the joints (0.05 rad). "Longer":
+duration of a constrained motion over that of the unconstrained one with the same task, w and seed.
 
 **Upright.** `Upright(15 degrees)` on all bundled tasks, and on problems of the MotionBenchMaker type by
-`benchmarks/motion_problems.py`: of its seven kinds two reach from above ("box", "table_pick"), so that both ends can have
-the gripper upright; the first {upright.KEPT} of {upright.PER_KIND} made of each whose ends do. "Solved": `plan` at the
-default w within {upright.SECONDS:g} s. "First path": RRT-Connect with w = 0 from the call to the first path, scene
+`benchmarks/motion_problems.py`: of its seven kinds two reach from above ("box", "table_pick"), so that both ends can
+have the gripper upright; the first {upright.KEPT} of {upright.PER_KIND} made of each whose ends do. "Solved": `plan` at
+the default w within {upright.SECONDS:g} s. "First path": RRT-Connect with w = 0 from the call to the first path, scene
 compiled, first call not counted, {upright.SECONDS:g} s at most. "{PROJECTION}" is the library's, "{REJECTION}" the same
-trees, kernels and edge checks without projection, "{OMPL}" its RRTConnect in a ProjectedStateSpace with default settings,
-whose equation is how far outside a configuration is (0 inside); its callbacks are Python with our kernels, so its
-times are those of a user of its Python module. "Gap": J of `plan` with {upright.SOON:g} s over the least of all runs,
-among them long ones of other seeds.
+trees, kernels and edge checks without projection, "{OMPL}" its RRTConnect in a ProjectedStateSpace with default
+settings, whose equation is how far outside a configuration is (0 inside); its callbacks are Python with our kernels, so
+its times are those of a user of its Python module. "Gap": J of `plan` with {upright.SOON:g} s over the least of all
+runs, among them long ones of other seeds.
 """
 STORE = Path(__file__).resolve().parents[1] / "constrained_runs"
 """A line for each job that is done; an interrupted run goes on where it was. To measure anew, take the folder away."""
@@ -53,7 +53,6 @@ GAP = 0.02
 _LONG, _LONG_SEEDS, _SEEDS = 10.0, 3, 5
 
 J = TypeVar("J")
-R = TypeVar("R")
 
 
 def run(options: suite.Options) -> str:
@@ -259,11 +258,11 @@ def _upright_targets(figures: dict[str, list[UprightFigures]]) -> Iterator[repor
         met=solved == len(statuses) if statuses else None,
     )
     first = {method: _median(_all_first(able, method)) for method in (PROJECTION, REJECTION, OMPL)}
-    others = ", ".join(f"{method} {_milliseconds(first[method])}" for method in (REJECTION, OMPL))
+    others = ", ".join(f"{method} {_milliseconds(first[method])} ms" for method in (REJECTION, OMPL))
     yield report.Target(
         what="upright: first path, median",
         wanted=f"< {1e3 * FIRST_WITHIN:g} ms",
-        measured=f"{_milliseconds(first[PROJECTION])}; {others}",
+        measured=f"{_milliseconds(first[PROJECTION])} ms; {others}",
         met=first[PROJECTION] < FIRST_WITHIN if statuses else None,
     )
     gaps = _gaps(able)
