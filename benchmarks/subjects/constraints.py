@@ -168,8 +168,8 @@ def _contents(kept: Sequence[Kept]) -> Iterator[str]:
             rows.append([f"`{constraints}`, w = {w:g}", *_losses(of)])
     yield report.table(header, rows)
     longer = ratios(usual)
-    rows = [_task_row(name, [x for x in usual if x.job.task == name], longer) for name in _tasks(usual)]
     weights = sorted({x.job.w for x in usual})
+    rows = [_task_row(name, [x for x in usual if x.job.task == name], longer, weights) for name in _tasks(usual)]
     columns = ("fill", *(f"longer, w = {w:g}" for w in weights), "duration, constrained", "unconstrained",
                "lost, constrained", "unconstrained", "fingers lose it", "not planned")  # fmt: skip
     yield report.table(("task", *columns), rows)
@@ -203,9 +203,8 @@ def _losses(of: Sequence[Kept]) -> list[str]:
     ]
 
 
-def _task_row(name: str, of: Sequence[Kept], longer: dict[ContentsJob, float]) -> list[str]:
+def _task_row(name: str, of: Sequence[Kept], longer: dict[ContentsJob, float], weights: Sequence[float]) -> list[str]:
     mine, plain = ([x for x in of if x.job.constraints == c] for c in (DEFAULT, NOTHING))
-    weights = sorted({x.job.w for x in of})
     return [
         name,
         report.percent(contents.fill_of(name), 0),

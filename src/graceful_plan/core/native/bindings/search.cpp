@@ -387,9 +387,9 @@ void bind_search(nb::module_& m) {
           [](SceneSpace* self, const Core& core, const Impact& impact, Reals lower, Reals upper, double w,
              double check_step, double fine_step, double cost_step, double margin, nb::object holds,
              nb::object clearance, bool projects) {
-            new (self) SceneSpace(
-                core, impact, {point(lower), point(upper), w, check_step, fine_step, cost_step, margin, projects},
-                {std::move(holds), std::move(clearance)});
+            new (self) SceneSpace(core, impact,
+                                  {point(lower), point(upper), w, check_step, fine_step, cost_step, margin, projects},
+                                  {std::move(holds), std::move(clearance)});
           },
           nb::kw_only(), "core"_a, "impact"_a, "lower"_a, "upper"_a, "w"_a, "check_step"_a, "fine_step"_a,
           "cost_step"_a, "margin"_a, "holds"_a = nb::none(), "clearance"_a = nb::none(), "projects"_a = true,
