@@ -10,19 +10,22 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
+from graceful_plan.constraints.bounds import frame_in_link
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, FINE_STEP, Kernels
-from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners import RRTConnect
 from graceful_plan.planners.native import run_slice
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.scene.rules.rules import AxisRule
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
+
+_NUDGE = 1e-5
+"""For central differences [rad]."""
 
 
 def connect(problem: SceneProblem, objective: SceneObjective, seed: int, seconds: float, *, projects: bool) -> float:
@@ -57,27 +60,35 @@ def connect(problem: SceneProblem, objective: SceneObjective, seed: int, seconds
 
 
 @final
-class _Outside(ob.Constraint):
+class Outside(ob.Constraint):
     """How far outside a configuration is, 0 inside: OMPL projects onto equations alone."""
 
-    def __init__(self, constraint: Constraint, scene: Scene) -> None:
+    def __init__(self, rule: AxisRule, scene: Scene) -> None:
         super().__init__(len(scene.joints), 1)
-        self._constraint, self._scene = constraint, scene
+        compiled = compile_scene(scene)
+        self._kernels, self._link = compiled.kernels, compiled.robot.tool_link
+        self._axis = frame_in_link(scene, compiled.robot, rule.frame)[:3, :3] @ rule.axis
+        self._direction, self._angle = np.array(rule.direction), rule.angle
 
     def function(self, x: Array, out: Array) -> None:
-        out[0] = max(0.0, float(checked_residual(self._constraint, self._batch(x))[0]))
+        out[0] = max(0.0, float(self.residual(np.array(x)[None])[0]))
 
     def jacobian(self, x: Array, out: Array) -> None:
-        batch = self._batch(x)
-        outside = checked_residual(self._constraint, batch)[0] > 0.0
-        out[0, :] = residual_gradient(self._constraint, batch)[0] if outside else 0.0
+        n = len(x)
+        around = np.array(x) + _NUDGE * np.concatenate([np.zeros((1, n)), np.eye(n), -np.eye(n)])
+        residual = self.residual(around)
+        slope = (residual[1 : 1 + n] - residual[1 + n :]) / (2.0 * _NUDGE)
+        out[0, :] = slope if residual[0] > 0.0 else 0.0
 
-    def _batch(self, x: Array) -> StateBatch:
-        return StateBatch(self._scene, np.array(x, dtype=np.float64)[None])
+    def residual(self, q: Array) -> Array:
+        """Return by how much the angle is too large [rad]."""
+        axis = self._kernels.link_poses(q)[:, self._link, :3, :3] @ self._axis
+        across = np.linalg.norm(np.cross(axis, self._direction), axis=1)
+        return np.arctan2(across, axis @ self._direction) - self._angle
 
 
-def ompl_connect(problem: SceneProblem, constraint: Constraint, scene: Scene, seed: int, seconds: float) -> float:
-    """Return how long RRT-Connect in OMPL's ProjectedStateSpace takes to its first path [s]; infinite if none."""
+def ompl_connect(problem: SceneProblem, rule: AxisRule, scene: Scene, seed: int, seconds: float) -> float:
+    """Return the seconds of RRT-Connect in OMPL's ProjectedStateSpace to its first path; infinite if not in time."""
     kernels, n, budget = compile_scene(scene).kernels, len(problem.start), Budget(seconds)
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(seed + 1)
@@ -87,7 +98,7 @@ def ompl_connect(problem: SceneProblem, constraint: Constraint, scene: Scene, se
         bounds.setHigh(i, float(high))
     ambient = ob.RealVectorStateSpace(n)
     ambient.setBounds(bounds)
-    outside = _Outside(constraint, scene)
+    outside = Outside(rule, scene)
     space = ob.ProjectedStateSpace(ambient, outside)
     information = ob.ConstrainedSpaceInformation(space)
     # The bounds are those of the ambient space, which projection may leave.
@@ -103,7 +114,8 @@ def ompl_connect(problem: SceneProblem, constraint: Constraint, scene: Scene, se
     planner.setup()
     started = time.perf_counter()
     planner.solve(ob.PlannerTerminationCondition(lambda: budget.exhausted))
-    return time.perf_counter() - started if definition.hasExactSolution() else np.inf
+    taken = time.perf_counter() - started
+    return taken if definition.hasExactSolution() and taken <= seconds else np.inf
 
 
 def _valid(q: Array, problem: SceneProblem, kernels: Kernels) -> bool:

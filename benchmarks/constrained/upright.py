@@ -153,7 +153,7 @@ def first_paths(problem: SceneProblem, scene: gp.Scene, seeds: int) -> dict[str,
 
     def search(method: str, seed: int) -> float:
         if method == OMPL:
-            return ompl_connect(problem, UPRIGHT, scene, seed, SECONDS)
+            return ompl_connect(problem, UPRIGHT.rule(scene), scene, seed, SECONDS)
         return connect(problem, objective, seed, SECONDS, projects=method == PROJECTION)
 
     methods = (PROJECTION, REJECTION, OMPL)

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 import mujoco
 import numpy as np
 import pytest
-from benchmarks.constrained import contents, upright
+from benchmarks.constrained import contents, projected, upright
 from benchmarks.constrained.contents import DEFAULT, NOTHING, ContentsJob, Kept
 from benchmarks.constrained.upright import OMPL, PROJECTION, REJECTION, UprightFigures, UprightJob
 from benchmarks.subjects import constraints
@@ -15,6 +15,7 @@ from benchmarks.subjects import constraints
 import failbench
 import graceful_plan as gp
 from benchmarks import suite, variants
+from graceful_plan.costs.cost import StateBatch
 from graceful_plan.scene.rules.vessel import find_vessel
 
 SCENES = suite.vessel_scenes()
@@ -105,6 +106,14 @@ def test_trees_without_projection_find_a_way_too():
     for method in (PROJECTION, REJECTION):
         assert all(math.isfinite(seconds) for seconds in figures.first[method])
     assert set(figures.first) == {PROJECTION, REJECTION, OMPL}
+
+
+def test_ompl_is_asked_for_the_same():
+    task = suite.task("stove/fill_plate")
+    outside = projected.Outside(upright.UPRIGHT.rule(task.scene), task.scene)
+    q = task.start + np.random.default_rng(0).normal(0.0, 0.5, (20, len(task.start)))
+    expected = upright.UPRIGHT.residual(StateBatch(task.scene, q))
+    np.testing.assert_allclose(outside.residual(q), expected, atol=1e-9)
 
 
 def test_what_is_not_upright_is_told():
