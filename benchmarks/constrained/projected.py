@@ -71,9 +71,11 @@ class Outside(ob.Constraint):
         self._direction, self._angle = np.array(rule.direction), rule.angle
 
     def function(self, x: Array, out: Array) -> None:
+        """Write how far outside one configuration is [rad]."""
         out[0] = max(0.0, float(self.residual(np.array(x)[None])[0]))
 
     def jacobian(self, x: Array, out: Array) -> None:
+        """Write its derivative, 0 inside."""
         n = len(x)
         around = np.array(x) + _NUDGE * np.concatenate([np.zeros((1, n)), np.eye(n), -np.eye(n)])
         residual = self.residual(around)
