@@ -28,6 +28,7 @@ SUBJECTS = (
     "first_path",
     "inverse_kinematics",
     "straight_tool",
+    "constraints",
     "motion_problems",
     "planners",
     "best_known",
@@ -54,7 +55,7 @@ SUBJECTS = (
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention"})
+ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 TAKEN_OUT = "taken_out"
 """Section written by hand: what was measured, did not help and is gone."""

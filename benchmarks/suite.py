@@ -16,6 +16,8 @@ from graceful_plan.compare.runs import workers
 
 UNSEEN = Path(__file__).with_name("unseen")
 """Scenes that no constant was fitted on: other furniture, other objects than the bundled ones."""
+VESSELS = Path(__file__).with_name("vessels")
+"""Scenes with open vessels to carry."""
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -52,13 +54,19 @@ class Options:
 
 @cache
 def scene(name: str) -> gp.Scene:
-    """Load a bundled scene, or one of `unseen/`, once per process."""
-    return gp.load_scene(UNSEEN / f"{name}.yaml" if name in unseen_scenes() else name)
+    """Load a bundled scene, or one of `unseen/` or `vessels/`, once per process."""
+    own = [folder / f"{name}.yaml" for folder in (UNSEEN, VESSELS) if (folder / f"{name}.yaml").exists()]
+    return gp.load_scene(own[0] if own else name)
 
 
 def unseen_scenes() -> tuple[str, ...]:
     """Names of the scenes in `unseen/`."""
     return tuple(sorted(file.stem for file in UNSEEN.glob("*.yaml")))
+
+
+def vessel_scenes() -> tuple[str, ...]:
+    """Names of the scenes in `vessels/`."""
+    return tuple(sorted(file.stem for file in VESSELS.glob("*.yaml")))
 
 
 def is_tabletop(task_name: str) -> bool:
@@ -81,6 +89,11 @@ def task_names(options: Options | None = None) -> list[str]:
 def unseen_task_names(options: Options | None = None) -> list[str]:
     """Names "scene/task" of all tasks in `unseen/`; of one task per scene if it is to be quick."""
     return _tasks_of(unseen_scenes(), options)
+
+
+def vessel_task_names(options: Options | None = None) -> list[str]:
+    """Names "scene/task" of all tasks in `vessels/`; of one task per scene if it is to be quick."""
+    return _tasks_of(vessel_scenes(), options)
 
 
 def chosen(names: Sequence[str], patterns: Sequence[str]) -> list[str]:

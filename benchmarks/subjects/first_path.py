@@ -12,6 +12,7 @@ import graceful_plan as gp
 from benchmarks import planning, report, suite
 from graceful_plan.compare import Run
 from graceful_plan.compare.runs.runner import run as run_planner
+from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -71,8 +72,9 @@ def examine(job: tuple[str, int]) -> FirstPaths:
 def problem_of(task: gp.Task, margin: float = 0.0) -> SceneProblem | None:
     """Make the problem that planners see, None if start or goals have no way out."""
     kernels, rng = compile_scene(task.scene).kernels, np.random.default_rng(0)
-    start = way_out(task.start, kernels, task.scene, rng)
-    goals = [way for goal in task.goal if (way := way_out(goal, kernels, task.scene, rng)) is not None]
+    anything = SceneConstraints(task.scene, ())
+    start = way_out(task.start, anything, rng)
+    goals = [way for goal in task.goal if (way := way_out(goal, anything, rng)) is not None]
     if start is None or not goals:
         return None
     return SceneProblem(kernels=kernels, start=start.q[-1], goals=np.stack([way.q[-1] for way in goals]), margin=margin)

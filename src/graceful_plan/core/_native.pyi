@@ -172,6 +172,7 @@ class SceneSpace(Space):
         margin: float,
         holds: Callable[[Reals], NDArray[np.bool_]] | None = None,
         clearance: Callable[[Reals], tuple[Reals, Reals]] | None = None,
+        projects: bool = True,
     ) -> None: ...
     def project(self, q: Reals, clearance: float) -> Reals: ...
 

@@ -22,6 +22,7 @@ namespace {
 struct SpaceSettings {
   Point low, high;
   double weight, check_step, fine_step, cost_step, margin;
+  bool projects = true;  // onto what constraints leave; else trees only reject
 };
 
 // What only Python can check of configurations, row by row: holds(q) -> [n], clearance(q) -> [n] and its gradient.
@@ -59,7 +60,7 @@ class SceneSpace final : public Space {
     core_.move_tool(q, step, displacement);
     return true;
   }
-  bool has_bounds() const override { return core_.has_bounds(); }
+  bool has_bounds() const override { return settings_.projects && core_.has_bounds(); }
   bool project(double* q) override { return project(q, margin + kReserve); }
   bool project(double* q, double clearance) const { return core_.project(q, lower.data(), upper.data(), clearance); }
   void ride(const Chain& of, int link, const double* point, Ride* out) override {
@@ -385,14 +386,14 @@ void bind_search(nb::module_& m) {
           "__init__",
           [](SceneSpace* self, const Core& core, const Impact& impact, Reals lower, Reals upper, double w,
              double check_step, double fine_step, double cost_step, double margin, nb::object holds,
-             nb::object clearance) {
-            new (self)
-                SceneSpace(core, impact, {point(lower), point(upper), w, check_step, fine_step, cost_step, margin},
-                           {std::move(holds), std::move(clearance)});
+             nb::object clearance, bool projects) {
+            new (self) SceneSpace(core, impact,
+                                  {point(lower), point(upper), w, check_step, fine_step, cost_step, margin, projects},
+                                  {std::move(holds), std::move(clearance)});
           },
           nb::kw_only(), "core"_a, "impact"_a, "lower"_a, "upper"_a, "w"_a, "check_step"_a, "fine_step"_a,
-          "cost_step"_a, "margin"_a, "holds"_a = nb::none(), "clearance"_a = nb::none(), nb::keep_alive<1, 2>(),
-          nb::keep_alive<1, 3>())
+          "cost_step"_a, "margin"_a, "holds"_a = nb::none(), "clearance"_a = nb::none(), "projects"_a = true,
+          nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
       .def(
           "project",
           [](const SceneSpace& self, Reals q, double clearance) {

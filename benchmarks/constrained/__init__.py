@@ -1,0 +1,1 @@
+"""Motions under constraints: what carried vessels keep, and planning with an object upright."""

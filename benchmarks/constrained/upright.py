@@ -1,0 +1,168 @@
+"""Planning with what is carried, or the gripper, upright: bundled tasks and problems of the MotionBenchMaker type."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import motion_problems, suite
+from benchmarks.constrained.projected import connect, ompl_connect
+from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.ends import find_ends
+
+UPRIGHT = gp.Upright(float(np.deg2rad(15.0)))
+SEED = 14
+"""Of the problems."""
+KINDS = tuple(motion_problems.KINDS)
+PER_KIND, KEPT = 16, 10
+"""Made of each kind, and of those whose ends are upright as many are kept of each kind."""
+PROJECTION, REJECTION, OMPL = "projection", "rejection", "OMPL"
+SECONDS = 1.0
+"""Time limit of a plan and of a search."""
+SOON = 0.5
+"""When the gap is looked at [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UprightJob:
+    """A problem to examine.
+
+    Args:
+        name: "scene/task" or "kind/number".
+        seeds: Number of seeds of everything that is quick.
+        long: Seconds of a long run.
+        long_seeds: Number of long runs.
+    """
+
+    name: str
+    seeds: int
+    long: float
+    long_seeds: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class UprightFigures:
+    """What came of it; infinite without a path.
+
+    Args:
+        name: Of the problem.
+        objection: What start and goal lack, or why there is no way between them by construction; "" if nothing.
+        statuses: Of every seed within `SECONDS`.
+        details: What those say that were not solved.
+        first: Seconds to the first path of every seed, by method.
+        soon: J of every seed after `SOON`.
+        long: J of every long run.
+    """
+
+    name: str
+    objection: str = ""
+    statuses: tuple[str, ...] = ()
+    details: tuple[str, ...] = ()
+    first: dict[str, tuple[float, ...]]
+    soon: tuple[float, ...] = ()
+    long: tuple[float, ...] = ()
+
+    @property
+    def best(self) -> float:
+        """Least J of all runs."""
+        return min([*self.soon, *self.long], default=np.inf)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Question:
+    """Where to plan from and to."""
+
+    scene: gp.Scene
+    start: np.ndarray
+    goal: np.ndarray
+
+
+def question(name: str) -> Question:
+    """Return a task or a problem by its name."""
+    kind, item = name.split("/")
+    if kind not in KINDS:
+        task = suite.task(name)
+        return Question(scene=task.scene, start=task.start, goal=task.goal)
+    problem = _made(kind, int(item) + 1)[int(item)]
+    return Question(scene=problem.scene, start=problem.start, goal=problem.goals)
+
+
+@cache
+def _made(kind: str, count: int) -> Sequence[motion_problems.ProblemFile]:
+    return motion_problems.make(kind, count, SEED)
+
+
+def names(options: suite.Options) -> dict[str, list[str]]:
+    """Names of what there is to examine, by group: "tasks", and each kind of problems with upright ends.
+
+    Kinds that reach from the front never end with the gripper upright, so that none of theirs are made.
+    """
+    made, kept = options.pick((PER_KIND, KEPT), quick=(2, 1))
+    found = {"tasks": suite.task_names(options)}
+    for kind in ("box", "table_pick"):
+        asked = [Question(scene=p.scene, start=p.start, goal=p.goals) for p in _made(kind, made)]
+        upright = [k for k, one in enumerate(asked) if not objection(one)]
+        found[kind] = [f"{kind}/{k}" for k in upright[:kept]]
+    return {group: suite.chosen(all_of, options.tasks) for group, all_of in found.items()}
+
+
+def objection(asked: Question) -> str:
+    """Say what start and goal lack."""
+    held = SceneConstraints(asked.scene, [UPRIGHT])
+    at_start = [f"start: {told}" for told in held.objections(asked.start)]
+    at_goals = [held.objections(q) for q in np.atleast_2d(asked.goal)]
+    return "; ".join([*at_start, *([f"goal: {at_goals[0][0]}"] if all(at_goals) else [])])
+
+
+def examine(job: UprightJob) -> UprightFigures:
+    """Examine one problem; its scene is compiled and everything was run once before anything is timed."""
+    asked = question(job.name)
+    held = SceneConstraints(asked.scene, [UPRIGHT])
+    lacking = objection(asked)
+    ends = None if lacking else find_ends(asked.start, asked.goal, held, np.random.default_rng(0))
+    if ends is None or isinstance(ends, gp.PlanResult):
+        told = lacking if ends is None else f"{ends.status.name}: {ends.detail}"
+        return UprightFigures(name=job.name, objection=told, first={})
+    problem = SceneProblem(
+        kernels=held.kernels,
+        start=ends.departure.q[-1],
+        goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+        margin=min(0.002, 0.5 * ends.clearance),
+        constraints=held,
+    )
+    plans = [_planned(asked, SECONDS, seed) for seed in range(job.seeds)]
+    bad = [plan for plan in plans if plan.status is not gp.PlanStatus.SOLVED]
+    return UprightFigures(
+        name=job.name,
+        statuses=tuple(plan.status.name for plan in plans),
+        details=tuple(plan.detail for plan in bad),
+        first=first_paths(problem, asked.scene, job.seeds),
+        soon=tuple(_total(_planned(asked, SOON, seed)) for seed in range(job.seeds)),
+        long=tuple(_total(_planned(asked, job.long, seed)) for seed in range(100, 100 + job.long_seeds)),
+    )
+
+
+def first_paths(problem: SceneProblem, scene: gp.Scene, seeds: int) -> dict[str, tuple[float, ...]]:
+    """Return the seconds to the first path of every seed, by method."""
+    objective = gp.Objective(w=0.0).bind(scene)
+
+    def search(method: str, seed: int) -> float:
+        if method == OMPL:
+            return ompl_connect(problem, UPRIGHT.rule(scene), scene, seed, SECONDS)
+        return connect(problem, objective, seed, SECONDS, projects=method == PROJECTION)
+
+    methods = (PROJECTION, REJECTION, OMPL)
+    return {method: tuple(search(method, seed) for seed in (0, *range(seeds)))[1:] for method in methods}
+
+
+def _planned(asked: Question, seconds: float, seed: int) -> gp.PlanResult:
+    return gp.plan(asked.start, asked.goal, asked.scene, constraints=[UPRIGHT], time_limit=seconds, seed=seed)
+
+
+def _total(result: gp.PlanResult) -> float:
+    return result.cost.total if result.status is gp.PlanStatus.SOLVED and result.cost is not None else np.inf

@@ -1,0 +1,136 @@
+"""The subject `constraints`, and the scenes with open vessels that it carries."""
+
+import json
+import math
+from dataclasses import asdict, replace
+
+import mujoco
+import numpy as np
+import pytest
+from benchmarks.constrained import contents, projected, upright
+from benchmarks.constrained.contents import DEFAULT, NOTHING, ContentsJob, Kept
+from benchmarks.constrained.upright import OMPL, PROJECTION, REJECTION, UprightFigures, UprightJob
+from benchmarks.subjects import constraints
+
+import failbench
+import graceful_plan as gp
+from benchmarks import suite, variants
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.scene.rules.vessel import find_vessel
+
+SCENES = suite.vessel_scenes()
+TASKS = suite.vessel_task_names()
+FILLS = {
+    "buffet/serve_soup": 0.9,
+    "buffet/serve_wine": 0.45,
+    "buffet/serve_cups": 0.8,
+    "stove/fill_plate": 0.8,
+    "stove/carry_bucket": 0.8,
+    "stove/move_frying_pan": 0.5,
+}
+JOB = ContentsJob(task="stove/fill_plate", w=0.3, seed=0, constraints=DEFAULT)
+KEPT = Kept(job=JOB, status="SOLVED", detail="", duration=2.0, total=3.0, seconds=1.0, lost=0.0, swung=0.0)
+FIGURES = UprightFigures(
+    name="box/0",
+    statuses=("SOLVED", "TIMEOUT"),
+    details=("no path",),
+    first={PROJECTION: (0.001, 0.002), REJECTION: (0.003, math.inf), OMPL: (math.inf, math.inf)},
+    soon=(1.1, math.inf),
+    long=(1.0,),
+)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_vessels_stand_still_and_in_nothing_else(name):
+    scene = suite.scene(name)
+    assert variants.problems(scene) == []
+    world = failbench.build_world(scene)
+    data = mujoco.MjData(world.model)
+    data.qpos[:] = scene.home_qpos
+    mujoco.mj_forward(world.model, data)
+    before = data.xpos.copy()
+    for _ in range(round(1.0 / world.model.opt.timestep)):
+        mujoco.mj_step(world.model, data)
+    for thing, body in world.movable.items():
+        assert np.linalg.norm(data.xpos[body] - before[body]) < 0.003, thing
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_ends_are_free_and_keep_all_of_the_contents(name):
+    task = suite.task(name)
+    assert contents.fill_of(name) == pytest.approx(FILLS[name], abs=0.01)
+    for q in (task.start, *task.goal):
+        assert float(gp.clearance(task.scene, q)) >= 0.02
+    assert gp.KeepContents().rule(task.scene).vessel.axis[2] == pytest.approx(1.0)
+
+
+def test_there_is_a_way_that_keeps_the_contents():
+    assert set(TASKS) == set(FILLS)
+    kept = contents.examine(JOB)
+    assert kept.status == "SOLVED" and kept.lost <= constraints.LOST and kept.swung <= constraints.LOST
+
+
+def test_vessels_are_filled_as_asked():
+    scene = contents.filled_scene(suite.task("stove/carry_bucket"), 0.5)
+    vessel = find_vessel(scene)
+    assert vessel is not None
+    assert vessel.volume == pytest.approx(0.5 * np.pi * vessel.radius**2 * vessel.height)
+
+
+def test_records_come_back_as_they_were(tmp_path):
+    unknown = replace(KEPT, job=replace(JOB, fill=0.9), duration=math.inf, lost=math.inf)
+    file = tmp_path / "kept.jsonl"
+    file.write_text("".join(json.dumps(asdict(x)) + "\n" for x in (KEPT, unknown)) + "cut off")
+    assert list(constraints.read_kept(file)) == [KEPT, unknown]
+    file.write_text(json.dumps(asdict(FIGURES)) + "\n")
+    assert list(constraints.read_upright(file)) == [FIGURES]
+
+
+def test_durations_are_compared_with_those_of_the_same_seed():
+    twin = replace(KEPT, job=replace(JOB, constraints=NOTHING), duration=1.6)
+    other = replace(KEPT, job=replace(JOB, seed=1))
+    found = constraints.ratios([KEPT, twin, other])
+    assert found[JOB] == pytest.approx(1.25) and math.isnan(found[other.job])
+
+
+def test_gaps_are_to_the_best_of_all_runs():
+    assert FIGURES.best == 1.0
+    better = replace(FIGURES, soon=(0.5, 1.0))
+    assert better.best == 0.5
+
+
+def test_trees_without_projection_find_a_way_too():
+    name = "table_pick/0"
+    figures = upright.examine(UprightJob(name=name, seeds=1, long=0.3, long_seeds=1))
+    assert not figures.objection
+    for method in (PROJECTION, REJECTION):
+        assert all(math.isfinite(seconds) for seconds in figures.first[method])
+    assert set(figures.first) == {PROJECTION, REJECTION, OMPL}
+
+
+def test_ompl_is_asked_for_the_same():
+    task = suite.task("stove/fill_plate")
+    outside = projected.Outside(upright.UPRIGHT.rule(task.scene), task.scene)
+    q = task.start + np.random.default_rng(0).normal(0.0, 0.5, (20, len(task.start)))
+    expected = upright.UPRIGHT.residual(StateBatch(task.scene, q))
+    np.testing.assert_allclose(outside.residual(q), expected, atol=1e-9)
+
+
+def test_what_is_not_upright_is_told():
+    asked = upright.question("table_pick/0")
+    lying = asked.start + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    told = upright.objection(replace(asked, start=lying))
+    assert told.startswith("start: Upright")
+
+
+def test_only_what_is_left_is_done_and_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr(constraints, "STORE", tmp_path / "runs")
+    monkeypatch.setattr(contents, "jobs", lambda options: [JOB, replace(JOB, constraints=NOTHING)])
+    monkeypatch.setattr(upright, "names", lambda options: {"box": ["box/0"]})
+    done = []
+    monkeypatch.setattr(contents, "examine", lambda job: done.append(job) or replace(KEPT, job=job))
+    monkeypatch.setattr(upright, "examine", lambda job: done.append(job) or FIGURES)
+    body = constraints.run(suite.Options())
+    assert len(done) == 3 and "not finished" not in body.lower()
+    assert constraints.run(suite.Options()) == body and len(done) == 3
+    assert "| box | 1 | 1 | 1/2 |" in body and "no path" in body
