@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from graceful_plan.constraints.distance import distance_kernels
-from graceful_plan.constraints.felt import FeltCone, curve_of_point, felt_limits
+from graceful_plan.constraints.felt import FACETS, FeltCone, curve_of_point, felt_limits
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.constraints.slosh import Slosh
 from graceful_plan.core import _native
@@ -67,10 +67,10 @@ def test_at_rest_what_is_felt_is_gravity(coffee: gp.Task) -> None:
     grid = curve(coffee).grid(1)
     limits = felt_limits([cone], kernels, grid)
     R = kernels.link_poses(grid.q[:-1])[:, cone.link, :3, :3]
-    inside = -np.einsum("nij,fj->nfi", R, cone.facets)[..., 2] * cone.gravity
+    inside = -np.einsum("nij,fj->nfi", R, cone.facets)[..., 2] * cone.gravity + cone.room
     np.testing.assert_allclose(limits[:, : len(cone.facets), 2], inside, atol=1e-12)
     tilt = np.arccos(np.clip((R @ cone.axis)[:, 2], -1.0, 1.0))
-    steepest = np.arctan(np.tan(tilt).max() / np.cos(np.pi / len(cone.facets)))
+    steepest = np.arctan(np.tan(tilt).max() / np.cos(np.pi / FACETS))
     felt_limits([replace(cone, angle=steepest + 0.01)], kernels, grid)
     with pytest.raises(RetimingError, match="rest"):
         felt_limits([replace(cone, angle=0.5 * float(tilt.max()))], kernels, curve(coffee, 3.0).grid(1))

@@ -41,7 +41,7 @@ def test_contents_are_kept_by_default_and_spilt_where_that_is_switched_off(coffe
 
 def test_a_vessel_that_is_tilted_too_far_at_an_end_is_told_by_how_much(coffee: gp.Task) -> None:
     tilted = np.array(coffee.start)
-    tilted[5] += np.deg2rad(40.0)
+    tilted[5] -= np.deg2rad(40.0)
     start = gp.plan(tilted, coffee.goal, coffee.scene)
     assert start.status is gp.PlanStatus.INVALID_START and "KeepContents" in start.detail and "degrees" in start.detail
     goal = gp.plan(coffee.start, tilted, coffee.scene)

@@ -13,6 +13,7 @@ from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.rules.rules import AxisRule, Vector, checked_frame
 from graceful_plan.scene.scene import Scene
 
@@ -107,6 +108,7 @@ def told_angle(name: str, residual: float, angle: float) -> str:
     return f"{name}: {tilt:.1f} degrees, {np.rad2deg(residual):.1f} more than the {allowed:.1f} that are allowed"
 
 
+@per_scene
 def standing_axis(scene: Scene) -> Vector:
     """Return the axis of the carried object that is vertical where it stands in the scene; else the tool's."""
     if scene.carried is None:

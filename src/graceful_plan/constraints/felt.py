@@ -33,6 +33,11 @@ Array = np.ndarray
 
 FACETS = 8
 """Sides of the pyramid, inscribed in the cone: it takes at most 1 - cos(pi / 8), 8 %, of the tangent."""
+_HARDEST = 2.1
+"""Of gravity, what may be felt: a change of velocity of 0.7 m/s within 0.03 s, 2.4 times gravity, throws contents out in
+FailBench (`failbench.recording.spill`)."""
+_MILDEST = 1.2
+"""The same along the axis of a wide cone: at rest gravity has to be within it."""
 _LEAST_ROOM = 1e-3
 """Share of gravity by which a facet has to hold at rest."""
 
@@ -65,17 +70,18 @@ class FeltCone:
 
     @property
     def facets(self) -> Float[Array, "facet xyz"]:
-        """Vectors v in the link: v times what is felt is at most 0 inside the pyramid."""
+        """Vectors v in the link, around the pyramid and along its axis: v times what is felt is at most `room`."""
         first = np.cross(self.axis, np.eye(3)[np.argmin(np.abs(self.axis))])
         first /= np.linalg.norm(first)
         turn = 2.0 * np.pi * np.arange(FACETS) / FACETS
         around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(self.axis, first))
-        return around - np.tan(self.angle) * np.cos(np.pi / FACETS) * self.axis
+        pyramid = around - np.tan(self.angle) * np.cos(np.pi / FACETS) * self.axis
+        return np.vstack([pyramid, self.axis])
 
     @property
     def room(self) -> Float[Array, " facet"]:
-        """None: what counts is a direction."""
-        return np.zeros(FACETS)
+        """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, so much along its axis."""
+        return np.append(np.zeros(FACETS), max(_HARDEST * np.cos(self.angle), _MILDEST) * self.gravity)
 
     @property
     def native(self) -> _native.FeltLimit:
