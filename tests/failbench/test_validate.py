@@ -292,7 +292,8 @@ def test_harm_without_failure_comes_with_probability_1() -> None:
     always = dataclasses.replace(found, rate=3600.0 / found.duration)
     assert always.certain_per_task == 0.0 and always.observed_per_task.mean == pytest.approx(found.whole.mean)
     later = [i for i, job in enumerate(found.jobs) if job.onset > max(found.healthy.poured.values())]
-    assert later and all(found.wholes[i] == pytest.approx(found.impacts[i] + found.healthy.harm) for i in later)
+    least, most = found.healthy.harm, found.impacts[later] + found.healthy.harm  # pairs that both hit count once
+    assert later and (found.wholes[later] >= least - _EXACT).all() and (found.wholes[later] <= most + _EXACT).all()
 
 
 def test_harm_without_failure_is_compared_per_task() -> None:
