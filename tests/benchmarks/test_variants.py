@@ -66,7 +66,9 @@ def test_everything_stays_where_it_stands(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_tasks_can_be_done(name: str) -> None:
     for task in variants.load(name).tasks.values():
-        result = gp.plan(task.start, task.goal, task.scene, w=0.0, planner="rrt_connect", iterations=2000, speed=0.5)
+        result = gp.plan(
+            task.start, task.goal, task.scene, constraints=(), w=0.0, planner="rrt_connect", iterations=2000, speed=0.5
+        )
         assert result.status is gp.PlanStatus.SOLVED, f"{task.name}: {result.status}"
 
 

@@ -69,6 +69,7 @@ def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
             iterations=kind.iterations,
             seed=seed,
             speed=kind.speed,
+            constraints=(),  # what is spilt is what the models are about
         )
         return result.trajectory
     rng, scene = np.random.default_rng(seed), task.scene
@@ -82,13 +83,15 @@ def make_motion(task: Task, kind: MotionKind, seed: int) -> Trajectory | None:
             motion = gp.retime(Path(np.vstack(parts)), scene.limits, scene.joints, speed=kind.speed)
         except GracefulPlanError:
             continue
-        if gp.verify(motion, scene).passed:
+        if gp.verify(motion, scene, constraints=()).passed:
             return motion
     return None
 
 
 def _planned(start: Array, goal: Array, scene: Scene, kind: MotionKind, seed: int) -> Float[Array, "point nq"]:
-    result = gp.plan(start, goal, scene, w=0.0, planner="rrt_connect", iterations=kind.iterations, seed=seed)
+    result = gp.plan(
+        start, goal, scene, w=0.0, planner="rrt_connect", iterations=kind.iterations, seed=seed, constraints=()
+    )
     result.unwrap()
     assert result.path is not None
     return result.path.q

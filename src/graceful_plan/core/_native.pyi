@@ -188,6 +188,8 @@ class CallbackSpace(Space):
         upper: Reals,
         w: float,
         motion_is_length: bool,
+        core: Core | None = None,
+        margin: float = 0.0,
     ) -> None: ...
 
 @final

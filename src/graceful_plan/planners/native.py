@@ -52,6 +52,8 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
         upper=upper,
         w=objective.w,
         motion_is_length=scene_objective is not None and scene_objective.motion_is_length,
+        core=problem.kernels.core if isinstance(problem, SceneProblem) else None,
+        margin=problem.margin if isinstance(problem, SceneProblem) else 0.0,
     )
 
 

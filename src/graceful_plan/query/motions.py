@@ -21,6 +21,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import Effort, Landed, MotionDescents, Start, time_price
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.departure import best_departure
 from graceful_plan.query.ends import Ends
@@ -44,6 +45,8 @@ _POLISH = Effort(screens=False)
 """What is done with motions that are known to be good."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the spheres do not count [rad]."""
+_POINTS = (8, 16, 32)
+"""Of a polyline through which a smooth curve follows it; with fewer, it keeps farther from the corners."""
 _LOOKED_AT = 1000
 """Configurations of a motion that are looked at with the fast checker."""
 
@@ -91,6 +94,8 @@ def motions(
     if searched.stopped:
         effort = Effort(bends=0, hops=0)
     found = [*known, *smooth(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
+    if request.objective.descended() is None and request.constraints.cones:
+        found += [motion for path, k in wholes for motion in _followed(path, k, request, ends)]
     why_not = ""
     for whole, arrival in wholes[: _worth_timing(searched, found)]:
         try:
@@ -171,6 +176,16 @@ def smooth(
     starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
     landed = descents.run(starts, *means, raw=raw)
     return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def _followed(whole: Path, arrival: int, request: Request, ends: Ends) -> Iterator[Motion]:
+    """Yield smooth motions that follow a polyline: its corners would jolt what is carried."""
+    for points in _POINTS:
+        if whole.length > 0.0:
+            curve = Spline.through(evenly(whole.q, points))
+            motion = _of(Landed(curve, np.nan, 0), arrival, request, ends)
+            if motion is not None:
+                yield replace(motion, estimate=None)
 
 
 def _tight(way: Path) -> float:

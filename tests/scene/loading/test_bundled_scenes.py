@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import mujoco
 import numpy as np
@@ -195,15 +195,11 @@ def test_ready_is_free(name: str) -> None:
 def test_caution_halves_the_impact_of_three_quarters_of_the_tasks() -> None:
     """As Algorithm 1 counts it: where things go after a fall, and with them their contents, is harder to avoid."""
     halved = []
-    boxes = {"objective": gp.Objective(impact=gp.ImpactCost(model="aabb")), "constraints": (), "seed": 1}
+    boxes = gp.Objective(impact=gp.ImpactCost(model="aabb"))
     for name, task in TASKS:
         found = household(name).tasks[task]
-        quick = gp.plan(
-            found.start, found.goal, found.scene, 0.0, objective=boxes, constraints=[], iterations=400, seed=1
-        )
-        careful = gp.plan(
-            found.start, found.goal, found.scene, 1.0, objective=boxes, constraints=[], iterations=2000, seed=1
-        )
+        asked = partial(gp.plan, found.start, found.goal, found.scene, objective=boxes, constraints=[], seed=1)
+        quick, careful = asked(w=0.0, iterations=400), asked(w=1.0, iterations=2000)
         assert (quick.status, careful.status) == (gp.PlanStatus.SOLVED, gp.PlanStatus.SOLVED), task
         assert quick.cost is not None and careful.cost is not None
         assert careful.cost.motion + careful.cost.impact < quick.cost.motion + quick.cost.impact

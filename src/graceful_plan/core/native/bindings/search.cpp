@@ -25,6 +25,9 @@ struct SpaceSettings {
   bool projects = true;  // onto what constraints leave; else trees only reject
 };
 
+// What a straight edge between two projected configurations may lose in between [m].
+constexpr double kProjectionReserve = 0.003;
+
 // What only Python can check of configurations, row by row: holds(q) -> [n], clearance(q) -> [n] and its gradient.
 struct CustomConstraints {
   nb::object holds, clearance;
@@ -61,7 +64,7 @@ class SceneSpace final : public Space {
     return true;
   }
   bool has_bounds() const override { return settings_.projects && core_.has_bounds(); }
-  bool project(double* q) override { return project(q, margin + kReserve); }
+  bool project(double* q) override { return project(q, margin + kProjectionReserve); }
   bool project(double* q, double clearance) const { return core_.project(q, lower.data(), upper.data(), clearance); }
   void ride(const Chain& of, int link, const double* point, Ride* out) override {
     require(link >= 0 && link < core_.tables().n_link, "link");
@@ -84,9 +87,6 @@ class SceneSpace final : public Space {
   }
 
  private:
-  // What a straight edge between two projected configurations may lose in between [m].
-  static constexpr double kReserve = 0.003;
-
   void native_clearances(const Probes& probes, double* out, double* gradient) const {
     const size_t n = size_t(probes.n), nq = size_t(dim);
     std::vector<uint8_t> free(n, 0);
@@ -156,8 +156,16 @@ class CallbackSpace final : public Space {
     nb::object edges_free, edge_costs, state_costs;
   };
 
-  CallbackSpace(Callbacks ask, Reals low, Reals high, double weight, bool motion_is_length)
-      : Space(point(low), point(high), weight), ask_(std::move(ask)), motion_is_length_(motion_is_length) {}
+  // With a core, configurations are projected onto its bounds.
+  CallbackSpace(Callbacks ask, Reals low, Reals high, double weight, bool motion_is_length, const Core* core)
+      : Space(point(low), point(high), weight),
+        ask_(std::move(ask)),
+        motion_is_length_(motion_is_length),
+        core_(core) {}
+  bool has_bounds() const override { return core_ && core_->has_bounds(); }
+  bool project(double* q) override {
+    return !core_ || core_->project(q, lower.data(), upper.data(), margin + kProjectionReserve);
+  }
   bool edge_free(const double* a, const double* b) override {
     nb::gil_scoped_acquire gil;
     auto free = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(
@@ -195,6 +203,7 @@ class CallbackSpace final : public Space {
   }
   Callbacks ask_;
   bool motion_is_length_;
+  const Core* core_;
 };
 
 Out<double> as_array(const std::vector<Point>& rows, int dim) {
@@ -406,11 +415,12 @@ void bind_search(nb::module_& m) {
       .def(
           "__init__",
           [](CallbackSpace* self, nb::object edges_free, nb::object edge_costs, nb::object state_costs, Reals lower,
-             Reals upper, double w, bool motion_is_length) {
-            new (self) CallbackSpace({edges_free, edge_costs, state_costs}, lower, upper, w, motion_is_length);
+             Reals upper, double w, bool motion_is_length, const Core* core, double margin) {
+            new (self) CallbackSpace({edges_free, edge_costs, state_costs}, lower, upper, w, motion_is_length, core);
+            self->margin = margin;
           },
           nb::kw_only(), "edges_free"_a, "edge_costs"_a, "state_costs"_a, "lower"_a, "upper"_a, "w"_a,
-          "motion_is_length"_a);
+          "motion_is_length"_a, "core"_a.none() = nb::none(), "margin"_a = 0.0, nb::keep_alive<1, 9>());
   nb::class_<ConnectPlanner>(m, "Connect")
       .def(nb::init<Space&, Reals, Reals, double, int, uint64_t>(), "space"_a, nb::kw_only(), "start"_a, "goals"_a,
            "range"_a, "max_nodes"_a, "seed"_a, nb::keep_alive<1, 2>())
