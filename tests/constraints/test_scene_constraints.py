@@ -179,10 +179,10 @@ def test_misuse_names_the_culprit(task: gp.Task, scene: gp.Scene) -> None:
             make()
 
 
-def test_contents_are_kept_unless_somebody_says_otherwise(task: gp.Task) -> None:
-    assert default_constraints(task.scene) == ()
+def test_contents_and_grasp_are_kept_unless_somebody_says_otherwise(task: gp.Task) -> None:
+    assert default_constraints(task.scene) == (gp.GraspHolds(),)
     coffee = gp.load_scene("desk").tasks["bring_coffee"].scene
-    assert default_constraints(coffee) == (gp.KeepContents(),)
+    assert default_constraints(coffee) == (gp.KeepContents(), gp.GraspHolds())
 
 
 def test_the_lever_is_one_for_all() -> None:

@@ -11,11 +11,14 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.constraints.bounds import bounded_kernels
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
-from graceful_plan.constraints.felt import FeltConstraint, felt_limits
+from graceful_plan.constraints.felt import FeltCone, FeltConstraint, felt_limits
+from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, UnsupportedError
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.rules.grip import find_grip
 from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
 from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
@@ -53,7 +56,12 @@ class SceneConstraints:
         """Those that only Python can check."""
         self.keepers = tuple(c for c in self.constraints if isinstance(c, KeepContents))
         carrying = [c for c in self.constraints if isinstance(c, FeltConstraint)]
-        self.cones = tuple(c.felt(scene) for c in carrying)
+        self.felt = tuple(c.felt(scene) for c in carrying)
+        """What has to hold for what is felt where something is carried."""
+        self.charged = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
+        """The part of it that descents of motions charge for; timing keeps all of it."""
+        self.level = any(isinstance(felt, FeltCone) for felt in self.felt)
+        """Whether something that is carried has to stay level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in c.resting(scene)]
         self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
@@ -76,7 +84,7 @@ class SceneConstraints:
 
     def around(self, q: Float[Array, "n nq"]) -> SceneConstraints:
         """Return constraints with room for some configurations in which they hold."""
-        fitted = [c.around(q, self.scene) if isinstance(c, KeepContents) else c for c in self.constraints]
+        fitted = [c.around(q, self.scene) if isinstance(c, FeltConstraint) else c for c in self.constraints]
         return self if fitted == list(self.constraints) else SceneConstraints(self.scene, fitted)
 
     def custom_clearance(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
@@ -105,7 +113,7 @@ class SceneConstraints:
         Raises:
             RetimingError: If something does not even hold at rest somewhere along the curve.
         """
-        felt = felt_limits(self.cones, self.kernels, grid)
+        felt = felt_limits(self.felt, self.kernels, grid)
         return np.concatenate([felt, speed_limits(self._speeds, self.scene, grid)], axis=1)
 
     def calmed(self, trajectory: Trajectory) -> Trajectory:
@@ -118,8 +126,30 @@ class SceneConstraints:
 
 
 def default_constraints(scene: Scene) -> tuple[Constraint, ...]:
-    """Return what holds unless a call says otherwise: what the scene asks for, and that carried contents are kept."""
+    """Return what holds unless a call says otherwise.
+
+    That is what the scene asks for, that the contents of what is carried are kept, and that a grasp between two pads
+    that the model describes, and that holds in the scene's home configuration, holds on the way.
+    """
     declared = tuple(asked for asked in scene.notes.constraints if isinstance(asked, Constraint))
-    if find_vessel(scene) is None or any(isinstance(asked, KeepContents) for asked in declared):
-        return declared
-    return (*declared, KeepContents())
+    asked = {type(constraint) for constraint in declared}
+    return (*declared, *(own for own in _unasked(scene) if type(own) not in asked))
+
+
+@per_scene
+def _unasked(scene: Scene) -> tuple[Constraint, ...]:
+    contents = (KeepContents(),) if find_vessel(scene) is not None else ()
+    return (*contents, *_held(scene))
+
+
+def _held(scene: Scene) -> tuple[GraspHolds, ...]:
+    """Return that the grasp holds, if the model says with what force, and that it does at home."""
+    if scene.carried is None:
+        return ()
+    try:
+        if np.isnan(find_grip(scene).force):
+            return ()
+    except UnsupportedError:
+        return ()
+    home, grasp = scene.home_qpos[scene.qpos_adr], GraspHolds()
+    return (grasp,) if grasp.residual(StateBatch(scene, home[None]))[0] <= 0.0 else ()

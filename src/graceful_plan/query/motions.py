@@ -94,7 +94,7 @@ def motions(
     if searched.stopped:
         effort = Effort(bends=0, hops=0)
     found = [*known, *smooth(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
-    if request.objective.descended() is None and request.constraints.cones:
+    if request.objective.descended() is None and request.constraints.level:
         found += [motion for path, k in wholes for motion in _followed(path, k, request, ends)]
     why_not = ""
     for whole, arrival in wholes[: _worth_timing(searched, found)]:
@@ -169,8 +169,8 @@ def smooth(
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
-        felt=[cone.native for cone in request.constraints.cones],
-        effort=effort if objective.w > 0.0 or request.constraints.cones else replace(effort, bends=0, hops=0),
+        felt=request.constraints.charged,
+        effort=effort if objective.w > 0.0 or request.constraints.charged else replace(effort, bends=0, hops=0),
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
@@ -261,7 +261,7 @@ def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request
 
 
 def _time_price(request: Request) -> float:
-    return time_price(careful=bool(request.constraints.cones))
+    return time_price(careful=request.constraints.level)
 
 
 def _keeps_clear(trajectory: Trajectory, constraints: SceneConstraints) -> bool:

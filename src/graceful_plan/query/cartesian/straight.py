@@ -221,7 +221,7 @@ class _Query:
 
     def _charged(self, trajectory: Trajectory) -> Motion:
         cost = self.objective.breakdown(trajectory)
-        ranking = cost.total + time_price(careful=bool(self.held.cones)) * trajectory.duration
+        ranking = cost.total + time_price(careful=self.held.level) * trajectory.duration
         return Motion(path=trajectory.path, trajectory=trajectory, cost=cost, arrival=0, ranking=ranking)
 
     def _judged(self, motions: Sequence[Motion], objections: _Objections) -> PlanResult:
