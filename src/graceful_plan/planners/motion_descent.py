@@ -136,6 +136,7 @@ class MotionDescents:
         is_free: Whether nothing is hit along a curve that came from some start.
         effort: How much of what there is to do.
         felt: Limits on what is felt where something is carried.
+        careful: Whether something full is carried.
     """
 
     space: _native.Space
@@ -144,11 +145,12 @@ class MotionDescents:
     is_free: Callable[[Spline, Start], bool]
     effort: Effort = Effort()
     felt: Sequence[_native.FeltLimit] = ()
+    careful: bool = False
 
     @property
     def time_price(self) -> float:
         """What a second of motion counts on top of J [rad/s]."""
-        return time_price(careful=bool(self.felt))
+        return time_price(careful=self.careful)
 
     def run(
         self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, *, raw: int | None = None

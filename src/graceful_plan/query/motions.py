@@ -43,6 +43,10 @@ _MOST_TIMED = 4
 """Smooth motions that are compared by the J of their trajectories."""
 _POLISH = Effort(screens=False)
 """What is done with motions that are known to be good."""
+_CAREFUL_SHARE = 0.6
+"""Of the time for descents where a liquid is carried, for those that leave sloshing its share of the angle."""
+_DARED = 2
+"""Motions that then descend once more."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the spheres do not count [rad]."""
 _POINTS = (8, 16, 32)
@@ -93,7 +97,7 @@ def motions(
     effort = Effort() if wholes else _POLISH
     if searched.stopped:
         effort = Effort(bends=0, hops=0)
-    found = [*known, *smooth(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
+    found = [*known, *_descended(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
     if request.objective.descended() is None and request.constraints.level:
         found += [motion for path, k in wholes for motion in _followed(path, k, request, ends)]
     why_not = ""
@@ -103,6 +107,29 @@ def motions(
         except RetimingError as error:
             why_not = str(error)
     return sorted(found, key=lambda motion: motion.ranking), why_not
+
+
+def _descended(
+    wholes: Sequence[tuple[Path, int]],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
+    *,
+    effort: Effort,
+    raw: int,
+) -> list[Motion]:
+    """Do what `smooth` does; where a liquid is carried, descend from its motions once more, with less held back."""
+    daring = request.constraints.daring
+    if daring is request.constraints:
+        return smooth(wholes, request, ends, problem, means, effort=effort, raw=raw)
+    budget, rng = means
+    with budget.share(_CAREFUL_SHARE * budget.remaining_seconds, budget.remaining_iterations) as part:
+        found = smooth(wholes, request, ends, problem, (part, rng), effort=effort, raw=raw)
+    best = sorted(found, key=lambda motion: motion.ranking)[:_DARED]
+    dared = replace(problem, kernels=daring.kernels, constraints=daring)
+    asked = replace(request, constraints=daring)
+    return [*found, *smooth([(m.path, m.arrival) for m in best], asked, ends, dared, means, effort=_POLISH)]
 
 
 def _worth_timing(searched: Search, found: Sequence[Motion]) -> int:
@@ -170,6 +197,7 @@ def smooth(
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
         felt=request.constraints.charged,
+        careful=request.constraints.level,
         effort=effort if objective.w > 0.0 or request.constraints.charged else replace(effort, bends=0, hops=0),
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
@@ -196,8 +224,8 @@ def _tight(way: Path) -> float:
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
     scene = request.objective.scene
     try:
-        trajectory = request.constraints.calmed(
-            timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=request.constraints.limits)
+        trajectory = request.constraints.timed(
+            lambda limits: timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=limits)
         )
     except RetimingError:
         return None
@@ -216,11 +244,11 @@ def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
 def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline, its corners cut by so much."""
     scene = request.objective.scene
-    restraint = request.constraints.limits
-    trajectory = retime(
-        whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=restraint
+    trajectory = request.constraints.timed(
+        lambda limits: retime(
+            whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=limits
+        )
     )
-    trajectory = request.constraints.calmed(trajectory)
     return _charged(whole, trajectory, arrival, request)
 
 

@@ -216,8 +216,9 @@ class _Query:
 
     def _timed(self, curve: Spline) -> Motion:
         scene = self.follower.scene
-        trajectory = timed(curve, scene.limits, scene.joints, speed=self.speed, restraint=self.held.limits)
-        return self._charged(self.held.calmed(trajectory))
+        return self._charged(
+            self.held.timed(lambda limits: timed(curve, scene.limits, scene.joints, speed=self.speed, restraint=limits))
+        )
 
     def _charged(self, trajectory: Trajectory) -> Motion:
         cost = self.objective.breakdown(trajectory)
