@@ -23,7 +23,7 @@ from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.exceptions import GracefulPlanError
-from graceful_plan.judge.verification import verify
+from graceful_plan.judge.verification import Verification, verify
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import CHOMP, PLANNERS, STOMP, Anytime, Auto, CasADi, Planner, PRMStar, RRTConnect, RRTStar
@@ -90,6 +90,7 @@ __all__ = [
     "Trajectory",
     "Upright",
     "Verdict",
+    "Verification",
     "__version__",
     "certify",
     "clearance",

@@ -15,6 +15,7 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints, defaul
 from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
+from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -26,6 +27,7 @@ from graceful_plan.query.arguments import (
     checked_seed,
     checked_speed,
     checked_time_limit,
+    checked_verification,
     checked_wait,
 )
 from graceful_plan.query.cheaper import beginning_with, known_motions
@@ -35,6 +37,7 @@ from graceful_plan.query.finish import Judged, first_verified
 from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.query.motions import along, motions
 from graceful_plan.query.prefer import Preference
+from graceful_plan.query.quick import quick_motions, wants_it_soon
 from graceful_plan.query.request import Request
 from graceful_plan.query.restarts import search_for_motions
 from graceful_plan.query.search import KEPT, Callback, Search
@@ -76,6 +79,7 @@ def plan(
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
     constraints: Iterable[Constraint] | None = None,
+    verification: Verification | None = None,
     callback: Callback | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:
@@ -102,6 +106,8 @@ def plan(
             the trajectory then begins with a stretch at rest.
         constraints: What has to hold on the way, besides not to collide; by default what the scene asks for, and that
             the contents of a carried vessel stay in it (`KeepContents`). An empty list asks for nothing.
+        verification: How closely the judge looks at motions; by default every 2 mm, with exact geometry wherever
+            spheres do not prove that nothing is near.
         callback: Called with every improvement, at last with the motion itself; returning True ends the search.
         cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
             ends, and the best path so far is timed and judged as ever. Without one the status is CANCELLED.
@@ -124,11 +130,13 @@ def plan(
         pose=goal if isinstance(goal, PoseGoal) else None,
         speed=share,
         max_wait=checked_wait(max_wait, scene),
+        verification=checked_verification(verification),
         callback=callback,
     )
     rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
     if passed := checked_via(via, scene):
         asked = {"planner": planner, "objective": bound.objective, "seed": seed, "speed": share, "risk": measure}
+        asked["verification"] = verification
         leg = partial(plan, scene=scene, constraints=held.constraints, cancelled=stop, **asked)
         return plan_through((start, passed, goal), leg, request, Budget(limit, iterations, stop, started), seed)
     ends = find_ends(start, goal, held, rng, seed=seed, cancelled=stop)
@@ -170,8 +178,12 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         known_is_enough = bool(known) and request.preference is None and request.objective.descended() is not None
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
-        judged = first_verified(candidates, request)
+        judged = None
+        if wants_it_soon(found):
+            judged = first_verified(quick_motions(found, request, ends, problem, budget), request)
+        if judged is None or not judged.verdict.passed:
+            candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
+            judged = first_verified(candidates, request) or judged
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or not set(judged.verdict.failures) - _NOT_FOR_CORNERS:
                 break

@@ -152,9 +152,20 @@ def smooth(
         effort: How much of what there is to do.
         raw: How many of the last paths wide bends begin with; all if 0.
     """
+    descents = motion_descents(request, problem, effort)
+    if descents is None:
+        return []
+    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
+    starts = [start_of(whole, arrival, ends) for whole, arrival in wholes]
+    landed = descents.run(starts, *means, raw=raw)
+    return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def motion_descents(request: Request, problem: SceneProblem, effort: Effort) -> MotionDescents | None:
+    """Return descents for what was asked; None if the objective has none."""
     objective = request.objective.descended()
     if objective is None:
-        return []
+        return None
     scene, speed = objective.scene, request.speed
     free = replace(problem, margin=0.5 * problem.margin).states_free
 
@@ -164,7 +175,7 @@ def smooth(
         clear = (done >= start.tight_start) & (done <= done[-1] - start.tight_end)
         return bool(free(q[clear]).all())
 
-    descents = MotionDescents(
+    return MotionDescents(
         space=native_space(problem, objective),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
@@ -172,10 +183,11 @@ def smooth(
         felt=[cone.native for cone in request.constraints.cones],
         effort=effort if objective.w > 0.0 or request.constraints.cones else replace(effort, bends=0, hops=0),
     )
-    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
-    starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
-    landed = descents.run(starts, *means, raw=raw)
-    return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def start_of(whole: Path, arrival: int, ends: Ends) -> Start:
+    """Return a path to descend from, told where it is tight."""
+    return Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival]))
 
 
 def _followed(whole: Path, arrival: int, request: Request, ends: Ends) -> Iterator[Motion]:
@@ -194,14 +206,20 @@ def _tight(way: Path) -> float:
 
 
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
+    motion = timed_curve(landed, arrival, request)
+    if motion and ends.in_the_clear(arrival) and not _keeps_clear(motion.trajectory, request.constraints):
+        return None
+    return motion
+
+
+def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None:
+    """Time what a descent ended with, None if that cannot be done."""
     scene = request.objective.scene
     try:
         trajectory = request.constraints.calmed(
             timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=request.constraints.limits)
         )
     except RetimingError:
-        return None
-    if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.constraints):
         return None
     estimate = landed.value - _time_price(request) * trajectory.duration
     return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
