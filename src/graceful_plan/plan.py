@@ -136,8 +136,9 @@ def plan(
     rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
     if passed := checked_via(via, scene):
         asked = {"planner": planner, "objective": bound.objective, "seed": seed, "speed": share, "risk": measure}
-        asked["verification"] = verification
-        leg = partial(plan, scene=scene, constraints=held.constraints, cancelled=stop, **asked)
+        leg = partial(
+            plan, scene=scene, constraints=held.constraints, verification=verification, cancelled=stop, **asked
+        )
         return plan_through((start, passed, goal), leg, request, Budget(limit, iterations, stop, started), seed)
     ends = find_ends(start, goal, held, rng, seed=seed, cancelled=stop)
     if isinstance(ends, PlanResult):
