@@ -12,7 +12,7 @@ the geoms never touch; those that overlap are tested, so that no configuration i
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -22,7 +22,7 @@ from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays,
 from graceful_plan.core.covers import GEOM_KINDS, geom_name, group_cover, hull_triangles
 from graceful_plan.core.kernels import CAPACITY, Kernels
 from graceful_plan.exceptions import UnsupportedError
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -49,15 +49,32 @@ def compile_scene(scene: Scene) -> CompiledScene:
     Raises:
         UnsupportedError: If the kernels cannot represent it; names the geom.
     """
-    data = _reference_data(scene)
-    frames = _frames(scene, data)
-    groups = _groups(scene, frames)
+    data, parts = _reference_data(scene), _robot_parts(scene)
+    frames, groups = parts.frames, parts.groups
     overlapping = _overlapping(scene.model, data)
-    robot = _robot_arrays(scene, data, frames, groups, overlapping)
+    robot = replace(parts.arrays, self_pair=_self_pairs(groups, len(frames.parent), overlapping))
     world = _world_arrays(scene, data, groups)
     hazards = _hazard_arrays(scene, data, frames)
     _check_capacity(scene.model, groups, robot, hazards)
     return CompiledScene(robot=robot, world=world, hazards=hazards, kernels=Kernels(robot, world, hazards))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _RobotParts:
+    """What of a scene's tables does not depend on where things around the robot stand."""
+
+    frames: _Frames
+    groups: list[_Group]
+    arrays: RobotArrays
+    """Without pairs of links."""
+
+
+@per_layout
+def _robot_parts(scene: Scene) -> _RobotParts:
+    data = _reference_data(scene)
+    frames = _frames(scene, data)
+    groups = _groups(scene, frames)
+    return _RobotParts(frames=frames, groups=groups, arrays=_robot_arrays(scene, data, frames, groups))
 
 
 def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: HazardArrays) -> None:
@@ -196,7 +213,6 @@ def _robot_arrays(
     data: mujoco.MjData,
     frames: _Frames,
     groups: list[_Group],
-    overlapping: frozenset[tuple[int, int]],
 ) -> RobotArrays:
     n_frame = len(frames.parent)
     parent, joint, slide, X_PL = list(frames.parent), [-1, *range(n_frame - 1)], [0] * n_frame, []
@@ -237,7 +253,7 @@ def _robot_arrays(
         sphere_link=np.array(links, dtype=int),
         sphere=np.concatenate(spheres) if spheres else np.zeros((0, 4)),
         bound=np.stack([bound.get(link, np.array([0.0, 0.0, 0.0, -1.0])) for link in range(len(parent))]),
-        self_pair=_self_pairs(groups, n_frame, overlapping),
+        self_pair=np.zeros((0, 2), dtype=int),
         protrusion=protrusion,
     )
     return arrays

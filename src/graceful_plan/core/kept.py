@@ -25,7 +25,7 @@ Array = np.ndarray
 _LOG = logging.getLogger(__name__)
 _OFF = "GRACEFUL_PLAN_NO_CACHE"
 _NAME = "values"
-_BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+_BROKEN = (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error)
 
 
 def folder() -> Path | None:
@@ -51,7 +51,7 @@ def read(digest: str) -> Float[Array, "..."] | None:
         return None
     file = place / f"{digest}.npz"
     try:
-        with np.load(file, allow_pickle=False) as found:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as found:
             return np.asarray(found[_NAME], dtype=np.float64)
     except FileNotFoundError:
         return None

@@ -7,7 +7,6 @@ it carries, against everything and themselves.
 
 from __future__ import annotations
 
-import copy
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,12 +15,11 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Float
 from graceful_plan.judge.motion_samples import AUDITED, ClearanceBound, MotionSamples, motion_samples
+from graceful_plan.judge.preparation import prepare
 from graceful_plan.path import Path
 from graceful_plan.scene.model_parts import geom_label
-from graceful_plan.scene.per_scene import per_scene
-from graceful_plan.scene.placement import PlacementPool
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -32,8 +30,6 @@ DEEPEST_SUPPORT = 0.003
 """How deep [m] a carried object may sink into its support at the ends of a path."""
 _GRAZE = 1e-6
 """Contacts of an object with its support that are shallower [m] are rounding, wherever they are on the path."""
-_MAX_GROUPS = 31
-"""MuJoCo's collision masks have 32 bits."""
 
 
 class Touch(NamedTuple):
@@ -71,8 +67,9 @@ class Judge:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        prepared = _prepared(scene)
-        self._checked, self._ends, self._movers = prepared.checked, prepared.ends, prepared.movers
+        prepared = prepare(scene)
+        filters = prepared.filters
+        self._checked, self._ends, self._movers = filters.checked, filters.ends, filters.movers
         self._placement = prepared.placements.of(scene)
 
     def touches(self, q: Float[Array, "n nq"], start: int = 0) -> Iterator[Touch]:
@@ -172,46 +169,3 @@ def first_collision(
         return None
     first = min(violations, key=lambda t: (t.sample, t.distance))
     return Collision(samples.q[first.sample], float(samples.at[first.sample]), judge.named(first))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Prepared:
-    """What judges of one scene share."""
-
-    checked: Bool[Array, "geom geom"]
-    """Pairs that may not touch."""
-    ends: Bool[Array, "geom geom"]
-    """Those of them that may at the ends of a path."""
-    movers: frozenset[int]
-    """Geoms of the robot and what it carries."""
-    placements: PlacementPool
-    """With a model that tests few pairs needlessly."""
-
-
-@per_scene
-def _prepared(scene: Scene) -> _Prepared:
-    model = copy.copy(scene.model)
-    n = model.ngeom
-    checked = np.zeros((n, n), dtype=bool)
-    first, second = scene.collision_pairs().T
-    movers = frozenset(first.tolist())
-    checked[first, second] = checked[second, first] = True
-    ends = np.zeros((n, n), dtype=bool)
-    for a, b in scene.allowed_pairs("ends"):
-        ends[a, b] = ends[b, a] = True
-    _restrict_masks(model, checked)
-    return _Prepared(checked=checked, ends=ends, movers=movers, placements=PlacementPool(model))
-
-
-def _restrict_masks(model: mujoco.MjModel, checked: Bool[Array, "geom geom"]) -> None:
-    """Replace collision masks by ones under which pairs that need no check are not tested, as far as bits last.
-
-    Geoms with the same partners share a bit of `conaffinity`; a geom has in `contype` the bits of its partners.
-    """
-    partners, group = np.unique(checked, axis=0, return_inverse=True)
-    if len(partners) > _MAX_GROUPS:
-        return
-    group = group.reshape(-1)
-    model.geom_conaffinity[:] = 1 << group
-    for geom in range(model.ngeom):
-        model.geom_contype[geom] = int(np.bitwise_or.reduce(1 << np.unique(group[checked[geom]]), initial=0))

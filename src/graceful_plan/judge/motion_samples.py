@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.judge.preparation import own_placement
 from graceful_plan.path import Path
 from graceful_plan.scene.model_parts import subtree
-from graceful_plan.scene.per_scene import per_scene
-from graceful_plan.scene.placement import own_placement
+from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -138,7 +138,7 @@ def _levers_near(q: Float[Array, "n nq"], scene: Scene) -> Float[Array, "n nq"]:
     return np.where(slides, 1.0, np.minimum(levers + _FARTHEST, reach(scene)))
 
 
-@per_scene
+@per_layout
 def _carried_geoms(scene: Scene) -> tuple[Int[Array, " nq"], Int[Array, " geom"], Bool[Array, "nq geom"]]:
     """Return the planned joints, the geoms that move, and which of them each joint moves."""
     model = scene.model
@@ -160,7 +160,7 @@ def _subdivided(moved: Float[Array, " piece"], step: float) -> Float[Array, " sa
     return np.append(piece + (np.arange(begin[-1]) - begin[piece]) / parts[piece], float(len(parts)))
 
 
-@per_scene
+@per_layout
 def reach(scene: Scene) -> Float[Array, " nq"]:
     """Bound how far any moving point is from each planned joint's axis, in every configuration.
 

@@ -18,12 +18,12 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.exact import Judge, Touch, motion_violations
 from graceful_plan.judge.motion_samples import ClearanceBound, MotionSamples, motion_samples
+from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.judge.second_opinion import opinion_of_fcl
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, Verdict
-from graceful_plan.scene.placement import own_placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.rules.rules import Ruled, default_rules
 from graceful_plan.scene.scene import Scene

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -45,7 +45,7 @@ class Solid:
 
     name: str
     kind: str
-    size: ArrayLike
+    size: float | Sequence[float] | ArrayLike
     pose: ArrayLike
     entity: str | None = None
 

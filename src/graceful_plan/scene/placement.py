@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -71,13 +70,3 @@ class PlacementPool:
         if found is None:
             found = self._own.placement = Placement(scene, self._model)
         return found
-
-
-@per_scene
-def _pool(_scene: Scene) -> PlacementPool:
-    return PlacementPool()
-
-
-def own_placement(scene: Scene) -> Placement:
-    """Return this thread's placement in a scene: for who reads what it needs before anybody else is asked."""
-    return _pool(scene).of(scene)

@@ -381,7 +381,8 @@ class Scene(SceneFacts):
             home[adr : adr + 7] = model.qpos0[adr : adr + 7]
         home.flags.writeable = False
         scene = replace(self, spec=spec, model=model, home_qpos=home)
-        vars(scene)["_collision_pairs"] = self._collision_pairs  # they do not depend on where anything is
+        # These do not depend on where anything stands.
+        vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
         return scene
 
 
