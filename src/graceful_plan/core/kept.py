@@ -24,7 +24,6 @@ Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 _OFF = "GRACEFUL_PLAN_NO_CACHE"
-_NAME = "values"
 _BROKEN = (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error)
 
 
@@ -52,7 +51,7 @@ def read(digest: str) -> Float[Array, "..."] | None:
     file = place / f"{digest}.npz"
     try:
         with file.open("rb") as opened, np.load(opened, allow_pickle=False) as found:
-            return np.asarray(found[_NAME], dtype=np.float64)
+            return np.asarray(found["values"], dtype=np.float64)
     except FileNotFoundError:
         return None
     except _BROKEN as error:
@@ -70,7 +69,7 @@ def write(digest: str, values: Float[Array, "..."]) -> None:
         place.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=place, suffix=".part", delete=False) as file:
             scratch = Path(file.name)
-            np.savez(file, **{_NAME: values})
+            np.savez(file, values=values)
         os.replace(scratch, place / f"{digest}.npz")
     except OSError as error:
         _LOG.info("nothing can be kept in %s: %s", place, error)
