@@ -31,6 +31,7 @@ from graceful_plan.query.arguments import (
     checked_wait,
 )
 from graceful_plan.query.cheaper import beginning_with, known_motions
+from graceful_plan.query.clock import Clock, paces_of
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
@@ -51,10 +52,10 @@ Array = np.ndarray
 
 _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
-_RESERVE = 0.1
-"""Seconds kept for timing and verification, at most a quarter of the time limit: they take 0.03 to 0.08."""
 _TIMING_RESERVE = RESERVE + 0.2
-"""Seconds kept besides to time candidates and to evaluate the chosen one if something moves."""
+"""Seconds kept besides to time candidates and to evaluate the chosen one if something moves, at most a quarter of all.
+"""
+_UNVERIFIED = "a path was found, but there was no time to judge a motion along it: it is NOT verified"
 
 
 _NOT_FOR_CORNERS = frozenset(
@@ -140,12 +141,21 @@ def plan(
             plan, scene=scene, constraints=held.constraints, verification=verification, cancelled=stop, **asked
         )
         return plan_through((start, passed, goal), leg, request, Budget(limit, iterations, stop, started), seed)
-    ends = find_ends(start, goal, held, rng, seed=seed, cancelled=stop)
+    ends = find_ends(
+        start,
+        goal,
+        held,
+        rng,
+        seed=seed,
+        cancelled=stop,
+        late=lambda part: time.perf_counter() > started + part * limit,
+    )
     if isinstance(ends, PlanResult):
         return ends
-    request = replace(request, constraints=ends.constraints)
-    reserve = _RESERVE + (_TIMING_RESERVE if scene.moving else 0.0)
-    budget = Budget(limit - min(reserve, limit / 4.0), iterations, stop, started)
+    clock = Clock(started + limit, paces_of(scene))
+    request = replace(request, constraints=ends.constraints, clock=clock)
+    reserve = clock.reserve(limit) + (min(_TIMING_RESERVE, limit / 4.0) if scene.moving else 0.0)
+    budget = Budget(limit - (reserve if np.isfinite(limit) else 0.0), iterations, stop, started)
     try:
         result = _search_and_finish(request, ends, budget, rng)
     except NonFiniteCostError as error:
@@ -196,7 +206,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused or known):
             break
-    return _failed(found, refused, why_not, budget, stats)
+    return _failed((found, ends), refused, why_not, budget, stats)
 
 
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
@@ -229,11 +239,17 @@ def _solved(judged: Judged, found: Search, request: Request, budget: Budget, sta
     )
 
 
-def _failed(found: Search, refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]) -> PlanResult:
+def _failed(
+    searched: tuple[Search, Ends], refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]
+) -> PlanResult:
+    found, ends = searched
     ended = PlanStatus.CANCELLED if budget.cancelled() else PlanStatus.TIMEOUT
     trace = tuple(found.trace)
     if refused is None and why_not:
         return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=why_not, trace=trace, stats=stats)
+    if refused is None and found.paths:
+        path, _ = ends.joined(found.paths[-1])
+        return PlanResult(status=ended, path=path, detail=_UNVERIFIED, trace=trace, stats=stats)
     if refused is None:
         status = ended if budget.exhausted else PlanStatus.INFEASIBLE
         return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", stats=stats)

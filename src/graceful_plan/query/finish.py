@@ -25,10 +25,16 @@ class Judged:
 
 
 def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None:
-    """Return the first motion that the judge passes; if there is none, the first with what the judge objects to it."""
-    refused = None
+    """Return the first motion that the judge passes; if there is none, the first with what the judge objects to it.
+
+    None if there are no motions, or there was no time to judge one.
+    """
+    refused, clock = None, request.clock
     for motion in motions:
-        verdict = verdict_of(motion, request.objective, request.constraints, request.pose, request.verification)
+        if not clock.has_room("judging"):
+            break
+        with clock.measured("judging"):
+            verdict = verdict_of(motion, request.objective, request.constraints, request.pose, request.verification)
         judged = Judged(motion=motion, verdict=verdict)
         if judged.verdict.passed:
             return judged

@@ -98,6 +98,8 @@ def motions(
         found += [motion for path, k in wholes for motion in _followed(path, k, request, ends)]
     why_not = ""
     for whole, arrival in wholes[: _worth_timing(searched, found)]:
+        if not request.clock.has_room("timing", "judging"):
+            break
         try:
             found.append(_along(whole, arrival, request, ends))
         except RetimingError as error:
@@ -125,6 +127,8 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
     ways = (lambda: _along(whole, arrival, request, ends),) if swift else ()
     exact = tuple(partial(_cut, whole, deviation, arrival, request) for deviation in DEVIATIONS[1:])
     for motion in (*ways, *exact):
+        if not request.clock.has_room("timing", "judging"):
+            return
         try:
             yield motion()
         except RetimingError:
@@ -158,7 +162,14 @@ def smooth(
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [start_of(whole, arrival, ends) for whole, arrival in wholes]
     landed = descents.run(starts, *means, raw=raw)
-    return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+    request.clock.ended(means[0].elapsed - means[0].time_limit)
+    found: list[Motion] = []
+    for one in landed[:_MOST_TIMED]:
+        if not request.clock.has_room("timing", "judging"):
+            break
+        motion = _of(one, wholes[one.start][1], request, ends)
+        found += [motion] if motion is not None else []
+    return found
 
 
 def motion_descents(request: Request, problem: SceneProblem, effort: Effort) -> MotionDescents | None:
@@ -214,21 +225,22 @@ def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | 
 
 def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None:
     """Time what a descent ended with, None if that cannot be done."""
-    scene = request.objective.scene
-    try:
-        trajectory = request.constraints.calmed(
-            timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=request.constraints.limits)
-        )
-    except RetimingError:
-        return None
-    estimate = landed.value - _time_price(request) * trajectory.duration
-    return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
+    scene, restraint = request.objective.scene, request.constraints.limits
+    with request.clock.measured("timing"):
+        try:
+            trajectory = timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=restraint)
+            trajectory = request.constraints.calmed(trajectory)
+        except RetimingError:
+            return None
+        estimate = landed.value - _time_price(request) * trajectory.duration
+        return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
 
 
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
     """Time a polyline, each corner cut as far as the fast checker allows."""
     clear = ends.in_the_clear(arrival)
-    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
+    with request.clock.measured("timing"):
+        return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
 
 
 def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:

@@ -33,7 +33,7 @@ def quick_motions(
     path = found.paths[-1]
     whole, arrival = ends.joined(path)
     descents = motion_descents(request, problem, Effort(bends=0, hops=0))
-    if descents is not None and whole.length > 0.0:
+    if descents is not None and whole.length > 0.0 and request.clock.has_room("timing", "judging"):
         start = start_of(whole, arrival, ends)
         descent = descents.descended(start, COARSE, budget)
         if descent is not None and descents.is_free(curve := Spline(descent.controls), start):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import Planner
+from graceful_plan.query.clock import Clock
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.search import Callback
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -28,6 +29,7 @@ class Request:
     | max_wait     | longest wait at the start, if something moves                         | s    |
     | verification | how closely the judge looks                                           |      |
     | callback     | told of every improvement                                             |      |
+    | clock        | the time that there is                                                |      |
     """
 
     planner: Planner
@@ -39,3 +41,4 @@ class Request:
     max_wait: float = 0.0
     verification: Verification | None = None
     callback: Callback | None = None
+    clock: Clock = field(default_factory=Clock)
