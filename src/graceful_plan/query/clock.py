@@ -1,8 +1,8 @@
 """What is left of the time of a call, and whether its last steps still fit: they take what they took lately.
 
 A motion is timed and charged, then judged. How long that takes depends on the scene, on what is asked and on the
-machine, so it is learnt: a step is begun only if it would end in time when it takes as long as the middle one of its
-last runs in this scene, and hardly late when it takes as long as the longest.
+machine, so it is learnt: a step is begun only if it would hardly be late when it takes as long as the longest of its
+last runs in this scene.
 """
 
 from __future__ import annotations
@@ -46,11 +46,6 @@ class Paces:
     def longest(self, step: Step) -> float:
         """Return the longest of the last runs [s]; 0 before there are any: somebody has to try."""
         return max(self._lately[step], default=0.0)
-
-    def middle(self, step: Step) -> float:
-        """Return the middle one of the last runs [s]."""
-        lately = sorted(self._lately[step])
-        return lately[len(lately) // 2] if lately else 0.0
 
     def kept_for(self, step: Step) -> float:
         """Return what to keep for a run [s]."""
@@ -101,13 +96,17 @@ class Clock:
             self.paces.took("ending", max(0.0, late))
 
     def has_room(self, *steps: Step) -> bool:
-        """Whether these steps are likely to end in time."""
-        middle, longest = (sum(of(step) for step in steps) for of in (self.paces.middle, self.paces.longest))
-        if self.left >= max(middle, longest - _LATE):
+        """Whether these steps would end in time, or hardly late."""
+        left = self.left
+        if left > 0.0 and left >= sum(self.paces.longest(step) for step in steps) - _LATE:
             return True
         for step in steps:
             self.paces.doubt(step)
         return False
+
+    def has_plenty(self, *steps: Step) -> bool:
+        """Whether there is room for more than what has to be done: these steps, as long as they ever took, twice."""
+        return self.left >= 2.0 * sum(self.paces.longest(step) for step in steps)
 
     @contextmanager
     def measured(self, step: Step) -> Generator[None]:

@@ -17,7 +17,7 @@ from graceful_plan.scene.pose_goal import PoseGoal
 
 Array = np.ndarray
 
-_SHARE_OF_GOALS = 0.4
+_SHARE_OF_GOALS = 0.6
 """Of the time, for inverse kinematics: what it has found by then is what there is to choose from."""
 _NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
 

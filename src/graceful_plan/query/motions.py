@@ -98,7 +98,7 @@ def motions(
         found += [motion for path, k in wholes for motion in _followed(path, k, request, ends)]
     why_not = ""
     for whole, arrival in wholes[: _worth_timing(searched, found)]:
-        if not request.clock.has_room("timing", "judging"):
+        if not _is_time_for_another(found, request):
             break
         try:
             found.append(_along(whole, arrival, request, ends))
@@ -165,7 +165,7 @@ def smooth(
     request.clock.ended(means[0].elapsed - means[0].time_limit)
     found: list[Motion] = []
     for one in landed[:_MOST_TIMED]:
-        if not request.clock.has_room("timing", "judging"):
+        if not _is_time_for_another(found, request):
             break
         motion = _of(one, wholes[one.start][1], request, ends)
         found += [motion] if motion is not None else []
@@ -217,23 +217,29 @@ def _tight(way: Path) -> float:
 
 
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
-    motion = timed_curve(landed, arrival, request)
-    if motion and ends.in_the_clear(arrival) and not _keeps_clear(motion.trajectory, request.constraints):
-        return None
-    return motion
+    with request.clock.measured("timing"):
+        motion = timed_curve(landed, arrival, request)
+        if motion and ends.in_the_clear(arrival) and not _keeps_clear(motion.trajectory, request.constraints):
+            return None
+        return motion
 
 
 def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None:
     """Time what a descent ended with, None if that cannot be done."""
     scene, restraint = request.objective.scene, request.constraints.limits
-    with request.clock.measured("timing"):
-        try:
-            trajectory = timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=restraint)
-            trajectory = request.constraints.calmed(trajectory)
-        except RetimingError:
-            return None
-        estimate = landed.value - _time_price(request) * trajectory.duration
-        return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
+    try:
+        trajectory = timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=restraint)
+        trajectory = request.constraints.calmed(trajectory)
+    except RetimingError:
+        return None
+    estimate = landed.value - _time_price(request) * trajectory.duration
+    return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
+
+
+def _is_time_for_another(found: Sequence[Motion], request: Request) -> bool:
+    """Whether to time another motion: the first if that can be judged in time, more if that is sure."""
+    clock = request.clock
+    return clock.has_plenty("timing", "judging") if found else clock.has_room("timing", "judging")
 
 
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:

@@ -37,7 +37,8 @@ def quick_motions(
         start = start_of(whole, arrival, ends)
         descent = descents.descended(start, COARSE, budget)
         if descent is not None and descents.is_free(curve := Spline(descent.controls), start):
-            motion = timed_curve(Landed(curve, descent.value, 0), arrival, request)
+            with request.clock.measured("timing"):
+                motion = timed_curve(Landed(curve, descent.value, 0), arrival, request)
             if motion is not None:
                 yield motion
     yield from along(path, request, ends)
