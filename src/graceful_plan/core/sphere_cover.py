@@ -20,8 +20,10 @@ MAX_PROTRUSION = 0.0095
 
 METHOD = 2
 """Counts changes of what covers are like: those kept by an earlier version are not used."""
-CANDIDATES = 24
+CANDIDATES = 12
 """Balls that are compared before the greedy cover of a hull takes the next."""
+_SHELL = 2.0
+"""Depth of what counts as surface when balls are compared, in pitches."""
 _ROUNDING = 1e-12
 """Of squared distances [m^2]."""
 _CHUNK = 2_000_000
@@ -188,19 +190,24 @@ def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrus
     # A ball covers for certain what is within its radius less the gaps between samples. |a - b|^2 = a.a + b.b - 2 a.b.
     within = np.maximum(radii - pitch, 0.0) ** 2 - _ROUNDING
     square = np.einsum("ni,ni->n", points, points)
-    left = np.argsort(depth, kind="stable")  # the surface first, corners before all
+    order = np.argsort(depth, kind="stable")  # the surface first, corners before all
+    near = int(np.searchsorted(depth[order], _SHELL * pitch))
     picked: list[int] = []
-    while len(left):
-        first = left[0]
-        able = np.flatnonzero(square + square[first] - 2.0 * (points @ points[first]) <= within)
-        deepest = able[np.argsort(-depth[able], kind="stable")[:CANDIDATES]]
-        able = np.union1d(deepest, able[np.linspace(0, len(able) - 1, min(len(able), CANDIDATES)).astype(int)])
-        apart = square[left] + square[able][:, None] - 2.0 * (points[able] @ points[left].T)
-        covered = apart <= within[able][:, None]
-        covered[:, 0] = True
-        best = int(np.argmax(covered.sum(axis=1)))
-        picked.append(int(able[best]))
-        left = left[~covered[best]]
+    for left in (order[:near], order[near:]):  # of what is deep inside, little is left once the surface is covered
+        for k in picked:
+            left = left[square[left] + square[k] - 2.0 * (points[left] @ points[k]) > within[k]]
+        while len(left):
+            first = left[0]
+            able = np.flatnonzero(square + square[first] - 2.0 * (points @ points[first]) <= within)
+            deepest = able[np.argsort(-depth[able], kind="stable")[:CANDIDATES]]
+            spread = able[np.linspace(0, len(able) - 1, min(len(able), CANDIDATES)).astype(int)]
+            able = np.union1d(deepest, spread)
+            apart = square[left] + square[able][:, None] - 2.0 * (points[able] @ points[left].T)
+            covered = apart <= within[able][:, None]
+            covered[:, 0] = True
+            best = int(np.argmax(covered.sum(axis=1)))
+            picked.append(int(able[best]))
+            left = left[~covered[best]]
     return points[picked], radii[picked]
 
 
