@@ -30,6 +30,7 @@ from graceful_plan.planners import CHOMP, PLANNERS, STOMP, Anytime, Auto, CasADi
 from graceful_plan.query.cartesian.straight import straight_motion
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult, PlanStatus, Verdict
 from graceful_plan.roadmap import Roadmap
+from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene, scenes
@@ -83,6 +84,7 @@ __all__ = [
     "STOMP",
     "Scene",
     "SeverityTable",
+    "Solid",
     "StateBatch",
     "Task",
     "ToolSpeed",

@@ -31,14 +31,14 @@ from graceful_plan.query.arguments import (
     checked_wait,
 )
 from graceful_plan.query.cheaper import beginning_with, known_motions
-from graceful_plan.query.clock import Clock, paces_of
+from graceful_plan.query.deadline.clock import Clock, paces_of
+from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
 from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.query.motions import along, motions
 from graceful_plan.query.prefer import Preference
-from graceful_plan.query.quick import quick_motions, wants_it_soon
 from graceful_plan.query.request import Request
 from graceful_plan.query.restarts import search_for_motions
 from graceful_plan.query.search import KEPT, Callback, Search

@@ -8,7 +8,7 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import Planner
-from graceful_plan.query.clock import Clock
+from graceful_plan.query.deadline.clock import Clock
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.search import Callback
 from graceful_plan.scene.pose_goal import PoseGoal

@@ -10,7 +10,7 @@ import pytest
 import graceful_plan as gp
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.query import finish
-from graceful_plan.query.clock import Clock, Paces, paces_of
+from graceful_plan.query.deadline.clock import Clock, Paces, paces_of
 from graceful_plan.query.ends import find_ends
 from graceful_plan.result import PlanStatus
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -33,7 +33,7 @@ def test_there_is_room_for_what_ends_in_time() -> None:
 
 def test_somebody_has_to_try() -> None:
     """Before there are any runs nothing is known that would be against one, but time is kept for it."""
-    assert _clock(0.001).has_room("judging")
+    assert _clock(-1.0).has_room("judging") and _clock(-1.0, timing=[1.0]).has_room("timing", "judging")
     assert 0.01 < _clock(1.0).reserve(1.0) < 0.2
 
 

@@ -44,12 +44,16 @@ class Paces:
         self._lately: dict[Step, deque[float]] = {step: deque(maxlen=_LATELY) for step in _FIRST}
 
     def longest(self, step: Step) -> float:
-        """Return the longest of the last runs [s]; 0 before there are any: somebody has to try."""
+        """Return the longest of the last runs [s]; 0 before there are any."""
         return max(self._lately[step], default=0.0)
+
+    def knows(self, step: Step) -> bool:
+        """Whether there were any runs."""
+        return bool(self._lately[step])
 
     def kept_for(self, step: Step) -> float:
         """Return what to keep for a run [s]."""
-        return self.longest(step) if self._lately[step] else _FIRST[step]
+        return self.longest(step) if self.knows(step) else _FIRST[step]
 
     def took(self, step: Step, seconds: float) -> None:
         """Take note of a run."""
@@ -96,8 +100,10 @@ class Clock:
             self.paces.took("ending", max(0.0, late))
 
     def has_room(self, *steps: Step) -> bool:
-        """Whether these steps would end in time, or hardly late."""
+        """Whether these steps would end in time, or hardly late; of one that is not known somebody has to try it."""
         left = self.left
+        if not all(self.paces.knows(step) for step in steps):
+            return True
         if left > 0.0 and left >= sum(self.paces.longest(step) for step in steps) - _LATE:
             return True
         for step in steps:
