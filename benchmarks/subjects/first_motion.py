@@ -227,7 +227,8 @@ def _changed(scene: gp.Scene, start: object, goal: object, repeats: int) -> dict
     many = [Solid(name=f"s{k}", kind="box", size=[0.02] * 3, pose=p) for k, p in enumerate(places200)]
     found["add 200"] = _median(lambda: scene.edit(add=many), max(1, repeats // 3))
     found["add 200 and compile"] = _median(lambda: compile_scene(scene.edit(add=many)), max(1, repeats // 3))
-    q = rng.uniform(*scene.limits.position.T, (4000, len(scene.joints)))
+    lower, upper = scene.limits.position.T
+    q = rng.uniform(lower, upper, (4000, len(scene.joints)))
     kernels = compile_scene(scene).kernels
     found["clearance of 1000"] = _median(lambda: kernels.clearance(q), repeats) / 4.0
     found["free of 1000"] = _median(lambda: kernels.free(q), repeats) / 4.0
