@@ -28,7 +28,7 @@ _LATELY = 16
 """Runs of a step that count."""
 _FORGOTTEN = 0.95
 """What is left of these times whenever a step is not begun for their sake: a single long run is forgotten some day."""
-_LATE = 0.005
+_LATE = 0.003
 """By how much a call may be late if a step takes as long as it ever did lately [s]."""
 _TIMED = 3
 """Motions that are to be timed within the time that is kept for the last steps."""
