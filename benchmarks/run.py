@@ -26,6 +26,7 @@ SUBJECTS = (
     "impact_speed",
     "safety",
     "first_path",
+    "first_motion",
     "inverse_kinematics",
     "straight_tool",
     "constraints",

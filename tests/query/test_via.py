@@ -21,7 +21,7 @@ _NEAR = 1e-4
 
 
 def _plan(scene, start, goal, via, **settings):
-    return gp.plan(start, goal, scene, via=via, **({"time_limit": 0.6} | settings))
+    return gp.plan(start, goal, scene, via=via, **({"time_limit": 1.5} | settings))
 
 
 def _nearest(trajectory: gp.Trajectory, q: Array) -> tuple[float, float]:

@@ -102,6 +102,8 @@ def motions(
         found += [motion for path, k in wholes for motion in _followed(path, k, request, ends)]
     why_not = ""
     for whole, arrival in wholes[: _worth_timing(searched, found)]:
+        if not _is_time_for_another(found, request):
+            break
         try:
             found.append(_along(whole, arrival, request, ends))
         except RetimingError as error:
@@ -152,6 +154,8 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
     ways = (lambda: _along(whole, arrival, request, ends),) if swift else ()
     exact = tuple(partial(_cut, whole, deviation, arrival, request) for deviation in DEVIATIONS[1:])
     for motion in (*ways, *exact):
+        if not request.clock.has_room("timing", "judging"):
+            return
         try:
             yield motion()
         except RetimingError:
@@ -179,9 +183,27 @@ def smooth(
         effort: How much of what there is to do.
         raw: How many of the last paths wide bends begin with; all if 0.
     """
+    descents = motion_descents(request, problem, effort)
+    if descents is None:
+        return []
+    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
+    starts = [start_of(whole, arrival, ends) for whole, arrival in wholes]
+    landed = descents.run(starts, *means, raw=raw)
+    request.clock.ended(means[0].elapsed - means[0].time_limit)
+    found: list[Motion] = []
+    for one in landed[:_MOST_TIMED]:
+        if not _is_time_for_another(found, request):
+            break
+        motion = _of(one, wholes[one.start][1], request, ends)
+        found += [motion] if motion is not None else []
+    return found
+
+
+def motion_descents(request: Request, problem: SceneProblem, effort: Effort) -> MotionDescents | None:
+    """Return descents for what was asked; None if the objective has none."""
     objective = request.objective.descended()
     if objective is None:
-        return []
+        return None
     scene, speed = objective.scene, request.speed
     free = replace(problem, margin=0.5 * problem.margin).states_free
 
@@ -191,7 +213,7 @@ def smooth(
         clear = (done >= start.tight_start) & (done <= done[-1] - start.tight_end)
         return bool(free(q[clear]).all())
 
-    descents = MotionDescents(
+    return MotionDescents(
         space=native_space(problem, objective),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
@@ -200,10 +222,11 @@ def smooth(
         careful=request.constraints.level,
         effort=effort if objective.w > 0.0 or request.constraints.charged else replace(effort, bends=0, hops=0),
     )
-    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
-    starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
-    landed = descents.run(starts, *means, raw=raw)
-    return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+
+
+def start_of(whole: Path, arrival: int, ends: Ends) -> Start:
+    """Return a path to descend from, told where it is tight."""
+    return Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival]))
 
 
 def _followed(whole: Path, arrival: int, request: Request, ends: Ends) -> Iterator[Motion]:
@@ -222,6 +245,15 @@ def _tight(way: Path) -> float:
 
 
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
+    with request.clock.measured("timing"):
+        motion = timed_curve(landed, arrival, request)
+        if motion and ends.in_the_clear(arrival) and not _keeps_clear(motion.trajectory, request.constraints):
+            return None
+        return motion
+
+
+def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None:
+    """Time what a descent ended with, None if that cannot be done."""
     scene = request.objective.scene
     try:
         trajectory = request.constraints.timed(
@@ -229,16 +261,21 @@ def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | 
         )
     except RetimingError:
         return None
-    if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.constraints):
-        return None
     estimate = landed.value - _time_price(request) * trajectory.duration
     return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
+
+
+def _is_time_for_another(found: Sequence[Motion], request: Request) -> bool:
+    """Whether to time another motion: the first if that can be judged in time, more if that is sure."""
+    clock = request.clock
+    return clock.has_plenty("timing", "judging") if found else clock.has_room("timing", "judging")
 
 
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
     """Time a polyline, each corner cut as far as the fast checker allows."""
     clear = ends.in_the_clear(arrival)
-    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
+    with request.clock.measured("timing"):
+        return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
 
 
 def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import Planner
+from graceful_plan.query.deadline.clock import Clock
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.search import Callback
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -16,16 +18,18 @@ from graceful_plan.scene.pose_goal import PoseGoal
 class Request:
     """What was asked for, all of it checked.
 
-    | field      | meaning                                                               | unit |
-    |------------|-----------------------------------------------------------------------|------|
-    | planner    | what searches                                                         |      |
-    | objective  | what to minimise, in which scene                                      |      |
-    | constraints| what has to hold on the way                                           |      |
-    | preference | what decides between paths instead, if the mean impact does not       |      |
-    | pose       | the pose to be reached, if that is the goal                           |      |
-    | speed      | fraction of the velocity limits to use                                |      |
-    | max_wait   | longest wait at the start, if something moves                         | s    |
-    | callback   | told of every improvement                                             |      |
+    | field        | meaning                                                               | unit |
+    |--------------|-----------------------------------------------------------------------|------|
+    | planner      | what searches                                                         |      |
+    | objective    | what to minimise, in which scene                                      |      |
+    | constraints  | what has to hold on the way                                           |      |
+    | preference   | what decides between paths instead, if the mean impact does not       |      |
+    | pose         | the pose to be reached, if that is the goal                           |      |
+    | speed        | fraction of the velocity limits to use                                |      |
+    | max_wait     | longest wait at the start, if something moves                         | s    |
+    | verification | how closely the judge looks                                           |      |
+    | callback     | told of every improvement                                             |      |
+    | clock        | the time that there is                                                |      |
     """
 
     planner: Planner
@@ -35,4 +39,6 @@ class Request:
     pose: PoseGoal | None = None
     speed: float = 1.0
     max_wait: float = 0.0
+    verification: Verification | None = None
     callback: Callback | None = None
+    clock: Clock = field(default_factory=Clock)

@@ -230,7 +230,12 @@ class _Query:
         scene, goal = self.follower.scene, self.line.goal
         for motion in motions:
             straight = straightness(motion.trajectory, goal, scene, deviation=self.bounds[0], angle=self.bounds[1])
-            verdict = Verdict(checks={**verdict_of(motion, self.objective, self.held, goal).checks, **straight})
+            verdict = Verdict(
+                checks={
+                    **verdict_of(motion, self.objective, self.held, goal).checks,
+                    **straight,
+                }
+            )
             if verdict.passed:
                 found = (motion.path, motion.trajectory, motion.cost)
                 return PlanResult(

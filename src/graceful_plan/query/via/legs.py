@@ -172,8 +172,9 @@ class _Joining:
         return bool(((q >= lower) & (q <= upper)).all() and self.request.constraints.kernels.free(q).all())
 
     def _verdict(self, motion: Motion) -> Verdict:
-        scene = self.request.objective.scene
-        checks = dict(verdict_of(motion, self.request.objective, self.request.constraints, self.request.pose).checks)
+        asked, scene = self.request, self.request.objective.scene
+        verdict = verdict_of(motion, asked.objective, asked.constraints, asked.pose, asked.verification)
+        checks = dict(verdict.checks)
         checks["via"], _ = passing(motion.trajectory, self.stages.wanted, scene)
         return Verdict(checks=checks)
 

@@ -285,10 +285,27 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
     F gap = square_root(squared_distance(placed.bound[a], placed.bound[b])) - (ga.bound[3] + gb.bound[3]);
     if (!any(gap < best.distance)) continue;
     const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
-    for (int k = ga.first; k < ga.first + ga.count; ++k)
-      for (int m = gb.first; m < gb.first + gb.count; ++m)
-        best.update(square_root(squared_distance(sa[k], sb[m])) - (tables.sphere[4 * k + 3] + tables.sphere[4 * m + 3]),
-                    k, -1 - m);
+    // Whether a sphere and a bound may be nearer than what was found so far, in any lane.
+    const auto near = [&](const Vec<F>& p, const Vec<F>& q, float radii) {
+      const F within = relu(best.distance + radii);
+      return any(squared_distance(p, q) < within * within);
+    };
+    for (int c = ga.first_cluster; c < ga.first_cluster + ga.n_cluster; ++c) {
+      const Cluster& mine = tables.cluster[c];
+      const Vec<F> centre = transform(X_W[ga.frame], mine.bound);
+      if (ga.n_cluster > 1 && !near(centre, placed.bound[b], mine.bound[3] + gb.bound[3])) continue;
+      for (int d = gb.first_cluster; d < gb.first_cluster + gb.n_cluster; ++d) {
+        const Cluster& other = tables.cluster[d];
+        const Vec<F> facing = transform(X_W[gb.frame], other.bound);
+        if (!near(centre, facing, mine.bound[3] + other.bound[3])) continue;
+        for (int k = mine.first; k < mine.first + mine.count; ++k) {
+          const float radius = tables.sphere[4 * k + 3];
+          if (mine.count > 1 && !near(sa[k], facing, radius + other.bound[3])) continue;
+          for (int m = other.first; m < other.first + other.count; ++m)
+            best.update(square_root(squared_distance(sa[k], sb[m])) - (radius + tables.sphere[4 * m + 3]), k, -1 - m);
+        }
+      }
+    }
   }
   return best;
 }
