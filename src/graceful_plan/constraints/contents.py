@@ -54,7 +54,7 @@ class KeepContents(FeltConstraint):
             where sloshing needs the rest. Where start or goal need more, they get more.
     """
 
-    share: float = 0.85
+    share: float = 0.75
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:

@@ -32,7 +32,7 @@ Array = np.ndarray
 
 _CAREFUL = 0.6
 """Of the angle that keeps contents in, what searches and the first descents leave to what is felt, not to sloshing."""
-_SHARES = (0.75, 0.6, 0.5, 0.4, 0.3)
+_SHARES = (0.6, 0.5, 0.4, 0.3)
 """The same of timings, one after the other, after the share that was asked for."""
 _SLOWDOWN = 1.08
 """By how much a motion is slowed down at a time."""
