@@ -17,8 +17,8 @@ unexport PYTHONPATH
 
 help:
 	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
-	@echo "make test   run the tests"
-	@echo "make test-long  run the tests that take minutes"
+	@echo "make test   run the tests, a few minutes"
+	@echo "make test-long  run those that take longer, a quarter of an hour"
 	@echo "make lint   check style and types"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build a wheel into dist/"
@@ -41,7 +41,7 @@ test: $(VENV)/.package $(VENV)/.dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile -m "not long" $(ARGS)
 
 test-long: $(VENV)/.package $(VENV)/.dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -m long $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile -m long $(ARGS)
 
 lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -310,6 +310,7 @@ GUIDES = (
 )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("guide", GUIDES)
 def test_guides_run(guide, tmp_path, monkeypatch):
     (tmp_path / "faults.yaml").write_text("version: 1\npresets: {mine: {weak_grip: 2, dropout: 1}}\n")

@@ -67,6 +67,7 @@ class Own(gp.Cost):
 # --- sums -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", _OBJECTIVES)
 @pytest.mark.parametrize("kind", ["path", "trajectory"])
 def test_parts_add_up_to_the_breakdown(task, result, name, kind):
@@ -222,6 +223,7 @@ def test_the_document_says_the_same(task, result):
     assert along["time"][-1] == pytest.approx(result.trajectory.duration)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*_OBJECTIVES, "nothing"])
 def test_a_picture_is_drawn(task, result, name, tmp_path):
     nothing = gp.Objective(impact=gp.ImpactCost(components=()))

@@ -112,6 +112,7 @@ def one_cell(place, width=0.01):
 # --- the same as the robot --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["footprint", "aabb"])
 @pytest.mark.parametrize("name", _TASKS, ids="/".join)
 def test_a_cell_says_what_the_robot_would_be_told(name, model):

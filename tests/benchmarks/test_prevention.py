@@ -87,6 +87,7 @@ def task():
     return suite.task("workbench/shelve_spray")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", common_sense.COSTS)
 def test_costs_of_common_sense_are_costs(name, task):
     cost = common_sense.COSTS[name](task.scene)
@@ -252,7 +253,7 @@ def test_sizes_and_tasks_are_as_they_are_asked_for():
 # --- with simulation -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_phases_run(monkeypatch):
     monkeypatch.setattr(runs, "SECONDS", 0.4)
     monkeypatch.setattr(runs, "OWN_SECONDS", 0.4)

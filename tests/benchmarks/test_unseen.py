@@ -67,6 +67,7 @@ def _shape(scene: gp.Scene, thing: str) -> tuple[object, ...]:
     return (*sizes, round(float(model.body_mass[body]), 3))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TASKS)
 def test_ends_are_free_and_there_is_a_way(name):
     task = suite.task(name)

@@ -103,6 +103,7 @@ class Below(gp.Constraint):
         return batch.tool_poses[:, 2, 3] - self.height
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("planner", ["auto", "rrt_connect", "rrt_star"])
 def test_constraints_of_ones_own_are_kept_by_planners_of_all_kinds(task: gp.Task, planner: str) -> None:
     free = planned(task, planner=planner)
@@ -125,6 +126,7 @@ def test_where_nothing_can_be_planned_the_status_says_so(task: gp.Task) -> None:
     assert not path.checks["below"].passed and path.checks["below"].first == 0.0
 
 
+@pytest.mark.long
 def test_straight_motions_and_poses_on_the_way_keep_contents(coffee: gp.Task) -> None:
     middle = planned(coffee).trajectory
     on_the_way = middle.at(np.array(0.5 * middle.duration)).q
@@ -141,6 +143,7 @@ def test_half_speed_allows_more_of_the_cup(coffee: gp.Task) -> None:
     assert half.status is gp.PlanStatus.SOLVED and half.verdict.checks["contents"].passed
 
 
+@pytest.mark.long
 def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
     asking = scene.with_constraints(gp.Upright(0.12))
     task = asking.tasks["green_to_blue"]

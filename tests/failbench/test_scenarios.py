@@ -48,6 +48,7 @@ def test_families_overlap_as_they_should() -> None:
     assert not drop & collapse and not drop & stray and not collapse & stray
 
 
+@pytest.mark.long
 def test_only_full_containers_spill() -> None:
     spilling = {(s.scene, s.task) for s in scenarios("spill/*")}
     full = {(name, task) for name, task in _TASKS if "contents" in gp.load_scene(name).tasks[task].scene.components}
@@ -88,7 +89,7 @@ def test_broken_registries_say_where(tmp_path: Path, text: str, line: int, words
     assert caught.value.line == line
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("scene_name", "task_name"), _TASKS)
 def test_every_scenario_runs(scene_name: str, task_name: str) -> None:
     task = gp.load_scene(scene_name).tasks[task_name]

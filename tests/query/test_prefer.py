@@ -82,6 +82,7 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
         assert by_worst == pytest.approx(found.worst, abs=2.0 * step)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
@@ -96,6 +97,7 @@ def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, pro
     assert better
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_what_was_found_the_best_by_the_measure_is_taken(
     bound: SceneObjective, problem: SceneProblem, kind: str
@@ -110,6 +112,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
     assert totals[-1] <= min(preference.total(offered[i]) for i in improvements)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
     given = {"objective": objective, "iterations": 300, "seed": 0}

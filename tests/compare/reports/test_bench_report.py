@@ -69,6 +69,7 @@ def read(case):
     return parser, " ".join(" ".join(parser.text).split())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_pages_are_whole_and_need_nothing_else(case):
     compared = CASES[case]

@@ -104,6 +104,7 @@ def test_two_processes_do_not_share_a_journal(tmp_path):
         opened(tmp_path)
 
 
+@pytest.mark.long
 def test_only_missing_runs_are_repeated(tmp_path):
     suite, out = suite_file(tmp_path), tmp_path / "out"
     whole = bench.compare(suite, planners=["rrt_connect"], out=out, processes=0)
@@ -130,6 +131,7 @@ def test_a_folder_without_a_journal_has_no_report(tmp_path):
         bench.load_comparison(tmp_path)
 
 
+@pytest.mark.long
 def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path):
     out = tmp_path / "out"
     slow = own_planner(tmp_path, act="import time; time.sleep(0.1)")

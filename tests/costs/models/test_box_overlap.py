@@ -93,6 +93,7 @@ def test_beside_it_and_not_over_it_is_nothing(stacks):
     assert not _by_all(stacks, np.array([[0.0, 1.0, h] for h in (_ABOVE, _EQUAL)]), "body", "stack").any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", gp.scenes())
 def test_three_transcriptions_agree(name):
     task = next(iter(gp.load_scene(name).tasks.values()))

@@ -181,6 +181,7 @@ def test_misuse_is_refused():
         fit_effects({"noise": events.rows(np.zeros(20, bool))})
 
 
+@pytest.mark.long
 def test_the_command_fits_effects_to_failures_of_a_file(tmp_path):
     task = load_scene("tabletop_l1").tasks["green_to_blue"]
     motion = make_motion(task, MotionKind(way="rrt_connect", speed=0.6), 1)

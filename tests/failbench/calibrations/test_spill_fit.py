@@ -58,6 +58,7 @@ def test_the_container_is_the_one_that_failbench_empties(scene: str, task: str) 
     assert tables.radius == pytest.approx(np.sqrt(vessel.volume / (np.pi * DEPTH)))
 
 
+@pytest.mark.long
 def test_each_use_has_failures_of_its_own(parts: list[Failures]) -> None:
     for use in USES:
         concerned = SpillFamily(use).concerned(parts)
@@ -79,6 +80,7 @@ def parts() -> list[Failures]:
     return [part for part in map(failure_jobs.do_job, jobs) if isinstance(part, Failures)]
 
 
+@pytest.mark.long
 def test_the_command_writes_what_the_model_reads(
     parts: list[Failures], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

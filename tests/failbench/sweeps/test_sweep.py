@@ -58,6 +58,7 @@ def files(folder: Path) -> dict[str, str]:
     return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in found}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("workers", [1, 2, 4])
 def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_path, workers):
     made = generate(sweep, tmp_path, executor=LocalExecutor(workers=workers))
@@ -78,6 +79,7 @@ def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
     assert made.contacts["rollout"].to_pylist() == [i for i, count in enumerate(counts) for _ in range(count)]
 
 
+@pytest.mark.long
 def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         generate(sweep, tmp_path, executor=InProcess(stop_after=2))
@@ -160,6 +162,7 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
         resume(tmp_path)
 
 
+@pytest.mark.long
 def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, reference, tmp_path):
     with SweepJournal(tmp_path / JOURNAL):
         pass
@@ -192,7 +195,7 @@ def test_sweep_of_scenarios_is_every_fault_on_every_task():
         sweep_of(["cake/*"], 8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_kills_of_drivers_and_workers_change_nothing(tmp_path):
     trial = Trial(tmp_path, rollouts=40, workers=2, seed=1, horizon=0.3)
     trial.run(4)
@@ -202,7 +205,7 @@ def test_kills_of_drivers_and_workers_change_nothing(tmp_path):
     assert trial.rows == trial.sweeps * 160
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ray_makes_the_same_bytes(sweep, reference, tmp_path, monkeypatch):
     ray = pytest.importorskip("ray")
     from failbench.sweeps.ray_executor import RayExecutor

@@ -42,6 +42,7 @@ def _solved(
     return list(planner.solve(problem, objective, budget, np.random.default_rng(seed))), budget
 
 
+@pytest.mark.long
 @_PLANNERS
 @pytest.mark.parametrize("seed", range(2))
 def test_paths_in_a_scene_are_free_and_only_improve(
@@ -79,6 +80,7 @@ def test_descents_leave_the_tree_alone(query: tuple[SceneProblem, SceneObjective
     assert with_[0].q.tobytes() == without[0].q.tobytes()
 
 
+@pytest.mark.long
 @_PLANNERS
 @pytest.mark.parametrize("seed", range(2))
 def test_more_iterations_are_never_worse(planner: Planner, seed: int) -> None:
