@@ -74,4 +74,4 @@ def test_ends_are_free_and_there_is_a_way(name):
     assert task.object_name is not None
     for q in (task.start, *task.goal):
         assert float(gp.clearance(task.scene, q)) >= _ROOM
-    assert gp.plan(task.start, task.goal, task.scene, w=0.0, speed=0.5, time_limit=2.0).trajectory is not None
+    assert gp.plan(task.start, task.goal, task.scene, w=0.0, speed=0.5, iterations=300).trajectory is not None

@@ -62,7 +62,7 @@ def test_choice_of_a_front(front):
 
 def test_time_is_kept_and_told(task):
     told: list[FrontProgress] = []
-    front = gp.pareto(task.start, task.goal, task.scene, points=4, time_limit=1.5, callback=told.append)
+    front = gp.pareto(task.start, task.goal, task.scene, points=4, iterations=_ITERATIONS, callback=told.append)
     assert front.status is gp.PlanStatus.SOLVED
     assert told and told[-1].candidates >= 2
     assert [p.time for p in told] == sorted(p.time for p in told)

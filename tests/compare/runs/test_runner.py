@@ -105,7 +105,7 @@ def jobs(tmp_path, *planners, suite="free_space", **kwargs):
 
 
 def test_a_task_is_planned_and_measured(tmp_path):
-    job = jobs(tmp_path, "rrt_connect", suite="tabletop", seconds=1.0)[0]
+    job = jobs(tmp_path, "rrt_connect", suite="tabletop", seconds=30.0)[0]
     found = run(job)
     assert found.status == "SOLVED"
     task = gp.load_scene("tabletop").tasks[job.problem.item]
