@@ -31,6 +31,8 @@ constexpr double kTiny = 1e-300;
 #include "impact/tumble_gradient.hpp"
 #include "impact/spill.hpp"
 #include "impact/spill_gradient.hpp"
+#include "impact/stop.hpp"
+#include "impact/stop_gradient.hpp"
 #include "impact/impact_of_drop.hpp"
 #include "impact/body_dynamics.hpp"
 #include "impact/body_distance.hpp"
@@ -49,6 +51,8 @@ constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
 #include "impact/tumble_gradient.hpp"
 #include "impact/spill.hpp"
 #include "impact/spill_gradient.hpp"
+#include "impact/stop.hpp"
+#include "impact/stop_gradient.hpp"
 #include "impact/impact_of_drop.hpp"
 }  // namespace rough
 

@@ -59,6 +59,38 @@ class SpillConstants:
 
 @final
 @dataclass(frozen=True, kw_only=True)
+class StopSettings(YamlTable):
+    """How hard the robot stops by itself, and what contents make of it; the shipped ones are `stop.yaml`.
+
+    Raises:
+        SettingError: If one is not finite or out of its range.
+    """
+
+    shipped_file = Path(__file__).parent / "stop.yaml"
+    kind = "stops"
+    keys = ("stop",)
+
+    deceleration: float
+    """kd: of the joint that needs longest, over the greatest acceleration that motions have."""
+    amplification: float
+    """ka: how much more than the mean deceleration contents feel."""
+    response: float
+    """tr: time that their surface needs to follow [s]; shorter stops hardly tilt it."""
+    spread: float
+    """us: how uncertain the logarithm of what the container could hold is."""
+
+    def __post_init__(self) -> None:
+        values = {constant.name: getattr(self, constant.name) for constant in fields(self)}
+        check_ranges(values, positive=("deceleration", "response", "spread"), not_negative={"amplification"})
+
+    @classmethod
+    def parsed(cls, root: Block) -> StopSettings:
+        """Make them of the values in a file."""
+        return cls(**root["stop"].numbers_by_name(*(constant.name for constant in fields(cls))))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
 class SpillSettings(YamlTable):
     """Constants of the spill model by use, see `USES`."""
 
