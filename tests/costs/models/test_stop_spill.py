@@ -51,7 +51,7 @@ def test_the_core_is_the_specification(name, task):
     q, qd = states(scene, 150, seed=1)
     batch, tables, more = moving(scene, q, qd), drop_tables(scene), spill_tables(scene)
     out = stop_spill(batch)
-    hit = spread_out(tables, more, SPILL.held, pour(batch, tables, more, DROP.of(tables.shape_class)), out.lost)
+    hit = spread_out(tables, more, STOP.places, pour(batch, tables, more, DROP.of(tables.shape_class)), out.lost)
     expected = np.zeros((len(q), len(scene.entities)))
     for k, owner in enumerate(tables.target_entity):
         if owner >= 0:
@@ -159,6 +159,7 @@ def test_constants_out_of_range_are_named(name, value):
 
 def test_broken_files_are_named(tmp_path):
     file = tmp_path / "stop.yaml"
-    file.write_text("version: 1\nstop: {deceleration: 1, amplification: 1, response: 0.1}\n")
+    text = StopSettings.shipped_file.read_text()
+    file.write_text(text.replace("  spread: 0.15\n", ""))
     with pytest.raises(SceneError, match="spread"):
         StopSettings.load(file)

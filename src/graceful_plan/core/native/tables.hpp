@@ -150,6 +150,7 @@ struct SpillTables {
 struct StopTables {
   double amplification, response, spread;  // spread: 0 if it does not
   double slowness[kMaxJoints];             // inverse deceleration
+  SpillConstants places;                   // where contents come down that it throws out
 };
 
 // What its fall does to the object itself; the logarithm of the share of the energy that acts is one of two numbers.

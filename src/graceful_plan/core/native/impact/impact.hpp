@@ -195,11 +195,14 @@ class DropModel {
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
-  // deceleration: of each joint when the robot stops by itself; constants: amplification, response, spread
-  void add_stop(Reals deceleration, Reals constants) {
+  // deceleration: of each joint when the robot stops by itself; constants: amplification, response, spread; places: those
+  // of the spill model
+  void add_stop(Reals deceleration, Reals constants, Reals places) {
     const size_t nq = size_t(core_.tables().n_joint);
-    require(deceleration.size() == nq && constants.size() == 3, "tables of stops");
+    require(deceleration.size() == nq && constants.size() == 3 && places.size() == std::size(kSpillConstants),
+            "tables of stops");
     StopTables& stop = tables_.stop;
+    std::copy_n(places.data(), places.size(), &stop.places.position_spread);
     stop.amplification = constants.data()[0], stop.response = constants.data()[1], stop.spread = constants.data()[2];
     require(stop.amplification >= 0 && stop.response > 0 && stop.spread > 0, "constants of stops");
     for (size_t j = 0; j < nq; ++j) {

@@ -10,8 +10,6 @@ static inline bool matters(const DropTables& drop, const double* severity) {
 
 // Whether the robot may stop by itself, and moves.
 static inline bool stops(const DropTables& drop, const D* qd) { return drop.stop.spread > 0 && qd; }
-// Contents that a stop spills come down as others that get out in the gripper.
-static inline const SpillConstants& held_use(const DropTables& drop) { return drop.spill.use[kSpillUses - 1]; }
 
 // Whether what becomes of the object itself counts: the last one of all severities.
 static inline bool own_matters(const DropTables& drop, const double* severity) {
@@ -73,7 +71,7 @@ static inline void drop_probability(const Tables& tables, const DropTables& drop
       reach(row, k, D{} + 1.0, Filling(drop.spill, k, mouth).rho);
   if (!stops(drop, qd) || !counts(kStopRow)) return;
   const Stop stop(drop.spill, drop.stop, mouth, stopping_time(tables, drop.stop, qd));
-  if (any(stop.chance > kNothing)) reach(kStopRow, held_use(drop), stop.chance, stop.rho);
+  if (any(stop.chance > kNothing)) reach(kStopRow, drop.stop.places, stop.chance, stop.rho);
 }
 
 static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
@@ -107,7 +105,7 @@ static inline Vec<D> back_contents(Backward& back, const double* severity, const
   if (stops(drop, qd) && matters(drop, spilled)) {
     const Stop stop(drop.spill, drop.stop, mouth, stopping_time(back.tables, drop.stop, qd));
     if (any(stop.chance > kNothing)) {
-      Outflow out{held_use(drop), stop.chance, stop.rho};
+      Outflow out{drop.stop.places, stop.chance, stop.rho};
       const D reached = back_spill(back, mouth, out, spilled, d_mouth);
       impact += stop.chance * reached;
       d_stop = back_stop(drop.spill, drop.stop, mouth, stop, reached, out.d_rho, d_mouth);

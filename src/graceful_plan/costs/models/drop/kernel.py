@@ -99,9 +99,7 @@ class DropKernel:
         if contents is not None:
             self._add_contents(*contents)
         if stop is not None:
-            settings = stop.settings
-            constants_of_stops = np.array([settings.amplification, settings.response, settings.spread])
-            self.native.add_stop(_reals(settings.deceleration * stop.acceleration), constants_of_stops)
+            self._add_stop(stop.settings, stop.acceleration)
         if loss is not None:
             numbers = (1.0, *(LANDING_LOSS * node for node in NODES))
             self.native.add_loss(_reals(loss.strength), np.array([*(x / loss.spread for x in numbers), *WEIGHTS]))
@@ -113,6 +111,13 @@ class DropKernel:
             stands=np.ascontiguousarray(tables.stands, dtype=np.int32),
             visible=_reals(tables.visible),
             constants=np.array([getattr(settings.of(use), name) for use in USES for name in SPILL_CONSTANTS]),
+        )
+
+    def _add_stop(self, settings: StopSettings, acceleration: Float[Array, " nq"]) -> None:
+        self.native.add_stop(
+            deceleration=_reals(settings.deceleration * acceleration),
+            constants=np.array([settings.amplification, settings.response, settings.spread]),
+            places=np.array([getattr(settings.places, name) for name in SPILL_CONSTANTS]),
         )
 
     def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch row entity"]:

@@ -148,7 +148,7 @@ class Footprint(NativeModel):
     def widened(self, metres: float) -> Footprint:
         """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
         wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
-        return replace(self, settings=wide[0], spill=wide[1], body=wide[2])
+        return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of drops, of spills and of stops."""

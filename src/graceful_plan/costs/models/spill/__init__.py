@@ -1,5 +1,4 @@
-r"""The spill model: whom contents reach if their container is dropped here, or if they get out of it in the gripper,
-or if the robot stops by itself.
+r"""The spill model: whom contents reach if they are dropped here, get out in the gripper, or if the robot stops here.
 
 Contents leave over the rim, come down on something, run out to a puddle as deep as surface tension lets it be (dry
 contents to a heap), reach what stands in it, and run over the edges of what carries it to what is below. What the drop
@@ -12,8 +11,7 @@ speed and tilt explain less than 1 % of the variance), so it is left to the prio
 
 "stopped" is P(contents reach the entity | the robot stops by itself). That does show in the state: a robot that brakes
 throws contents forward, and how fast it moves, how long it needs to stop and how full and tilted the container is
-tell whether they go over the rim. They leave with the velocity that the rim had, and come down as all that get out in
-the gripper. What they felt before the stop, and waves of the surface beyond a constant factor, are left out.
+tell whether they go over the rim. They leave with the velocity that the rim had. What they felt before the stop, and waves of the surface beyond a constant factor, are left out.
 
 Hot contents: severities have columns for hot contents already, so that nothing here depends on the temperature.
 
@@ -49,8 +47,8 @@ over a level; tc_l: tc of its first target; Z_l: its top. Constants, for each us
 
     Together: P_k = 1 - (1 - A_k)(1 - B_k)(1 - D_k);  P(entity) = max over its targets, 0 if it has none
 
-  Stopped: with the constants of "held", but P(entity) is multiplied by out, and rho is another; kd, ka, tr, us:
-  StopSettings
+  Stopped: with constants of its own, but P(entity) is multiplied by out, and rho is another; kd, ka, tr, us, and the
+  others as `places`: StopSettings
       T = max over the joints of |qd|/(kd greatest acceleration)     time that the robot needs to stop
       f = g e_z - ka vm/sqrt(T^2 + tr^2)                             what is felt in the container
       fill(c): as above, with c for z and without speed              c' = axis . f/sqrt(f . f + 1e-4);
