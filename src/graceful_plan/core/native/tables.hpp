@@ -126,7 +126,7 @@ struct DropConstants {
 // Of severities: carried object; contents after a drop; contents that get out in the gripper; those that a stop spills.
 constexpr int kDropRows = 4;
 constexpr int kStopRow = 3;
-constexpr int kSpillUses = 2;         // constants for contents after a drop, and for those that get out in the gripper
+constexpr int kSpillUses = 2;        // constants for contents after a drop, and for those that get out in the gripper
 constexpr double kLeastLost = 0.01;  // share of the contents that a puddle is made of at least
 
 struct SpillConstants {

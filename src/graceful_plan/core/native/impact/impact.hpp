@@ -195,8 +195,8 @@ class DropModel {
     spill.surface = spill_.data();  // null if there is nothing to land on
   }
 
-  // deceleration: of each joint when the robot stops by itself; constants: amplification, response, spread; places: those
-  // of the spill model
+  // deceleration: of each joint when the robot stops by itself; constants: amplification, response, spread; places:
+  // those of the spill model
   void add_stop(Reals deceleration, Reals constants, Reals places) {
     const size_t nq = size_t(core_.tables().n_joint);
     require(deceleration.size() == nq && constants.size() == 3 && places.size() == std::size(kSpillConstants),

@@ -4,7 +4,7 @@
 // --- the container --------------------------------------------------------------------------------------------------
 
 struct Mouth {
-  Vec<D> o, axis;  // from c; the container's axis
+  Vec<D> o, axis;      // from c; the container's axis
   D x, y, vx, vy, vz;  // m, vm
   D up, speed2;        // p, sm2
 };

@@ -241,6 +241,7 @@ static inline Vec<D> back_pour(const Flight& flight, const Mouth& mouth, const M
   d_flight.c.x += d.x, d_flight.c.y += d.y;
   d_flight.v.x += d_u.x, d_flight.v.y += d_u.y, d_flight.v.z += d_u.z;
   d_flight.w.x += swing.x, d_flight.w.y += swing.y, d_flight.w.z += swing.z;
-  const Vec<D> arm = cross(mouth.o, {d.x + pull.x, d.y + pull.y, pull.z}), tilt = cross(mouth.axis, {d.axis.x, d.axis.y, d_z + d.axis.z});
+  const Vec<D> arm = cross(mouth.o, {d.x + pull.x, d.y + pull.y, pull.z}),
+               tilt = cross(mouth.axis, {d.axis.x, d.axis.y, d_z + d.axis.z});
   return {arm.x + tilt.x, arm.y + tilt.y, arm.z + tilt.z};
 }

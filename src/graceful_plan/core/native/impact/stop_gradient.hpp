@@ -3,8 +3,7 @@
 // Returns the derivative with respect to the cosine.
 static inline D back_leaning(const SpillTables& spill, const Leaning& leaning, D d_logarithm, D d_kept) {
   const D cube = leaning.fill * leaning.fill * leaning.fill;
-  const D d_fill =
-      d_logarithm * reciprocal(leaning.fill) - d_kept * leaning.kept * cube * reciprocal(leaning.fourth);
+  const D d_fill = d_logarithm * reciprocal(leaning.fill) - d_kept * leaning.kept * cube * reciprocal(leaning.fourth);
   const D d_x = d_fill * (1.0 + leaning.x * (2.0 + 5.1 * leaning.x)) * (1.0 / spill.full);
   const D d_slope = where(leaning.slope > spill.repose, d_x * (spill.rim / spill.depth), D{});
   const D d_up = -d_slope * (inverse_root(1.0051 - leaning.up * leaning.up) + leaning.slope * reciprocal(leaning.up));

@@ -11,7 +11,8 @@ speed and tilt explain less than 1 % of the variance), so it is left to the prio
 
 "stopped" is P(contents reach the entity | the robot stops by itself). That does show in the state: a robot that brakes
 throws contents forward, and how fast it moves, how long it needs to stop and how full and tilted the container is
-tell whether they go over the rim. They leave with the velocity that the rim had. What they felt before the stop, and waves of the surface beyond a constant factor, are left out.
+tell whether they go over the rim. They leave with the velocity that the rim had. What they felt before the stop, and
+waves of the surface beyond a constant factor, are left out.
 
 Hot contents: severities have columns for hot contents already, so that nothing here depends on the temperature.
 
