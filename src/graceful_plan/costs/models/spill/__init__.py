@@ -20,7 +20,7 @@ Specification
 -------------
 Symbols, functions and the drop model's results as in the docstring of `graceful_plan.costs.models.drop`; F_l, M_l: sums
 over a level; tc_l: tc of its first target; Z_l: its top. Constants, for each use: `SpillConstants`. Tables:
-`SpillTables`. The native kernel (native/impact/spill.hpp) follows this text.
+`SpillTables`. The native kernel (native/impact/contents) follows this text.
 
 .. code-block:: text
 
