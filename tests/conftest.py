@@ -1,11 +1,13 @@
-"""What all tests share: hypothesis without haste, and the scene and task that most of them use."""
+"""What all tests share: hypothesis without haste, checks of shapes, and the scene and task that most of them use."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
+import shape_checks
 from hypothesis import settings
 
 if TYPE_CHECKING:
@@ -13,6 +15,17 @@ if TYPE_CHECKING:
 
 settings.register_profile("unhurried", deadline=None)  # no timed asserts: the machine may be busy
 settings.load_profile("unhurried")
+
+shape_checks.install()
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # What a shell starts in the background ignores interrupts, and so would every program that tests interrupt.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_runtest_logstart() -> None:
+    """Check the first calls of every function, for each test anew."""
+    shape_checks.begin_test()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -208,7 +208,7 @@ class SceneObjective:
 
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
-        points = path.path if isinstance(path, Trajectory) else path
+        points = self._points(path)
         samples = self.samples(points.q[:-1], points.q[1:])
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
@@ -227,9 +227,7 @@ class SceneObjective:
         Raises:
             ShapeError: If the path does not fit the scene.
         """
-        points = path.path if isinstance(path, Trajectory) else path
-        if points.q.shape[1] != len(self.scene.joints):
-            raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
+        points = self._points(path)
         vertices = np.arange(len(points), dtype=np.float64)
         if self.objective.exposure == "waypoints":
             times = start_time + path.t if isinstance(path, Trajectory) else None
@@ -240,6 +238,12 @@ class SceneObjective:
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         return ChargedStates(batch, samples.weights(measure), place=samples.place)
+
+    def _points(self, path: Path | Trajectory) -> Path:
+        points = path.path if isinstance(path, Trajectory) else path
+        if points.q.shape[1] != len(self.scene.joints):
+            raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
+        return points
 
     def samples(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeSamples:
         """Return samples of straight edges, no farther apart than `step` [rad]."""
