@@ -12,7 +12,6 @@ import graceful_plan as gp
 from benchmarks import report, suite
 from failbench.fault.registry import ProtectiveStop
 from failbench.rollouts.sampling import make_jobs
-from failbench.scenario import usual_grasp
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.spill.constants import StopSettings
 from graceful_plan.costs.models.spill.stop import stop_spill
@@ -70,8 +69,7 @@ def _execution(name: str, plan: gp.PlanResult) -> failbench.Execution | None:
     """Carry a motion out, with a weld where fingers lose what they hold."""
     if plan.trajectory is None:
         return None
-    scene_name, task_name = name.split("/")
-    for grasp in (usual_grasp(scene_name, task_name), "weld"):
+    for grasp in ("fingers", "weld"):
         world = failbench.build_world(suite.task(name).scene, failbench.SimSettings(grasp=grasp))
         try:
             return failbench.execute(plan.trajectory, world)
