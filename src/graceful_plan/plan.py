@@ -152,7 +152,7 @@ def plan(
     )
     if isinstance(ends, PlanResult):
         return ends
-    clock = Clock(started + limit, paces_of(scene))
+    clock = Clock(started + limit, paces_of(scene), limit)
     request = replace(request, constraints=ends.constraints, clock=clock)
     reserve = clock.reserve(limit) + (min(_TIMING_RESERVE, limit / 4.0) if scene.moving else 0.0)
     budget = Budget(limit - (reserve if np.isfinite(limit) else 0.0), iterations, stop, started)

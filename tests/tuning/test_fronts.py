@@ -139,3 +139,11 @@ def test_sums_over_waypoints_do_without_a_roadmap(task):
 def test_misuse(task, settings, error, message):
     with pytest.raises(error, match=message):
         gp.pareto(task.start, task.goal, task.scene, **settings)
+
+
+def test_every_point_keeps_what_is_asked_for(task):
+    upright = gp.Upright(np.deg2rad(20.0))
+    front = gp.pareto(task.start, task.goal, task.scene, points=3, iterations=400, constraints=[upright])
+    assert front.points and all(point.verdict.checks["upright"].passed for point in front.points)
+    plain = gp.pareto(task.start, task.goal, task.scene, points=3, iterations=400, constraints=[])
+    assert plain.points and not any("grasp_holds" in point.verdict.checks for point in plain.points)

@@ -45,7 +45,8 @@ def test_a_single_long_run_is_forgotten() -> None:
 
 def test_what_is_kept_follows_what_was_measured() -> None:
     slow, quick = (_clock(1.0, judging=[x], timing=[x], ending=[0.0]) for x in (0.1, 0.001))
-    assert slow.reserve(10.0) == pytest.approx(0.4) and quick.reserve(10.0) == pytest.approx(0.004)
+    assert slow.reserve(10.0) == pytest.approx(0.4)
+    assert quick.reserve(10.0) == pytest.approx(0.1) and quick.reserve(0.01) == pytest.approx(0.004)
     assert slow.reserve(0.1) < 0.1  # something is left to search
     with quick.measured("timing"):
         time.sleep(0.02)
@@ -56,7 +57,7 @@ def test_what_is_kept_follows_what_was_measured() -> None:
 
 
 def test_paces_are_those_of_the_scene(task) -> None:
-    gp.plan(task.start, task.goal, task.scene, w=0.0, time_limit=1.0, callback=lambda _: True)
+    gp.plan(task.start, task.goal, task.scene, w=0.0, time_limit=10.0, callback=lambda _: True)
     paces = paces_of(task.scene)
     assert paces.longest("judging") > 0.0 and paces.longest("timing") > 0.0
     assert paces_of(task.scene) is paces
@@ -69,7 +70,7 @@ def test_what_cannot_be_judged_in_time_is_a_timeout_with_the_path(task, monkeypa
     try:
         for _ in range(16):
             paces.took("judging", 100.0)
-        result = gp.plan(task.start, task.goal, task.scene, w=0.0, time_limit=0.5)
+        result = gp.plan(task.start, task.goal, task.scene, w=0.0, time_limit=3.0)
     finally:
         for _ in range(16):
             paces.took("judging", 0.01)

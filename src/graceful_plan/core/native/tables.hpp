@@ -123,8 +123,11 @@ struct DropConstants {
 
 // --- the spill model: costs/models/spill ---------------------------------------------------------------------
 
-constexpr int kDropRows =
-    3;  // of severities: carried object; contents after a drop; contents that get out in the gripper
+// Of severities: carried object; contents after a drop; contents that get out in the gripper; those that a stop spills.
+constexpr int kDropRows = 4;
+constexpr int kStopRow = 3;
+constexpr int kSpillUses = 2;        // constants for contents after a drop, and for those that get out in the gripper
+constexpr double kLeastLost = 0.01;  // share of the contents that a puddle is made of at least
 
 struct SpillConstants {
   double position_spread, rim_spread, speed_spread, height_spread, carry, margin, reach, run_off, edge, slosh,
@@ -140,7 +143,14 @@ struct SpillTables {
   double mouth[3], axis[3];  // in the axes of the link; from the centre of mass
   double rim, depth, full, radius, power, repose;
   const SpillSurface* surface;  // null without contents
-  SpillConstants use[kDropRows - 1];
+  SpillConstants use[kSpillUses];
+};
+
+// How the robot stops by itself, and what contents make of it.
+struct StopTables {
+  double amplification, response, spread;  // spread: 0 if it does not
+  double slowness[kMaxJoints];             // inverse deceleration
+  SpillConstants places;                   // where contents come down that it throws out
 };
 
 // What its fall does to the object itself; the logarithm of the share of the energy that acts is one of two numbers.
@@ -159,6 +169,7 @@ struct DropTables {
   DropConstants constants;
   LossTables loss;
   SpillTables spill;
+  StopTables stop;
 };
 
 // --- the body model: costs/models/body has its specification and the names of what stands here -------------

@@ -28,8 +28,10 @@ _LATELY = 16
 """Runs of a step that count."""
 _FORGOTTEN = 0.95
 """What is left of these times whenever a step is not begun for their sake: a single long run is forgotten some day."""
-_LATE = 0.003
-"""By how much a call may be late if a step takes as long as it ever did lately [s]."""
+_LATE, _LATE_SHARE = 0.003, 0.01
+"""By how much a call may be late if a step takes as long as it ever did lately [s], or by which share of its limit."""
+_SPARE, _SPARE_SHARE = 0.1, 0.08
+"""At least so much is kept for the last steps [s], but no more than this share of a time limit: machines get busy."""
 _TIMED = 3
 """Motions that are to be timed within the time that is kept for the last steps."""
 _MOST_KEPT = 0.7
@@ -79,10 +81,12 @@ class Clock:
     |----------|------------------------------------------|------|
     | deadline | reading of `time.perf_counter`           | s    |
     | paces    | how long steps take                      |      |
+    | limit    | what the call has in all                 | s    |
     """
 
     deadline: float = np.inf
     paces: Paces = field(default_factory=Paces)
+    limit: float = 0.0
 
     @property
     def left(self) -> float:
@@ -92,7 +96,8 @@ class Clock:
     def reserve(self, limit: float) -> float:
         """Return what to keep of a time limit for the last steps [s]."""
         kept_for = self.paces.kept_for
-        return min(kept_for("ending") + _TIMED * kept_for("timing") + kept_for("judging"), _MOST_KEPT * limit)
+        learnt = kept_for("ending") + _TIMED * kept_for("timing") + kept_for("judging")
+        return min(max(learnt, min(_SPARE, _SPARE_SHARE * limit)), _MOST_KEPT * limit)
 
     def ended(self, late: float) -> None:
         """Take note of how late descents were [s]."""
@@ -104,7 +109,8 @@ class Clock:
         left = self.left
         if not all(self.paces.knows(step) for step in steps):
             return True
-        if left > 0.0 and left >= sum(self.paces.longest(step) for step in steps) - _LATE:
+        late = max(_LATE, _LATE_SHARE * self.limit)
+        if left > 0.0 and left >= sum(self.paces.longest(step) for step in steps) - late:
             return True
         for step in steps:
             self.paces.doubt(step)
