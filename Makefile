@@ -18,8 +18,8 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
-	@echo "make test   run the tests, a few minutes"
-	@echo "make test-long  run those that take longer, a quarter of an hour"
+	@echo "make test   run the tests, less than 4 minutes"
+	@echo "make test-long  run further cases, and tests that take longer"
 	@echo "make lint   check style and types"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build a wheel into dist/"

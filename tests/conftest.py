@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
-import shape_checks
 from hypothesis import settings
+
+import shape_checks
 
 if TYPE_CHECKING:
     import graceful_plan as gp

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from places import ROOT
+from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.analysis.explanation import STRETCH, shortest_stretch
@@ -67,7 +68,6 @@ class Own(gp.Cost):
 # --- sums -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", _OBJECTIVES)
 @pytest.mark.parametrize("kind", ["path", "trajectory"])
 def test_parts_add_up_to_the_breakdown(task, result, name, kind):
@@ -223,8 +223,7 @@ def test_the_document_says_the_same(task, result):
     assert along["time"][-1] == pytest.approx(result.trajectory.duration)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", [*_OBJECTIVES, "nothing"])
+@pytest.mark.parametrize("name", first_quick([*_OBJECTIVES, "nothing"]))
 def test_a_picture_is_drawn(task, result, name, tmp_path):
     nothing = gp.Objective(impact=gp.ImpactCost(components=()))
     draw_explanation(gp.explain(result, task.scene, _OBJECTIVES.get(name, nothing)), tmp_path / "picture.png")

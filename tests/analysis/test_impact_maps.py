@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.analysis.gantry import centre_of_mass, gantry_scene
@@ -112,9 +113,8 @@ def one_cell(place, width=0.01):
 # --- the same as the robot --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("model", ["footprint", "aabb"])
-@pytest.mark.parametrize("name", _TASKS, ids="/".join)
+@pytest.mark.parametrize("model", first_quick(["footprint", "aabb"]))
+@pytest.mark.parametrize("name", first_quick(_TASKS), ids="/".join)
 def test_a_cell_says_what_the_robot_would_be_told(name, model):
     task = gp.load_scene(name[0]).tasks[name[1]]
     scene, rng, seen = task.scene, np.random.default_rng(0), 0

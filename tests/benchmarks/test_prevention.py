@@ -14,6 +14,7 @@ from benchmarks.prevention.runs import NONE, OURS, PUBLISHED, Curve, CurveJob, H
 from benchmarks.subjects import prevention
 from hypothesis import given
 from hypothesis import strategies as st
+from sizes import first_quick
 
 import graceful_plan as gp
 from benchmarks import suite
@@ -87,8 +88,7 @@ def task():
     return suite.task("workbench/shelve_spray")
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", common_sense.COSTS)
+@pytest.mark.parametrize("name", first_quick(common_sense.COSTS))
 def test_costs_of_common_sense_are_costs(name, task):
     cost = common_sense.COSTS[name](task.scene)
     check_cost(cost, task.scene)

@@ -5,6 +5,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 from benchmarks.subjects import trajectory_prediction
+from sizes import first_quick
 
 import failbench as fb
 import graceful_plan as gp
@@ -28,8 +29,7 @@ def test_unknown_variants_are_refused() -> None:
         variants.load("no_such_variant")
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", first_quick(NAMES))
 def test_nothing_is_in_anything_else(name: str) -> None:
     assert variants.problems(variants.load(name)) == []
 
@@ -64,8 +64,7 @@ def test_everything_stays_where_it_stands(name: str) -> None:
         assert np.abs(rollout.poses[entity][4:] - home).max() < _SETTLES, entity
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", first_quick(NAMES))
 def test_tasks_can_be_done(name: str) -> None:
     for task in variants.load(name).tasks.values():
         result = gp.plan(

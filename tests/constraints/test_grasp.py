@@ -69,7 +69,6 @@ def exact_load(grip, felt):
     return max(loads)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", CARRIED)
 @given(numbers, numbers, numbers)
 def test_facets_are_inside_of_the_ellipsoid_and_near_it(name, x, y, z):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.array_types import Float
@@ -103,8 +104,7 @@ class Below(gp.Constraint):
         return batch.tool_poses[:, 2, 3] - self.height
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("planner", ["auto", "rrt_connect", "rrt_star"])
+@pytest.mark.parametrize("planner", first_quick(["auto", "rrt_connect", "rrt_star"]))
 def test_constraints_of_ones_own_are_kept_by_planners_of_all_kinds(task: gp.Task, planner: str) -> None:
     free = planned(task, planner=planner)
     highest = gp.verify(free.trajectory, task.scene, constraints=[Below(0.0)]).checks["below"].worst
@@ -143,7 +143,6 @@ def test_half_speed_allows_more_of_the_cup(coffee: gp.Task) -> None:
     assert half.status is gp.PlanStatus.SOLVED and half.verdict.checks["contents"].passed
 
 
-@pytest.mark.long
 def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
     asking = scene.with_constraints(gp.Upright(0.12))
     task = asking.tasks["green_to_blue"]

@@ -56,7 +56,6 @@ def is_free(problem, path):
     return problem.edges_free(path[:-1], path[1:]).all()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("w", [1e-9, 1.0, 1e9])
 def test_energy_falls_ends_stay_and_limits_hold(task, problem, w):
     run = descent(space_of(task, problem, w), straight(problem))

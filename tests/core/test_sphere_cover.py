@@ -62,7 +62,6 @@ def test_capsule_is_covered_and_barely_exceeded(radius, half, seed):
     assert np.max(radii - (radius - to_axis)) <= sphere_cover.MAX_PROTRUSION + 1e-12
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("semi_axes", [(0.05, 0.03, 0.04), (0.08, 0.08, 0.02), (0.02, 0.02, 0.1)])
 def test_ellipsoid_is_covered_and_barely_exceeded(semi_axes):
     rng = np.random.default_rng(0)

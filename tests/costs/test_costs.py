@@ -80,7 +80,6 @@ def test_breakdown_adds_up(task):
     assert cost.impact == pytest.approx(edges[1], rel=5e-3)
 
 
-@pytest.mark.long
 @given(st.integers(0, 99))
 @settings(max_examples=10, deadline=None)
 def test_more_vertices_and_the_way_back_cost_the_same(seed):

@@ -77,7 +77,6 @@ def test_only_vertical_speed_damages() -> None:
     assert down > 1.3 * still
 
 
-@pytest.mark.long
 @given(st.floats(0.03, 1.9), st.floats(0.01, 0.5))
 @settings(max_examples=30, deadline=None)
 def test_deeper_is_worse(height: float, more: float) -> None:

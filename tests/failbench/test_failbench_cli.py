@@ -103,7 +103,6 @@ def pouring(tmp_path_factory):
     return file
 
 
-@pytest.mark.long
 def test_harm_without_failure_is_printed_first(run, pouring, tmp_path):
     given = ("--trajectory", str(pouring), "--horizon", "0.1", "--grasp", "weld")
     code, out, _ = run("validate", "--scene", "desk", "--task", "bring_coffee", "-n", "3", *given)
@@ -125,7 +124,6 @@ def test_harm_without_failure_is_printed_first(run, pouring, tmp_path):
     assert json.loads(out)["healthy"]["desk/bring_coffee"]["harm"] == rows[0]["healthy_harm"]
 
 
-@pytest.mark.long
 def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):
     folder = tmp_path / "data"
     argv = ("generate", str(folder), "tabletop/lift_to_goal/gripper_failure/*", "-n", "3", *QUICK, "--workers", "1")
@@ -146,7 +144,6 @@ def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):
     assert "rollout = 99, expected between 0 and 11" in err
 
 
-@pytest.mark.long
 def test_replay_writes_frames(run, tmp_path):
     code, out, err = run("replay", DROP, "-n", "2", "--rollout", "1", *QUICK, "--output", str(tmp_path / "film"))
     if "OpenGL" in err:
@@ -242,7 +239,6 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_nobody_behind(tmp_path):
     assert len(workers) >= 2 and all_end(workers)
 
 
-@pytest.mark.long
 def test_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -m failbench.cli scenarios --json | true"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)

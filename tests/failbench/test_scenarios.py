@@ -48,7 +48,6 @@ def test_families_overlap_as_they_should() -> None:
     assert not drop & collapse and not drop & stray and not collapse & stray
 
 
-@pytest.mark.long
 def test_only_full_containers_spill() -> None:
     spilling = {(s.scene, s.task) for s in scenarios("spill/*")}
     full = {(name, task) for name, task in _TASKS if "contents" in gp.load_scene(name).tasks[task].scene.components}

@@ -222,7 +222,6 @@ def test_if_everything_diverges_nothing_is_known(simulated: Callable[..., None])
     assert "nan" in str(found)
 
 
-@pytest.mark.long
 def test_importance_sampling_is_unbiased(simulated: Callable[..., None]) -> None:
     simulated(lambda job: (event("red1"),) if early(job) else ())
     without = ImpactCost(own_loss=False)

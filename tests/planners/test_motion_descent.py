@@ -127,7 +127,6 @@ def test_without_weight_a_bent_path_becomes_straight() -> None:
     assert np.linalg.norm(np.diff(one.controls, axis=0), axis=1).sum() < 1.02 * np.linalg.norm(ends[1] - ends[0])
 
 
-@pytest.mark.long
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), speed=st.floats(0.1, 1.0))
 def test_edges_that_count_by_time_count_as_in_numpy(seed: int, speed: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.costs.objective import SceneObjective
@@ -82,8 +83,7 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
         assert by_worst == pytest.approx(found.worst, abs=2.0 * step)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
     better = 0
@@ -97,7 +97,6 @@ def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, pro
     assert better
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_what_was_found_the_best_by_the_measure_is_taken(
     bound: SceneObjective, problem: SceneProblem, kind: str
@@ -112,8 +111,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
     assert totals[-1] <= min(preference.total(offered[i]) for i in improvements)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
     given = {"objective": objective, "iterations": 300, "seed": 0}
     plain = gp.plan(task.start, task.goal, task.scene, **given)

@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from bench_cases import PROBLEMS, all_failed, comparison, rich, solved
+from sizes import first_quick
 
 from graceful_plan import compare as bench
 from graceful_plan.compare.reports import figures
@@ -69,8 +70,7 @@ def read(case):
     return parser, " ".join(" ".join(parser.text).split())
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", first_quick(CASES))
 def test_pages_are_whole_and_need_nothing_else(case):
     compared = CASES[case]
     parser, text = read(case)

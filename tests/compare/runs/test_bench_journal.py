@@ -104,7 +104,6 @@ def test_two_processes_do_not_share_a_journal(tmp_path):
         opened(tmp_path)
 
 
-@pytest.mark.long
 def test_only_missing_runs_are_repeated(tmp_path):
     suite, out = suite_file(tmp_path), tmp_path / "out"
     whole = bench.compare(suite, planners=["rrt_connect"], out=out, processes=0)
@@ -138,7 +137,7 @@ def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path)
     slow = own_planner(tmp_path, act="import pathlib, time; time.sleep(0.2 * pathlib.Path('slow').exists())")
     (tmp_path / "slow").touch()
     command = [sys.executable, "-m", "graceful_plan.tools.cli", "bench", "--suite", str(suite_file(tmp_path)), "--json"]
-    command += ["--planners", slow, "--seeds", "40", "--out", str(out)]
+    command += ["--planners", slow, "--seeds", "20", "--out", str(out)]
 
     def stopped(stop, lines):
         process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
@@ -153,14 +152,14 @@ def test_a_command_that_is_killed_and_interrupted_goes_on_where_it_was(tmp_path)
     killed = bench.load_comparison(out)
     told, code = stopped(signal.SIGINT, len(killed.runs) + 3)
     interrupted = bench.load_comparison(out)
-    assert 2 <= len(killed.runs) < len(interrupted.runs) < 80
+    assert 2 <= len(killed.runs) < len(interrupted.runs) < 40
     assert code == 130
-    assert f"{len(interrupted.runs)} of 80 runs are kept in {out}; the same command goes on" in told
+    assert f"{len(interrupted.runs)} of 40 runs are kept in {out}; the same command goes on" in told
     assert "Traceback" not in told
     (tmp_path / "slow").unlink()
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     after = bench.load_comparison(out)
-    assert json.loads(done.stdout)["runs"] == len(after.runs) == after.expected == 80
+    assert json.loads(done.stdout)["runs"] == len(after.runs) == after.expected == 40
     for earlier in (killed, interrupted):
         assert {repr(run) for run in earlier.runs} <= {repr(run) for run in after.runs}

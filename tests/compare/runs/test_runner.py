@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 from bench_cases import own_planner, solved, suite_file
+from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan import compare as bench
@@ -187,7 +188,6 @@ def test_what_planners_print_does_not_mix_with_results(here, capfd):
     assert out == "" and "chatter" in err
 
 
-@pytest.mark.long
 def test_a_planner_that_never_returns_is_stopped(here, monkeypatch):
     word = own_planner(here, "import time; time.sleep(100)", "hangs")
     monkeypatch.setattr(workers, "TIMES", 0.0)
@@ -207,7 +207,6 @@ def slowly(seconds):
     time.sleep(seconds)
 
 
-@pytest.mark.long
 def test_what_prepares_has_no_deadline_and_what_does_has_one():
     work = workers.Work(do=str, prepare=slowly, allowed=lambda job: 2.0, lost=lambda job, status, detail: status)
     assert list(workers.spread(work, [2.5], 1)) == ["2.5"]
@@ -224,8 +223,7 @@ def inverse(x):
     return 1.0 / x
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("processes", [0, 2])
+@pytest.mark.parametrize("processes", first_quick([0, 2]))
 def test_anything_can_be_spread(processes):
     assert sorted(workers.spread(workers.Work(do=inverse), [1, 2, 4], processes)) == [0.25, 0.5, 1.0]
     with pytest.raises(ZeroDivisionError):
@@ -233,7 +231,6 @@ def test_anything_can_be_spread(processes):
     assert list(workers.spread(workers.Work(do=slowly), [0.0, 0.0], processes)) == [None, None]
 
 
-@pytest.mark.long
 def test_a_lost_job_is_an_error_unless_it_is_an_outcome():
     with pytest.raises(workers.WorkerLostError, match="CRASHED: the process ended with exit code 4, over -1"):
         list(workers.spread(workers.Work(do=inverse), [-1], 1))

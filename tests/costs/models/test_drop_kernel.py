@@ -245,7 +245,6 @@ def test_gradient_is_the_finite_difference(name):
             _check_gradient(kernel, q, qd, np.zeros_like(severity), own=1.0)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", gp.scenes())
 @pytest.mark.parametrize("isa", instruction_sets())
 def test_in_single_precision_it_is_nearly_the_same(name, isa):

@@ -59,7 +59,6 @@ rates = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4)
 # --- laws -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long
 @settings(max_examples=40)
 @given(states, rates, places, places, st.floats(0.0, 2.0), st.floats(0.0, 1.0), st.sampled_from(sorted(_SIZES)))
 def test_probabilities_are_probabilities(scene, q, qd, x, y, speed, spread, size):
@@ -69,7 +68,6 @@ def test_probabilities_are_probabilities(scene, q, qd, x, y, speed, spread, size
         assert np.all((P >= 0.0) & (P <= 1.0))
 
 
-@pytest.mark.long
 @settings(max_examples=25)
 @given(states, rates, places, places, st.floats(-3.0, 3.0), places, places)
 def test_it_does_not_depend_on_where_the_world_is(scene, q, qd, x, y, turn, dx, dy):

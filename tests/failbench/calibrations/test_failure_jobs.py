@@ -18,7 +18,6 @@ def task() -> gp.Task:
     return gp.load_scene(SCENE).tasks[TASK]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_via_points_make_free_motions_that_repeat(task: gp.Task, seed: int) -> None:
     kind = MotionKind(way="via", speed=0.8)

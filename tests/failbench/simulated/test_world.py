@@ -12,7 +12,6 @@ from graceful_plan.exceptions import SettingError, UnsupportedError
 TASKS = [(name, task) for name in gp.scenes() for task in gp.load_scene(name).tasks]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("scene", "task"), TASKS)
 def test_every_bundled_task_can_be_simulated(scene, task):
     made = world(scene, task)

@@ -106,7 +106,6 @@ def test_workers_out_of_range(workers):
         LocalExecutor(workers=workers)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("deadly", [signal.SIGKILL, signal.SIGINT])
 def test_workers_end_with_their_driver_and_stay_silent(deadly):
     code = """

@@ -8,6 +8,7 @@ import fake_work
 import pytest
 from benchmarks.kill_sweep import Trial
 from places import SUPPORT
+from sizes import first_quick
 
 from failbench.basics.chunks import attempt
 from failbench.basics.errors import ExecutionRefused, SweepBusy, SweepFailed
@@ -58,8 +59,7 @@ def files(folder: Path) -> dict[str, str]:
     return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in found}
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("workers", first_quick([2, 1, 4]))
 def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_path, workers):
     made = generate(sweep, tmp_path, executor=LocalExecutor(workers=workers))
     assert files(tmp_path) == reference
@@ -79,7 +79,6 @@ def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
     assert made.contacts["rollout"].to_pylist() == [i for i, count in enumerate(counts) for _ in range(count)]
 
 
-@pytest.mark.long
 def test_an_interrupted_sweep_goes_on_where_it_was(sweep, reference, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         generate(sweep, tmp_path, executor=InProcess(stop_after=2))
@@ -162,7 +161,6 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
         resume(tmp_path)
 
 
-@pytest.mark.long
 def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, reference, tmp_path):
     with SweepJournal(tmp_path / JOURNAL):
         pass

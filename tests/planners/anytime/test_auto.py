@@ -10,6 +10,7 @@ from dataclasses import replace
 import jaxtyping
 import numpy as np
 import pytest
+from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
@@ -61,8 +62,7 @@ def test_same_seed_and_iterations_same_bytes_in_every_process(task):
     assert hashlib.sha256(here.path.q.tobytes()).hexdigest() == first
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("workers", first_quick([2, 1, 3]))
 def test_searches_share_the_budget_and_only_improve(task, workers):
     problem, objective = bound(task)
     paths, budget = solved(gp.Auto(workers=workers), problem, objective)
@@ -72,8 +72,7 @@ def test_searches_share_the_budget_and_only_improve(task, workers):
     assert budget.spent == ITERATIONS
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("setting", ["descents", "scouts"])
+@pytest.mark.parametrize("setting", first_quick(["descents", "scouts"]))
 def test_what_a_search_leaves_out_it_does_without(task, setting):
     problem, objective = bound(task)
     paths, _ = solved(gp.Auto(search=gp.Anytime(**{setting: False})), problem, objective)
@@ -82,7 +81,6 @@ def test_what_a_search_leaves_out_it_does_without(task, setting):
     assert not np.array_equal(paths[-1].q, whole[-1].q)
 
 
-@pytest.mark.long
 def test_without_fear_there_is_one_search(task):
     problem, objective = bound(task, w=0.0)
     one, _ = solved(gp.Auto(workers=1), problem, objective)
@@ -90,14 +88,12 @@ def test_without_fear_there_is_one_search(task):
     assert np.array_equal(one[-1].q, several[-1].q)
 
 
-@pytest.mark.long
 def test_a_cost_without_gradient_is_lowered_too(task):
     problem, objective = bound(task, impact="aabb")
     paths, _ = solved(gp.Auto(), problem, objective, iterations=4000)
     assert path_total(objective, paths[-1]) < 0.8 * path_total(objective, paths[0])
 
 
-@pytest.mark.long
 def test_begins_with_a_free_path_and_improves_it(task):
     problem, objective = bound(task)
     given = solved(gp.RRTConnect(), problem, objective)[0][-1]
@@ -106,7 +102,6 @@ def test_begins_with_a_free_path_and_improves_it(task):
     assert path_total(objective, paths[-1]) < path_total(objective, given)
 
 
-@pytest.mark.long
 def test_a_path_that_is_not_free_is_only_a_hint(task):
     problem, objective = bound(task)
     through = gp.Path(np.stack([problem.start, problem.lower, problem.goals[0]]))
@@ -115,7 +110,6 @@ def test_a_path_that_is_not_free_is_only_a_hint(task):
     assert paths and all(problem.edges_free(path.q[:-1], path.q[1:]).all() for path in paths)
 
 
-@pytest.mark.long
 def test_an_initial_path_is_brought_into_the_limits(task):
     problem, objective = bound(task)
     beyond = np.stack([problem.start, problem.upper + 0.5, problem.goals[0]])
@@ -123,7 +117,6 @@ def test_an_initial_path_is_brought_into_the_limits(task):
     assert paths and all((path.q >= problem.lower).all() and (path.q <= problem.upper).all() for path in paths)
 
 
-@pytest.mark.long
 def test_an_initial_path_that_grazes_something_between_two_checks_is_only_a_hint(task):
     problem, objective = bound(task)
     coarse = replace(problem, check_step=10.0)  # looks at little more than the ends of edges
@@ -135,7 +128,6 @@ def test_an_initial_path_that_grazes_something_between_two_checks_is_only_a_hint
     assert paths and all(problem.edges_free(path.q[:-1], path.q[1:]).all() for path in paths)
 
 
-@pytest.mark.long
 def test_an_initial_path_is_joined_to_the_ends(task):
     problem, objective = bound(task)
     given = solved(gp.RRTConnect(), problem, objective)[0][-1].q

@@ -55,7 +55,6 @@ def _panda(scene: str, task: str, w: float = 1.0):
     return problem, objective, first
 
 
-@pytest.mark.long
 def test_paths_of_an_arm_cost_less() -> None:
     problem, objective, first = _panda("tabletop_l1", "green_to_blue")
     paths = list(CasADi(initial=first).solve(problem, objective, Budget(iterations=80), np.random.default_rng(0)))
@@ -63,7 +62,6 @@ def test_paths_of_an_arm_cost_less() -> None:
     assert all(is_solution(path, problem) for path in paths)
 
 
-@pytest.mark.long
 def test_two_runs_are_the_same() -> None:
     problem, objective, first = _panda("tabletop_l1", "green_to_blue")
     runs = [

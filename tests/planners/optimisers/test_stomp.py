@@ -53,7 +53,6 @@ def _space(start: tuple[float, ...], goal: tuple[float, ...], limit: float = 3.0
     return FunctionProblem(start=np.array(start), goals=np.array([goal]), lower=-far, upper=far, **more)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", _DETOURS)
 @pytest.mark.parametrize("seed", range(2))
 def test_reaches_known_optima_from_a_bad_path_of_the_right_class(name: str, seed: int) -> None:
@@ -66,7 +65,6 @@ def test_reaches_known_optima_from_a_bad_path_of_the_right_class(name: str, seed
     assert 1.0 - 1e-4 <= path_total(exact, last) / instance.optimum <= 1.02
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("build", [disc, two_media])
 def test_reaches_known_optima_in_seven_dimensions(build) -> None:
     instance = build(7)
@@ -77,7 +75,6 @@ def test_reaches_known_optima_in_seven_dimensions(build) -> None:
     assert path_total(instance.objective, last) <= 1.08 * instance.optimum
 
 
-@pytest.mark.long
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=8, deadline=None)
 def test_every_path_is_cheaper_free_within_the_limits_and_keeps_its_ends(seed: int) -> None:

@@ -80,7 +80,6 @@ def test_descents_leave_the_tree_alone(query: tuple[SceneProblem, SceneObjective
     assert with_[0].q.tobytes() == without[0].q.tobytes()
 
 
-@pytest.mark.long
 @_PLANNERS
 @pytest.mark.parametrize("seed", range(2))
 def test_more_iterations_are_never_worse(planner: Planner, seed: int) -> None:
