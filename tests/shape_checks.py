@@ -15,7 +15,8 @@ import jaxtyping
 FIRST = 20
 """So many calls of a function are checked in each test. Some functions are called 100,000 times in a test."""
 EVERY = 50
-"""And then one call in so many. With both numbers, `make test` spends about a tenth of its time on checks."""
+"""And then one call in so many. Four files of tests of planning (via, departure, straight, stomp) take 49 s of a core
+with all calls checked, 26 s with these numbers, and 19 s without checks."""
 
 _in_full = jaxtyping.jaxtyped
 
