@@ -31,7 +31,7 @@ def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None
     """
     refused, clock = None, request.clock
     for motion in motions:
-        if not clock.has_room("judging"):
+        if not (clock.has_room("judging") if refused else clock.may_do("judging")):
             break
         with clock.measured("judging"):
             verdict = verdict_of(motion, request.objective, request.constraints, request.pose, request.verification)

@@ -268,7 +268,7 @@ def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None
 def _is_time_for_another(found: Sequence[Motion], request: Request) -> bool:
     """Whether to time another motion: the first if that can be judged in time, more if that is sure."""
     clock = request.clock
-    return clock.has_plenty("timing", "judging") if found else clock.has_room("timing", "judging")
+    return clock.has_plenty("timing", "judging") if found else clock.may_do("timing", "judging")
 
 
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:

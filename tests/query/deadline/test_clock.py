@@ -43,6 +43,13 @@ def test_a_single_long_run_is_forgotten() -> None:
     assert 5 < tries < 100
 
 
+def test_what_a_call_needs_is_tried_if_it_mostly_fits() -> None:
+    clock = _clock(1.0, judging=[0.1, 0.1, 0.1, 5.0])
+    assert not clock.has_room("judging") and clock.may_do("judging")
+    assert not _clock(1.0, judging=[0.1, 5.0, 5.0]).may_do("judging")
+    assert not _clock(-1.0, judging=[0.1]).may_do("judging")
+
+
 def test_what_is_kept_follows_what_was_measured() -> None:
     slow, quick = (_clock(1.0, judging=[x], timing=[x], ending=[0.0]) for x in (0.1, 0.001))
     assert slow.reserve(10.0) == pytest.approx(0.4)
@@ -81,6 +88,19 @@ def test_what_cannot_be_judged_in_time_is_a_timeout_with_the_path(task, monkeypa
     np.testing.assert_allclose(result.path.q[0], task.start)
     with pytest.raises(gp.PlanningFailed):
         result.unwrap()
+
+
+@pytest.mark.parametrize("exposure", ["length", "time"])
+def test_a_machine_that_was_busy_for_a_moment_does_not_keep_calls_from_judging(task, exposure) -> None:
+    paces = paces_of(task.scene)
+    try:
+        for seconds in (*[0.01] * 15, 2.0):
+            paces.took("judging", seconds)
+        result = gp.plan(task.start, task.goal, task.scene, objective=gp.Objective(exposure=exposure), time_limit=1.5)
+    finally:
+        for _ in range(16):
+            paces.took("judging", 0.01)
+    assert result.status is PlanStatus.SOLVED, result.detail
 
 
 def test_a_pose_that_cannot_be_looked_for_in_time_is_a_timeout(task) -> None:

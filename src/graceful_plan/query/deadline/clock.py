@@ -7,6 +7,7 @@ last runs in this scene.
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections import deque
 from collections.abc import Generator
@@ -48,6 +49,10 @@ class Paces:
     def longest(self, step: Step) -> float:
         """Return the longest of the last runs [s]; 0 before there are any."""
         return max(self._lately[step], default=0.0)
+
+    def typical(self, step: Step) -> float:
+        """Return the median of the last runs [s]; 0 before there are any."""
+        return statistics.median(self._lately[step] or (0.0,))
 
     def knows(self, step: Step) -> bool:
         """Whether there were any runs."""
@@ -115,6 +120,14 @@ class Clock:
         for step in steps:
             self.paces.doubt(step)
         return False
+
+    def may_do(self, *steps: Step) -> bool:
+        """Whether these steps would end in time if they take what they mostly take.
+
+        For steps without which a call ends with nothing, where `has_room` is for those that it can do without: on a
+        machine that was busy for a moment, the longest of the last runs says little of the next.
+        """
+        return self.has_room(*steps) or self.left >= sum(self.paces.typical(step) for step in steps)
 
     def has_plenty(self, *steps: Step) -> bool:
         """Whether there is room for more than what has to be done: these steps, as long as they ever took, twice."""
