@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from places import ROOT
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.analysis.explanation import STRETCH, shortest_stretch
 from graceful_plan.exceptions import CostError, SettingError, ShapeError
 from graceful_plan.viz.explanation import draw_explanation
+from sizes import first_quick
 
 _ROUNDING = 1e-12
 _OBJECTIVES = {

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.analysis.gantry import centre_of_mass, gantry_scene
@@ -17,6 +16,7 @@ from graceful_plan.analysis.impact_maps import DIRECTIONS
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 from graceful_plan.viz.impact_maps import draw_impact_map
+from sizes import first_quick
 
 _ROUNDING = 1e-9
 """The same formulas with poses from another chain of joints."""

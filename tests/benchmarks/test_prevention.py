@@ -14,11 +14,11 @@ from benchmarks.prevention.runs import NONE, OURS, PUBLISHED, Curve, CurveJob, H
 from benchmarks.subjects import prevention
 from hypothesis import given
 from hypothesis import strategies as st
-from sizes import first_quick
 
 import graceful_plan as gp
 from benchmarks import suite
 from graceful_plan.testing import check_cost
+from sizes import first_quick
 
 _EXACT = 1e-9
 """Closed forms agree but for rounding."""

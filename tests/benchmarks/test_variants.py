@@ -5,7 +5,6 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 from benchmarks.subjects import trajectory_prediction
-from sizes import first_quick
 
 import failbench as fb
 import graceful_plan as gp
@@ -13,6 +12,7 @@ from benchmarks import landing, suite, variants
 from failbench.fault.end_effector import StuckGripper
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.judge.reference_cost import reference_probability
+from sizes import first_quick
 
 NAMES = list(variants.VARIANTS)
 _SETTLES = 0.003

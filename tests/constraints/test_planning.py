@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Liquid
+from sizes import first_quick
 
 Array = np.ndarray
 ENOUGH = 400

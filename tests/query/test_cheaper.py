@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.query.cheaper import cheaper
+from sizes import first_quick
 
 DROPS = gp.ImpactCost(model=gp.Footprint())
 ARM = gp.ImpactCost(model=gp.Footprint(faults="service_robot"))

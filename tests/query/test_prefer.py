@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.costs.objective import SceneObjective
@@ -12,6 +11,7 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.prefer import Preference
+from sizes import first_quick
 
 KINDS = ("cvar", "worst")
 _SAMPLING = 5e-3

@@ -243,6 +243,7 @@ class _Tuner:
                 objective=objective,
                 nodes=int(np.clip(budget.remaining_iterations / _PER_NODE, 50, _NODES)),
                 motions=[(problem.start, goals)],
+                constraints=self.query.request.constraints.constraints,
                 seed=seed,
                 time_limit=seconds if np.isfinite(seconds) else None,
             )

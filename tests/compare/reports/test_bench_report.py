@@ -7,12 +7,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from bench_cases import PROBLEMS, all_failed, comparison, rich, solved
-from sizes import first_quick
 
 from graceful_plan import compare as bench
 from graceful_plan.compare.reports import figures
 from graceful_plan.compare.reports.report import number, page, percent
 from graceful_plan.compare.reports.summary import gap, gap_curve, median, quantile, shares, solved_curve, time_grid
+from sizes import first_quick
 
 VOID = {"meta", "br", "link", "img", "hr", "input"}
 

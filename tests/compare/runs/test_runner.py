@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 from bench_cases import own_planner, solved, suite_file
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan import compare as bench
@@ -16,6 +15,7 @@ from graceful_plan.compare.runs.comparison import settle
 from graceful_plan.compare.runs.measures import FARTHEST, JERK_STEP, exact_clearance, jerk
 from graceful_plan.compare.runs.runner import run
 from graceful_plan.judge.exact import state_contacts
+from sizes import first_quick
 
 # --- jerk and clearance ----------------------------------------------------------------------------------------------
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import slow_overlap
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.judge.reference_cost import reference_probability
+from sizes import first_quick
 
 _SAME = 1e-9  # all three compute in double precision
 

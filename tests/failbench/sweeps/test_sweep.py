@@ -8,7 +8,6 @@ import fake_work
 import pytest
 from benchmarks.kill_sweep import Trial
 from places import SUPPORT
-from sizes import first_quick
 
 from failbench.basics.chunks import attempt
 from failbench.basics.errors import ExecutionRefused, SweepBusy, SweepFailed
@@ -20,6 +19,7 @@ from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.sweep import JOURNAL, generate, read_sweep, resume, sweep_of, versions
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from sizes import first_quick
 
 DROP, LOOSE, NOISE = (to_document(faults()[name]()) for name in ("gripper_failure", "loose_joint", "noise"))
 

@@ -10,13 +10,13 @@ from dataclasses import replace
 import jaxtyping
 import numpy as np
 import pytest
-from sizes import first_quick
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
+from sizes import first_quick
 
 ITERATIONS = 400
 

@@ -177,6 +177,17 @@ class Core {
     kernels().free_edges(tables_, all, margin, reinterpret_cast<uint8_t*>(out));
     return array;
   }
+  auto projected(Reals q, Reals lower, Reals upper, double clearance) const {
+    double* out;
+    const States all = states(q);
+    const size_t nq = size_t(tables_.n_joint);
+    auto array = make<double>({all.n, nq}, out);
+    require(lower.size() == nq && upper.size() == nq, "limits are those of another robot");
+    nb::gil_scoped_release release;
+    std::copy_n(all.q, all.n * nq, out);
+    for (size_t k = 0; has_bounds() && k < all.n; ++k) project(out + k * nq, lower.data(), upper.data(), clearance);
+    return array;
+  }
   auto clearance(Reals q) const {
     double* out;
     auto array = make<double>({rows(q)}, out);
