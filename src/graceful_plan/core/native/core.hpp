@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "search/planning.hpp"
+#include "cells.hpp"
 #include "tables.hpp"
 
 namespace nb = nanobind;
@@ -134,6 +135,10 @@ class Core {
     tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(),
     tables_.target = target_.data();
     tables_.harmed = harmed_.data();
+    Cells cells(obstacle_);
+    cell_ = std::move(cells.cell), order_ = std::move(cells.order);
+    tables_.n_boundless = cells.n_boundless, tables_.n_cell = int(cell_.size());
+    tables_.cell = cell_.data(), tables_.order = order_.data();
   }
 
   const Tables& tables() const { return tables_; }
@@ -574,6 +579,8 @@ class Core {
   std::vector<int> group_of_;
   std::vector<float> sphere_;
   std::vector<Obstacle> obstacle_;
+  std::vector<Cell> cell_;
+  std::vector<int32_t> order_;
   std::vector<Triangle> triangle_;
   std::vector<int32_t> pair_;
   std::vector<Part> part_;

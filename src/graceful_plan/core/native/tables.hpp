@@ -43,6 +43,13 @@ struct Obstacle {
   float keep;  // distance that everything has to keep from it [m]
 };
 
+// A box around obstacles that stand near each other, and the boxes inside of it: those up to `next`.
+struct Cell {
+  float centre[3], half[3];
+  float keep;                  // the most of what its obstacles ask for [m]
+  int32_t next, first, count;  // of `order`, the obstacles in it if it is a leaf
+};
+
 struct Triangle {
   float a[3], b[3], c[3], normal[3], offset;
   float edge[3][4],
@@ -86,6 +93,9 @@ struct Tables {
   const Cluster* cluster;
   const float* sphere;  // x y z r, in the frame of the group's link
   const Obstacle* obstacle;
+  int32_t n_boundless, n_cell;
+  const Cell* cell;
+  const int32_t* order;  // obstacles without bounds, then those of the leaves
   const Triangle* triangle;
   const int32_t* pair;  // pairs of groups
   const Part* part;

@@ -192,6 +192,27 @@ struct Placed {
   }
 };
 
+// Calls visit(j) for obstacles that may be within reach(distance they ask for) of points, until one says it is enough.
+template <class Reach, class Visit>
+static inline bool for_each_obstacle_near(const Tables& tables, const Vec<F>& p, Reach reach, Visit visit) {
+  for (int k = 0; k < tables.n_boundless; ++k)
+    if (visit(tables.order[k])) return true;
+  for (int n = 0; n < tables.n_cell;) {
+    const Cell& cell = tables.cell[n];
+    const F r = reach(cell.keep), x = relu(absolute(p.x - cell.centre[0]) - cell.half[0]),
+            y = relu(absolute(p.y - cell.centre[1]) - cell.half[1]),
+            z = relu(absolute(p.z - cell.centre[2]) - cell.half[2]);
+    if (!any(x * x + y * y + z * z < r * r)) {
+      n = cell.next;
+      continue;
+    }
+    for (int k = cell.first; k < cell.first + cell.count; ++k)
+      if (visit(tables.order[k])) return true;
+    ++n;
+  }
+  return false;
+}
+
 // Which lanes collide. With `first_hit` it returns as soon as any lane does: one bad state spoils an edge.
 template <bool first_hit> static inline MaskF collides(const Tables& tables, const Frame<F>* X_W, float margin) {
   Placed placed(tables, X_W);
@@ -199,12 +220,13 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
   for (int g = tables.n_group - 1; g >= 0; --g) {  // the far links move most: test them first
     const Group& group = tables.group[g];
     if (group.frame == 0) continue;  // the base does not move
-    for (int j = 0; j < tables.n_obstacle; ++j) {
+    const auto reach = [&](float keep) { return F{} + (group.bound[3] + margin + keep); };
+    const bool enough = for_each_obstacle_near(tables, placed.bound[g], reach, [&](int j) {
       const Obstacle& o = tables.obstacle[j];
-      if (o.ignores >> group.link & 1) continue;
-      const float kept = margin + o.keep, reach = group.bound[3] + kept;
-      if (!any(near_bound(o, placed.bound[g], F{} + reach))) continue;
-      if (!any(touches(tables, o, placed.bound[g], reach))) continue;
+      if (o.ignores >> group.link & 1) return false;
+      const float kept = margin + o.keep;
+      if (!any(near_bound(o, placed.bound[g], F{} + (group.bound[3] + kept)))) return false;
+      if (!any(touches(tables, o, placed.bound[g], group.bound[3] + kept))) return false;
       const Vec<F>* sphere = placed.spheres(g);
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
@@ -213,9 +235,11 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
           continue;
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
           hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + kept);
-        if (first_hit ? any(hit) : all(hit)) return hit;
+        if (first_hit ? any(hit) : all(hit)) return true;
       }
-    }
+      return false;
+    });
+    if (enough) return hit;
   }
   for (int p = 0; p < tables.n_pair; ++p) {
     const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
@@ -259,26 +283,6 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
   Placed placed(tables, X_W);
   Nearest best = {F{} + 1e9f, MaskF{} - 1, MaskF{}};
   for_each_bound(tables, X_W, [&](int k, F clearance) { best.update(clearance, -2 - k, 0); });
-  for (int g = tables.n_group - 1; g >= 0; --g) {
-    const Group& group = tables.group[g];
-    if (group.frame == 0) continue;  // the base does not move
-    for (int j = 0; j < tables.n_obstacle; ++j) {
-      const Obstacle& o = tables.obstacle[j];
-      if (o.ignores >> group.link & 1) continue;
-      if (!any(near_bound(o, placed.bound[g], relu(best.distance + (group.bound[3] + o.keep))))) continue;
-      if (!any(signed_distance(tables, o, placed.bound[g]) - (group.bound[3] + o.keep) < best.distance)) continue;
-      const Vec<F>* sphere = placed.spheres(g);
-      for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
-        const Cluster& cluster = tables.cluster[c];
-        const Vec<F> centre = transform(X_W[group.frame], cluster.bound);
-        if (group.n_cluster > 1 &&
-            !any(signed_distance(tables, o, centre) - (cluster.bound[3] + o.keep) < best.distance))
-          continue;
-        for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
-          best.update(signed_distance(tables, o, sphere[k]) - (tables.sphere[4 * k + 3] + o.keep), k, j);
-      }
-    }
-  }
   for (int p = 0; p < tables.n_pair; ++p) {
     const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
     const Group &ga = tables.group[a], &gb = tables.group[b];
@@ -306,6 +310,28 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
         }
       }
     }
+  }
+  for (int g = tables.n_group - 1; g >= 0; --g) {
+    const Group& group = tables.group[g];
+    if (group.frame == 0) continue;  // the base does not move
+    const auto reach = [&](float keep) { return relu(best.distance + (group.bound[3] + keep)); };
+    for_each_obstacle_near(tables, placed.bound[g], reach, [&](int j) {
+      const Obstacle& o = tables.obstacle[j];
+      if (o.ignores >> group.link & 1) return false;
+      if (!any(near_bound(o, placed.bound[g], reach(o.keep)))) return false;
+      if (!any(signed_distance(tables, o, placed.bound[g]) - (group.bound[3] + o.keep) < best.distance)) return false;
+      const Vec<F>* sphere = placed.spheres(g);
+      for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
+        const Cluster& cluster = tables.cluster[c];
+        const Vec<F> centre = transform(X_W[group.frame], cluster.bound);
+        if (group.n_cluster > 1 &&
+            !any(signed_distance(tables, o, centre) - (cluster.bound[3] + o.keep) < best.distance))
+          continue;
+        for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
+          best.update(signed_distance(tables, o, sphere[k]) - (tables.sphere[4 * k + 3] + o.keep), k, j);
+      }
+      return false;
+    });
   }
   return best;
 }
