@@ -47,8 +47,25 @@ def test_every_point_is_inside_and_every_cell_has_one(inflation: float) -> None:
     lower, upper = gp.PointCloud(name="seen", points=points, resolution=0.05, inflation=inflation).boxes
     inside = np.all((points[:, None] >= lower + inflation) & (points[:, None] <= upper - inflation), axis=2)
     assert inside.any(axis=1).all()
-    volume = np.prod(upper - lower - 2.0 * inflation, axis=1).sum()
-    assert volume == pytest.approx(0.05**3 * len(np.unique(np.floor(points / 0.05), axis=0)))
+    # Every box is near a point: within it, or within the gap between two.
+    middle = 0.5 * (lower + upper)
+    away = np.abs(points[:, None] - middle) - 0.5 * (upper - lower) + inflation
+    assert np.all(away.max(axis=2).min(axis=0) <= 2 * 0.05)
+
+
+def test_gaps_of_two_cells_are_closed_and_wider_ones_stay() -> None:
+    x = np.array([0.0, 1.0, 4.0, 5.0, 9.0])
+    points = np.column_stack([x, 0.0 * x, 0.0 * x]) * 0.1 + 0.05
+    lower, upper = gp.PointCloud(name="seen", points=points, resolution=0.1).boxes
+    np.testing.assert_allclose(np.sort(lower[:, 0]), [0.0, 0.9])
+    np.testing.assert_allclose(np.sort(upper[:, 0]), [0.6, 1.0])
+    np.testing.assert_allclose(upper[:, 1:] - lower[:, 1:], 0.1)
+
+
+def test_noise_does_not_make_dust_of_a_table() -> None:
+    rng = np.random.default_rng(0)
+    top = np.column_stack([rng.uniform(0.0, 1.0, (40_000, 2)), rng.normal(scale=0.002, size=40_000)])
+    assert len(gp.PointCloud(name="seen", points=top, resolution=0.02).boxes[0]) < 20
 
 
 def test_points_stand_where_their_frame_is_and_what_was_not_seen_is_not_there() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import SceneError, SettingError
 
 Array = np.ndarray
@@ -14,6 +14,24 @@ _ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """In which cells are joined to rows, rows to plates and plates to blocks; the one with the fewest boxes counts."""
 MOST_BOXES = 20_000
 """Of one body: MuJoCo takes seconds for more."""
+
+
+def closed(full: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:
+    """Return the full cells of a grid, and those in gaps of up to two: grown by one cell to all sides, and shrunk."""
+    grown = full
+    for grow in (True, False):
+        for axis in range(3):
+            grown = _grown(grown, axis) if grow else ~_grown(~grown, axis)
+    return grown
+
+
+def _grown(full: Bool[Array, "x y z"], axis: int) -> Bool[Array, "x y z"]:
+    """Grow full cells by one along an axis; outside of the grid nothing is known."""
+    cells, found = np.moveaxis(full, axis, 0), full.copy()
+    view = np.moveaxis(found, axis, 0)
+    view[1:] |= cells[:-1]
+    view[:-1] |= cells[1:]
+    return found
 
 
 def joined(cells: Int[Array, "cell axis"]) -> tuple[Int[Array, "box axis"], Int[Array, "box axis"]]:

@@ -13,7 +13,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import finite_array
 from graceful_plan.scene.roles import rigid_pose
-from graceful_plan.scene.sensed.boxes import add_boxes, joined
+from graceful_plan.scene.sensed.boxes import add_boxes, closed, joined
 
 Array = np.ndarray
 
@@ -21,8 +21,8 @@ _FARTHEST = 500.0
 """From the origin of W: beyond is no place for a robot, and indices of cells stay small [m]."""
 
 
-_MOST_CELLS = 2.0**62
-"""In the box around all points."""
+_MOST_CELLS = 1e8
+"""In the box around all points, one byte each."""
 
 
 @final
@@ -30,9 +30,9 @@ _MOST_CELLS = 2.0**62
 class PointCloud:
     """Points that a sensor saw, as an obstacle to put into a scene by `Scene.edit`.
 
-    All cells of a grid that a point is in are full; these, grown by `inflation`, are the obstacle, as boxes of one
-    body. So what is in between the points of a surface is covered if the points are no farther apart than the cells are
-    wide, and what was not seen is free. Leave out the points on the robot itself and on what it carries.
+    All cells of a grid that a point is in are full, and gaps of up to two cells between these, without which noise
+    would make a thousand boxes of a table. Grown by `inflation` they are the obstacle, as boxes of one body. What was
+    not seen is free. Leave out the points on the robot itself and on what it carries.
 
     | field      | meaning                                                                        | unit | shape   |
     |------------|--------------------------------------------------------------------------------|------|---------|
@@ -122,9 +122,13 @@ class PointCloud:
         cells -= origin
         size = cells.max(axis=0) + 1
         if np.prod(size.astype(float)) > _MOST_CELLS:
-            raise SettingError(f"resolution of {self.name}", self.resolution, "so coarse that cells can be counted")
-        full = np.stack(np.unravel_index(np.unique(np.ravel_multi_index(tuple(cells.T), tuple(size))), size), axis=1)
-        first, last = joined(full)
+            wanted = (
+                f"so coarse that the box around all points, {(size * self.resolution).round(1).tolist()} m, has at most"
+            )
+            raise SettingError(f"resolution of {self.name}", self.resolution, f"{wanted} {_MOST_CELLS:g} cells")
+        full = np.zeros(size, dtype=bool)
+        full[tuple(cells.T)] = True
+        first, last = joined(np.stack(np.nonzero(closed(full)), axis=1))
         return (first + origin) * self.resolution - self.inflation, (last + origin) * self.resolution + self.inflation
 
     def add_to(self, spec: mujoco.MjSpec) -> None:

@@ -13,10 +13,10 @@ from graceful_plan.scene.sensed.boxes import joined
 
 Array = np.ndarray
 
-CROWD = 64
+CROWD = 24
 """Surfaces of one body that are kept as they are."""
-_MOST = 96
-"""Surfaces that are left of more."""
+_MOST, _LEAST = 192, 12
+"""Surfaces that are left of all crowds together, and of one at least may be."""
 _WIDTH = 0.04
 """Of a cell, the first that is tried [m]: a little less than what is usually carried."""
 _COARSER = 1.4
@@ -34,20 +34,21 @@ def simplified(
         body: That each belongs to.
     """
     rows, source = [boxes[:0]], [np.zeros(0, dtype=int)]
-    for one in np.unique(body):
-        mine = np.flatnonzero(body == one)
-        crowd = boxes[mine] if len(mine) <= CROWD else _from_above(boxes[mine])
+    groups = [np.flatnonzero(body == one) for one in np.unique(body)]
+    most = max(_LEAST, _MOST // max(1, sum(len(mine) > CROWD for mine in groups)))
+    for mine in groups:
+        crowd = boxes[mine] if len(mine) <= CROWD else _from_above(boxes[mine], most)
         rows.append(crowd)
         source.append(mine if len(mine) <= CROWD else np.full(len(crowd), mine[0]))
     order = np.argsort(np.concatenate(source), kind="stable")
     return np.concatenate(rows)[order], np.concatenate(source)[order]
 
 
-def _from_above(boxes: Float[Array, "target 11"]) -> Float[Array, "kept 11"]:
+def _from_above(boxes: Float[Array, "target 11"], most: int) -> Float[Array, "kept 11"]:
     width, step = _WIDTH, _STEP
     while True:
         found = _map(boxes, width, step)
-        if len(found) <= _MOST:
+        if len(found) <= most:
             return found
         width, step = _COARSER * width, _COARSER * step
 
