@@ -31,12 +31,13 @@ ROBOTS = (
 ACCELERATION = 5.0
 CONFIGURATIONS, QUERIES = 600, 25
 MEASURED = f"""\
-Models of the package `example-robot-data` 6.0.0, one line of code each, nothing changed in them; robots alone, without
-surroundings. "Load" reads the URDF and looks for links that always touch, "compile" covers the links with spheres, the
-second time with the covers that are kept on disk if there were any. Of {CONFIGURATIONS} configurations drawn evenly within the
-limits, "free" are those that exact geometry on convex hulls calls so, and "called free" is which share of them the
-kernels call free. "Wrongly": of the others, the share that the kernels call free. Queries: {QUERIES} pairs of free configurations,
-w = 0, first motion within 1 s. Robots that are not in the table cannot be read; why is below.
+Models of the package `example-robot-data` 6.0.0, one line of code each, nothing changed in them; robots alone,
+without surroundings. "Load" reads the URDF and looks for links that always touch, "compile" covers the links with
+spheres, the second time with the covers that are kept on disk if there were any. Of {CONFIGURATIONS} configurations
+drawn evenly within the limits, "free" are those that exact geometry on convex hulls calls so, and "called free" is
+which share of them the kernels call free. "Wrongly": of the others, the share that the kernels call free. Queries:
+{QUERIES} pairs of free configurations, w = 0, first motion within 1 s. Robots that are not in the table cannot be
+read; why is below.
 """
 
 Array = np.ndarray
