@@ -28,7 +28,7 @@ from graceful_plan.query.arguments import (
     checked_time_limit,
     checked_wait,
 )
-from graceful_plan.query.cheaper import beginning_with, known_motions
+from graceful_plan.query.cheaper import beginning_with, is_enough, known_motions
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
@@ -167,7 +167,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         )
         known = known_motions(request, problem, ends, budget, rng)
         asked = replace(request, planner=beginning_with(known, request.planner))
-        known_is_enough = bool(known) and request.preference is None and request.objective.descended() is not None
+        known_is_enough = bool(known) and request.preference is None and is_enough(request.objective)
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)

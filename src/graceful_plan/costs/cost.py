@@ -178,3 +178,16 @@ def checked_state(cost: Cost, batch: StateBatch) -> Float[Array, " n"]:
         worst = int(np.argmin(value))
         raise CostError(cost, f"state() returned {value[worst]:.3g} < 0 at q = {np.round(batch.q[worst], 4).tolist()}")
     return value
+
+
+def moving_batch(
+    scene: Scene,
+    q: Float[Array, "n nq"],
+    qd: Float[Array, "n nq"] | None,
+    times: Float[Array, " n"] | None = None,
+) -> StateBatch:
+    """Return states with these joint velocities, at rest without any, at these times [s] if they are known."""
+    if qd is None:
+        return StateBatch(scene, q, time=times)
+    speed = np.linalg.norm(qd, axis=1)
+    return StateBatch(scene, q, qd / np.where(speed > 0, speed, 1.0)[:, None], speed, times)

@@ -18,7 +18,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import Effort, Landed, MotionDescents, Start, time_price
+from graceful_plan.planners.motion_descent import LONG, Effort, Landed, MotionDescents, Start, time_price
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
@@ -41,6 +41,8 @@ _MOST_STARTS = 5
 """Paths from which smooth motions begin."""
 _MOST_TIMED = 4
 """Smooth motions that are compared by the J of their trajectories."""
+_TIMING_SHARE = 0.25
+"""Of the time for descents, what may be kept at most for timing what they end with."""
 _POLISH = Effort(screens=False)
 """What is done with motions that are known to be good."""
 _LEAST_TIGHT = 0.15
@@ -170,12 +172,27 @@ def smooth(
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
         felt=[cone.native for cone in request.constraints.cones],
-        effort=effort if objective.w > 0.0 or request.constraints.cones else replace(effort, bends=0, hops=0),
+        counts_points=objective.objective.exposure == "waypoints",
+        effort=replace(effort, middle=LONG)
+        if objective.kernel is None
+        else effort
+        if objective.w > 0.0 or request.constraints.cones
+        else replace(effort, bends=0, hops=0),
     )
     wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
     starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
-    landed = descents.run(starts, *means, raw=raw)
-    return [motion for one in landed[:_MOST_TIMED] if (motion := _of(one, wholes[one.start][1], request, ends))]
+    budget, rng = means
+    kept = min(_MOST_TIMED * request.timing.seconds, _TIMING_SHARE * budget.remaining_seconds)
+    with budget.share(budget.remaining_seconds - kept, budget.remaining_iterations) as part:
+        landed = descents.run(starts, part, rng, raw=raw)
+    found: list[Motion] = []
+    for one in landed[:_MOST_TIMED]:
+        if found and budget.remaining_seconds < request.timing.seconds:
+            break
+        with request.timing.running():
+            motion = _of(one, wholes[one.start][1], request, ends)
+        found += [] if motion is None else [motion]
+    return found
 
 
 def _followed(whole: Path, arrival: int, request: Request, ends: Ends) -> Iterator[Motion]:

@@ -7,6 +7,7 @@
 
 #include "bindings/bindings.hpp"
 #include "impact/body_impact.hpp"
+#include "impact/own_cost.hpp"
 
 using namespace nb::literals;
 
@@ -66,6 +67,21 @@ void bind_impact(nb::module_& m) {
   nb::class_<SumImpact, Impact>(m, "SumImpact")
       .def(nb::init<const Impact&, const Impact&>(), "first"_a, "second"_a, nb::keep_alive<1, 2>(),
            nb::keep_alive<1, 3>());
+  nb::enum_<Measure>(m, "Measure")
+      .value("time", Measure::kTime)
+      .value("length", Measure::kLength)
+      .value("points", Measure::kPoints);
+  nb::class_<OwnCost, Impact>(m, "OwnCost")
+      .def(
+          "__init__",
+          [](OwnCost* self, const Core& core, Measure measure, Reals speed, nb::object states, nb::object slopes,
+             nb::object edges, nb::object edge_slopes, nb::object motion) {
+            new (self) OwnCost(core, {states, slopes, edges, edge_slopes, motion}, measure, speed);
+          },
+          "core"_a, nb::kw_only(), "measure"_a, "speed"_a, "states"_a, "slopes"_a, "edges"_a,
+          "edge_slopes"_a = nb::none(), "motion"_a = nb::none(), nb::keep_alive<1, 2>());
+  nb::class_<ClearanceCost, Impact>(m, "ClearanceCost")
+      .def(nb::init<const Core&, double>(), "core"_a, "distance"_a, nb::keep_alive<1, 2>());
   nb::class_<TimedImpact, Impact>(m, "TimedImpact")
       .def(nb::init<const Impact&, Reals>(), "model"_a, "speed"_a, nb::keep_alive<1, 2>());
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")
