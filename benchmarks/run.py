@@ -26,6 +26,7 @@ SUBJECTS = (
     "impact_speed",
     "safety",
     "first_path",
+    "first_motion",
     "inverse_kinematics",
     "straight_tool",
     "constraints",
@@ -47,6 +48,7 @@ SUBJECTS = (
     "prevention",
     "damage_energy",
     "own_loss",
+    "stops",
     "transcription",
     "moving_entities",
     "tuning",
@@ -55,7 +57,7 @@ SUBJECTS = (
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints"})
+ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 TAKEN_OUT = "taken_out"
 """Section written by hand: what was measured, did not help and is gone."""

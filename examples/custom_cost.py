@@ -24,15 +24,15 @@ class Nearness(gp.Cost):
         return np.exp(-np.sum(offset**2, axis=1) / (2.0 * self.radius**2))
 
 
-def main(planner: str = "auto", time_limit: float = 1.0) -> dict[str, gp.PlanResult]:
-    """Plan with and without the cost; return both results."""
+def main(planner: str = "auto", iterations: int | None = None) -> dict[str, gp.PlanResult]:
+    """Plan with and without the cost, within the default time limit or so many iterations; return both results."""
     task = gp.load_scene("desk").tasks["bring_coffee"]
     laptop = task.scene.data_at(task.start).geom_xpos[task.scene.entities["laptop"].geoms[0]]
     # Over length: how slowly the coffee has to be carried does not count.
     away = gp.Objective(impact=Nearness(tuple(laptop)), w=5.0, exposure="length")
     results = {}
     for name, objective in {"shortest": away.with_weight(0.0), "away": away}.items():
-        result = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=planner, time_limit=time_limit)
+        result = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=planner, iterations=iterations)
         print(f"{name}: {result.status.name}, motion {result.cost.motion:.2f}, nearness {result.cost.impact:.2f}")
         results[name] = result
     return results

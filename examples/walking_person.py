@@ -22,13 +22,17 @@ def walking_person() -> gp.MovingEntity:
     )
 
 
-def main(time_limit: float = 2.0) -> dict[str, gp.PlanResult]:
-    """Plan as if nobody were there, past the person at once, and with up to 3 s of patience; return the results."""
+def main(iterations: int | None = None) -> dict[str, gp.PlanResult]:
+    """Plan as if nobody were there, past the person at once, and with up to 3 s of patience; return the results.
+
+    Within 2 s each, or so many iterations.
+    """
+    budget = {"time_limit": 2.0} if iterations is None else {"iterations": iterations}
     task = gp.load_scene("tabletop").tasks["right_to_left"]
     scene = task.scene.with_moving(walking_person())
     results = {}
     for name, where, max_wait in (("alone", task.scene, 0.0), ("at once", scene, 0.0), ("patient", scene, 3.0)):
-        result = gp.plan(task.start, task.goal, where, objective=OBJECTIVE, time_limit=time_limit, max_wait=max_wait)
+        result = gp.plan(task.start, task.goal, where, objective=OBJECTIVE, max_wait=max_wait, **budget)
         trajectory = result.unwrap()
         cost = gp.evaluate(trajectory, scene, OBJECTIVE)
         rest = trajectory.t[1] if not trajectory.qd[1].any() else 0.0

@@ -1,17 +1,40 @@
-"""What all tests share: hypothesis without haste, and the scene and task that most of them use."""
+"""What all tests share: hypothesis without haste, checks of shapes, and the scene and task that most of them use."""
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
+
+import shape_checks
 
 if TYPE_CHECKING:
     import graceful_plan as gp
 
 settings.register_profile("unhurried", deadline=None)  # no timed asserts: the machine may be busy
 settings.load_profile("unhurried")
+
+shape_checks.install()
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # What a shell starts in the background ignores interrupts, and so would every program that tests interrupt.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_runtest_logstart() -> None:
+    """Check the first calls of every function, for each test anew."""
+    shape_checks.begin_test()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what is kept between processes in a folder of the tests: the user's own is neither read nor written."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,6 @@ import graceful_plan as gp
 from benchmarks import suite
 from failbench import ExecutionRefused, SimSettings
 from failbench.recording.spill import kept_volume
-from failbench.scenario import usual_grasp
 from graceful_plan.constraints.contents import KeepContents
 from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
@@ -57,8 +56,8 @@ class Kept:
         seconds: That the call took.
         lost: Share of the contents that FailBench's healthy robot loses.
         swung: Share that the judge's pendulum leaves above the rim at worst.
-        grasp: What holds the vessel: "fingers", or "weld" where these lose it or are known to.
-        lost_grip: What the fingers said if they were tried and failed; "" else.
+        grasp: What holds the vessel: "fingers", or "weld" where these lose it.
+        lost_grip: What was said when the fingers failed; "" else.
         refused: Why it cannot be carried out even with a weld; "" if it can.
     """
 
@@ -122,7 +121,7 @@ def examine(job: ContentsJob) -> Kept:
 def _carried_out(known: Kept, result: gp.PlanResult, scene: gp.Scene) -> Kept:
     """Let the healthy robot do it, with fingers if they hold."""
     vessel, lost_grip, refused = _vessel(scene), "", ""
-    for grasp in dict.fromkeys((usual_grasp(*known.job.task.split("/")), "weld")):
+    for grasp in ("fingers", "weld"):
         world = fb.build_world(scene, SimSettings(grasp=grasp))
         try:
             states = fb.execute(result, world).states

@@ -25,7 +25,6 @@ from failbench import Estimate, ExecutionRefused, SimSettings, ValidationReport
 from failbench.calibrations.failures import DROP
 from failbench.fault.fault import Fault
 from failbench.report import FAILURES_PER_HOUR
-from failbench.scenario import usual_grasp
 from failbench.validation import chosen_faults
 
 SEED = 77
@@ -210,7 +209,7 @@ def _held(name: str, results: Mapping[str, gp.PlanResult]) -> tuple[str, dict[st
     """Return what holds the object, a weld if fingers do not along every motion, and what is refused all the same."""
     task, refused = suite.task(name), dict[str, str]()
     grasp = "weld"
-    for grasp in dict.fromkeys((usual_grasp(*name.split("/")), "weld")):
+    for grasp in ("fingers", "weld"):
         refused = {label: _refusal(task, result, grasp) for label, result in results.items()}
         if not any(refused[label] for label, result in results.items() if result.trajectory is not None):
             break

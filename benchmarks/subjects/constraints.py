@@ -16,8 +16,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from benchmarks import report, suite
-from benchmarks.constrained import contents, upright
+from benchmarks.constrained import contents, held, upright
 from benchmarks.constrained.contents import DEFAULT, NOTHING, ContentsJob, Kept
+from benchmarks.constrained.held import Held, HeldJob
 from benchmarks.constrained.upright import OMPL, PROJECTION, REJECTION, UprightFigures, UprightJob
 from benchmarks.store import read_lines
 
@@ -29,9 +30,12 @@ oil. Carried objects have one vessel each, so that of the three cups it is the o
 handle is fixed. `plan` with its defaults but for w and `constraints`, full speed, 5 seeds. "Lost, FailBench": share of
 the contents that are not there after FailBench's healthy robot has carried the motion out, by its own model of
 containers. "Lost, pendulum": share that the judge's pendulum leaves above the rim at worst, for unconstrained motions
-too. Fingers hold the vessel where FailBench's usually do; "fingers lose it" counts motions along which a weld has to
+too. Fingers hold the vessel; "fingers lose it" counts motions along which a weld has to
 take their place, "not carried out" those that even then leave the tolerance of the joints (0.05 rad). "Longer":
 duration of a constrained motion over that of the unconstrained one with the same task, w and seed.
+
+**Held.** All bundled tasks, {held.SEEDS} seeds, `plan` with its defaults within {held.SECONDS:g} s, carried out by
+FailBench's healthy robot at full speed: fingers hold the object by friction, no weld.
 
 **Upright.** `Upright(15 degrees)` on all bundled tasks, and on problems of the MotionBenchMaker type by
 `benchmarks/motion_problems.py`: of its seven kinds two reach from above ("box", "table_pick"), so that both ends can
@@ -43,6 +47,8 @@ settings, whose equation is how far outside a configuration is (0 inside); its c
 its times are those of a user of its Python module. "Gap": J of `plan` with {upright.SOON:g} s over the least of all
 runs, among them long ones of other seeds.
 """
+_CONTENTS, _HELD = 0.4, 0.25
+"""Of the time, if it is limited, for contents and for what is held; the rest is for planning upright."""
 STORE = Path(__file__).resolve().parents[1] / "constrained_runs"
 """A line for each job that is done; an interrupted run goes on where it was. To measure anew, take the folder away."""
 LOST = 0.01
@@ -57,26 +63,52 @@ J = TypeVar("J")
 
 def run(options: suite.Options) -> str:
     """Do what is left to do, and report on all that is done."""
-    until = math.inf if options.seconds is None else time.monotonic() + options.seconds
+    began, seconds = time.monotonic(), math.inf if options.seconds is None else options.seconds
     with _folder(options) as folder:
-        kept_file, upright_file = folder / "contents.jsonl", folder / "upright.jsonl"
+        kept_file, held_file, upright_file = (folder / f"{name}.jsonl" for name in ("contents", "held", "upright"))
         wanted = contents.jobs(options)
         have = {kept.job for kept in read_kept(kept_file)}
         # One process: planning has a limit in seconds and two threads.
-        _fill(kept_file, [job for job in wanted if job not in have], contents.examine, "contents", until)
+        _fill(
+            kept_file,
+            [job for job in wanted if job not in have],
+            contents.examine,
+            "contents",
+            began + _CONTENTS * seconds,
+        )
+        motions = held.jobs(options)
+        have = {one.job for one in read_held(held_file)}
+        until = began + (_CONTENTS + _HELD) * seconds
+        _fill(held_file, [job for job in motions if job not in have], held.examine, "held", until)
         groups = upright.names(options)
         done = {figures.name for figures in read_upright(upright_file)}
         names = [name for group in groups.values() for name in group if name not in done]
         long, long_seeds, seeds = options.pick((_LONG, _LONG_SEEDS, _SEEDS), quick=(1.5, 1, 2))
         questions = [UprightJob(name=name, seeds=seeds, long=long, long_seeds=long_seeds) for name in names]
-        _fill(upright_file, questions, upright.examine, "upright", until)
+        _fill(upright_file, questions, upright.examine, "upright", began + seconds)
         asked = set(wanted)
         kept = [x for x in read_kept(kept_file) if x.job in asked]
+        gripped = [x for x in read_held(held_file) if x.job in set(motions)]
         found = {x.name: x for x in read_upright(upright_file)}
     figures = {group: [found[name] for name in all_of if name in found] for group, all_of in groups.items()}
-    left = len(wanted) - len(kept) + sum(map(len, groups.values())) - sum(map(len, figures.values()))
+    left = (
+        len(wanted)
+        - len(kept)
+        + len(motions)
+        - len(gripped)
+        + sum(map(len, groups.values()))
+        - sum(map(len, figures.values()))
+    )
     told = f"\n**Not finished: {left} jobs are left.**\n" if left else ""
-    return "\n".join([MEASURED + told, report.targets(_targets(kept, figures)), *_contents(kept), *_upright(figures)])
+    return "\n".join(
+        [
+            MEASURED + told,
+            report.targets(_targets(kept, gripped, figures)),
+            *_contents(kept),
+            *_held(gripped),
+            *_upright(figures),
+        ]
+    )
 
 
 # --- what is kept ----------------------------------------------------------------------------------------------------
@@ -86,6 +118,12 @@ def read_kept(file: Path) -> Iterator[Kept]:
     """Yield what is done of the contents."""
     for x in read_lines(file):
         yield Kept(**{**x, "job": ContentsJob(**x["job"])})
+
+
+def read_held(file: Path) -> Iterator[Held]:
+    """Yield what is done of what fingers hold."""
+    for x in read_lines(file):
+        yield Held(**{**x, "job": HeldJob(**x["job"])})
 
 
 def read_upright(file: Path) -> Iterator[UprightFigures]:
@@ -120,7 +158,9 @@ def _folder(options: suite.Options) -> Iterator[Path]:
 # --- contents --------------------------------------------------------------------------------------------------------
 
 
-def _targets(kept: Sequence[Kept], figures: dict[str, list[UprightFigures]]) -> Iterator[report.Target]:
+def _targets(
+    kept: Sequence[Kept], gripped: Sequence[Held], figures: dict[str, list[UprightFigures]]
+) -> Iterator[report.Target]:
     mine = [x for x in kept if x.job.constraints == DEFAULT]
     for told, lost in (("FailBench", [x.lost for x in mine]), ("the pendulum", [x.swung for x in mine])):
         bad, unknown = sum(x > LOST for x in lost), sum(not math.isfinite(x) for x in lost)
@@ -142,7 +182,56 @@ def _targets(kept: Sequence[Kept], figures: dict[str, list[UprightFigures]]) -> 
         measured=f"{report.percent(median - 1.0)} ({len(longer)} pairs)",
         met=median - 1.0 <= LONGER,
     )
+    lost, other = sum(bool(x.lost) for x in gripped), sum(bool(x.refused) or x.status != "SOLVED" for x in gripped)
+    yield report.Target(
+        what="bundled tasks, held by friction at full speed: motions that lose the object",
+        wanted="0",
+        measured=f"{lost} of {len(gripped)}; {other} not planned or not carried out",
+        met=not lost and not other if gripped else None,
+    )
+    touching = sum(x.harm > 0.0 for x in gripped)
+    yield report.Target(
+        what="healthy motions of bundled tasks that do any harm",
+        wanted="0",
+        measured=f"{touching} of {len(gripped)}",
+        met=not touching if gripped else None,
+    )
     yield from _upright_targets(figures)
+
+
+def _held(gripped: Sequence[Held]) -> Iterator[str]:
+    header = (
+        "held by fingers",
+        "motions",
+        "lost",
+        "not planned or not followed",
+        "do harm",
+        "slip, median",
+        "slip, worst",
+    )
+    rows = []
+    for name in dict.fromkeys(x.job.task for x in gripped):
+        of = [x for x in gripped if x.job.task == name]
+        slips = [1e3 * x.slip for x in of if math.isfinite(x.slip)]
+        rows.append(
+            [
+                name,
+                str(len(of)),
+                str(sum(bool(x.lost) for x in of)),
+                str(sum(bool(x.refused) or x.status != "SOLVED" for x in of)),
+                str(sum(x.harm > 0.0 for x in of)),
+                report.quantity(_median(slips), " mm"),
+                report.quantity(max(slips, default=math.nan), " mm"),
+            ]
+        )
+    yield report.table(header, rows)
+    told = Counter((x.job.task, x.lost or x.refused or x.told or x.status) for x in gripped if not _is_well(x))
+    if told:
+        yield report.table(("what happens", "how", "motions"), [[*key, str(n)] for key, n in sorted(told.items())])
+
+
+def _is_well(x: Held) -> bool:
+    return x.status == "SOLVED" and not (x.lost or x.refused or x.told)
 
 
 def ratios(kept: Iterable[Kept]) -> dict[ContentsJob, float]:

@@ -8,7 +8,7 @@ from failbench.basics.onset import AtFraction, AtTime, Uniform
 from failbench.basics.statistics import Estimate
 from failbench.comparison import compare, harm_ratio
 from failbench.fault.fault import Fault
-from failbench.fault.registry import faults
+from failbench.fault.registry import faults, reactions
 from failbench.front_validation import FrontValidation, validate_front
 from failbench.pictures.playback import replay
 from failbench.recording.healthy import HealthyHarm
@@ -55,6 +55,7 @@ __all__ = [
     "harm_ratio",
     "observed_impact",
     "own_loss",
+    "reactions",
     "read_dataset",
     "replay",
     "resume",

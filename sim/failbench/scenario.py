@@ -29,7 +29,6 @@ class Scenario:
         task: Name of its task.
         fault: What breaks.
         tags: "FAMILY/FAULT/DEGREE" for each family that it belongs to, the fault's category first.
-        grasp: What holds the object: "weld" if the fingers cannot; see `SimSettings`.
     """
 
     name: str
@@ -37,7 +36,6 @@ class Scenario:
     task: str
     fault: Fault
     tags: tuple[str, ...]
-    grasp: str = "fingers"
 
     def matches(self, pattern: str) -> bool:
         """Whether the name or a tag matches a pattern with the wildcards * and ?."""
@@ -55,11 +53,6 @@ def scenarios(pattern: str = "*") -> tuple[Scenario, ...]:
         labels = {label for scenario in _registry() for label in (scenario.scene, *_families(scenario))}
         raise UnknownNameError("scenarios", pattern, {f"{label}/*" for label in labels})
     return found
-
-
-def usual_grasp(scene: str, task: str | None) -> str:
-    """Return what holds the object of a task: "weld" where the fingers cannot, else "fingers"."""
-    return "weld" if task in _file().welds.get(scene, ()) else "fingers"
 
 
 def _families(scenario: Scenario) -> tuple[str, ...]:
@@ -81,20 +74,9 @@ class _Family(NamedTuple):
         )
 
 
-class _File(NamedTuple):
-    families: Mapping[str, _Family]
-    welds: Mapping[str, tuple[str, ...]]
-    """Tasks by scene."""
-
-
-@cache
-def _file() -> _File:
-    return read_file(_FILE)
-
-
 @cache
 def _registry() -> tuple[Scenario, ...]:
-    families = _file().families
+    families = read_file(_FILE)
     return tuple(
         scenario
         for scene_name in gp.scenes()
@@ -104,13 +86,13 @@ def _registry() -> tuple[Scenario, ...]:
 
 
 def _of_task(scene: str, task: str, holds: frozenset[str], families: Mapping[str, _Family]) -> tuple[Scenario, ...]:
-    found, grasp = [], usual_grasp(scene, task)
+    found = []
     for name, kind in faults().items():
         belongs = [kind.CATEGORY, *(key for key, family in families.items() if family.has(name, scene, task, holds))]
         for degree in DEGREES:
             tags = tuple(f"{family}/{name}/{degree}" for family in belongs)
             label = f"{scene}/{task}/{name}/{degree}"
-            found.append(Scenario(label, scene, task, kind(degree=degree), tags, grasp))
+            found.append(Scenario(label, scene, task, kind(degree=degree), tags))
     return tuple(found)
 
 
@@ -125,21 +107,17 @@ def _tasks(scene_name: str) -> dict[str, frozenset[str]]:
     return found
 
 
-def read_file(file: Path) -> _File:
-    """Read families and welds from a YAML file laid out like `scenarios.yaml`.
+def read_file(file: Path) -> Mapping[str, _Family]:
+    """Read families from a YAML file laid out like `scenarios.yaml`.
 
     Raises:
         SceneError: If the file is broken or names a fault or a scene that does not exist, with the line.
     """
     root = read_yaml(file)
-    root.only("version", "weld", "families")
+    root.only("version", "families")
     if root["version"].number() != 1:
         raise root["version"].error("only version 1 of scenario files is known")
-    welds = {} if (block := root.get("weld")) is None else {scene: tasks.strings() for scene, tasks in block.items()}
-    for scene in welds:
-        if scene not in gp.scenes():
-            raise root["weld"].error(f"unknown scene {scene!r} in weld; valid: {', '.join(gp.scenes())}")
-    return _File({name: _family(block) for name, block in root["families"].items()}, welds)
+    return {name: _family(block) for name, block in root["families"].items()}
 
 
 def _family(block: Block) -> _Family:

@@ -21,8 +21,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
-from failbench.fault.fault import CATEGORIES, DEGREES, Fault
-from failbench.fault.registry import faults, from_document, to_document
+from failbench.fault.fault import CATEGORIES, DEGREES, REACTION, Fault
+from failbench.fault.registry import faults, from_document, reactions, to_document
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.injection import Injection
@@ -85,9 +85,9 @@ def _check_class(cls: type[Fault]) -> Findings:
     for name in ("NAME", "PARAMETER"):
         if not isinstance(getattr(cls, name, None), str) or not getattr(cls, name):
             yield f"has no {name} (ClassVar[str])"
-    if getattr(cls, "CATEGORY", None) not in CATEGORIES:
-        yield f"has no CATEGORY that is one of {', '.join(CATEGORIES)}"
-    ours = faults().get(getattr(cls, "NAME", ""), cls)
+    if getattr(cls, "CATEGORY", None) not in (*CATEGORIES, REACTION):
+        yield f"has no CATEGORY that is one of {', '.join((*CATEGORIES, REACTION))}"
+    ours = {**faults(), **reactions()}.get(getattr(cls, "NAME", ""), cls)
     if ours is not cls:
         yield f"has the NAME {cls.NAME!r} of another fault"
     yield from _check_amounts(getattr(cls, "AMOUNTS", None))

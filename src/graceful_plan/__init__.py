@@ -23,13 +23,14 @@ from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.exceptions import GracefulPlanError
-from graceful_plan.judge.verification import verify
+from graceful_plan.judge.verification import Verification, verify
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import CHOMP, PLANNERS, STOMP, Anytime, Auto, CasADi, Planner, PRMStar, RRTConnect, RRTStar
 from graceful_plan.query.cartesian.straight import straight_motion
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult, PlanStatus, Verdict
 from graceful_plan.roadmap import Roadmap
+from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene, scenes
@@ -83,6 +84,7 @@ __all__ = [
     "STOMP",
     "Scene",
     "SeverityTable",
+    "Solid",
     "StateBatch",
     "Task",
     "ToolSpeed",
@@ -90,6 +92,7 @@ __all__ = [
     "Trajectory",
     "Upright",
     "Verdict",
+    "Verification",
     "__version__",
     "certify",
     "clearance",

@@ -30,9 +30,9 @@ def finite_array(
     if (ndim is not None and array.ndim != ndim) or (last is not None and (array.ndim == 0 or array.shape[-1] != last)):
         axes = ["...", "n"] if ndim is None else ["n"] * ndim
         raise ShapeError(name, array.shape, f"({', '.join([*axes[:-1], str(last)] if last is not None else axes)})")
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        raise NonFiniteError(name, tuple(int(i) for i in bad[0]))
+    finite = np.isfinite(array)
+    if not finite.all():
+        raise NonFiniteError(name, tuple(int(i) for i in np.argwhere(~finite)[0]))
     return array
 
 

@@ -15,6 +15,7 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints, defaul
 from graceful_plan.core.kernels import CHECK_STEP, FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
 from graceful_plan.costs.objective import Objective, search_paces
+from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -26,9 +27,12 @@ from graceful_plan.query.arguments import (
     checked_seed,
     checked_speed,
     checked_time_limit,
+    checked_verification,
     checked_wait,
 )
 from graceful_plan.query.cheaper import beginning_with, is_enough, known_motions
+from graceful_plan.query.deadline.clock import Clock, paces_of
+from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
@@ -48,10 +52,10 @@ Array = np.ndarray
 
 _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 """Clearance to keep [m] and step of edge checks [rad], for the first search and for those after the judge objected."""
-_RESERVE = 0.1
-"""Seconds kept for timing and verification, at most a quarter of the time limit: they take 0.03 to 0.08."""
 _TIMING_RESERVE = RESERVE + 0.2
-"""Seconds kept besides to time candidates and to evaluate the chosen one if something moves."""
+"""Seconds kept besides to time candidates and to evaluate the chosen one if something moves, at most a quarter of all.
+"""
+_UNVERIFIED = "a path was found, but there was no time to judge a motion along it: it is NOT verified"
 
 
 _NOT_FOR_CORNERS = frozenset(
@@ -76,6 +80,7 @@ def plan(
     risk: str | RiskMeasure = "expectation",
     max_wait: float = 0.0,
     constraints: Iterable[Constraint] | None = None,
+    verification: Verification | None = None,
     callback: Callback | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> PlanResult:
@@ -102,6 +107,8 @@ def plan(
             the trajectory then begins with a stretch at rest.
         constraints: What has to hold on the way, besides not to collide; by default what the scene asks for, and that
             the contents of a carried vessel stay in it (`KeepContents`). An empty list asks for nothing.
+        verification: How closely the judge looks at motions; by default every 2 mm, with exact geometry wherever
+            spheres do not prove that nothing is near.
         callback: Called with every improvement, at last with the motion itself; returning True ends the search.
         cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
             ends, and the best path so far is timed and judged as ever. Without one the status is CANCELLED.
@@ -124,19 +131,31 @@ def plan(
         pose=goal if isinstance(goal, PoseGoal) else None,
         speed=share,
         max_wait=checked_wait(max_wait, scene),
+        verification=checked_verification(verification),
         callback=callback,
     )
     rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
     if passed := checked_via(via, scene):
         asked = {"planner": planner, "objective": bound.objective, "seed": seed, "speed": share, "risk": measure}
-        leg = partial(plan, scene=scene, constraints=held.constraints, cancelled=stop, **asked)
+        leg = partial(
+            plan, scene=scene, constraints=held.constraints, verification=verification, cancelled=stop, **asked
+        )
         return plan_through((start, passed, goal), leg, request, Budget(limit, iterations, stop, started), seed)
-    ends = find_ends(start, goal, held, rng, seed=seed, cancelled=stop)
+    ends = find_ends(
+        start,
+        goal,
+        held,
+        rng,
+        seed=seed,
+        cancelled=stop,
+        late=lambda part: time.perf_counter() > started + part * limit,
+    )
     if isinstance(ends, PlanResult):
         return ends
-    request = replace(request, constraints=ends.constraints)
-    reserve = _RESERVE + (_TIMING_RESERVE if scene.moving else 0.0)
-    budget = Budget(limit - min(reserve, limit / 4.0), iterations, stop, started)
+    clock = Clock(started + limit, paces_of(scene), limit)
+    request = replace(request, constraints=ends.constraints, clock=clock)
+    reserve = clock.reserve(limit) + (min(_TIMING_RESERVE, limit / 4.0) if scene.moving else 0.0)
+    budget = Budget(limit - (reserve if np.isfinite(limit) else 0.0), iterations, stop, started)
     try:
         result = _search_and_finish(request, ends, budget, rng)
     except NonFiniteCostError as error:
@@ -170,8 +189,12 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         known_is_enough = bool(known) and request.preference is None and is_enough(request.objective)
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
-        judged = first_verified(candidates, request)
+        judged = None
+        if wants_it_soon(found):
+            judged = first_verified(quick_motions(found, request, ends, problem, budget), request)
+        if judged is None or not judged.verdict.passed:
+            candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
+            judged = first_verified(candidates, request) or judged
         for path in reversed(found.paths[-KEPT:]):
             if judged is None or not set(judged.verdict.failures) - _NOT_FOR_CORNERS:
                 break
@@ -183,7 +206,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused or known):
             break
-    return _failed(found, refused, why_not, budget, stats)
+    return _failed((found, ends), refused, why_not, budget, stats)
 
 
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
@@ -216,11 +239,17 @@ def _solved(judged: Judged, found: Search, request: Request, budget: Budget, sta
     )
 
 
-def _failed(found: Search, refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]) -> PlanResult:
+def _failed(
+    searched: tuple[Search, Ends], refused: Judged | None, why_not: str, budget: Budget, stats: dict[str, float]
+) -> PlanResult:
+    found, ends = searched
     ended = PlanStatus.CANCELLED if budget.cancelled() else PlanStatus.TIMEOUT
     trace = tuple(found.trace)
     if refused is None and why_not:
         return PlanResult(status=PlanStatus.RETIMING_FAILED, detail=why_not, trace=trace, stats=stats)
+    if refused is None and found.paths:
+        path, _ = ends.joined(found.paths[-1])
+        return PlanResult(status=ended, path=path, detail=_UNVERIFIED, trace=trace, stats=stats)
     if refused is None:
         status = ended if budget.exhausted else PlanStatus.INFEASIBLE
         return PlanResult(status=status, detail=f"no path after {budget.elapsed:.3f} s", stats=stats)

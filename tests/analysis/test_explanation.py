@@ -14,6 +14,7 @@ import graceful_plan as gp
 from graceful_plan.analysis.explanation import STRETCH, shortest_stretch
 from graceful_plan.exceptions import CostError, SettingError, ShapeError
 from graceful_plan.viz.explanation import draw_explanation
+from sizes import first_quick
 
 _ROUNDING = 1e-12
 _OBJECTIVES = {
@@ -222,7 +223,7 @@ def test_the_document_says_the_same(task, result):
     assert along["time"][-1] == pytest.approx(result.trajectory.duration)
 
 
-@pytest.mark.parametrize("name", [*_OBJECTIVES, "nothing"])
+@pytest.mark.parametrize("name", first_quick([*_OBJECTIVES, "nothing"]))
 def test_a_picture_is_drawn(task, result, name, tmp_path):
     nothing = gp.Objective(impact=gp.ImpactCost(components=()))
     draw_explanation(gp.explain(result, task.scene, _OBJECTIVES.get(name, nothing)), tmp_path / "picture.png")

@@ -309,6 +309,7 @@ def test_misuse_is_refused(scene: Scene) -> None:
         risk(still(scene), scene, broken)
 
 
+@pytest.mark.long
 def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     text = (ROOT / "docs" / "risk.md").read_text()
     snippets = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)

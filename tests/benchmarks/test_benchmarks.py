@@ -51,6 +51,7 @@ def test_every_subject_has_a_title_and_runs(name):
 # --- best known motions --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_best_known_motions_solve_their_tasks_at_the_cost_they_claim(file):
     name = planning.BEST.read(file).task
@@ -74,6 +75,7 @@ def test_runs_that_were_done_are_not_repeated(folder, monkeypatch):
     assert folder.load(TASK, suite.task(TASK)) == first
 
 
+@pytest.mark.long
 def test_the_reference_of_gaps_is_the_best_of_file_and_run(folder, record):
     stored = folder.offer(suite.task(TASK), None, record, 5.0)
     assert stored is not None

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 import mujoco
 import numpy as np
 import pytest
-from benchmarks.constrained import contents, projected, upright
+from benchmarks.constrained import contents, held, projected, upright
 from benchmarks.constrained.contents import DEFAULT, NOTHING, ContentsJob, Kept
 from benchmarks.constrained.upright import OMPL, PROJECTION, REJECTION, UprightFigures, UprightJob
 from benchmarks.subjects import constraints
@@ -126,11 +126,13 @@ def test_what_is_not_upright_is_told():
 def test_only_what_is_left_is_done_and_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(constraints, "STORE", tmp_path / "runs")
     monkeypatch.setattr(contents, "jobs", lambda options: [JOB, replace(JOB, constraints=NOTHING)])
+    monkeypatch.setattr(held, "jobs", lambda options: [held.HeldJob(task="desk/bring_coffee", seed=0)])
     monkeypatch.setattr(upright, "names", lambda options: {"box": ["box/0"]})
     done = []
     monkeypatch.setattr(contents, "examine", lambda job: done.append(job) or replace(KEPT, job=job))
+    monkeypatch.setattr(held, "examine", lambda job: done.append(job) or held.Held(job=job, status="TIMEOUT"))
     monkeypatch.setattr(upright, "examine", lambda job: done.append(job) or FIGURES)
     body = constraints.run(suite.Options())
-    assert len(done) == 3 and "not finished" not in body.lower()
-    assert constraints.run(suite.Options()) == body and len(done) == 3
+    assert len(done) == 4 and "not finished" not in body.lower()
+    assert constraints.run(suite.Options()) == body and len(done) == 4
     assert "| box | 1 | 1 | 1/2 |" in body and "no path" in body

@@ -137,6 +137,7 @@ def test_at_stops_weighs_phases_and_vertices():
     assert paper_table._at_stops([1.0, 0.0]) == pytest.approx(2 / 9)
 
 
+@pytest.mark.long
 def test_the_whole_experiment_runs(capsys):
     assert paper_table.main(["--drops", "4", "--threads", "1", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["trajectories"]

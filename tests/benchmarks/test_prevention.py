@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from benchmarks import suite
 from graceful_plan.testing import check_cost
+from sizes import first_quick
 
 _EXACT = 1e-9
 """Closed forms agree but for rounding."""
@@ -87,7 +88,7 @@ def task():
     return suite.task("workbench/shelve_spray")
 
 
-@pytest.mark.parametrize("name", common_sense.COSTS)
+@pytest.mark.parametrize("name", first_quick(common_sense.COSTS))
 def test_costs_of_common_sense_are_costs(name, task):
     cost = common_sense.COSTS[name](task.scene)
     check_cost(cost, task.scene)
@@ -252,7 +253,7 @@ def test_sizes_and_tasks_are_as_they_are_asked_for():
 # --- with simulation -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_phases_run(monkeypatch):
     monkeypatch.setattr(runs, "SECONDS", 0.4)
     monkeypatch.setattr(runs, "OWN_SECONDS", 0.4)

@@ -12,6 +12,7 @@ from benchmarks import landing, suite, variants
 from failbench.fault.end_effector import StuckGripper
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.judge.reference_cost import reference_probability
+from sizes import first_quick
 
 NAMES = list(variants.VARIANTS)
 _SETTLES = 0.003
@@ -28,7 +29,7 @@ def test_unknown_variants_are_refused() -> None:
         variants.load("no_such_variant")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", first_quick(NAMES))
 def test_nothing_is_in_anything_else(name: str) -> None:
     assert variants.problems(variants.load(name)) == []
 
@@ -63,7 +64,7 @@ def test_everything_stays_where_it_stands(name: str) -> None:
         assert np.abs(rollout.poses[entity][4:] - home).max() < _SETTLES, entity
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", first_quick(NAMES))
 def test_tasks_can_be_done(name: str) -> None:
     for task in variants.load(name).tasks.values():
         result = gp.plan(

@@ -32,6 +32,7 @@ def run(capsys, tmp_path):
     return run
 
 
+@pytest.mark.long
 def test_the_command_leaves_everything_in_its_folder(run, tmp_path):
     code, out, err = run("--planners", "rrt_connect", "anytime", "--export", "csv,parquet,arena")
     assert code == cli.DONE

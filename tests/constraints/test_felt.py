@@ -42,7 +42,7 @@ def curve(task: gp.Task, size: float = 0.1, seed: int = 0) -> Spline:
 
 
 def cone_of(task: gp.Task, angle: float) -> FeltCone:
-    return replace(SceneConstraints(task.scene, [gp.KeepContents()]).cones[0], angle=angle)
+    return replace(SceneConstraints(task.scene, [gp.KeepContents()]).felt[0], angle=angle)
 
 
 def test_derivatives_of_a_point_are_those_of_differences(coffee: gp.Task) -> None:

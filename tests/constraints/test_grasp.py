@@ -14,7 +14,7 @@ import graceful_plan as gp
 from failbench import ExecutionRefused, SimSettings, build_world, execute
 from graceful_plan.constraints.felt import FeltCone
 from graceful_plan.constraints.grasp import load_facets
-from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.exceptions import SettingError, UnsupportedError
@@ -34,8 +34,6 @@ CARRIED = {
 _INSIDE = 0.115
 """What flat facets take of an ellipsoid at most: 1 less the radius of the ball inside the 26 facets of a cube's
 directions."""
-_GRIPPED = 43.0
-"""What the simulated fingers press the bottle with [N]: their servo's stiffness times its half width, on both sides."""
 numbers = st.floats(-1.0, 1.0, allow_nan=False)
 
 
@@ -99,7 +97,7 @@ def test_at_rest_the_load_is_weight(name):
 @pytest.mark.parametrize("name", ["serve_tea", "put_book_away"])
 def test_the_cones_of_the_core_say_what_the_residual_says(name):
     scene = task_of(name).scene
-    holds = gp.GraspHolds(force=20.0)
+    holds = gp.GraspHolds(force=20.0, share=1.0)
     q = np.random.default_rng(0).uniform(*scene.limits.position.T, size=(400, 7))
     poses = gp.StateBatch(scene, q).object_poses
     kept = np.ones(len(q), dtype=bool)
@@ -129,7 +127,7 @@ def test_a_weaker_grasp_never_makes_a_motion_faster(name):
 def test_gradients_of_descents_are_those_of_finite_differences(name):
     task = task_of(name)
     objective = Objective(w=0.0).bind(task.scene, search_paces())
-    felt = SceneConstraints(task.scene, [gp.GraspHolds(force=60.0)]).cones
+    felt = SceneConstraints(task.scene, [gp.GraspHolds(force=60.0)]).felt
     assert not isinstance(felt[0], FeltCone)
     s = np.linspace(0.0, 1.0, 9)[:, None]
     bent = 0.05 * 4.0 * s * (1.0 - s) * np.random.default_rng(1).normal(size=7)
@@ -164,11 +162,54 @@ def test_gradients_of_descents_are_those_of_finite_differences(name):
     assert np.median(error) < 1e-3 and np.quantile(error, 0.9) < 5e-3
 
 
+def test_an_end_that_needs_more_gets_more():
+    task = task_of("serve_stew")
+    held = SceneConstraints(task.scene, [gp.GraspHolds()]).around(np.vstack([task.start, task.goal]))
+    (grasp,) = held.constraints
+    assert 0.9 < grasp.share < 1.0
+    result = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=200)
+    assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["grasp_holds"].passed
+    assert execute(result, build_world(task.scene)).healthy.harmless
+
+
+def test_descents_leave_to_timing_what_is_hardly_ever_felt():
+    mug = SceneConstraints(gp.load_scene("desk").tasks["bring_coffee"].scene, [gp.GraspHolds()])
+    assert mug.felt and not mug.charged
+    bottle = SceneConstraints(task_of("pass_bottle").scene, [gp.GraspHolds()])
+    assert bottle.charged
+
+
+def test_a_grasp_goes_without_saying_only_where_it_holds_at_home():
+    assert default_constraints(task_of("put_book_away").scene) == (gp.GraspHolds(),)
+    assert default_constraints(gp.load_scene("tabletop")) == ()  # nothing is held
+    for force, asked in ((20.0, ()), (70.0, (gp.GraspHolds(),))):
+        assert default_constraints(_pressing(force)) == asked
+
+
+def _pressing(force):
+    """Return the scene of the heavy pan with a hand that presses with another force [N]."""
+    scene = task_of("serve_stew").scene
+    spec = scene.spec.copy()
+    spec.actuator("panda/gripper").forcerange = [-force, force]
+    joints = {f"panda/finger_joint{k}": k for k in (1, 2)}
+    opening = {name: float(scene.home_qpos[scene.model.joint(name).qposadr[0]]) for name in joints}
+    return gp.Scene.from_mjcf(
+        spec,
+        robot="panda/",
+        tool=scene.tool,
+        carried=scene.carried.body,
+        X_TO=scene.carried.X_TO,
+        fingers=opening,
+        velocity=list(scene.limits.velocity),
+        acceleration=list(scene.limits.acceleration),
+    )
+
+
 def test_what_cannot_even_rest_says_by_how_much():
     task = task_of("serve_stew")
     result = gp.plan(task.start, task.goal, task.scene, constraints=[gp.GraspHolds(force=30.0)])
     assert result.status is gp.PlanStatus.INVALID_START
-    assert "at rest the load is 2.04 of what the fingers hold, 0.85 is allowed" in result.detail
+    assert "at rest the load is 2.04 of what the fingers hold, 0.95 is allowed" in result.detail
 
 
 def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
@@ -181,9 +222,9 @@ def test_fingers_lose_what_is_carried_too_fast_and_keep_it_inside_the_limit():
         limits = SceneConstraints(scene, constraints).limits
         return gp.retime(path, scene.limits, scene.joints, restraint=limits)
 
-    # Half of it: a motion that starts and stops as abruptly as this swings on the fingers.
-    swift, careful = timed([]), timed([gp.GraspHolds(force=_GRIPPED, share=0.5)])
-    asked = [gp.GraspHolds(force=_GRIPPED)]
+    # Less than half of it: a motion that starts and stops as abruptly as this swings on the fingers.
+    swift, careful = timed([]), timed([gp.GraspHolds(share=0.4)])
+    asked = [gp.GraspHolds()]
     assert not gp.verify(swift, scene, constraints=asked).checks["grasp_holds"].passed
     assert gp.verify(careful, scene, constraints=asked).checks["grasp_holds"].passed
     with pytest.raises(ExecutionRefused, match="slipped"):

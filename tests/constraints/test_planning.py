@@ -12,6 +12,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Liquid
+from sizes import first_quick
 
 Array = np.ndarray
 ENOUGH = 400
@@ -103,7 +104,7 @@ class Below(gp.Constraint):
         return batch.tool_poses[:, 2, 3] - self.height
 
 
-@pytest.mark.parametrize("planner", ["auto", "rrt_connect", "rrt_star"])
+@pytest.mark.parametrize("planner", first_quick(["auto", "rrt_connect", "rrt_star"]))
 def test_constraints_of_ones_own_are_kept_by_planners_of_all_kinds(task: gp.Task, planner: str) -> None:
     free = planned(task, planner=planner)
     highest = gp.verify(free.trajectory, task.scene, constraints=[Below(0.0)]).checks["below"].worst
@@ -125,6 +126,7 @@ def test_where_nothing_can_be_planned_the_status_says_so(task: gp.Task) -> None:
     assert not path.checks["below"].passed and path.checks["below"].first == 0.0
 
 
+@pytest.mark.long
 def test_straight_motions_and_poses_on_the_way_keep_contents(coffee: gp.Task) -> None:
     middle = planned(coffee).trajectory
     on_the_way = middle.at(np.array(0.5 * middle.duration)).q
@@ -151,4 +153,5 @@ def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
     with pytest.raises(gp.GracefulPlanError, match="Constraint"):
         scene.with_constraints(0.3)
     desk = gp.load_scene("desk").with_constraints(gp.KeepContents(0.4), gp.Upright(0.5))
-    assert default_constraints(desk.tasks["bring_coffee"].scene) == (gp.KeepContents(0.4), gp.Upright(0.5))
+    declared = gp.KeepContents(0.4), gp.Upright(0.5)
+    assert default_constraints(desk.tasks["bring_coffee"].scene) == (*declared, gp.GraspHolds())

@@ -10,13 +10,10 @@ import pytest
 import graceful_plan as gp
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
-from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER, Kernels
-from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import CostError, SettingError, UnknownNameError
-from graceful_plan.planners.native import native_space
-from graceful_plan.planners.scene_problem import SceneProblem, edges_hold
+from graceful_plan.planners.scene_problem import edges_hold
 from graceful_plan.scene.rules.rules import CustomRule
 
 Array = np.ndarray
@@ -104,18 +101,14 @@ def test_an_edge_is_free_where_its_configurations_are(task: gp.Task) -> None:
 def test_projections_arrive_and_move_nothing_that_holds(task: gp.Task) -> None:
     scene = task.scene
     held = SceneConstraints(scene, [gp.Upright(0.2), gp.ToolWithin((0.2, -0.5, 0.1), (0.8, 0.5, 1.0))])
-    space = native_space(
-        SceneProblem(kernels=held.kernels, start=task.start, goals=np.atleast_2d(task.goal), constraints=held),
-        Objective(w=0.0).bind(scene),
-    )
-    assert isinstance(space, _native.SceneSpace)
     q = samples(scene, 400, seed=8)
-    projected = space.project(q, 0.003)
+    projected = held.kernels.projected(q)
     batch = gp.StateBatch(scene, projected)
     inside = np.min([-c.lever * c.residual(batch) for c in held.constraints if isinstance(c, gp.Constraint)], axis=0)
     assert np.mean(inside >= 0.003 - 1e-6) > 0.6  # some run into joint limits
     arrived = projected[inside >= 0.0031]
-    np.testing.assert_array_equal(space.project(arrived, 0.003), arrived)
+    np.testing.assert_array_equal(held.kernels.projected(arrived), arrived)
+    np.testing.assert_array_equal(SceneConstraints(scene, ()).kernels.projected(q), q)
     lower, upper = scene.limits.position.T
     assert np.all((projected >= lower) & (projected <= upper))
 
@@ -179,10 +172,10 @@ def test_misuse_names_the_culprit(task: gp.Task, scene: gp.Scene) -> None:
             make()
 
 
-def test_contents_are_kept_unless_somebody_says_otherwise(task: gp.Task) -> None:
-    assert default_constraints(task.scene) == ()
+def test_contents_and_grasp_are_kept_unless_somebody_says_otherwise(task: gp.Task) -> None:
+    assert default_constraints(task.scene) == (gp.GraspHolds(),)
     coffee = gp.load_scene("desk").tasks["bring_coffee"].scene
-    assert default_constraints(coffee) == (gp.KeepContents(),)
+    assert default_constraints(coffee) == (gp.KeepContents(), gp.GraspHolds())
 
 
 def test_the_lever_is_one_for_all() -> None:

@@ -101,7 +101,7 @@ def test_a_scene_without_anything_around_compiles():
     <worldbody><body name="r/a"><joint name="j" range="-1 1"/><geom size="0.1"/><site name="t"/>
       </body></worldbody></mujoco>"""
     scene = gp.Scene.from_mjcf(text, robot="r/", tool="t")
-    result = gp.plan([-0.5], [0.5], scene, time_limit=0.5)
+    result = gp.plan([-0.5], [0.5], scene, iterations=50)
     assert result.status is gp.PlanStatus.SOLVED
     assert result.cost.motion == pytest.approx(1.0)
 
@@ -114,7 +114,7 @@ def test_fingers_that_never_move_apart_do_not_block_everything():
       <body name="r/b" pos="0.021 0 0"><geom type="box" size="0.02 0.02 0.02"/></body>
       <body name="r/c" pos="-0.021 0 0"><geom type="box" size="0.02 0.02 0.02"/></body><site name="t"/></body>
     </worldbody></mujoco>"""
-    result = gp.plan([-0.5], [0.5], gp.Scene.from_mjcf(text, robot="r/", tool="t"), time_limit=0.5)
+    result = gp.plan([-0.5], [0.5], gp.Scene.from_mjcf(text, robot="r/", tool="t"), iterations=50)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
 
 

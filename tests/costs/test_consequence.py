@@ -184,7 +184,7 @@ def test_it_is_a_cost_without_kernel_and_gradient(task: gp.Task) -> None:
 
 def test_plans_can_be_made_with_it(task: gp.Task) -> None:
     objective = gp.Objective(impact=ENERGY, w=1.0)
-    result = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=200)
+    result = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=60)
     assert result.status is gp.PlanStatus.SOLVED and result.path is not None
     cost = gp.evaluate(result.path, task.scene, objective)
     assert sum(cost.impact_by_entity.values()) == pytest.approx(cost.impact)

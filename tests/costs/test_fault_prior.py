@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from graceful_plan.costs.fault_prior import ARM, GENERATORS, FaultPrior, presets, shipped_effects
+from graceful_plan.costs.fault_prior import ARM, DEGREES, GENERATORS, FaultPrior, presets, shipped_effects
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
 
 _EFFECTS = {"slip": {"drop": 0.5, "spill": 0.25}, "jam": {"stuck": 1.0}, "hum": {}}
-_shares = st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6).map(
+_shares = st.lists(st.floats(0.0, 1.0), min_size=len(GENERATORS), max_size=len(GENERATORS)).map(
     lambda x: dict(zip(GENERATORS, [v / max(1.0, sum(x)) for v in x], strict=True))
 )
 _rates = st.dictionaries(st.sampled_from(sorted(shipped_effects())), st.floats(1e-6, 1e3), min_size=1)
@@ -68,11 +68,28 @@ def test_presets_are_what_they_say() -> None:
     assert drop.weights()["drop"] == 1.0 and sum(drop.weights().values()) == 1.0
     arm, service = FaultPrior.preset("arm"), FaultPrior.preset("service_robot")
     assert set(arm.rates) | {"battery_degradation"} == set(service.rates) == set(shipped_effects())
+    failing = [prior.rate - prior.rates["protective_stop"] for prior in (arm, service)]
     gripper = ("weak_grip", "gripper_failure", "stuck_gripper")
-    assert sum(arm.probabilities()[fault] for fault in gripper) < 0.3
-    assert sum(service.probabilities()[fault] for fault in gripper) == pytest.approx(0.75, abs=0.01)
-    assert 1.0 / service.rate == pytest.approx(5.0, rel=0.02)  # hours, as the file says
-    assert 1.0 / arm.rate == pytest.approx(500.0, rel=0.05)
+    assert sum(arm.rates[fault] for fault in gripper) < 0.3 * failing[0]
+    assert sum(service.rates[fault] for fault in gripper) == pytest.approx(0.75 * failing[1], rel=0.01)
+    assert 1.0 / failing[1] == pytest.approx(5.0, rel=0.02)  # hours, as the file says
+    assert 1.0 / failing[0] == pytest.approx(500.0, rel=0.05)
+
+
+def test_a_stop_is_a_stop_at_any_degree() -> None:
+    for degree in DEGREES:
+        try:
+            row = shipped_effects(degree)["protective_stop"]
+        except UnknownNameError:  # nothing was fitted at this degree
+            continue
+        assert dict(row) == {"stop": 1.0}
+    weights = FaultPrior({"protective_stop": 1.0}).weights()
+    assert dict(weights) == dict.fromkeys(GENERATORS, 0.0) | {"stop": 1.0}
+    assert FaultPrior.preset("service_robot").weights()["stop"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_preset_has_its_name() -> None:
+    service = FaultPrior.preset("service_robot")
     assert service.name == "service_robot"
 
 

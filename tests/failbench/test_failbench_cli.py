@@ -144,7 +144,6 @@ def test_generate_resume_and_replay_work_on_a_folder(run, tmp_path):
     assert "rollout = 99, expected between 0 and 11" in err
 
 
-@pytest.mark.slow
 def test_replay_writes_frames(run, tmp_path):
     code, out, err = run("replay", DROP, "-n", "2", "--rollout", "1", *QUICK, "--output", str(tmp_path / "film"))
     if "OpenGL" in err:
@@ -223,6 +222,7 @@ def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
     assert run(*argv, "--json")[2] == ""
 
 
+@pytest.mark.long
 def test_ctrl_c_says_how_to_go_on_and_leaves_nobody_behind(tmp_path):
     argv = [sys.executable, "-m", "failbench.cli", "generate", "data", DROP, "-n", "4000", *QUICK, "--workers", "2"]
     driver = subprocess.Popen(

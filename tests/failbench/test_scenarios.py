@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench import Job, SimSettings, build_world, execute, run
+from failbench import Job, build_world, execute, run
 from failbench.fault.registry import CATEGORIES, DEGREES, faults
-from failbench.scenario import Scenario, _file, read_file, scenarios
+from failbench.scenario import Scenario, read_file, scenarios
 from graceful_plan.exceptions import SceneError, UnknownNameError
 
 _ALL = scenarios()
@@ -78,7 +78,6 @@ _HEAD = "version: 1\nfamilies:\n  own:\n"
         (_HEAD + "    scenes: [moon]\n", 4, "unknown name 'moon' in .*own.scenes; valid: desk"),
         (_HEAD + "    needs: luck\n", 4, "needs is 'luck', expected carried or contents"),
         (_HEAD + "    fault: [noise]\n", 4, "unknown key 'fault'"),
-        ("version: 1\nweld:\n  moon: [land]\nfamilies: {}\n", 2, "unknown scene 'moon' in weld; valid: desk"),
     ],
 )
 def test_broken_registries_say_where(tmp_path: Path, text: str, line: int, words: str) -> None:
@@ -89,18 +88,12 @@ def test_broken_registries_say_where(tmp_path: Path, text: str, line: int, words
     assert caught.value.line == line
 
 
-def test_welds_are_for_tasks_that_there_are() -> None:
-    welded = {(s.scene, s.task) for s in _ALL if s.grasp == "weld"}
-    assert welded == {(scene, task) for scene, tasks in _file().welds.items() for task in tasks}
-    assert welded < set(_TASKS)
-
-
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("scene_name", "task_name"), _TASKS)
 def test_every_scenario_runs(scene_name: str, task_name: str) -> None:
     task = gp.load_scene(scene_name).tasks[task_name]
     mine: list[Scenario] = [s for s in _ALL if (s.scene, s.task) == (scene_name, task_name)]
-    execution = execute(_begin(task), build_world(task.scene, SimSettings(grasp=mine[0].grasp)))
+    execution = execute(_begin(task), build_world(task.scene))
     jobs = [Job(fault=s.fault, onset=0.5 * execution.duration, seed=i) for i, s in enumerate(mine)]
     rollouts = run(execution, jobs, horizon=0.03, batch=len(jobs))
     assert [rollout.job for rollout in rollouts] == jobs
@@ -111,7 +104,7 @@ def test_every_scenario_runs(scene_name: str, task_name: str) -> None:
 
 
 def _begin(task: gp.Task) -> gp.Trajectory:
-    """Return a short way from the start of a task towards its first goal, at half the speed as in a sweep."""
+    """Return a short way from the start of a task towards its first goal, at half the speed."""
     way = task.goal[0] - task.start
     path = gp.Path(np.stack([task.start, task.start + 0.005 * way / np.linalg.norm(way)]))
     return gp.retime(path, task.scene.limits, task.scene.joints, speed=0.5)

@@ -317,9 +317,9 @@ def test_where_nothing_is_spilt_nothing_changes() -> None:
 
 
 def test_a_lost_object_is_refused_with_its_harm() -> None:
-    pan = gp.load_scene("kitchen_counter").tasks["move_oil"]
+    bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
     with pytest.raises(ObjectLost, match=r"harm .* with probability 1, before any failure"):
-        validate(np.stack([pan.start, pan.start + 0.01]), pan.scene, n=3)
+        validate(np.stack([bottle.start, bottle.goal[0]]), bottle.scene, n=3)
 
 
 # --- what fails ------------------------------------------------------------------------------------------------------

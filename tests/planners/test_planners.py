@@ -59,6 +59,7 @@ def test_contract(name: str) -> None:
     check_planner(planner, PlannerTrial(iterations=_ITERATIONS.get(name, 500), time_limit=0.02, overrun=10.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("instance", analytic_problems().values(), ids=list(analytic_problems()))
 @pytest.mark.parametrize(
     ("planner", "iterations"),

@@ -112,6 +112,7 @@ def test_nobody_waits_for_nothing(task, still):
 # --- plans ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_plan_waits_if_it_may(task, crossing):
     def planned(max_wait):
         return gp.plan(task.start, task.goal, crossing, objective=_OBJECTIVE, iterations=300, seed=0, max_wait=max_wait)
@@ -134,6 +135,7 @@ def test_the_judge_does_not_look_at_them(task, still):
     assert result.status is gp.PlanStatus.SOLVED
 
 
+@pytest.mark.long
 def test_every_exposure_and_model_plans(task, crossing):
     for model in ("aabb", "footprint"):
         for exposure in ("time", "waypoints"):

@@ -11,6 +11,7 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.planners.planner import Budget, Planner
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.prefer import Preference
+from sizes import first_quick
 
 KINDS = ("cvar", "worst")
 _SAMPLING = 5e-3
@@ -82,7 +83,7 @@ def test_the_measure_is_that_of_the_report(task: gp.Task, bound: SceneObjective,
         assert by_worst == pytest.approx(found.worst, abs=2.0 * step)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_refinement_lowers_the_measure_and_stays_free(bound: SceneObjective, problem: SceneProblem, kind: str) -> None:
     preference = Preference(gp.RiskMeasure(kind), bound)
     better = 0
@@ -110,7 +111,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
     assert totals[-1] <= min(preference.total(offered[i]) for i in improvements)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
     given = {"objective": objective, "iterations": 300, "seed": 0}
     plain = gp.plan(task.start, task.goal, task.scene, **given)

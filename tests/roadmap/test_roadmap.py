@@ -166,7 +166,7 @@ def test_other_severities_are_as_if_priced_anew(task, roadmap):
     q0, q1 = roadmap.q[roadmap.edges.tail], roadmap.q[roadmap.edges.head]
     anew = Exposure(roadmap.objective, other).price(q0, q1)
     prices = Edges(roadmap.edges.tail, roadmap.edges.head, anew)
-    rebuilt = gp.Roadmap(other, roadmap.objective, roadmap.q, prices)
+    rebuilt = gp.Roadmap(other, roadmap.objective, roadmap.q, prices, roadmap.constraints)
     expected = rebuilt.query(task.start, task.goal, w=2.0)
     for result in (
         roadmap.query(task.start, task.goal, other, w=2.0),
@@ -262,6 +262,47 @@ def test_ends_that_cannot_be_used(task, roadmap):
     result = roadmap.query(beyond, task.goal)
     assert result.status is QueryStatus.INVALID_START and "limit" in result.detail
     assert roadmap.front(inside_table, task.goal) == roadmap.front(task.start, beyond) == []
+
+
+@dataclass(frozen=True)
+class Low(gp.Constraint):
+    """The tool stays below a height: a user's own."""
+
+    height: float
+
+    def residual(self, batch: gp.StateBatch) -> np.ndarray:
+        """Height above that [m]."""
+        return batch.tool_poses[:, 2, 3] - self.height
+
+
+@pytest.mark.parametrize("asked", [gp.Upright(0.1), Low(0.9)])
+def test_nodes_edges_and_answers_keep_constraints(task, asked):
+    roadmap = gp.Roadmap.build(task.scene, nodes=60, seed=3, constraints=[asked])
+    assert len(roadmap) == 60
+    t = np.linspace(0.0, 1.0, 60)[:, None, None]
+    for q in (roadmap.q, roadmap.q[roadmap.edges.tail] * (1.0 - t) + roadmap.q[roadmap.edges.head] * t):
+        assert np.all(asked.residual(gp.StateBatch(task.scene, q.reshape(-1, 7))) <= 0.0)
+    answer = roadmap.query(task.start, task.goal)
+    assert answer.status is QueryStatus.FOUND
+    drawn = np.random.default_rng(1).uniform(*task.scene.limits.position.T, (500, 7))
+    drawn = drawn[compile_scene(task.scene).kernels.free(drawn, MARGIN)]
+    tilted = drawn[asked.residual(gp.StateBatch(task.scene, drawn)) > 0.0][0]
+    refused = roadmap.query(tilted, task.goal)
+    assert refused.status is QueryStatus.INVALID_START and asked.name in refused.detail
+
+
+def test_what_a_plan_keeps_a_roadmap_keeps():
+    coffee = gp.load_scene("desk").tasks["lift_coffee"]
+    ends = [(coffee.start, coffee.goal)]
+    kept, free = (gp.Roadmap.build(coffee.scene, motions=ends, nodes=60, constraints=asked) for asked in (None, []))
+    assert max(_tilts(kept)) < np.radians(40.0) < max(_tilts(free))
+
+
+def _tilts(roadmap: gp.Roadmap) -> np.ndarray:
+    """How far what is carried is tilted in each node [rad]."""
+    scene = roadmap.scene
+    poses = gp.StateBatch(scene, roadmap.q).tool_poses @ scene.carried.X_TO
+    return np.arccos(np.clip(poses[:, 2, 2], -1.0, 1.0))
 
 
 def test_a_wall_without_a_way_around():

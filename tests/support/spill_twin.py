@@ -64,12 +64,18 @@ def pour(batch: StateBatch, tables: DropTables, spill: SpillTables, constants: D
 
 
 def spread_out(
-    tables: DropTables, spill: SpillTables, constants: SpillConstants, poured: Poured
+    tables: DropTables,
+    spill: SpillTables,
+    constants: SpillConstants,
+    poured: Poured,
+    lost: Float[Array, " n"] | None = None,
 ) -> Float[Array, "n target"]:
-    """Return P that contents reach each target."""
+    """Return P that contents reach each target: what is in the container, or a share of it that a stop spills."""
     k, place = constants, _Places(tables, poured.mouth)
     speed2 = (poured.velocity[:, :2] ** 2).sum(axis=1, keepdims=True)
     rho = _radius(spill, k, poured.up, speed2)
+    if lost is not None:
+        rho = spill.radius * (lost[:, None] + 0.01) ** spill.power
     s = k.position_spread**2 + (k.rim_spread * spill.rim) ** 2 + k.speed_spread**2 * speed2
     s = np.sqrt(s + (k.height_spread * poured.fallen) ** 2)
     arrives, L = _arrivals(tables, k, poured)

@@ -61,6 +61,7 @@ def test_failure_has_its_own_exit_code(run):
     assert out.startswith("INVALID_GOAL: ")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
@@ -178,6 +179,7 @@ def test_doctor_finds_this_machine_healthy(run):
     assert document["mujoco"]["value"].startswith("4.")
 
 
+@pytest.mark.long
 def test_demo_writes_picture_and_trajectories_and_lowers_the_impact(run, tmp_path):
     code, out, err = run("demo", "--output", str(tmp_path / "made"), "--iterations", "2000")
     assert (code, err) == (cli.DONE, "")

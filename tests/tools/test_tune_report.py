@@ -27,6 +27,7 @@ def front(task):
     return gp.pareto(task.start, task.goal, task.scene, points=4, iterations=150, speed=0.5)
 
 
+@pytest.mark.long
 def test_tune_prints_the_front_and_writes_what_to_look_at(run, tmp_path):
     code, out, err = run(*QUICK, "--out", str(tmp_path / "made"))
     assert (code, err) == (cli.DONE, "")
@@ -41,6 +42,7 @@ def test_tune_prints_the_front_and_writes_what_to_look_at(run, tmp_path):
     assert (tmp_path / "made" / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_tune_json_is_one_document(run, tmp_path):
     code, out, _ = run(*QUICK, "--json", "--max-detour", "0.5", "--out", str(tmp_path))
     document = json.loads(out)
@@ -101,6 +103,7 @@ def test_validation_says_what_failbench_says(tmp_path):
         tune_report.validated(tmp_path / "front.json", "tabletop_l1", "green_to_blue", 2)
 
 
+@pytest.mark.long
 def test_validation_puts_observed_beside_predicted(run, tmp_path):
     code, out, _ = run(*QUICK, "--validate", "4", "--json", "--out", str(tmp_path))
     validation = json.loads(out)["validation"]

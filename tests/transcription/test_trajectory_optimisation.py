@@ -169,6 +169,7 @@ def test_an_interrupted_solve_returns_what_it_has(scene: Scene, first: Trajector
     assert moment or result.status is OptimisationStatus.UNCHANGED
 
 
+@pytest.mark.long
 def test_iterations_make_it_reproducible(scene: Scene, first: Trajectory) -> None:
     a, b = (optimise_trajectory(first, scene, w=1.0, intervals=8, iterations=8, time_limit=np.inf) for _ in range(2))
     assert a.trajectory is not None

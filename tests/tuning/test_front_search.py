@@ -94,6 +94,7 @@ def found():
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KNOWN)
 def test_fronts_that_are_known_are_found(name, found):
     exact, costs = KNOWN[name][1], found[name].costs
@@ -116,6 +117,7 @@ def test_weights_lead_to_points_of_the_front(w, name, found):
     assert found[name].best_for(w).cost @ np.array([1.0, w]) == pytest.approx(best, rel=0.01)
 
 
+@pytest.mark.long
 def test_dents_are_reached():
     """Two ways of crossing, and a third in a dent of the front, which no weight prefers, but a bound on impact does."""
     gates = {-1.5: 0.0, 0.0: 4.0, 0.9: 3.0}  # y of the gate: impact of passing it; the wall elsewhere is solid
@@ -142,6 +144,7 @@ def test_dents_are_reached():
     assert np.any((impacts > 2.5) & (impacts < 3.2)), "the gate in the dent"
 
 
+@pytest.mark.long
 def test_nothing_to_weigh_is_one_point():
     instance = disc()
     archive = searched(instance.problem, instance.objective, 1500)
@@ -149,6 +152,7 @@ def test_nothing_to_weigh_is_one_point():
     assert archive.costs[0] == pytest.approx([instance.optimum, 0.0], rel=0.05)
 
 
+@pytest.mark.long
 def test_searches_repeat_themselves_by_iterations():
     instance, _ = KNOWN["catenary"]
     objective = Smooth(density=instance.objective.density, step=0.05)

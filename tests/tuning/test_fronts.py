@@ -62,7 +62,7 @@ def test_choice_of_a_front(front):
 
 def test_time_is_kept_and_told(task):
     told: list[FrontProgress] = []
-    front = gp.pareto(task.start, task.goal, task.scene, points=4, time_limit=1.5, callback=told.append)
+    front = gp.pareto(task.start, task.goal, task.scene, points=4, iterations=_ITERATIONS, callback=told.append)
     assert front.status is gp.PlanStatus.SOLVED
     assert told and told[-1].candidates >= 2
     assert [p.time for p in told] == sorted(p.time for p in told)
@@ -139,3 +139,11 @@ def test_sums_over_waypoints_do_without_a_roadmap(task):
 def test_misuse(task, settings, error, message):
     with pytest.raises(error, match=message):
         gp.pareto(task.start, task.goal, task.scene, **settings)
+
+
+def test_every_point_keeps_what_is_asked_for(task):
+    upright = gp.Upright(np.deg2rad(20.0))
+    front = gp.pareto(task.start, task.goal, task.scene, points=3, iterations=400, constraints=[upright])
+    assert front.points and all(point.verdict.checks["upright"].passed for point in front.points)
+    plain = gp.pareto(task.start, task.goal, task.scene, points=3, iterations=400, constraints=[])
+    assert plain.points and not any("grasp_holds" in point.verdict.checks for point in plain.points)

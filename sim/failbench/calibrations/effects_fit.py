@@ -29,7 +29,7 @@ from failbench.fault.fault import Fault
 from failbench.fault.registry import faults
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
-from graceful_plan.costs.fault_prior import ARM, GENERATORS
+from graceful_plan.costs.fault_prior import ARM, FAILURES
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
@@ -40,7 +40,7 @@ _DIGITS = 4
 _DEGREE = "severe"
 _DEFINED = {
     "gripper_failure": {
-        name: Fitted(float(name == "drop"), float(name == "drop"), float(name == "drop")) for name in GENERATORS
+        name: Fitted(float(name == "drop"), float(name == "drop"), float(name == "drop")) for name in FAILURES
     }
 }
 """The drop model is about what this fault does."""
@@ -84,7 +84,7 @@ def fit_effects(
 def likeliest(
     events: FaultEvents, weight: Float[Array, " n"] | None = None, start: Float[Array, " generator"] | None = None
 ) -> Float[Array, " generator"]:
-    """Return the shares of `GENERATORS` under which the events of a fault are likeliest.
+    """Return the shares of `FAILURES` under which the events of a fault are likeliest.
 
     Args:
         events: What happened.
@@ -93,7 +93,7 @@ def likeliest(
     """
     if start is not None:
         return _turns(events, weight, start)
-    found = [_turns(events, weight, np.eye(len(GENERATORS))[0] * dropped) for dropped in (0.1, 0.9)]
+    found = [_turns(events, weight, np.eye(len(FAILURES))[0] * dropped) for dropped in (0.1, 0.9)]
     return max(found, key=lambda shares: log_likelihood(predicted(events, shares), events.happened, weight))
 
 
@@ -152,7 +152,7 @@ class EffectsCalibration(Calibration):
         return {"version": VERSION, "provenance": provenance, "effects": {self.degree: shares}}
 
     def __str__(self) -> str:
-        lines = [f"{'fault':<22} " + " ".join(f"{name:>9}" for name in GENERATORS) + "  held-out skill"]
+        lines = [f"{'fault':<22} " + " ".join(f"{name:>9}" for name in FAILURES) + "  held-out skill"]
         for fault, effect in self.effects.items():
             shares = " ".join(f"{x.value:9.3f}" for x in effect.shares.values())
             skill = "-" if effect.held_out is None else f"{effect.held_out.brier_skill:.3f}"
@@ -187,7 +187,7 @@ def _possible(fault: str, events: FaultEvents) -> FaultEvents:
     """Leave arms alone where only the gripper fails: too few events would tell them from chance."""
     if faults()[fault].CATEGORY != "end_effector":
         return events
-    arm = np.isin(GENERATORS, ARM)
+    arm = np.isin(FAILURES, ARM)
     return replace(events, probability=np.where(arm, 0.0, events.probability))
 
 
@@ -198,14 +198,14 @@ def _fit(fault: str, events: FaultEvents, resamples: int, seed: int, confidence:
     if not len(events):
         raise SettingError("events", len(events), f"at least one of {fault}")
     best = likeliest(events)
-    drawn = np.zeros((resamples, len(GENERATORS)))
+    drawn = np.zeros((resamples, len(FAILURES)))
     for i, rows in enumerate(cluster_draws(events.motion, resamples, seed)):
         counts = np.bincount(rows, minlength=len(events)).astype(float)
         drawn[i] = likeliest(events, counts, best)
     ends = (0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence)
-    low, high = np.quantile(drawn, ends, axis=0) if resamples else np.full((2, len(GENERATORS)), np.nan)
+    low, high = np.quantile(drawn, ends, axis=0) if resamples else np.full((2, len(FAILURES)), np.nan)
     return FaultEffect(
-        shares={name: Fitted(float(best[i]), float(low[i]), float(high[i])) for i, name in enumerate(GENERATORS)},
+        shares={name: Fitted(float(best[i]), float(low[i]), float(high[i])) for i, name in enumerate(FAILURES)},
         fitted=figures(predicted(events, best), events.happened),
         held_out=_held_out(events),
         motions=len(np.unique(events.motion)),

@@ -11,7 +11,7 @@ import graceful_plan as gp
 from failbench.calibrations.failures import Failures
 from graceful_plan import Scene
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.costs.fault_prior import GENERATORS
+from graceful_plan.costs.fault_prior import FAILURES
 from graceful_plan.exceptions import SettingError, ShapeError
 
 Array = np.ndarray
@@ -26,7 +26,7 @@ class FaultEvents:
 
     | field       | meaning                                                  | shape       |
     |-------------|----------------------------------------------------------|-------------|
-    | probability | P_g of each of `GENERATORS`                              | n generator |
+    | probability | P_g of each of `FAILURES`                              | n generator |
     | happened    | whether it did                                           | n           |
     | body        | whether it is a touch by the body, not by what it carries | n           |
     | motion      | which motion the robot failed on                         | n           |
@@ -42,8 +42,8 @@ class FaultEvents:
     def __post_init__(self) -> None:
         # Not by annotations, so that users are told, too.
         n = len(self.probability)
-        if self.probability.shape != (n, len(GENERATORS)):
-            raise ShapeError("probability", self.probability.shape, f"(n, {len(GENERATORS)}), a column a generator")
+        if self.probability.shape != (n, len(FAILURES)):
+            raise ShapeError("probability", self.probability.shape, f"(n, {len(FAILURES)}), a column a generator")
         for name in ("happened", "body", "motion", "scene"):
             if getattr(self, name).shape != (n,):
                 raise ShapeError(name, getattr(self, name).shape, f"({n},), as many as probabilities")
@@ -78,14 +78,14 @@ def fault_events(
     for motion, part in enumerate(failures):
         said = model(scenes[part.scene, part.task], part)
         nothing = np.zeros(part.hit.shape)
-        P = np.stack([said.get(generator, nothing) for generator in GENERATORS], axis=-1)[:, part.counted]
+        P = np.stack([said.get(generator, nothing) for generator in FAILURES], axis=-1)[:, part.counted]
         hit = part.hit[:, part.counted]
         body = np.repeat([name == "body" for name in part.components], part.counted.sum(axis=1))
         for index in np.unique(part.fault):
             rows = part.fault == index
             count = hit[rows].size
             events = FaultEvents(
-                probability=P[rows].reshape(count, len(GENERATORS)),
+                probability=P[rows].reshape(count, len(FAILURES)),
                 happened=hit[rows].reshape(count),
                 body=np.tile(body, int(rows.sum())),
                 motion=np.full(count, motion),
@@ -98,7 +98,7 @@ def fault_events(
 def generator_probabilities(scene: Scene, failures: Failures) -> Mapping[str, Float[Array, "n component entity"]]:
     """Return what `Footprint` says if the failure is like each generator, and nothing else."""
     batch, found = failures.states(scene), {}
-    for generator in GENERATORS:
+    for generator in FAILURES:
         prior = gp.FaultPrior({"it": 1.0}, {"it": {generator: 1.0}})
         found[generator] = gp.Footprint(faults=prior).probability(batch)
     return found

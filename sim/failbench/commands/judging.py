@@ -7,11 +7,10 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
-from failbench.commands.options import add_command, add_motion, motion_of
+from failbench.commands.options import add_command, add_grasp, add_motion, motion_of, sim_settings
 from failbench.commands.output import Answer, Bar
 from failbench.front_validation import validate_front
 from failbench.report import FAILURES_PER_HOUR
-from failbench.scenario import usual_grasp
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.work import scene_of
 from failbench.validation import validate
@@ -46,7 +45,7 @@ def add(commands: Any) -> None:
     _add_rate(front)
     front.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
     front.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
-    front.add_argument("--grasp", choices=("fingers", "weld"), help="what holds the object")
+    add_grasp(front)
 
 
 def _add_rate(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +72,7 @@ def _validate(args: argparse.Namespace) -> Answer:
             seed=args.seed,
             importance=args.importance,
             rate=args.rate,
-            settings=SimSettings(control=args.control, grasp=motion.grasp or "fingers"),
+            settings=sim_settings(args),
             progress=bar.show,
         )
     return Answer(report.to_document(), str(report))
@@ -81,7 +80,6 @@ def _validate(args: argparse.Namespace) -> Answer:
 
 def _validate_front(args: argparse.Namespace) -> Answer:
     task = args.task or next(iter(gp.load_scene(args.scene).tasks), None)
-    grasp = args.grasp or usual_grasp(args.scene, task)
     with Bar(args, "motions") as bar:
         found = validate_front(
             args.front,
@@ -91,7 +89,7 @@ def _validate_front(args: argparse.Namespace) -> Answer:
             horizon=args.horizon,
             seed=args.seed,
             rate=args.rate,
-            settings=SimSettings(grasp=grasp),
+            settings=SimSettings(grasp=args.grasp),
             progress=bar.show,
         )
     return Answer(found.to_document(), str(found))

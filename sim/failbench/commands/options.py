@@ -10,7 +10,7 @@ from typing import Any
 import graceful_plan as gp
 from failbench.commands.output import Answer
 from failbench.fault.registry import to_document
-from failbench.scenario import scenarios, usual_grasp
+from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, scene_of
 from graceful_plan import documents
@@ -49,15 +49,21 @@ def add_motion(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
     parser.add_argument("--horizon", type=float, default=1.0, metavar="S", help="seconds after the onset (default 1)")
-    parser.add_argument(
-        "--grasp", choices=("fingers", "weld"), help="what holds the object (default: a weld where fingers cannot)"
-    )
+    add_grasp(parser)
     parser.add_argument("--control", choices=("servo", "torque"), default=settings.control, help="what drives the arm")
+
+
+def add_grasp(parser: argparse.ArgumentParser) -> None:
+    """Add the option that says what holds the object."""
+    usual = SimSettings().grasp
+    parser.add_argument(
+        "--grasp", choices=("fingers", "weld"), default=usual, help=f"what holds the object (default {usual})"
+    )
 
 
 def sim_settings(args: argparse.Namespace) -> SimSettings:
     """Return how the scenes are simulated."""
-    return SimSettings(control=args.control)
+    return SimSettings(control=args.control, grasp=args.grasp)
 
 
 def plan_settings(args: argparse.Namespace) -> PlanSettings:
@@ -67,14 +73,14 @@ def plan_settings(args: argparse.Namespace) -> PlanSettings:
 
 def motion_of(args: argparse.Namespace, scene: str, task: str | None) -> SweepMotion:
     """Return the motion that was given in a file, or how to plan it."""
-    name, grasp = f"{scene}/{task}", args.grasp or usual_grasp(scene, task)
+    name = f"{scene}/{task}"
     if args.trajectory is None:
-        return SweepMotion(name=name, scene=scene, task=task, plan=plan_settings(args), grasp=grasp)
+        return SweepMotion(name=name, scene=scene, task=task, plan=plan_settings(args))
     motion = documents.read_motion(args.trajectory)
     if isinstance(motion, gp.Path):
         held = scene_of(scene, task)
         motion = gp.retime(motion, held.limits, held.joints)
-    return SweepMotion(name=name, scene=scene, task=task, trajectory=motion, grasp=grasp)
+    return SweepMotion(name=name, scene=scene, task=task, trajectory=motion)
 
 
 def single(args: argparse.Namespace) -> Sweep:

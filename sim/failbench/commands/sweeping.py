@@ -82,7 +82,6 @@ def _sweep(args: argparse.Namespace) -> Sweep:
         horizon=args.horizon,
         seed=args.seed,
         settings=sim_settings(args),
-        grasp=args.grasp,
     )
     if args.trajectory is None:
         return sweep

@@ -17,6 +17,9 @@ GRIP = ("eq_obj2id", "body_mass", "geom_friction")
 FRICTION = ("dof_frictionloss", "dof_solref", "dof_solimp", "actuator_forcerange")
 """Model fields that `add_friction` needs."""
 
+BRAKE_TORQUE = 1.5
+"""Torque up to which a brake holds, as a multiple of what the joint's motor can give."""
+
 _GRAVITY = 9.81
 _STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of friction that lets a joint at rest creep as little as the solver allows."""

@@ -15,6 +15,8 @@ from graceful_plan.exceptions import SettingError
 DEGREES = ("minor", "moderate", "severe", "critical")
 
 CATEGORIES = ("actuator", "sensor", "end_effector", "power")
+REACTION = "reaction"
+"""Category of what the robot does on purpose: nothing is broken."""
 
 _PARTS = {"gripper": ("gripper",), "robot": ("joints", "gripper")}
 """The parts that a target stands for, if not joints alone."""
@@ -45,7 +47,7 @@ class Fault(ABC):
     NAME: ClassVar[str]
     """The fault's name, e.g. "loose_joint"."""
     CATEGORY: ClassVar[str]
-    """One of "actuator", "sensor", "end_effector" and "power"."""
+    """One of "actuator", "sensor", "end_effector", "power" and "reaction"."""
     PARAMETER: ClassVar[str]
     """What the degree scales, in words, with its unit."""
     AMOUNTS: ClassVar[Mapping[str, float]]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from failbench.fault.drive import (
+    BRAKE_TORQUE,
     DRIVE,
     FRICTION,
     GRIP,
@@ -20,8 +21,6 @@ from failbench.fault.fault import Fault
 from failbench.simulated.plant import Plant
 from graceful_plan.exceptions import SettingError
 
-_BRAKE_TORQUE = 1.5
-"""Torque up to which a brake holds, as a multiple of what the joint's motor can give."""
 BRAKES = ("none", "delayed", "immediate")
 GRIPS = ("lost", "kept")
 
@@ -93,7 +92,7 @@ class PowerLoss(Fault):
         """Take the torque away, and close the brakes when it is time."""
         wait = {"none": float("inf"), "delayed": self.amount, "immediate": 0.0}[self.brake]
         if plant.time >= wait - plant.dt / 2.0:
-            add_friction(plant, level * _BRAKE_TORQUE)
+            add_friction(plant, level * BRAKE_TORQUE)
         gripping = {name: plant[name][plant.robot.gripper_actuators] for name in DRIVE}
         scale_torque(plant, 1.0 - level)
         if self.grip == "kept":

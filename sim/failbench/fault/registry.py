@@ -1,4 +1,4 @@
-"""The faults, by category; as JSON documents; and how a fault of the user's own is found."""
+"""The faults, by category, and the robot's reactions; as JSON documents; and how a fault of the user's own is found."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from failbench.fault.actuator import (
 from failbench.fault.end_effector import GripperFailure, StuckGripper, WeakGrip
 from failbench.fault.fault import CATEGORIES, DEGREES, Fault
 from failbench.fault.power import BatteryDegradation, PowerLoss, VoltageDrop
+from failbench.fault.reaction import ProtectiveStop
 from failbench.fault.sensor import BiasDrift, ControlDelay, DeadZone, Dropout, Noise, ScaleError
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 
@@ -44,6 +45,7 @@ __all__ = [
     "Noise",
     "PartialDegradation",
     "PowerLoss",
+    "ProtectiveStop",
     "ScaleError",
     "StuckGripper",
     "StuckPosition",
@@ -52,6 +54,7 @@ __all__ = [
     "faults",
     "from_document",
     "load_class",
+    "reactions",
     "to_document",
 ]
 
@@ -82,6 +85,8 @@ _FAULTS: Mapping[str, type[Fault]] = MappingProxyType(
     }
 )
 
+_REACTIONS: Mapping[str, type[Fault]] = MappingProxyType({ProtectiveStop.NAME: ProtectiveStop})
+
 _ONSETS: Mapping[str, type[Onset]] = MappingProxyType(
     {"at_time": AtTime, "at_fraction": AtFraction, "uniform": Uniform}
 )
@@ -90,6 +95,11 @@ _ONSETS: Mapping[str, type[Onset]] = MappingProxyType(
 def faults() -> Mapping[str, type[Fault]]:
     """Return the class of each fault by its name, category by category."""
     return _FAULTS
+
+
+def reactions() -> Mapping[str, type[Fault]]:
+    """Return the class of each reaction by its name: what a robot does on purpose, and harms what it carries."""
+    return _REACTIONS
 
 
 def to_document(fault: Fault) -> dict[str, Any]:
@@ -114,7 +124,7 @@ def from_document(document: Mapping[str, Any], classes: Mapping[str, type[Fault]
         UnknownNameError: If it names a fault, a setting or an onset that does not exist.
         SettingError: If a setting has the wrong type or is out of range.
     """
-    known = {**_FAULTS, **(classes or {})}
+    known = {**_FAULTS, **_REACTIONS, **(classes or {})}
     settings = _mapping("fault", document)
     name = str(settings.pop("fault", None))
     if name not in known:

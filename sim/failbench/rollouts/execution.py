@@ -85,6 +85,20 @@ class Execution:
             raise SettingError("horizon", horizon, f"between the time step of {self.dt:g} s and {LONGEST:g} s")
         return round(horizon / self.dt)
 
+    def paced(
+        self, time: Float[Array, " n"], pace: Float[Array, " n"], change: Float[Array, " n"]
+    ) -> Float[Array, "n nq"]:
+        """Return what the healthy controller sends to the joints where the trajectory goes on at another pace.
+
+        Args:
+            time: Where on the trajectory, on its clock [s].
+            pace: How fast that clock runs; 1 is as planned.
+            change: How fast the pace changes [1/s].
+        """
+        trajectory, rate = self.trajectory, pace[:, None]
+        q, qd, qdd = trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration))
+        return _joint_commands(self.world, q, qd * rate, qdd * rate**2 + qd * change[:, None])
+
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
         """Return a copy of the commands of `count` steps from a step on, the last one held after the end."""
         return self.command[np.minimum(np.arange(step, step + count), len(self.command) - 1)]
@@ -226,11 +240,20 @@ def _is_allowed(world: World, component: str, entity: str) -> bool:
 
 def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, "step actuator"]:
     """Return what the healthy controller sends: positions, plus needed torques as offsets of the servos' targets."""
-    robot, scene = world.robot, world.scene
-    dynamics = RobotDynamics(scene)
     times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
     q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))
     qd[-1] = qdd[-1] = 0.0  # the last row is held for good
+    command = np.tile(_standing(world), (steps + 1, 1))
+    command[:, world.robot.actuators] = _joint_commands(world, q, qd, qdd)
+    command[:, world.robot.gripper_actuators] = world.robot.grip_closed
+    return command
+
+
+def _joint_commands(
+    world: World, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], qdd: Float[Array, "n nq"]
+) -> Float[Array, "n nq"]:
+    """Return the commands of the joints' servos that hold them to a motion."""
+    robot, dynamics = world.robot, RobotDynamics(world.scene)
     if world.settings.control == "servo":
         qdd = np.zeros_like(qdd)  # a servo knows how fast to go and what gravity does, not the arm's inertia
     at_rest = np.zeros_like(q[0])
@@ -240,10 +263,7 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
             for a, b, c in zip(q, qd, qdd, strict=True)
         ]
     )
-    command = np.tile(_standing(world), (steps + 1, 1))
-    command[:, robot.actuators] = (robot.kp * q + robot.kd * qd + torque) / robot.gain
-    command[:, robot.gripper_actuators] = robot.grip_closed
-    return command
+    return (robot.kp * q + robot.kd * qd + torque) / robot.gain
 
 
 def _standing(world: World) -> Float[Array, " actuator"]:

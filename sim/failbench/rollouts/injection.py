@@ -63,6 +63,7 @@ class Injection:
             command=healthy.copy(),
             healthy=healthy,
             past=past,
+            paced=lambda time, pace, change: execution.paced(onset * execution.dt + time, pace, change),
             fields={name: fields[name] for name in fault.FIELDS},
         )
         self._model = execution.world.model

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,6 +31,8 @@ class Plant:
     | command     | commands of all actuators, a row a step; row 0 is the first step after the onset         |
     | healthy     | the same as a healthy robot gets them; read only                                         |
     | past        | commands before the onset, the latest last; read only                                    |
+    | paced       | commands of the joints if the motion goes on at another pace: from times on the clock of  |
+    |             | the motion since the onset [s], pace, and how fast that changes [1/s]                    |
     | fields      | fields of this simulation's model that may be written                                    |
     | step        | steps since the onset                                                                    |
     | memory      | whatever the fault wants to remember                                                     |
@@ -47,6 +49,7 @@ class Plant:
     command: Array
     healthy: Array
     past: Array
+    paced: Callable[[Array, Array, Array], Array]
     fields: Mapping[str, Array]
     step: int = 0
     memory: dict[str, Any] = field(default_factory=dict)

@@ -31,6 +31,7 @@ class Robot:
     | kp                | stiffness of each joint's servo [N m/rad]                                    | nq    |
     | kd                | damping of each joint's servo [N m s/rad]                                    | nq    |
     | gain              | torque of each joint's actuator per unit of its command [N m]                | nq    |
+    | acceleration      | greatest acceleration of each joint that motions have [rad/s^2]              | nq    |
     | gripper_joints    | ids of the fingers' joints                                                   |       |
     | gripper_dofs      | their addresses in qvel                                                      |       |
     | gripper_actuators | ids of the gripper's actuators                                               |       |
@@ -50,6 +51,7 @@ class Robot:
     kp: Array
     kd: Array
     gain: Array
+    acceleration: Array
     gripper_joints: Array
     gripper_dofs: Array
     gripper_actuators: Array

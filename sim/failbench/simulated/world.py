@@ -300,6 +300,7 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
         kp=kp,
         kd=kd,
         gain=model.actuator_gainprm[actuators, 0].copy(),
+        acceleration=scene.limits.acceleration.copy(),
         gripper_joints=gripper.joints,
         gripper_dofs=model.jnt_dofadr[gripper.joints].astype(int),
         gripper_actuators=gripper.actuators,

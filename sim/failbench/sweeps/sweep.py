@@ -22,7 +22,7 @@ import graceful_plan as gp
 from failbench.basics.chunks import Chunk
 from failbench.basics.errors import ExecutionRefused, SweepFailed
 from failbench.fault.registry import to_document
-from failbench.scenario import scenarios, usual_grasp
+from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
 from failbench.sweeps.dataset import check_arrow, write_dataset
 from failbench.sweeps.executors import Executor, LocalExecutor
@@ -134,7 +134,6 @@ def sweep_of(
     horizon: float = 1.0,
     seed: int = 0,
     settings: SimSettings | None = None,
-    grasp: str | None = None,
 ) -> Sweep:
     """Return a sweep over scenarios of the registry: each fault on a planned motion of each task.
 
@@ -145,7 +144,6 @@ def sweep_of(
         horizon: How long is simulated after the onset [s].
         seed: Of everything random but the planner.
         settings: How the scenes are simulated.
-        grasp: What holds the objects; None for the fingers, and a weld where they cannot.
 
     Raises:
         UnknownNameError: If a pattern matches nothing.
@@ -162,7 +160,6 @@ def sweep_of(
             scene=scene,
             task=task,
             plan=plan,
-            grasp=usual_grasp(scene, task) if grasp is None else grasp,
         )
         for scene, task in tasks
         for i, plan in enumerate(plans)

@@ -37,14 +37,14 @@ class PlanSettings:
         planner: Name of a planner.
         iterations: Planner iterations.
         seed: Of the planner.
-        speed: Fraction of the velocity limits to use; at full speed the fingers lose some of the bundled objects.
+        speed: Fraction of the velocity limits to use.
     """
 
     w: float = 1.0
     planner: str = "auto"
     iterations: int = 2000
     seed: int = 0
-    speed: float = 0.5
+    speed: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

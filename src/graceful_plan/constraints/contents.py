@@ -50,11 +50,11 @@ class KeepContents(FeltConstraint):
     to that, and motions whose first mode still reaches the rim are slowed down until it does not.
 
     Args:
-        share: Part of the angle that the fill allows which tilt and acceleration may use, above 0 and at most 1. Where
-            start or goal need more, they get more.
+        share: Part of the angle that the fill allows which tilt and acceleration may use, above 0 and at most 1; less
+            where sloshing needs the rest. Where start or goal need more, they get more.
     """
 
-    share: float = 0.6
+    share: float = 0.75
     lever: ClassVar[float] = LEVER
 
     def __post_init__(self) -> None:
@@ -67,9 +67,18 @@ class KeepContents(FeltConstraint):
 
     def around(self, q: Float[Array, "n nq"], scene: Scene) -> KeepContents:
         """Return one with room for some configurations, as far as they are allowed: ends that are tilted further."""
-        tilt = float(axis_residual(StateBatch(scene, q), self.upright(scene)).max()) + self.upright(scene).angle
-        needed = (tilt + _ROOM) / (_AT_REST * min(_vessel(scene).brim_tilt, _STEEPEST))
-        return self if needed <= self.share else KeepContents(min(needed, 1.0))
+        needed = self.needed(q, scene)
+        return self if needed <= self.share else KeepContents(needed)
+
+    def needed(self, q: Float[Array, "n nq"], scene: Scene) -> float:
+        """Return the share that some configurations need."""
+        upright = self.upright(scene)
+        tilt = float(axis_residual(StateBatch(scene, q), upright).max()) + upright.angle
+        return min(1.0, (tilt + _ROOM) / (_AT_REST * min(_vessel(scene).brim_tilt, _STEEPEST)))
+
+    def at_most(self, share: float) -> KeepContents:
+        """Return one that uses no more than some share."""
+        return self if self.share <= share else KeepContents(share)
 
     def upright(self, scene: Scene) -> AxisRule:
         """Return what planners have to hold in every configuration: that the vessel is not tilted too much."""

@@ -38,6 +38,9 @@ _HARDEST = 1.7
 in FailBench, and what fingers hold swings: planned with up to 1.84, the glass of bedside/bring_water felt more."""
 _MILDEST = 1.2
 """The same along the axis of a wide cone: at rest gravity has to be within it."""
+_SELDOM_FELT = 40.0
+"""More than this is hardly felt where something is carried [m/s^2]: to hold such facets is left to timing, for descents
+take time for each."""
 _LEAST_ROOM = 1e-3
 """Share of gravity by which a facet has to hold at rest."""
 
@@ -127,10 +130,13 @@ class FeltLoad:
     gravity: float
 
     @property
-    def native(self) -> _native.FeltLimit:
-        """The same for descents of motions."""
-        facets = np.ascontiguousarray(self.facets)
-        return _native.FeltLimit(link=self.link, point=self.point, facets=facets, room=self.room, gravity=self.gravity)
+    def native(self) -> _native.FeltLimit | None:
+        """The same for descents of motions; None where they have no reason to look."""
+        often = self.room < _SELDOM_FELT
+        if not often.any():
+            return None
+        facets, room = np.ascontiguousarray(self.facets[often]), self.room[often]
+        return _native.FeltLimit(link=self.link, point=self.point, facets=facets, room=room, gravity=self.gravity)
 
 
 Felt = FeltCone | FeltLoad
@@ -142,6 +148,10 @@ class FeltConstraint(Constraint):
     @abstractmethod
     def felt(self, scene: Scene) -> Felt:
         """Return what has to hold in motion."""
+
+    def around(self, q: Float[Array, "n nq"], scene: Scene) -> FeltConstraint:
+        """Return one with room for some configurations, as far as they are allowed."""
+        return self
 
     @abstractmethod
     def resting(self, scene: Scene) -> tuple[AxisRule, ...]:

@@ -38,6 +38,8 @@ Array = np.ndarray
 
 _AT_REST = 0.95
 """Of what the pads may carry, what they may at rest: there has to be room for a motion."""
+_ROOM = 0.01
+"""Of what the pads can carry, what a motion may use beyond what an end needs."""
 _FLAT = 1e-9
 """Singular values of the load below this share of the greatest are none."""
 _SIDES = 12
@@ -52,8 +54,8 @@ class GraspHolds(FeltConstraint):
     Args:
         friction: Coefficient between pads and object; the model's by default. Torsion grows with it.
         force: What both fingers press with together [N]; by default what the model's drives can.
-        share: Part of what the pads can carry that the motion may use, above 0 and at most 1. With .9 simulated
-            fingers that press with the force that was planned with lose nothing along planned motions of bundled tasks.
+        share: Part of what the pads can carry that the motion may use, above 0 and at most 1. Where start or goal need
+            more, they get more.
     """
 
     friction: float | None = None
@@ -71,6 +73,11 @@ class GraspHolds(FeltConstraint):
     def rule(self, scene: Scene) -> GripRule:
         """Return what has to hold in a scene; raise if nothing is held between two pads there."""
         return GripRule(name=self.name, grip=self.grip(scene), share=1.0)
+
+    def around(self, q: Float[Array, "n nq"], scene: Scene) -> GraspHolds:
+        """Return one with room for some configurations, as far as pads hold at all there."""
+        needed = float(self._resting_load(StateBatch(scene, q)).max()) / _AT_REST + _ROOM
+        return self if needed <= self.share else replace(self, share=min(needed, 1.0))
 
     def grip(self, scene: Scene) -> Grip:
         """Return how the object is held.
@@ -120,15 +127,19 @@ class GraspHolds(FeltConstraint):
 
     def residual(self, batch: StateBatch) -> Float[Array, " n"]:
         """Return by how much the load at rest exceeds what the pads may carry, as a share of what they can."""
+        return self._resting_load(batch) - _AT_REST
+
+    def _resting_load(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return the load as a share of what the pads can carry."""
         gravity = -float(batch.scene.model.opt.gravity[2])
         facets, room = load_facets(self.grip(batch.scene))
         load = np.einsum("fi,ni->nf", facets, batch.object_poses[:, 2, :3]) * gravity / room
-        return load.max(axis=1) - _AT_REST * self.share
+        return load.max(axis=1)
 
     def told(self, residual: float) -> str:
         """Say in words how far outside a state is."""
-        load, allowed = residual + _AT_REST * self.share, _AT_REST * self.share
-        return f"{self.name}: at rest the load is {load:.2f} of what the fingers hold, {allowed:.2f} is allowed"
+        load = residual + _AT_REST
+        return f"{self.name}: at rest the load is {load:.2f} of what the fingers hold, {_AT_REST:.2f} is allowed"
 
 
 def load_facets(grip: Grip) -> tuple[Float[Array, "facet xyz"], Float[Array, " facet"]]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, partial
 from typing import final
 
 import numpy as np
@@ -11,20 +12,28 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.constraints.bounds import bounded_kernels
 from graceful_plan.constraints.constraint import Constraint, checked_residual, residual_gradient
 from graceful_plan.constraints.contents import KeepContents
-from graceful_plan.constraints.felt import FeltConstraint, felt_limits
+from graceful_plan.constraints.felt import Felt, FeltCone, FeltConstraint, felt_limits
+from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.speed import speed_limits
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import RetimingError, SettingError, UnsupportedError
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.rules.grip import find_grip
 from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
 from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.retiming import slowed
+from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
+_CAREFUL = 0.6
+"""Of the angle that keeps contents in, what searches and the first descents leave to what is felt, not to sloshing."""
+_SHARES = (0.6, 0.5, 0.4, 0.3)
+"""The same of timings, one after the other, after the share that was asked for."""
 _SLOWDOWN = 1.08
 """By how much a motion is slowed down at a time."""
 _MOST_SLOWDOWNS = 40
@@ -37,14 +46,15 @@ class SceneConstraints:
     Args:
         scene: The scene.
         constraints: What was asked for.
+        share: Of the angle that keeps contents in, what searches and descents leave to what is felt at most.
 
     Raises:
         SettingError: If one of them is no constraint.
         GracefulPlanError: If one cannot be asked for in this scene.
     """
 
-    def __init__(self, scene: Scene, constraints: Iterable[Constraint]) -> None:
-        self.scene, self.constraints = scene, tuple(constraints)
+    def __init__(self, scene: Scene, constraints: Iterable[Constraint], share: float = _CAREFUL) -> None:
+        self.scene, self.constraints, self._share = scene, tuple(constraints), share
         for constraint in self.constraints:
             if not isinstance(constraint, Constraint):
                 raise SettingError("constraints", constraint, "graceful_plan.Constraint objects, such as Upright()")
@@ -52,8 +62,13 @@ class SceneConstraints:
         self.custom = tuple(constraint for constraint, rule in rules if isinstance(rule, CustomRule))
         """Those that only Python can check."""
         self.keepers = tuple(c for c in self.constraints if isinstance(c, KeepContents))
-        carrying = [c for c in self.constraints if isinstance(c, FeltConstraint)]
-        self.cones = tuple(c.felt(scene) for c in carrying)
+        carrying = self._carrying(share)
+        self.felt = tuple(c.felt(scene) for c in carrying)
+        """What has to hold for what is felt where something is carried."""
+        self.charged = tuple(limit for felt in self.felt if (limit := felt.native) is not None)
+        """The part of it that descents of motions charge for; timing keeps all of it."""
+        self.level = any(isinstance(felt, FeltCone) for felt in self.felt)
+        """Whether something that is carried has to stay level."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in c.resting(scene)]
         self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])
@@ -72,12 +87,20 @@ class SceneConstraints:
 
     def on(self, scene: Scene) -> SceneConstraints:
         """Return the same constraints in another scene."""
-        return SceneConstraints(scene, self.constraints)
+        return SceneConstraints(scene, self.constraints, self._share)
 
     def around(self, q: Float[Array, "n nq"]) -> SceneConstraints:
         """Return constraints with room for some configurations in which they hold."""
-        fitted = [c.around(q, self.scene) if isinstance(c, KeepContents) else c for c in self.constraints]
-        return self if fitted == list(self.constraints) else SceneConstraints(self.scene, fitted)
+        fitted = tuple(c.around(q, self.scene) if isinstance(c, FeltConstraint) else c for c in self.constraints)
+        share = max([self._share, *(keeper.needed(q, self.scene) for keeper in self.keepers)])
+        same = fitted == self.constraints and share == self._share
+        return self if same else SceneConstraints(self.scene, fitted, share)
+
+    @property
+    def daring(self) -> SceneConstraints:
+        """Constraints that leave no more to sloshing than what was asked for does."""
+        most = max([self._share, *(keeper.share for keeper in self.keepers)])
+        return self if most == self._share else SceneConstraints(self.scene, self.constraints, most)
 
     def custom_clearance(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         """Return how far inside of all custom constraints configurations are, as clearance [m], and its gradient."""
@@ -105,21 +128,85 @@ class SceneConstraints:
         Raises:
             RetimingError: If something does not even hold at rest somewhere along the curve.
         """
-        felt = felt_limits(self.cones, self.kernels, grid)
-        return np.concatenate([felt, speed_limits(self._speeds, self.scene, grid)], axis=1)
+        return self._limits(self.felt, grid)
 
-    def calmed(self, trajectory: Trajectory) -> Trajectory:
-        """Slow a motion down until what sloshes in what is carried stays in."""
-        for _ in range(_MOST_SLOWDOWNS):
-            if all(keeper.holds(trajectory, self.scene) for keeper in self.keepers):
+    def _limits(self, felt: Sequence[Felt], grid: CurveGrid) -> Float[Array, "interval limit 3"]:
+        limits = felt_limits(felt, self.kernels, grid)
+        return np.concatenate([limits, speed_limits(self._speeds, self.scene, grid)], axis=1)
+
+    def timed(self, timing: Callable[[Restraint], Trajectory]) -> Trajectory:
+        """Time a curve so that all limits hold along it and what sloshes in what is carried stays in.
+
+        A surface swings beyond what is felt, how far depends on the curve: less and less of the angle is left to what
+        is felt until the surface stays below the rim. Where that does not help the motion is slowed down as a whole.
+
+        Args:
+            timing: Returns the fastest motion along the curve within some limits.
+
+        Raises:
+            RetimingError: If something does not even hold at rest somewhere along the curve.
+        """
+        if not self.keepers:
+            return timing(self.limits)
+        trajectory = None
+        for limits in self._bolder_first:
+            try:
+                trajectory = timing(limits)
+            except RetimingError:
+                if trajectory is None:
+                    raise
                 break
+            if self._calm(trajectory):
+                return trajectory
+        assert trajectory is not None
+        for _ in range(_MOST_SLOWDOWNS):
             trajectory = slowed(trajectory, _SLOWDOWN)
+            if self._calm(trajectory):
+                break
         return trajectory
+
+    def _calm(self, trajectory: Trajectory) -> bool:
+        return all(keeper.holds(trajectory, self.scene) for keeper in self.keepers)
+
+    @cached_property
+    def _bolder_first(self) -> tuple[Restraint, ...]:
+        """Limits that leave less and less of the angle to what is felt in vessels."""
+        most = max(keeper.share for keeper in self.keepers)
+        shares = [most, *(share for share in _SHARES if share < most)]
+        cones = [[c.felt(self.scene) for c in self._carrying(share)] for share in shares]
+        return tuple(partial(self._limits, felt) for felt in cones)
+
+    def _carrying(self, share: float) -> list[FeltConstraint]:
+        """Return constraints on what is felt, with some share of the angle at most for contents."""
+        fitted = [c.at_most(share) if isinstance(c, KeepContents) else c for c in self.constraints]
+        return [c for c in fitted if isinstance(c, FeltConstraint)]
 
 
 def default_constraints(scene: Scene) -> tuple[Constraint, ...]:
-    """Return what holds unless a call says otherwise: what the scene asks for, and that carried contents are kept."""
+    """Return what holds unless a call says otherwise.
+
+    That is what the scene asks for, that the contents of what is carried are kept, and that a grasp between two pads
+    that the model describes, and that holds in the scene's home configuration, holds on the way.
+    """
     declared = tuple(asked for asked in scene.notes.constraints if isinstance(asked, Constraint))
-    if find_vessel(scene) is None or any(isinstance(asked, KeepContents) for asked in declared):
-        return declared
-    return (*declared, KeepContents())
+    asked = {type(constraint) for constraint in declared}
+    return (*declared, *(own for own in _unasked(scene) if type(own) not in asked))
+
+
+@per_scene
+def _unasked(scene: Scene) -> tuple[Constraint, ...]:
+    contents = (KeepContents(),) if find_vessel(scene) is not None else ()
+    return (*contents, *_held(scene))
+
+
+def _held(scene: Scene) -> tuple[GraspHolds, ...]:
+    """Return that the grasp holds, if the model says with what force, and that it does at home."""
+    if scene.carried is None:
+        return ()
+    try:
+        if np.isnan(find_grip(scene).force):
+            return ()
+    except UnsupportedError:
+        return ()
+    home, grasp = scene.home_qpos[scene.qpos_adr], GraspHolds()
+    return (grasp,) if grasp.residual(StateBatch(scene, home[None]))[0] <= 0.0 else ()

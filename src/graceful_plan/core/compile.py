@@ -12,34 +12,22 @@ the geoms never touch; those that overlap are tested, so that no configuration i
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core import sphere_cover
 from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
+from graceful_plan.core.covers import GEOM_KINDS, geom_name, group_cover, hull_triangles
 from graceful_plan.core.kernels import CAPACITY, Kernels
 from graceful_plan.exceptions import UnsupportedError
-from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
-_KIND = {
-    _GEOM.mjGEOM_PLANE: "plane",
-    _GEOM.mjGEOM_SPHERE: "sphere",
-    _GEOM.mjGEOM_CAPSULE: "capsule",
-    _GEOM.mjGEOM_ELLIPSOID: "ellipsoid",
-    _GEOM.mjGEOM_CYLINDER: "cylinder",
-    _GEOM.mjGEOM_BOX: "box",
-    _GEOM.mjGEOM_MESH: "mesh",
-}
-BASE_PROTRUSION = 0.03
-"""How far spheres may stick out of large geoms of the base [m]; they only keep the arm off its own foot."""
-_MANY = 200
 PLANE_EXTENT = 50.0
 """Half side of the box that stands for an infinite plane in Algorithm 1 [m]."""
 
@@ -61,15 +49,32 @@ def compile_scene(scene: Scene) -> CompiledScene:
     Raises:
         UnsupportedError: If the kernels cannot represent it; names the geom.
     """
-    data = _reference_data(scene)
-    frames = _frames(scene, data)
-    groups = _groups(scene, frames)
+    data, parts = _reference_data(scene), _robot_parts(scene)
+    frames, groups = parts.frames, parts.groups
     overlapping = _overlapping(scene.model, data)
-    robot = _robot_arrays(scene, data, frames, groups, overlapping)
+    robot = replace(parts.arrays, self_pair=_self_pairs(groups, len(frames.parent), overlapping))
     world = _world_arrays(scene, data, groups)
     hazards = _hazard_arrays(scene, data, frames)
     _check_capacity(scene.model, groups, robot, hazards)
     return CompiledScene(robot=robot, world=world, hazards=hazards, kernels=Kernels(robot, world, hazards))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _RobotParts:
+    """What of a scene's tables does not depend on where things around the robot stand."""
+
+    frames: _Frames
+    groups: list[_Group]
+    arrays: RobotArrays
+    """Without pairs of links."""
+
+
+@per_layout
+def _robot_parts(scene: Scene) -> _RobotParts:
+    data = _reference_data(scene)
+    frames = _frames(scene, data)
+    groups = _groups(scene, frames)
+    return _RobotParts(frames=frames, groups=groups, arrays=_robot_arrays(scene, data, frames, groups))
 
 
 def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArrays, hazards: HazardArrays) -> None:
@@ -86,7 +91,7 @@ def _check_capacity(model: mujoco.MjModel, groups: list[_Group], robot: RobotArr
         hint = ""
         if what == "spheres":
             largest = max((geom for group in groups for geom in group.geoms), key=lambda g: float(model.geom_rbound[g]))
-            hint = f"; the largest geom that moves is {_geom_name(model, largest)!r}: carry or model something smaller"
+            hint = f"; the largest geom that moves is {geom_name(model, largest)!r}: carry or model something smaller"
         raise UnsupportedError(f"the scene has {count} {what}, the kernels hold {CAPACITY[what]}{hint}")
 
 
@@ -144,10 +149,13 @@ def _is_below(model: mujoco.MjModel, body: int, root: int) -> bool:
 
 
 def _rotation_with_z(axis: Array) -> Float[Array, "3 3"]:
-    z = axis / np.linalg.norm(axis)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    R, z = np.empty((3, 3)), axis / np.linalg.norm(axis)
+    a, b, c = z.tolist()
+    # The unit vector that is farthest from z, crossed with it.
+    x = ((0.0, -c, b), (c, 0.0, -a), (-b, a, 0.0))[int(np.argmin(np.abs(z)))]
+    d, e, f = (np.array(x) / np.linalg.norm(x)).tolist()
+    R[:, 0], R[:, 1], R[:, 2] = (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d), z
+    return R
 
 
 def body_frames(scene: Scene) -> tuple[int, ...]:
@@ -176,15 +184,16 @@ class _Group:
 def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
     partners: dict[int, set[int]] = {}
     moving = {geom for name in ("body", "carried") if name in scene.components for geom in scene.components[name].geoms}
-    moving |= {g for g in range(scene.model.ngeom) if int(scene.model.geom_bodyid[g]) in scene.robot_bodies}
-    for first, second in scene.collision_pairs():
-        partners.setdefault(int(first), set()).add(int(second))
-        if int(second) in moving:
-            partners.setdefault(int(second), set()).add(int(first))
+    bodies = np.asarray(scene.model.geom_bodyid)
+    moving |= set(np.flatnonzero(np.isin(bodies, list(scene.robot_bodies))).tolist())
+    for first, second in scene.collision_pairs().tolist():
+        partners.setdefault(first, set()).add(second)
+        if second in moving:
+            partners.setdefault(second, set()).add(first)
     held = set(scene.components["carried"].geoms) if "carried" in scene.components else set()
     by_key: dict[tuple[int, frozenset[int], bool], list[int]] = {}
     for geom, others in sorted(partners.items()):
-        key = (frames.of_body[scene.model.geom_bodyid[geom]], frozenset(others), geom in held)
+        key = (frames.of_body[bodies[geom]], frozenset(others), geom in held)
         by_key.setdefault(key, []).append(geom)
     return [
         _Group(frame=f, geoms=tuple(geoms), partners=others)
@@ -204,7 +213,6 @@ def _robot_arrays(
     data: mujoco.MjData,
     frames: _Frames,
     groups: list[_Group],
-    overlapping: frozenset[tuple[int, int]],
 ) -> RobotArrays:
     n_frame = len(frames.parent)
     parent, joint, slide, X_PL = list(frames.parent), [-1, *range(n_frame - 1)], [0] * n_frame, []
@@ -224,13 +232,13 @@ def _robot_arrays(
         joint.append(-1)
         slide.append(0)
         X_PL.append(np.eye(4))
-        centres, radii, sticks_out = _cover_group(
-            scene.model, data, frames.X_W[group.frame], group.geoms, base=group.frame == 0
-        )
-        protrusion = max(protrusion, sticks_out)
-        spheres.append(np.column_stack([centres, radii]))
-        links += [link] * len(radii)
-        bound[link] = sphere_cover.enclosing_sphere(centres, radii)
+        X_LW = np.linalg.inv(frames.X_W[group.frame])
+        X_LG = [X_LW @ _pose(data.geom_xmat[geom], data.geom_xpos[geom]) for geom in group.geoms]
+        cover = group_cover(scene.model, group.geoms, np.stack(X_LG), base=group.frame == 0)
+        protrusion = max(protrusion, cover.protrusion)
+        spheres.append(cover.spheres)
+        links += [link] * len(cover.spheres)
+        bound[link] = cover.bound
     tool = data.site(scene.tool)
     tool_frame = frames.of_body[scene.model.site_bodyid[scene.model.site(scene.tool).id]]
     arrays = RobotArrays(
@@ -245,7 +253,7 @@ def _robot_arrays(
         sphere_link=np.array(links, dtype=int),
         sphere=np.concatenate(spheres) if spheres else np.zeros((0, 4)),
         bound=np.stack([bound.get(link, np.array([0.0, 0.0, 0.0, -1.0])) for link in range(len(parent))]),
-        self_pair=_self_pairs(groups, n_frame, overlapping),
+        self_pair=np.zeros((0, 2), dtype=int),
         protrusion=protrusion,
     )
     return arrays
@@ -282,110 +290,30 @@ def _overlap(group: _Group, others: Iterable[int], overlapping: frozenset[tuple[
     return any((a, b) in overlapping for a in group.geoms for b in group.partners.intersection(others))
 
 
-def _cover_group(
-    model: mujoco.MjModel, data: mujoco.MjData, X_WL: Float[Array, "4 4"], geoms: tuple[int, ...], base: bool
-) -> tuple[Float[Array, "sphere 3"], Float[Array, " sphere"], float]:
-    centres, radii, sticks_out = [], [], 0.0
-    for geom in geoms:
-        c, r = _cover_geom(model, geom)
-        if base and len(r) > _MANY:
-            c, r = _cover_geom(model, geom, BASE_PROTRUSION)
-        X_LG = np.linalg.inv(X_WL) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
-        centres.append(c @ X_LG[:3, :3].T + X_LG[:3, 3])
-        radii.append(r)
-        sticks_out = (
-            sticks_out
-            if base
-            else max(sticks_out, 0.0 if model.geom_type[geom] == _GEOM.mjGEOM_SPHERE else sphere_cover.MAX_PROTRUSION)
-        )
-    all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
-    if len(all_radii) > CAPACITY["spheres"]:  # will be refused; no need to compare them all
-        return all_centres, all_radii, sticks_out
-    keep = _not_inside_others(all_centres, all_radii)
-    return all_centres[keep], all_radii[keep], sticks_out
-
-
-def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Array:
-    gap = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    contains = gap + radii[:, None] <= radii[None] + 1e-9  # [i, j]: j contains i
-    earlier = np.arange(len(radii))
-    twins = contains & contains.T & (earlier[:, None] <= earlier[None])  # of two equal ones the first stays
-    return ~np.any(contains & ~twins & ~np.eye(len(radii), dtype=bool), axis=1)
-
-
-def _cover_geom(
-    model: mujoco.MjModel, geom: int, protrusion: float = sphere_cover.MAX_PROTRUSION
-) -> sphere_cover.Cover:
-    size = (float(model.geom_size[geom, 0]), float(model.geom_size[geom, 1]), float(model.geom_size[geom, 2]))
-    kind = _KIND.get(_GEOM(int(model.geom_type[geom])))
-    if kind == "sphere":
-        return sphere_cover.sphere_cover(size[0])
-    if kind == "capsule":
-        return sphere_cover.capsule_cover(size[0], size[1], protrusion)
-    if kind == "box":
-        return sphere_cover.box_cover(size, protrusion)
-    if kind == "cylinder":
-        return sphere_cover.cylinder_cover(size[0], size[1], protrusion)
-    if kind == "ellipsoid":
-        return sphere_cover.ellipsoid_cover(size, protrusion)
-    if kind == "mesh":
-        triangles = _hull_triangles(model, int(model.geom_dataid[geom]))
-        return sphere_cover.hull_cover(np.unique(triangles.reshape(-1, 3), axis=0), _planes(triangles), protrusion)
-    raise UnsupportedError(
-        f"geom {_geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
-        "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes"
-    )
-
-
-def _geom_name(model: mujoco.MjModel, geom: int) -> str:
-    return model.geom(geom).name or f"#{geom} of body {model.body(int(model.geom_bodyid[geom])).name}"
-
-
 # --- obstacles ------------------------------------------------------------------------------------------------------
-
-
-def _hull_triangles(model: mujoco.MjModel, mesh: int) -> Float[Array, "triangle 3 3"]:
-    """Convex hull of a mesh as MuJoCo computed it: triangles, counter-clockwise from outside, in the mesh frame."""
-    first, graph = model.mesh_vertadr[mesh], model.mesh_graphadr[mesh]
-    vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
-    if graph < 0:
-        raise UnsupportedError(f"mesh {model.mesh(mesh).name!r} has no convex hull; use it in a geom that collides")
-    n_vertex, n_face = (int(n) for n in model.mesh_graph[graph : graph + 2])
-    # The graph holds the two counts, per vertex an edge address and its id, the edges, and the faces' vertex ids.
-    faces = graph + 2 + 2 * n_vertex + n_vertex + 3 * n_face
-    corners = vertices[model.mesh_graph[faces : faces + 3 * n_face].reshape(-1, 3)]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("ti,ti->t", normal, corners[:, 0] - corners.mean(axis=(0, 1))) < 0.0
-    corners[inward] = corners[inward][:, [0, 2, 1]]
-    return corners[np.linalg.norm(normal, axis=1) > 1e-10]
-
-
-def _planes(triangles: Float[Array, "triangle 3 3"]) -> Float[Array, "triangle 4"]:
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.column_stack([normal, np.einsum("ti,ti->t", normal, triangles[:, 0])])
 
 
 def _world_arrays(scene: Scene, data: mujoco.MjData, groups: list[_Group]) -> WorldArrays:
     model = scene.model
     moving = {geom for group in groups for geom in group.geoms}
-    geoms = sorted({g for group in groups for g in group.partners} - moving)
+    unordered = sorted({g for group in groups for g in group.partners} - moving)
     # Nearest to the base first: these are met most often.
-    base = data.xpos[min(scene.robot_bodies)]
-    geoms.sort(key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - base)) - float(model.geom_rbound[g]))
+    away = np.linalg.norm(data.geom_xpos[unordered] - data.xpos[min(scene.robot_bodies)], axis=1)
+    away -= np.asarray(model.geom_rbound)[unordered]
+    geoms = [unordered[k] for k in np.argsort(away, kind="stable")]
     n_frame = len(scene.joints) + 1
     kind, ignores, hull_start, triangles = [], [], [0], [np.zeros((0, 3, 3))]
     for geom in geoms:
-        name = _KIND.get(_GEOM(int(model.geom_type[geom])))
+        name = GEOM_KINDS.get(_GEOM(int(model.geom_type[geom])))
         if name is None:
-            raise UnsupportedError(f"geom {_geom_name(model, geom)!r} is a {_GEOM(int(model.geom_type[geom])).name}; "
+            raise UnsupportedError(f"geom {geom_name(model, geom)!r} is a {_GEOM(int(model.geom_type[geom])).name}; "
                                    f"supported: {', '.join(OBSTACLE_TYPES)}")  # fmt: skip
         kind.append(OBSTACLE_TYPES.index(name))
         ignores.append(
             sum(1 << (n_frame + k) for k, group in enumerate(groups[: 62 - n_frame]) if geom not in group.partners)
         )
         if name == "mesh":
-            local = _hull_triangles(model, int(model.geom_dataid[geom]))
+            local = hull_triangles(model, int(model.geom_dataid[geom]))
             triangles.append(local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
         hull_start.append(hull_start[-1] + (len(triangles[-1]) if name == "mesh" else 0))
     pose = np.concatenate([data.geom_xmat[geoms], data.geom_xpos[geoms]], axis=1) if geoms else np.zeros((0, 12))

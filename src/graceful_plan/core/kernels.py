@@ -29,6 +29,8 @@ MAX_SAMPLES = 1_000_000
 """Configurations that one edge may be cut into."""
 MAX_POSITION = 1000.0
 """Largest joint position that kernels take [rad or m]; single precision says little beyond."""
+PROJECTED = 0.003
+"""How much more than a margin projected configurations keep: what a straight edge between two may lose [m]."""
 COST_STEP = 0.015
 """Largest joint-space distance between samples of the impact along an edge [rad]."""
 
@@ -131,6 +133,16 @@ class Kernels:
         first, second, batch = self.edge_rows(q0, q1, step)
         _check_margin(margin)
         return self.core.free_edges(first, second, step, margin).reshape(batch)
+
+    def projected(self, q: ArrayLike, margin: float = 0.0) -> Float[Array, "*batch nq"]:
+        """Move configurations to where bounds hold by a margin [m] and `PROJECTED`, as far as the limits let them.
+
+        Those that do so already stay as they are, all of them if there are no bounds. Obstacles are not looked at.
+        """
+        flat, batch = self.rows("q", q)
+        _check_margin(margin)
+        lower, upper = _reals(self.robot.lower), _reals(self.robot.upper)
+        return self.core.projected(flat, lower, upper, margin + PROJECTED).reshape(*batch, self.nq)
 
     def clearance(self, q: ArrayLike) -> Float[Array, "*batch"]:
         """Signed clearance of the spheres [m], positive outside; infinite if there is nothing to hit.

@@ -11,15 +11,23 @@ from functools import lru_cache
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Float, Int
 
 Array = np.ndarray
 
 MAX_PROTRUSION = 0.0095
 """How far a cover may stick out of its geom [m]; below the promised 1 cm by the width of float32 and of samples."""
 
-CANDIDATES = 24
+METHOD = 2
+"""Counts changes of what covers are like: those kept by an earlier version are not used."""
+CANDIDATES = 12
 """Balls that are compared before the greedy cover of a hull takes the next."""
+_SHELL = 2.0
+"""Depth of what counts as surface when balls are compared, in pitches."""
+_ROUNDING = 1e-12
+"""Of squared distances [m^2]."""
+_CHUNK = 2_000_000
+"""Heights of points over faces that are computed at a time; 16 MB."""
 _LAYERS = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 30, 42)
 """Numbers of layers that a cylinder's cover is tried with."""
 
@@ -179,17 +187,27 @@ def greedy_cover(points: Float[Array, "n 3"], depth: Float[Array, " n"], protrus
         pitch: Density of `points` [m].
     """
     radii = np.maximum(depth, 0.0) + protrusion
-    reach = radii - pitch  # a ball covers for certain what is within its radius less the gaps between samples
-    left = np.argsort(depth, kind="stable")  # the surface first, corners before all
+    # A ball covers for certain what is within its radius less the gaps between samples. |a - b|^2 = a.a + b.b - 2 a.b.
+    within = np.maximum(radii - pitch, 0.0) ** 2 - _ROUNDING
+    square = np.einsum("ni,ni->n", points, points)
+    order = np.argsort(depth, kind="stable")  # the surface first, corners before all
+    near = int(np.searchsorted(depth[order], _SHELL * pitch))
     picked: list[int] = []
-    while len(left):
-        able = np.flatnonzero(np.linalg.norm(points - points[left[0]], axis=1) <= reach)
-        able = able[np.linspace(0, len(able) - 1, min(len(able), CANDIDATES)).astype(int)]
-        distance = np.linalg.norm(points[left][None] - points[able][:, None], axis=-1)
-        covered = distance <= reach[able][:, None]
-        best = int(np.argmax(covered.sum(axis=1)))
-        picked.append(int(able[best]))
-        left = left[~covered[best]]
+    for left in (order[:near], order[near:]):  # of what is deep inside, little is left once the surface is covered
+        for k in picked:
+            left = left[square[left] + square[k] - 2.0 * (points[left] @ points[k]) > within[k]]
+        while len(left):
+            first = left[0]
+            able = np.flatnonzero(square + square[first] - 2.0 * (points @ points[first]) <= within)
+            deepest = able[np.argsort(-depth[able], kind="stable")[:CANDIDATES]]
+            spread = able[np.linspace(0, len(able) - 1, min(len(able), CANDIDATES)).astype(int)]
+            able = np.union1d(deepest, spread)
+            apart = square[left] + square[able][:, None] - 2.0 * (points[able] @ points[left].T)
+            covered = apart <= within[able][:, None]
+            covered[:, 0] = True
+            best = int(np.argmax(covered.sum(axis=1)))
+            picked.append(int(able[best]))
+            left = left[~covered[best]]
     return points[picked], radii[picked]
 
 
@@ -200,17 +218,27 @@ def samples_of_convex(
     lower, upper = vertices.min(axis=0) - pitch, vertices.max(axis=0) + pitch
     axes = [np.arange(a, b + pitch, pitch) for a, b in zip(lower, upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    height = np.max(grid @ planes[:, :3].T - planes[:, 3], axis=1)
+    height, _ = heights(grid, planes)
     near = grid[height <= pitch]
     outside = np.flatnonzero(height[height <= pitch] > 0.0)
     for _ in range(30):  # alternate projections onto the violated half-spaces
-        excess = near[outside] @ planes[:, :3].T - planes[:, 3]
-        worst = np.argmax(excess, axis=1)
-        near[outside] -= np.maximum(excess[np.arange(len(outside)), worst], 0.0)[:, None] * planes[worst, :3]
-        outside = outside[excess.max(axis=1) > 1e-6]
+        excess, worst = heights(near[outside], planes)
+        near[outside] -= np.maximum(excess, 0.0)[:, None] * planes[worst, :3]
+        outside = outside[excess > 1e-6]
         if len(outside) == 0:
             break
     return np.concatenate([near, vertices])
+
+
+def heights(points: Float[Array, "n 3"], planes: Float[Array, "face 4"]) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
+    """Return how high points are over the face that each is highest over [m], negative inside, and which that is."""
+    height, face = np.empty(len(points)), np.empty(len(points), dtype=int)
+    rows = max(1, _CHUNK // len(planes))
+    for k in range(0, len(points), rows):
+        over = points[k : k + rows] @ planes[:, :3].T - planes[:, 3]
+        face[k : k + rows] = highest = np.argmax(over, axis=1)
+        height[k : k + rows] = over[np.arange(len(over)), highest]
+    return height, face
 
 
 def hull_cover(
@@ -219,8 +247,7 @@ def hull_cover(
     """Cover the convex hull of some vertices; `planes` are outward normals n and offsets d, n . x <= d inside."""
     pitch = _pitch(np.ptp(vertices, axis=0))
     points = samples_of_convex(vertices, planes, pitch)
-    depth = np.min(planes[:, 3] - points @ planes[:, :3].T, axis=1)
-    return greedy_cover(points, depth, protrusion, pitch * np.sqrt(3.0) / 2.0)
+    return greedy_cover(points, -heights(points, planes)[0], protrusion, pitch * np.sqrt(3.0) / 2.0)
 
 
 def _pitch(extent: Float[Array, " 3"]) -> float:

@@ -2,7 +2,8 @@ r"""Which failures to fear: how often each fault happens, and what the robot doe
 
 A fault (a dead motor, a weak grip) is described by its rate. Interaction models know only a few *generators*, ways in
 which a failure goes on. A table of effects says with which probability a fault f acts like which of them: :math:`d_f`
-that the object is dropped, :math:`s_f` that contents get out of a container that is still held, :math:`a_{fg}` that
+that the object is dropped, :math:`s_f` that contents get out of a container that is still held or that the robot stops
+by itself, which may spill them, :math:`a_{fg}` that
 the arm goes astray like generator g. Arm and gripper may fail together: when all power is gone, the arm falls and the
 object, too. With the probability :math:`p_f` of each fault,
 
@@ -28,9 +29,13 @@ from typing import final
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.yaml_file import Block, read_yaml
 
-GENERATORS = ("drop", "spill", "collapse", "joint", "stuck", "stray")
-"""What can happen: the gripper lets go; the contents get out of a container that is held; no joint is powered; one
+FAILURES = ("drop", "spill", "collapse", "joint", "stuck", "stray")
+"""What can go wrong: the gripper lets go; the contents get out of a container that is held; no joint is powered; one
 joint is not powered; one joint is frozen while the others go on; the arm goes off its path."""
+GENERATORS = (*FAILURES, "stop")
+"""What can happen: what can go wrong, and that the robot stops by itself."""
+REACTIONS: Mapping[str, Mapping[str, float]] = MappingProxyType({"protective_stop": MappingProxyType({"stop": 1.0})})
+"""Effects of what the robot does on purpose, whatever the degree: what they are, not what was fitted."""
 ARM = ("collapse", "joint", "stuck", "stray")
 """Those that are about the arm; they exclude one another."""
 DEGREES = ("minor", "moderate", "severe", "critical")
@@ -39,6 +44,8 @@ DEGREES = ("minor", "moderate", "severe", "critical")
 _RATES = Path(__file__).parent / "faults.yaml"
 _EFFECTS = Path(__file__).parent / "fault_effects.yaml"
 _ROUNDING = 1e-9
+_IN_THE_HAND = ("spill", "stop")
+"""What matters for contents only if the object is not dropped."""
 
 _Table = Mapping[str, Mapping[str, float]]
 
@@ -178,7 +185,7 @@ class FaultPrior:
         return self.effects[fault].get(generator, 0.0)
 
     def _share(self, fault: str, generator: str) -> float:
-        held = 1.0 - self._effect(fault, "drop") if generator == "spill" else 1.0
+        held = 1.0 - self._effect(fault, "drop") if generator in _IN_THE_HAND else 1.0
         return held * self._effect(fault, generator)
 
 
@@ -224,7 +231,8 @@ def _shipped_rates() -> Mapping[str, Mapping[str, float]]:
 
 @cache
 def _shipped_effects() -> Mapping[str, _Table]:
-    return _read_effects(_versioned(read_yaml(_EFFECTS), "provenance", "effects")["effects"])
+    fitted = _read_effects(_versioned(read_yaml(_EFFECTS), "provenance", "effects")["effects"])
+    return {degree: MappingProxyType({**table, **REACTIONS}) for degree, table in fitted.items()}
 
 
 def _versioned(root: Block, *keys: str) -> Block:

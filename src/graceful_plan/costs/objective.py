@@ -261,11 +261,15 @@ class SceneObjective:
 
     def breakdown(self, path: Path | Trajectory, start_time: float = 0.0) -> CostBreakdown:
         """Cost of a whole path, or of a trajectory, with where its impact comes from; see `charged_states`."""
-        charged = self.charged_states(path, start_time)
-        points = path.path if isinstance(path, Trajectory) else path
+        points = self._points(path)
         samples = self.samples(points.q[:-1], points.q[1:])
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         motion = samples.integral(checked_state(self.objective.motion, batch), samples.length).sum()
+        impact = self.objective.impact
+        if isinstance(impact, ImpactCost) and not impact.hazards(self.scene):
+            nothing = dict.fromkeys(self.scene.components, 0.0)
+            return CostBreakdown(motion=float(motion), impact=0.0, w=self.w, impact_by_component=nothing)
+        charged = self.charged_states(path, start_time)
         return self._breakdown(float(motion), charged.batch, charged.weight)
 
     def charged_states(self, path: Path | Trajectory, start_time: float = 0.0) -> ChargedStates:
@@ -276,9 +280,7 @@ class SceneObjective:
         Raises:
             ShapeError: If the path does not fit the scene.
         """
-        points = path.path if isinstance(path, Trajectory) else path
-        if points.q.shape[1] != len(self.scene.joints):
-            raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
+        points = self._points(path)
         vertices = np.arange(len(points), dtype=np.float64)
         if self.objective.exposure == "waypoints":
             times = start_time + path.t if isinstance(path, Trajectory) else None
@@ -289,6 +291,12 @@ class SceneObjective:
         measure = samples.length if self.objective.exposure == "length" else samples.duration
         batch = StateBatch(self.scene, samples.q, samples.direction, samples.speed)
         return ChargedStates(batch, samples.weights(measure), place=samples.place)
+
+    def _points(self, path: Path | Trajectory) -> Path:
+        points = path.path if isinstance(path, Trajectory) else path
+        if points.q.shape[1] != len(self.scene.joints):
+            raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
+        return points
 
     def samples(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeSamples:
         """Return samples of straight edges, no farther apart than `step` [rad]."""
@@ -329,7 +337,9 @@ def trajectory_batch(
 def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by_length: bool) -> ChargedStates:
     """Return states no farther apart than `COST_STEP` at their own velocities, with trapezoid weights [s, or rad]."""
     pieces = np.maximum(1, np.ceil(trajectory.path.segment_lengths / COST_STEP)).astype(int)
-    place = np.append(np.concatenate([np.zeros(0), *(k + np.arange(n) / n for k, n in enumerate(pieces))]), len(pieces))
+    piece = np.repeat(np.arange(len(pieces)), pieces)
+    first = np.cumsum(pieces) - pieces
+    place = np.append(piece + (np.arange(len(piece)) - first[piece]) / pieces[piece], len(pieces))
     t = np.interp(place, np.arange(len(trajectory)), trajectory.t)
     done = np.append(0.0, np.cumsum(trajectory.path.segment_lengths))
     gaps = np.diff(np.interp(place, np.arange(len(trajectory)), done) if by_length else t)

@@ -7,7 +7,7 @@ it carries, against everything and themselves.
 
 from __future__ import annotations
 
-import copy
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,23 +15,21 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
-from graceful_plan.judge.motion_samples import motion_samples
+from graceful_plan.array_types import Float
+from graceful_plan.judge.motion_samples import AUDITED, ClearanceBound, MotionSamples, motion_samples
+from graceful_plan.judge.preparation import prepare
 from graceful_plan.path import Path
 from graceful_plan.scene.model_parts import geom_label
-from graceful_plan.scene.per_scene import per_scene
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
+_LOG = logging.getLogger(__name__)
 
 DEEPEST_SUPPORT = 0.003
 """How deep [m] a carried object may sink into its support at the ends of a path."""
 _GRAZE = 1e-6
 """Contacts of an object with its support that are shallower [m] are rounding, wherever they are on the path."""
-_MAX_GROUPS = 31
-"""MuJoCo's collision masks have 32 bits."""
 
 
 class Touch(NamedTuple):
@@ -65,13 +63,14 @@ class Collision:
 
 
 class Judge:
-    """Exact collision checks in one scene. Holds MuJoCo state: one per thread."""
+    """Exact collision checks in one scene. Uses MuJoCo state of the thread that makes it: one per thread."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        model, self._checked, self._ends = _prepared(scene)
-        self._placement = Placement(scene, model)
-        self._movers = frozenset(scene.collision_pairs()[:, 0].tolist())
+        prepared = prepare(scene)
+        filters = prepared.filters
+        self._checked, self._ends, self._movers = filters.checked, filters.ends, filters.movers
+        self._placement = prepared.placements.of(scene)
 
     def touches(self, q: Float[Array, "n nq"], start: int = 0) -> Iterator[Touch]:
         """Yield what overlaps in each configuration, in order; allowed contacts at the ends are in it, others are not.
@@ -136,47 +135,37 @@ def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True)
     return [judge.named(touch) for touch in sorted(deepest.values(), key=lambda t: t.distance)]
 
 
-def first_collision(motion: Path | Trajectory, scene: Scene, step: float = 0.002) -> Collision | None:
-    """Return where a motion first collides, None if it is free.
+def motion_violations(
+    motion: Path | Trajectory, scene: Scene, step: float, clearance: ClearanceBound | None = None
+) -> tuple[list[Touch], MotionSamples]:
+    """Return the collisions of a motion, and the samples that they are numbered by.
+
+    Exact geometry looks at every sample, or at those that a bound of the clearance leaves open, and at one in `AUDITED`
+    of the others. If that one touches anything the bound is wrong: then exact geometry looks at everything.
 
     Args:
         motion: What is to be checked.
         scene: Where.
-        step: No point of the robot moves farther than this between two checked configurations [m].
+        step: No point of the robot moves farther than this between two samples [m].
+        clearance: Proves configurations free.
     """
     judge = Judge(scene)
-    samples = motion_samples(motion, scene, step)
-    violations = judge.violations(list(judge.touches(samples.q)), len(samples.q))
+    samples = motion_samples(motion, scene, step, clearance)
+    looked_at = np.flatnonzero(~samples.proved | (np.arange(len(samples.q)) % AUDITED == AUDITED - 1))
+    touches = [touch._replace(sample=int(looked_at[touch.sample])) for touch in judge.touches(samples.q[looked_at])]
+    if any(samples.proved[touch.sample] for touch in touches):
+        _LOG.error("spheres that prove a configuration free are wrong; the whole motion is looked at exactly")
+        return motion_violations(motion, scene, step)
+    return judge.violations(touches, len(samples.q)), samples
+
+
+def first_collision(
+    motion: Path | Trajectory, scene: Scene, step: float = 0.002, clearance: ClearanceBound | None = None
+) -> Collision | None:
+    """Return where a motion first collides, None if it is free; the arguments are those of `motion_violations`."""
+    judge = Judge(scene)
+    violations, samples = motion_violations(motion, scene, step, clearance)
     if not violations:
         return None
     first = min(violations, key=lambda t: (t.sample, t.distance))
     return Collision(samples.q[first.sample], float(samples.at[first.sample]), judge.named(first))
-
-
-@per_scene
-def _prepared(scene: Scene) -> tuple[mujoco.MjModel, Bool[Array, "geom geom"], Bool[Array, "geom geom"]]:
-    """Return a model that tests few pairs needlessly, the pairs to check, and those of them allowed at the ends."""
-    model = copy.copy(scene.model)
-    n = model.ngeom
-    checked = np.zeros((n, n), dtype=bool)
-    first, second = scene.collision_pairs().T
-    checked[first, second] = checked[second, first] = True
-    ends = np.zeros((n, n), dtype=bool)
-    for a, b in scene.allowed_pairs("ends"):
-        ends[a, b] = ends[b, a] = True
-    _restrict_masks(model, checked)
-    return model, checked, ends
-
-
-def _restrict_masks(model: mujoco.MjModel, checked: Bool[Array, "geom geom"]) -> None:
-    """Replace collision masks by ones under which pairs that need no check are not tested, as far as bits last.
-
-    Geoms with the same partners share a bit of `conaffinity`; a geom has in `contype` the bits of its partners.
-    """
-    partners, group = np.unique(checked, axis=0, return_inverse=True)
-    if len(partners) > _MAX_GROUPS:
-        return
-    group = group.reshape(-1)
-    model.geom_conaffinity[:] = 1 << group
-    for geom in range(model.ngeom):
-        model.geom_contype[geom] = int(np.bitwise_or.reduce(1 << np.unique(group[checked[geom]]), initial=0))

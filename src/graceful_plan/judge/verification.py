@@ -8,20 +8,22 @@ kernels (`reference_cost`); no other model, the default one included, has a seco
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import ShapeError
-from graceful_plan.judge.exact import Judge
-from graceful_plan.judge.motion_samples import MotionSamples, motion_samples
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.judge.exact import Judge, Touch, motion_violations
+from graceful_plan.judge.motion_samples import ClearanceBound, MotionSamples, motion_samples
+from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.judge.second_opinion import opinion_of_fcl
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, Verdict
-from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.rules.rules import Ruled, default_rules
 from graceful_plan.scene.scene import Scene
@@ -31,8 +33,33 @@ Array = np.ndarray
 
 LIMIT_TOLERANCE = 1e-6
 """Absolute on positions and end points [rad or m], relative on velocities and accelerations."""
+STEP = 0.002
+"""How far any point moves at most between two checks of collision, unless somebody asks for another distance [m]."""
 COST_TOLERANCE = 0.01
 """Relative; two ways to integrate a discontinuous impact differ by less than that at the steps in use."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """How closely `plan` has motions looked at.
+
+    | field      | meaning                                                                    | unit |
+    |------------|----------------------------------------------------------------------------|------|
+    | step       | how far any point moves at most between two checks of collision            | m    |
+    | everywhere | exact geometry at every sample, also where spheres prove that it is free   |      |
+    """
+
+    step: float = STEP
+    everywhere: bool = False
+
+    def __post_init__(self) -> None:
+        _check_step(self.step)
+
+
+def _check_step(step: float) -> None:
+    if not (np.isfinite(step) and step > 0.0):
+        raise SettingError("step", step, "a finite distance > 0 m")
 
 
 def verify(
@@ -46,7 +73,8 @@ def verify(
     components: Sequence[str] = ("carried", "contents"),
     exposure: str = "time",
     constraints: Iterable[Ruled] | None = None,
-    step: float = 0.002,
+    step: float = STEP,
+    clearance: ClearanceBound | None = None,
     second_opinion: bool = False,
 ) -> Verdict:
     """Judge a path or a trajectory.
@@ -63,6 +91,8 @@ def verify(
         exposure: How that cost integrates impact.
         constraints: What has to hold along the motion; by default that contents stay in the vessel that is carried.
         step: No point of the robot moves farther than this between two checks of collision [m].
+        clearance: Proves configurations free, such as `compile_scene(scene).kernels.clearance`: exact geometry then
+            looks where that leaves anything open, and at a few others. By default it looks everywhere.
         second_opinion: Whether to ask python-fcl too, every 10 steps.
 
     Returns:
@@ -73,13 +103,14 @@ def verify(
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.
-        SettingError: If there is no such exposure.
+        SettingError: If there is no such exposure, or the step is not a positive distance.
     """
     nq = len(scene.joints)
     if motion.q.shape[1] != nq:
         raise ShapeError("motion", motion.q.shape, f"(n, {nq})")
-    samples = motion_samples(motion, scene, step)
-    checks = {"collision": _collision(samples, scene), "position_limits": _position(samples, motion, scene)}
+    _check_step(step)
+    violations, samples = motion_violations(motion, scene, step, clearance)
+    checks = {"collision": _collision(violations, samples, scene), "position_limits": _position(samples, motion, scene)}
     if isinstance(motion, Trajectory):
         checks |= _dynamics(motion, scene)
     rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
@@ -98,11 +129,12 @@ def verify(
     return Verdict(checks=checks)
 
 
-def _collision(samples: MotionSamples, scene: Scene) -> Check:
+def _collision(violations: list[Touch], samples: MotionSamples, scene: Scene) -> Check:
     judge = Judge(scene)
-    violations = judge.violations(list(judge.touches(samples.q)), len(samples.q))
     if not violations:
-        return Check(passed=True, worst=np.inf, detail=f"{len(samples.q)} configurations, signed distance [m]")
+        proved = int(samples.proved.sum())
+        told = f"{len(samples.q)} configurations, {f'{proved} of them proved by spheres, ' if proved else ''}"
+        return Check(passed=True, worst=np.inf, detail=f"{told}signed distance [m]")
     worst = min(violations, key=lambda t: t.distance)
     first = min(violations, key=lambda t: (t.sample, t.distance))
     contact, deepest = judge.named(first), judge.named(worst)
@@ -115,11 +147,35 @@ def _collision(samples: MotionSamples, scene: Scene) -> Check:
 
 
 def _position(samples: MotionSamples, motion: Path | Trajectory, scene: Scene) -> Check:
-    q = np.concatenate([samples.q, motion.q])
-    at = np.append(samples.at, np.full(len(motion), np.nan))
     lower, upper = scene.limits.position.T
+    if isinstance(motion, Trajectory):
+        q, at = _turning_points(motion)
+    else:
+        q, at = motion.q, np.append(0.0, np.cumsum(motion.segment_lengths))
     excess = np.maximum(lower - q, q - upper)
+    beyond = np.maximum(lower - samples.q, samples.q - upper)
+    if (beyond > LIMIT_TOLERANCE).any():  # these are close together, and tell when it begins
+        excess, at = np.concatenate([excess, beyond]), np.append(np.full(len(q), np.nan), samples.at)
     return _limit_check(excess, at, scene.joints, LIMIT_TOLERANCE, "beyond its position limit [rad or m]")
+
+
+def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float[Array, " n"]]:
+    """Return the samples and where joints turn round between them, with their times [s]: no joint is ever beyond these.
+
+    A row of turning points holds one of each joint, at its own time; the time of the row is that of the piece.
+    """
+    if len(trajectory) == 1:
+        return trajectory.q, trajectory.t
+    h = np.diff(trajectory.t)[:, None]
+    a0, a1 = trajectory.piece_accelerations
+    v0, jerk = trajectory.qd[:-1], (a1 - a0) / h
+    # The roots of v0 + a0 u + jerk u^2 / 2, by the form that cancels nothing.
+    sum_ = -(a0 + np.copysign(np.sqrt(np.maximum(a0**2 - 2.0 * jerk * v0, 0.0)), a0))
+    turning = []
+    for above, below in ((sum_, jerk), (2.0 * v0, sum_)):
+        u = np.clip(np.divide(above, below, out=np.zeros_like(above), where=below != 0.0), 0.0, h)
+        turning.append(trajectory.q[:-1] + u * (v0 + u * (a0 / 2.0 + u * jerk / 6.0)))
+    return np.concatenate([trajectory.q, *turning]), np.concatenate([trajectory.t, *[trajectory.t[:-1]] * 2])
 
 
 def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
@@ -172,7 +228,7 @@ def _end_point(q: Float[Array, " nq"], wanted: Float[Array, "goal nq"], at: floa
 
 def _pose(goal: PoseGoal, q: Float[Array, " nq"], scene: Scene, at: float) -> Check:
     X_WT = np.eye(4)
-    site = Placement(scene).place(q).site(scene.tool)
+    site = own_placement(scene).place(q).site(scene.tool)
     X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
     position, orientation = pose_error(goal, X_WT)
     worst = max(position / goal.position_tolerance, orientation / goal.orientation_tolerance)

@@ -114,7 +114,16 @@ class InformedSampler:
         return np.maximum(self.problem.lower, lower), np.minimum(self.problem.upper, upper)
 
     def draw(self, n: int, cost: float, rng: np.random.Generator) -> Float[Array, "drawn nq"]:
-        """Draw at most `n` configurations that can lie on a path cheaper than `cost`; fewer if they are rare."""
+        """Draw at most `n` configurations that can lie on a path cheaper than `cost`; fewer if they are rare.
+
+        Every other one is projected onto what constraints leave: thin ones are hardly ever kept by chance, but where
+        samples that keep them are easily had, projected ones crowd at the border, and edges between these leave it.
+        """
+        q = self._drawn(n, cost, rng)
+        q[::2] = self.problem.projected(q[::2])
+        return q
+
+    def _drawn(self, n: int, cost: float, rng: np.random.Generator) -> Float[Array, "drawn nq"]:
         lower, upper = self.problem.lower, self.problem.upper
         if self.length_bound == 0.0 or not np.isfinite(cost):
             return rng.uniform(lower, upper, (n, len(lower)))

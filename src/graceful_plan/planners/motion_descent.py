@@ -152,6 +152,7 @@ class MotionDescents:
         effort: How much of what there is to do.
         felt: Limits on what is felt where something is carried.
         counts_points: Whether the cost is summed over the samples of the motion.
+        careful: Whether something full is carried.
     """
 
     space: _native.Space
@@ -161,11 +162,12 @@ class MotionDescents:
     effort: Effort = Effort()
     felt: Sequence[_native.FeltLimit] = ()
     counts_points: bool = False
+    careful: bool = False
 
     @property
     def time_price(self) -> float:
         """What a second of motion counts on top of J [rad/s]."""
-        return time_price(careful=bool(self.felt))
+        return time_price(careful=self.careful)
 
     def run(
         self, starts: Sequence[Start], budget: Budget, rng: np.random.Generator, *, raw: int | None = None

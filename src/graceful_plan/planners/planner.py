@@ -43,6 +43,13 @@ class Problem(ABC):
     def edges_free(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Bool[Array, " n"]:
         """Tell which straight edges from `q0` to `q1` are free of collision."""
 
+    def projected(self, q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+        """Return configurations moved to where constraints hold, as far as that is possible; as they are by default.
+
+        Samples that are drawn among thin constraints hardly ever keep them.
+        """
+        return q
+
     def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]] | None:
         """Return the clearance beyond what has to be kept, and its gradient; None, the default, if it is not known.
 

@@ -61,6 +61,10 @@ class SceneProblem(Problem):
             free[free] = edges_hold(self.custom, q0[free], q1[free], self.check_step, self.margin)
         return free
 
+    def projected(self, q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+        """Move configurations to where the constraints that the kernels know hold; Newton's method."""
+        return self.kernels.projected(q, self.margin)
+
     def clearance_gradient(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         """Return the clearance beyond the margin [m] of the nearest pair, self-collision included, and its gradient."""
         clearance, gradient = self.kernels.clearance_gradient(q)

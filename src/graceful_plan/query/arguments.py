@@ -11,6 +11,7 @@ import numpy as np
 from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import PLANNERS, Planner
 from graceful_plan.scene.scene import Scene
 
@@ -65,6 +66,13 @@ def checked_wait(max_wait: object, scene: Scene) -> float:
     if max_wait and not scene.moving:
         raise SettingError("max_wait", max_wait, "0 in a scene where nothing moves; see Scene.with_moving")
     return float(max_wait)  # type: ignore[arg-type]
+
+
+def checked_verification(verification: object) -> Verification | None:
+    """Return how closely the judge looks."""
+    if verification is not None and not isinstance(verification, Verification):
+        raise SettingError("verification", verification, "a Verification, such as Verification(step=0.001)")
+    return verification
 
 
 def checked_seed(seed: object) -> np.random.Generator:

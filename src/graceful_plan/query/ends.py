@@ -13,9 +13,12 @@ from graceful_plan.path import Path
 from graceful_plan.query.escape import way_out
 from graceful_plan.query.goals import Configuration, Goal, Resolved, resolve_goal, resolve_start
 from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene.pose_goal import PoseGoal
 
 Array = np.ndarray
 
+_SHARE_OF_GOALS = 0.6
+"""Of the time, for inverse kinematics: what it has found by then is what there is to choose from."""
 _NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
 
 
@@ -60,6 +63,7 @@ def find_ends(
     *,
     seed: int = 0,
     cancelled: Callable[[], bool] = lambda: False,
+    late: Callable[[float], bool] = lambda _: False,
 ) -> Ends | PlanResult:
     """Turn start and goal as users give them into both ends of a plan, or a result that says why there are none.
 
@@ -70,6 +74,7 @@ def find_ends(
         rng: For ways out of tight places.
         seed: Of the random numbers of inverse kinematics.
         cancelled: Ends it early.
+        late: Whether more than a share of the time for everything is over.
 
     Raises:
         GracefulPlanError: For misuse: wrong shapes, NaN, names that do not exist.
@@ -78,13 +83,16 @@ def find_ends(
     starts = constrained("start", resolve_start(start, scene), constraints)
     if not len(starts.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
-    goals = constrained("goal", resolve_goal(goal, scene, starts.q[0], seed=seed, cancelled=cancelled), constraints)
+    found = resolve_goal(goal, scene, starts.q[0], seed=seed, cancelled=lambda: cancelled() or late(_SHARE_OF_GOALS))
+    goals = constrained("goal", found, constraints)
     if cancelled():
         return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
+    if not len(goals.q) and isinstance(goal, PoseGoal) and late(_SHARE_OF_GOALS):
+        return PlanResult(status=PlanStatus.TIMEOUT, detail=f"no time to look for more; {goals.detail}")
     if not len(goals.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)
     held = constraints.around(np.vstack([starts.q[:1], goals.q]))
-    ends = ways_out(starts.q[0], goals.q, held, rng, cancelled)
+    ends = ways_out(starts.q[0], goals.q, held, rng, cancelled, lambda: late(1.0))
     if isinstance(ends, PlanResult):
         return ends
     index = tuple(goals.index[k] for k in ends.goal_index)
@@ -106,16 +114,27 @@ def ways_out(
     constraints: SceneConstraints,
     rng: np.random.Generator,
     cancelled: Callable[[], bool] = lambda: False,
+    late: Callable[[], bool] = lambda: False,
 ) -> Ends | PlanResult:
     """Find a way from the start, and to as many goals as have one; a result that says so if there is none."""
-    departure = way_out(start, constraints, rng)
+
+    def over() -> bool:
+        return cancelled() or late()
+
+    departure = way_out(start, constraints, rng, over=over)
+    if departure is None and over():
+        return _ended(cancelled())
     if departure is None:
         return PlanResult(status=PlanStatus.INVALID_START, detail=_NO_WAY.format("start"))
-    ways = [(k, way_out(goal, constraints, rng)) for k, goal in enumerate(goals) if not cancelled()]
+    ways = [(k, way_out(goal, constraints, rng, over=over)) for k, goal in enumerate(goals) if k == 0 or not over()]
     arrivals = [(k, way.reversed()) for k, way in ways if way is not None]
-    if cancelled():
-        return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
+    if cancelled() or (not arrivals and late()):
+        return _ended(cancelled())
     if not arrivals:
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_NO_WAY.format("goal"))
     index, paths = zip(*arrivals, strict=True)
     return Ends(constraints=constraints, departure=departure, arrivals=paths, goal_index=index)
+
+
+def _ended(cancelled: bool) -> PlanResult:
+    return PlanResult(status=PlanStatus.CANCELLED if cancelled else PlanStatus.TIMEOUT, detail="before the search")

@@ -7,6 +7,8 @@ geometry.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from graceful_plan.array_types import Float
@@ -27,7 +29,12 @@ _MAX_LENGTH = 1.0
 
 
 def way_out(
-    q: Float[Array, " nq"], constraints: SceneConstraints, rng: np.random.Generator, attempts: int = 8
+    q: Float[Array, " nq"],
+    constraints: SceneConstraints,
+    rng: np.random.Generator,
+    attempts: int = 8,
+    *,
+    over: Callable[[], bool] = lambda: False,
 ) -> Path | None:
     """Find a short exact-free path from `q` to a configuration with clearance.
 
@@ -36,6 +43,7 @@ def way_out(
         constraints: What has to hold there too, and where that is.
         rng: For a random nudge before each attempt but the first.
         attempts: How often to try.
+        over: Whether there is no time for another attempt.
 
     Returns:
         The path, a single configuration if `q` has clearance; None if no way out was found.
@@ -44,6 +52,8 @@ def way_out(
     if tight >= TARGET_CLEARANCE:
         return Path(q[None])
     for attempt in range(attempts):
+        if over():
+            break
         nudge = rng.normal(size=len(q)) * 0.01 * attempt
         end = _ascend(q + nudge, constraints)
         if end is None:

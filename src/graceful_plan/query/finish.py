@@ -6,9 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.judge.verification import verify
+from graceful_plan.judge.verification import Verification, verify
 from graceful_plan.query.motions import Motion
 from graceful_plan.query.request import Request
 from graceful_plan.result import Verdict
@@ -24,10 +25,17 @@ class Judged:
 
 
 def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None:
-    """Return the first motion that the judge passes; if there is none, the first with what the judge objects to it."""
-    refused = None
+    """Return the first motion that the judge passes; if there is none, the first with what the judge objects to it.
+
+    None if there are no motions, or there was no time to judge one.
+    """
+    refused, clock = None, request.clock
     for motion in motions:
-        judged = Judged(motion=motion, verdict=verdict_of(motion, request.objective, request.constraints, request.pose))
+        if not (clock.has_room("judging") if refused else clock.may_do("judging")):
+            break
+        with clock.measured("judging"):
+            verdict = verdict_of(motion, request.objective, request.constraints, request.pose, request.verification)
+        judged = Judged(motion=motion, verdict=verdict)
         if judged.verdict.passed:
             return judged
         refused = refused or judged
@@ -35,10 +43,14 @@ def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None
 
 
 def verdict_of(
-    motion: Motion, objective: SceneObjective, constraints: SceneConstraints, pose: PoseGoal | None = None
+    motion: Motion,
+    objective: SceneObjective,
+    constraints: SceneConstraints,
+    pose: PoseGoal | None = None,
+    verification: Verification | None = None,
 ) -> Verdict:
     """Return what the judge says of a motion: from the first to the last vertex of its path, or to a pose."""
-    scene = objective.scene
+    scene, looks = objective.scene, verification or Verification()
     impact, exposure = objective.objective.impact, objective.objective.exposure
     # The judge knows how to recompute the published model over length or time; other costs it takes as they are.
     published = isinstance(impact, ImpactCost) and impact.is_published()
@@ -52,4 +64,6 @@ def verdict_of(
         components=impact.components if isinstance(impact, ImpactCost) else (),
         exposure=exposure,
         constraints=constraints.constraints,
+        step=looks.step,
+        clearance=None if looks.everywhere else compile_scene(scene).kernels.clearance,
     )

@@ -16,6 +16,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.motion_descent import LONG, Effort, Landed, MotionDescents, Start, time_price
@@ -41,10 +42,12 @@ _MOST_STARTS = 5
 """Paths from which smooth motions begin."""
 _MOST_TIMED = 4
 """Smooth motions that are compared by the J of their trajectories."""
-_TIMING_SHARE = 0.25
-"""Of the time for descents, what may be kept at most for timing what they end with."""
 _POLISH = Effort(screens=False)
 """What is done with motions that are known to be good."""
+_CAREFUL_SHARE = 0.6
+"""Of the time for descents where a liquid is carried, for those that leave sloshing its share of the angle."""
+_DARED = 2
+"""Motions that then descend once more."""
 _LEAST_TIGHT = 0.15
 """Least length at a tight end along which the spheres do not count [rad]."""
 _POINTS = (8, 16, 32)
@@ -95,16 +98,41 @@ def motions(
     effort = Effort() if wholes else _POLISH
     if searched.stopped:
         effort = Effort(bends=0, hops=0)
-    found = [*known, *smooth(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
-    if request.objective.descended() is None and request.constraints.cones:
+    found = [*known, *_descended(begun, request, ends, problem, means, effort=effort, raw=len(firsts))]
+    if request.objective.descended() is None and request.constraints.level:
         found += [motion for path, k in wholes for motion in _followed(path, k, request, ends)]
     why_not = ""
     for whole, arrival in wholes[: _worth_timing(searched, found)]:
+        if not _is_time_for_another(found, request):
+            break
         try:
             found.append(_along(whole, arrival, request, ends))
         except RetimingError as error:
             why_not = str(error)
     return sorted(found, key=lambda motion: motion.ranking), why_not
+
+
+def _descended(
+    wholes: Sequence[tuple[Path, int]],
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
+    *,
+    effort: Effort,
+    raw: int,
+) -> list[Motion]:
+    """Do what `smooth` does; where a liquid is carried, descend from its motions once more, with less held back."""
+    daring = request.constraints.daring
+    if daring is request.constraints:
+        return smooth(wholes, request, ends, problem, means, effort=effort, raw=raw)
+    budget, rng = means
+    with budget.share(_CAREFUL_SHARE * budget.remaining_seconds, budget.remaining_iterations) as part:
+        found = smooth(wholes, request, ends, problem, (part, rng), effort=effort, raw=raw)
+    best = sorted(found, key=lambda motion: motion.ranking)[:_DARED]
+    dared = replace(problem, kernels=daring.kernels, constraints=daring)
+    asked = replace(request, constraints=daring)
+    return [*found, *smooth([(m.path, m.arrival) for m in best], asked, ends, dared, means, effort=_POLISH)]
 
 
 def _worth_timing(searched: Search, found: Sequence[Motion]) -> int:
@@ -127,6 +155,8 @@ def along(path: Path, request: Request, ends: Ends, *, swift: bool = True) -> It
     ways = (lambda: _along(whole, arrival, request, ends),) if swift else ()
     exact = tuple(partial(_cut, whole, deviation, arrival, request) for deviation in DEVIATIONS[1:])
     for motion in (*ways, *exact):
+        if not request.clock.has_room("timing", "judging"):
+            return
         try:
             yield motion()
         except RetimingError:
@@ -154,9 +184,27 @@ def smooth(
         effort: How much of what there is to do.
         raw: How many of the last paths wide bends begin with; all if 0.
     """
+    descents = motion_descents(request, problem, effort)
+    if descents is None:
+        return []
+    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
+    starts = [start_of(whole, arrival, ends) for whole, arrival in wholes]
+    landed = descents.run(starts, *means, raw=raw)
+    request.clock.ended(means[0].elapsed - means[0].time_limit)
+    found: list[Motion] = []
+    for one in landed[:_MOST_TIMED]:
+        if not _is_time_for_another(found, request):
+            break
+        motion = _of(one, wholes[one.start][1], request, ends)
+        found += [motion] if motion is not None else []
+    return found
+
+
+def motion_descents(request: Request, problem: SceneProblem, effort: Effort) -> MotionDescents | None:
+    """Return descents for what was asked; None if the objective has none."""
     objective = request.objective.descended()
     if objective is None:
-        return []
+        return None
     scene, speed = objective.scene, request.speed
     free = replace(problem, margin=0.5 * problem.margin).states_free
 
@@ -166,33 +214,28 @@ def smooth(
         clear = (done >= start.tight_start) & (done <= done[-1] - start.tight_end)
         return bool(free(q[clear]).all())
 
-    descents = MotionDescents(
+    return MotionDescents(
         space=native_space(problem, objective),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=is_free,
-        felt=[cone.native for cone in request.constraints.cones],
+        felt=request.constraints.charged,
+        careful=request.constraints.level,
         counts_points=objective.objective.exposure == "waypoints",
-        effort=replace(effort, middle=LONG)
-        if objective.kernel is None
-        else effort
-        if objective.w > 0.0 or request.constraints.cones
-        else replace(effort, bends=0, hops=0),
+        effort=_adapted(effort, request, objective),
     )
-    wholes = [(whole, arrival) for whole, arrival in wholes if whole.length > 0.0]
-    starts = [Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival])) for whole, arrival in wholes]
-    budget, rng = means
-    kept = min(_MOST_TIMED * request.timing.seconds, _TIMING_SHARE * budget.remaining_seconds)
-    with budget.share(budget.remaining_seconds - kept, budget.remaining_iterations) as part:
-        landed = descents.run(starts, part, rng, raw=raw)
-    found: list[Motion] = []
-    for one in landed[:_MOST_TIMED]:
-        if found and budget.remaining_seconds < request.timing.seconds:
-            break
-        with request.timing.running():
-            motion = _of(one, wholes[one.start][1], request, ends)
-        found += [] if motion is None else [motion]
-    return found
+
+
+def _adapted(effort: Effort, request: Request, objective: SceneObjective) -> Effort:
+    """Spare wide bends where nothing but length counts, and evaluations where Python answers for states."""
+    if objective.w == 0.0 and not request.constraints.charged:
+        effort = replace(effort, bends=0, hops=0)
+    return replace(effort, middle=LONG) if objective.kernel is None else effort
+
+
+def start_of(whole: Path, arrival: int, ends: Ends) -> Start:
+    """Return a path to descend from, told where it is tight."""
+    return Start(whole, _tight(ends.departure), _tight(ends.arrivals[arrival]))
 
 
 def _followed(whole: Path, arrival: int, request: Request, ends: Ends) -> Iterator[Motion]:
@@ -211,33 +254,47 @@ def _tight(way: Path) -> float:
 
 
 def _of(landed: Landed, arrival: int, request: Request, ends: Ends) -> Motion | None:
+    with request.clock.measured("timing"):
+        motion = timed_curve(landed, arrival, request)
+        if motion and ends.in_the_clear(arrival) and not _keeps_clear(motion.trajectory, request.constraints):
+            return None
+        return motion
+
+
+def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None:
+    """Time what a descent ended with, None if that cannot be done."""
     scene = request.objective.scene
     try:
-        trajectory = request.constraints.calmed(
-            timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=request.constraints.limits)
+        trajectory = request.constraints.timed(
+            lambda limits: timed(landed.curve, scene.limits, scene.joints, speed=request.speed, restraint=limits)
         )
     except RetimingError:
-        return None
-    if ends.in_the_clear(arrival) and not _keeps_clear(trajectory, request.constraints):
         return None
     estimate = landed.value - _time_price(request) * trajectory.duration
     return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
 
 
+def _is_time_for_another(found: Sequence[Motion], request: Request) -> bool:
+    """Whether to time another motion: the first if that can be judged in time, more if that is sure."""
+    clock = request.clock
+    return clock.has_plenty("timing", "judging") if found else clock.may_do("timing", "judging")
+
+
 def _along(whole: Path, arrival: int, request: Request, ends: Ends) -> Motion:
     """Time a polyline, each corner cut as far as the fast checker allows."""
     clear = ends.in_the_clear(arrival)
-    return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
+    with request.clock.measured("timing"):
+        return _cut(whole, _free_deviations(whole, request) if clear else DEVIATIONS[0], arrival, request)
 
 
 def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, request: Request) -> Motion:
     """Time a polyline, its corners cut by so much."""
     scene = request.objective.scene
-    restraint = request.constraints.limits
-    trajectory = retime(
-        whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=restraint
+    trajectory = request.constraints.timed(
+        lambda limits: retime(
+            whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=limits
+        )
     )
-    trajectory = request.constraints.calmed(trajectory)
     return _charged(whole, trajectory, arrival, request)
 
 
@@ -278,7 +335,7 @@ def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request
 
 
 def _time_price(request: Request) -> float:
-    return time_price(careful=bool(request.constraints.cones))
+    return time_price(careful=request.constraints.level)
 
 
 def _keeps_clear(trajectory: Trajectory, constraints: SceneConstraints) -> bool:

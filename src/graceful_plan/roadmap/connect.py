@@ -9,15 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.core.compile import compile_scene
-from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.path import Path
 from graceful_plan.planners.roadmaps.edge_prices import Edges
 from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.planners.roadmaps.growth import nearest
 from graceful_plan.query.ends import Ends
 from graceful_plan.roadmap.exposure import Exposure
-from graceful_plan.roadmap.ground import MARGIN
+from graceful_plan.roadmap.ground import MARGIN, problem_of
 
 Array = np.ndarray
 
@@ -88,8 +86,8 @@ def join(q: Float[Array, "node nq"], edges: Edges, exposure: Exposure, ends: End
     nodes = np.concatenate([q, *chains])
     departs, arrives = int(first[1]) - 1, first[1:-1]  # where the ways out of the ends meet the roadmap
     links = _links(q, nodes[departs], nodes[arrives], departs, arrives)
-    kernels = compile_scene(exposure.scene).kernels
-    free = kernels.edges_free(nodes[links[:, 0]], nodes[links[:, 1]], FINE_STEP, min(MARGIN, 0.5 * ends.clearance))
+    problem = problem_of(ends.constraints, min(MARGIN, 0.5 * ends.clearance))
+    free = problem.edges_free(nodes[links[:, 0]], nodes[links[:, 1]])
     out = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], axis=1) for a, b in pairwise(first.tolist())]
     tail, head = np.concatenate([links[free], *out]).astype(np.int32).T
     new = Edges(tail, head, exposure.price(nodes[tail], nodes[head]))

@@ -9,9 +9,9 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
-from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.planners.roadmaps.growth import Ground
+from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.roadmap.answers import QueryResult, QueryStatus
@@ -27,20 +27,30 @@ MARGIN = 0.002
 _MOST_PAIRS = 24
 
 
-def ground_of(exposure: Exposure) -> Ground:
+def problem_of(constraints: SceneConstraints, margin: float = MARGIN) -> SceneProblem:
+    """Return what is free among constraints, looked at finely; between no ends in particular."""
+    n = len(constraints.scene.joints)
+    return SceneProblem(
+        kernels=constraints.kernels,
+        start=np.zeros(n),
+        goals=np.zeros((0, n)),
+        check_step=FINE_STEP,
+        margin=margin,
+        constraints=constraints,
+    )
+
+
+def ground_of(exposure: Exposure, constraints: SceneConstraints) -> Ground:
     """Make the ground of a scene."""
-    scene = exposure.scene
-    kernels, objective = compile_scene(scene).kernels, exposure.objective.bind(scene, exposure.paces)
-    lower, upper = scene.limits.position.T
+    scene, problem = exposure.scene, problem_of(constraints)
+    objective = exposure.objective.bind(scene, exposure.paces)
+    native = objective.kernel is not None and not constraints.custom
     return Ground(
-        lower=lower,
-        upper=upper,
-        states_free=lambda q: kernels.free(q, MARGIN),
-        edges_free=lambda q0, q1: kernels.edges_free(q0, q1, FINE_STEP, MARGIN),
+        problem=problem,
         impact=objective.states,
         price=exposure.price,
         severity=exposure.severity(scene),
-        threads=(os.cpu_count() or 1) if objective.kernel is not None else 1,  # costs of one's own may mind
+        threads=(os.cpu_count() or 1) if native else 1,  # costs and constraints of one's own may mind
     )
 
 
@@ -55,27 +65,30 @@ def declared_motions(scene: Scene) -> list[Motion]:
     return found or [(a, b) for a in scene.keyframes for b in scene.keyframes if a != b]
 
 
-def usable_pairs(motions: Iterable[Motion], scene: Scene, rng: np.random.Generator) -> Float[Array, "pair 2 nq"]:
+def usable_pairs(
+    motions: Iterable[Motion], constraints: SceneConstraints, rng: np.random.Generator
+) -> Float[Array, "pair 2 nq"]:
     """Return where planners would start and end on these motions, as far as that is possible with clearance."""
     pairs: list[Array] = []
     for start, goal in motions:
-        ends = find_ends(start, goal, SceneConstraints(scene, ()), rng)
+        ends = find_ends(start, goal, constraints, rng)
         if isinstance(ends, Ends):
             pairs += [np.stack([ends.departure.q[-1], arrival.q[0]]) for arrival in ends.arrivals]
-    found = np.array(pairs).reshape(-1, 2, len(scene.joints))
-    usable = compile_scene(scene).kernels.free(found, MARGIN).all(axis=1) & np.any(found[:, 0] != found[:, 1], axis=1)
+    found = np.array(pairs).reshape(-1, 2, len(constraints.scene.joints))
+    free = problem_of(constraints).states_free(found.reshape(-1, found.shape[-1])).reshape(-1, 2)
+    usable = free.all(axis=1) & np.any(found[:, 0] != found[:, 1], axis=1)
     return rng.permutation(found[usable])[:_MOST_PAIRS]
 
 
 def usable_ends(
-    start: Configuration, goal: Goal, scene: Scene, rng: np.random.Generator, seed: int = 0
+    start: Configuration, goal: Goal, constraints: SceneConstraints, rng: np.random.Generator, seed: int = 0
 ) -> Ends | QueryResult:
     """Return both ends of a motion, or an answer that says why there are none.
 
     Raises:
         GracefulPlanError: For misuse, as `plan`.
     """
-    ends = find_ends(start, goal, SceneConstraints(scene, ()), rng, seed=seed)
+    ends = find_ends(start, goal, constraints, rng, seed=seed)
     if isinstance(ends, Ends):
         return ends
     return QueryResult(status=QueryStatus[ends.status.name], detail=ends.detail)

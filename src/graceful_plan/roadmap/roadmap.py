@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.constraints.constraint import Constraint
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.roadmaps.edge_prices import Edges
@@ -43,10 +45,19 @@ class Roadmap:
         objective: What paths cost; its weight is the default one of queries.
         q: Nodes.
         edges: Directed edges between them, with their prices.
+        constraints: What holds in and along all of them.
     """
 
-    def __init__(self, scene: Scene, objective: Objective, q: Float[Array, "node nq"], edges: Edges) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        objective: Objective,
+        q: Float[Array, "node nq"],
+        edges: Edges,
+        constraints: SceneConstraints,
+    ) -> None:
         self.scene, self.objective, self.q, self.edges = scene, objective, q, edges
+        self.constraints = constraints
         self.exposure = Exposure(objective, scene)
         self._joined: OrderedDict[tuple[bytes, ...], Joined] = OrderedDict()
         self._impact: OrderedDict[bytes, Float[Array, " edge"]] = OrderedDict()
@@ -63,6 +74,7 @@ class Roadmap:
         nodes: int = 1500,
         neighbours: int = 8,
         motions: Sequence[Motion] | None = None,
+        constraints: Iterable[Constraint] | None = None,
         seed: int = 0,
         time_limit: float | None = None,
     ) -> Roadmap:
@@ -76,6 +88,8 @@ class Roadmap:
             motions: Starts and goals, as `plan` takes them, that the roadmap is made for: it is dense where good paths
                 between them pass, and serves others, too. Those that cannot be used are skipped. Default: the scene's
                 tasks with what is held; without any, the ways between all keyframes.
+            constraints: What has to hold besides not to collide, as `plan` takes it: by default what the scene asks
+                for, and that contents and grasp hold; at rest, for how fast a path may be travelled is up to timing.
             seed: Of all random numbers; without a time limit, nothing else decides what comes out.
             time_limit: Seconds after which the roadmap stays as it is; it may have fewer nodes then.
 
@@ -88,10 +102,11 @@ class Roadmap:
         rng, chosen = checked_seed(seed), checked_objective(objective, None)
         limit = np.inf if time_limit is None else checked_time_limit(time_limit, None)
         exposure = Exposure(chosen, scene)
-        pairs = usable_pairs(declared_motions(scene) if motions is None else motions, scene, rng)
-        growth = Growth(ground_of(exposure), pairs, neighbours, rng, started + limit)
+        held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
+        pairs = usable_pairs(declared_motions(scene) if motions is None else motions, held, rng)
+        growth = Growth(ground_of(exposure, held), pairs, neighbours, rng, started + limit)
         growth.grow(nodes)
-        return cls(scene, chosen, growth.q, growth.edges)
+        return cls(scene, chosen, growth.q, growth.edges, held)
 
     def query(
         self,
@@ -120,7 +135,7 @@ class Roadmap:
         """
         weight = checked_objective(self.objective, w).w
         severities = self.severity(scene, severity)
-        ends = usable_ends(start, goal, self.scene, np.random.default_rng(0), seed)
+        ends = usable_ends(start, goal, self.constraints, np.random.default_rng(0), seed)
         if isinstance(ends, QueryResult):
             return ends
         joined = self.joined(ends)
@@ -168,7 +183,7 @@ class Roadmap:
         if max_points is not None:
             count("max_points", max_points)
         severities = self.severity(None, severity)
-        ends = usable_ends(start, goal, self.scene, np.random.default_rng(0), seed)
+        ends = usable_ends(start, goal, self.constraints, np.random.default_rng(0), seed)
         if isinstance(ends, QueryResult):
             return []
         joined = self.joined(ends)

@@ -110,7 +110,9 @@ def allowed_pairs(model: mujoco.MjModel, contacts: Iterable[AllowedContact], whe
 
 def without(pairs: Int[Array, "pair 2"], allowed: Collection[tuple[int, int]]) -> Int[Array, "kept 2"]:
     """Return the pairs that are not allowed, as an array that cannot be written to."""
-    keep = [(min(a, b), max(a, b)) not in allowed for a, b in pairs.tolist()]
-    kept = pairs[np.array(keep, dtype=bool)]
+    kept = pairs
+    if allowed:
+        keep = [(min(a, b), max(a, b)) not in allowed for a, b in pairs.tolist()]
+        kept = pairs[np.array(keep, dtype=bool)]
     kept.flags.writeable = False
     return kept

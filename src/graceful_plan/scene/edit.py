@@ -1,17 +1,71 @@
-"""Add bodies to a MjSpec."""
+"""Change what stands around: add bodies to a MjSpec, move them, take them away."""
 
 from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import final
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import SceneError, SettingError
+from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array
-from graceful_plan.scene.roles import rigid_pose
+from graceful_plan.scene.model_parts import find
+from graceful_plan.scene.roles import free_joint, rigid_pose
 
 Array = np.ndarray
+
+_GEOM = mujoco.mjtGeom
+_KINDS = {
+    "box": (_GEOM.mjGEOM_BOX, 3),
+    "sphere": (_GEOM.mjGEOM_SPHERE, 1),
+    "cylinder": (_GEOM.mjGEOM_CYLINDER, 2),
+    "capsule": (_GEOM.mjGEOM_CAPSULE, 2),
+}
+"""Types of geoms, and how many sizes they have."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solid:
+    """Something to put into a scene, where it stays.
+
+    | field  | meaning                                                                                 | unit |
+    |--------|-----------------------------------------------------------------------------------------|------|
+    | name   | of the new body                                                                         |      |
+    | kind   | "box", "sphere", "cylinder" or "capsule" along z, or "mesh": the convex hull of points  |      |
+    | size   | of a box half of each side; radius; radius and half of the (straight) length; points    | m    |
+    | pose   | in W, as a 4 x 4 matrix, or the position of its centre                                  | m    |
+    | entity | its class if it can be harmed; an obstacle only if None                                 |      |
+    """
+
+    name: str
+    kind: str
+    size: float | Sequence[float] | ArrayLike
+    pose: ArrayLike
+    entity: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in (*_KINDS, "mesh"):
+            raise UnknownNameError("kind of solid", self.kind, (*_KINDS, "mesh"))
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add a body with this one geom.
+
+        Raises:
+            SettingError: If a size is not above 0.
+            SceneError: If the name is taken, or the points lie in a plane.
+        """
+        if self.kind == "mesh":
+            add_hull(spec, self.name, self.size, self.pose)
+            return
+        kind, count = _KINDS[self.kind]
+        size = np.atleast_1d(np.asarray(self.size, dtype=float))
+        add_primitive(spec, self.name, kind, finite_array(f"size of {self.name}", size, ndim=1, last=count), self.pose)
 
 
 def add_primitive(
@@ -44,11 +98,84 @@ def add_hull(spec: mujoco.MjSpec, name: str, vertices: ArrayLike, pose: ArrayLik
 def _add_body(spec: mujoco.MjSpec, name: str, pose: ArrayLike) -> mujoco.MjsBody:
     if not name or spec.body(name) is not None or spec.geom(name) is not None:
         raise SceneError(f"the name {name!r} is empty or taken")
+    position, quaternion = _position_and_quaternion(_pose(name, pose))
+    return spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
+
+
+def _pose(name: str, pose: ArrayLike) -> Float[Array, "4 4"]:
+    if np.ndim(pose) != 1:
+        return rigid_pose(f"pose of {name}", pose)
     X_WO = np.eye(4)
-    if np.ndim(pose) == 1:
-        X_WO[:3, 3] = finite_array(f"pose of {name}", pose, last=3)
-    else:
-        X_WO = rigid_pose(f"pose of {name}", pose)
+    X_WO[:3, 3] = finite_array(f"pose of {name}", pose, last=3)
+    return X_WO
+
+
+def _position_and_quaternion(X: Float[Array, "4 4"]) -> tuple[Float[Array, " 3"], Float[Array, " wxyz"]]:
     quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, X_WO[:3, :3].ravel())
-    return spec.worldbody.add_body(name=name, pos=X_WO[:3, 3], quat=quaternion)
+    mujoco.mju_mat2Quat(quaternion, X[:3, :3].ravel())
+    return X[:3, 3].copy(), quaternion
+
+
+def removed(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, kept: frozenset[int]) -> None:
+    """Take a body with everything on it out of a MjSpec.
+
+    Args:
+        spec: What to change.
+        model: What was compiled from it.
+        name: Of the body.
+        kept: Bodies that have to stay: those of the robot and what it holds.
+
+    Raises:
+        UnknownNameError: If there is no such body.
+        SceneError: If it has to stay.
+    """
+    body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
+    if body == 0 or body in _above(model, kept):
+        raise SceneError(f"{name!r} is part of the robot, or holds it or is held by it; it cannot be removed")
+    spec.delete(spec.body(name))
+
+
+def _above(model: mujoco.MjModel, bodies: frozenset[int]) -> set[int]:
+    found: set[int] = set()
+    for body in bodies:
+        while body > 0:
+            found.add(body)
+            body = int(model.body_parentid[body])
+    return found
+
+
+def moved(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, poses: Mapping[str, ArrayLike], kept: frozenset[int]
+) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Return copies of a MjSpec and its model in which bodies stand elsewhere; nothing is compiled.
+
+    Args:
+        spec: What the model was compiled from.
+        model: The model.
+        poses: New poses in W by body, as 4 x 4 matrices or positions of their frames; these keep the orientation.
+        kept: Bodies that have to stay.
+
+    Raises:
+        UnknownNameError: If there is no such body.
+        SceneError: If it has to stay.
+        UnsupportedError: If it does not stand on the world, or its place is given in another frame.
+    """
+    new_spec, new_model = spec.copy(), copy.copy(model)
+    for name, pose in poses.items():
+        body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
+        if body == 0 or body in _above(model, kept):
+            raise SceneError(f"{name!r} is part of the robot, or holds it or is held by it; it cannot be moved")
+        adr, declared = free_joint(model, body), new_spec.body(name)
+        joints = int(model.body_jntnum[body])
+        if model.body_parentid[body] != 0 or joints > (adr >= 0) or declared.frame is not None:
+            raise UnsupportedError(f"{name!r} does not stand on the world by itself; move what it stands on")
+        X_WB = _pose(name, pose)
+        position, quaternion = _position_and_quaternion(X_WB)
+        if np.ndim(pose) == 1:
+            quaternion = np.array(new_model.body_quat[body])
+        new_model.body_pos[body], new_model.body_quat[body] = position, quaternion
+        if adr >= 0:
+            new_model.qpos0[adr : adr + 7] = new_model.qpos_spring[adr : adr + 7] = [*position, *quaternion]
+        declared.pos, declared.quat = position, quaternion
+        declared.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    return new_spec, new_model

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import final
 
 import mujoco
 import numpy as np
@@ -21,6 +22,11 @@ from graceful_plan.scene.elements import AllowedContact, Carried, Component, Con
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
+
+
+@final
+class Layout:
+    """What scenes share that differ only by where things around the robot stand; equal only to itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,6 +107,11 @@ class SceneFacts:
     def hazards(self) -> tuple[str, ...]:
         """Names of all that can be harmed: entities, then entities that move."""
         return (*self.entities, *self.moving)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Stands for this scene and those that were made of it by moving obstacles; see `per_layout`."""
+        return Layout()
 
     # --- questions ----------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""One way to keep something per scene: made once, freed with the scene."""
+"""One way to keep something per scene: made once, freed with the scene; or with the last that differs by poses only."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import wraps
 from threading import Lock
 from typing import Concatenate, ParamSpec, TypeVar, overload
 
+from graceful_plan.scene.facts import Layout
 from graceful_plan.scene.scene import Scene
 
 P = ParamSpec("P")
@@ -36,22 +37,34 @@ def per_scene(make: _Maker[P, T] | None = None, /, *, most: int | None = None) -
     """
 
     def keeping(make: _Maker[P, T]) -> _Maker[P, T]:
-        kept: weakref.WeakKeyDictionary[Scene, dict[Hashable, T]] = weakref.WeakKeyDictionary()
-        storing = Lock()
-
-        @wraps(make)
-        def get(scene: Scene, *args: P.args, **kwargs: P.kwargs) -> T:
-            key = args, tuple(sorted(kwargs.items()))
-            own = kept.setdefault(scene, {})
-            try:
-                return own[key]
-            except KeyError:
-                value = make(scene, *args, **kwargs)
-            with storing:
-                if most is not None and key not in own and len(own) >= most:
-                    del own[next(iter(own))]
-                return own.setdefault(key, value)
-
-        return get
+        return _kept(make, lambda scene: scene, most)
 
     return keeping if make is None else keeping(make)
+
+
+def per_layout(make: _Maker[P, T], /) -> _Maker[P, T]:
+    """Keep what a function of a scene returns for all scenes that differ only by where things around the robot stand.
+
+    For what says nothing of where these are; the rest is as for `per_scene`.
+    """
+    return _kept(make, lambda scene: scene.layout, None)
+
+
+def _kept(make: _Maker[P, T], owner: Callable[[Scene], Scene | Layout], most: int | None) -> _Maker[P, T]:
+    kept: weakref.WeakKeyDictionary[Scene | Layout, dict[Hashable, T]] = weakref.WeakKeyDictionary()
+    storing = Lock()
+
+    @wraps(make)
+    def get(scene: Scene, *args: P.args, **kwargs: P.kwargs) -> T:
+        key = args, tuple(sorted(kwargs.items()))
+        own = kept.setdefault(owner(scene), {})
+        try:
+            return own[key]
+        except KeyError:
+            value = make(scene, *args, **kwargs)
+        with storing:
+            if most is not None and key not in own and len(own) >= most:
+                del own[next(iter(own))]
+            return own.setdefault(key, value)
+
+    return get

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from threading import local
+
 import mujoco
 import numpy as np
 
@@ -50,3 +52,21 @@ class Placement:
             mujoco.mju_mulQuat(self._quat_WO, self._quat_WT, self._quat_TO)
             mujoco.mj_kinematics(self.model, data)
         return data
+
+
+class PlacementPool:
+    """One placement a thread, made at its first use: MuJoCo's data for a scene takes longer to make than to use.
+
+    Args:
+        model: Model of the placements; the scene's own if None.
+    """
+
+    def __init__(self, model: mujoco.MjModel | None = None) -> None:
+        self._model, self._own = model, local()
+
+    def of(self, scene: Scene) -> Placement:
+        """Return this thread's placement; whoever asks next in the same thread moves it."""
+        found: Placement | None = getattr(self._own, "placement", None)
+        if found is None:
+            found = self._own.placement = Placement(scene, self._model)
+        return found

@@ -26,7 +26,7 @@ from graceful_plan.scene.elements import (
     ObjectNote,
 )
 from graceful_plan.scene.harm.severity import ITSELF, SeverityTable, check_severity
-from graceful_plan.scene.model_parts import colliding_geoms, find, names, subtree
+from graceful_plan.scene.model_parts import collides, colliding_geoms, find, names, subtree
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -215,7 +215,8 @@ def unlabelled_bodies(model: mujoco.MjModel, notes: Notes, robot: Collection[int
     known = set(robot) | held_bodies(model, notes)
     for name in notes.entities:
         known |= subtree(model, model.body(name).id)
-    rest = [b for b in range(model.nbody) if b not in known and colliding_geoms(model, [b])]
+    having = np.unique(model.geom_bodyid[collides(model)]).tolist()
+    rest = [b for b in having if b not in known]
     return tuple(names(model, _OBJ.mjOBJ_BODY, rest))
 
 

@@ -6,7 +6,7 @@ O carried object. Batches of configurations are the business of `core.kernels`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import declared_contacts
-from graceful_plan.scene.edit import add_hull, add_primitive
+from graceful_plan.scene.edit import Solid, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
@@ -309,17 +309,18 @@ class Scene(SceneFacts):
             pose: Pose in W as a 4 x 4 matrix, or the position of its centre [m].
             entity: Its class, if it can be harmed; otherwise it is an obstacle only.
         """
-        return self._with_body(name, _GEOM.mjGEOM_BOX, half_size, 3, pose, entity)
+        return self.edit(add=[Solid(name=name, kind="box", size=half_size, pose=pose, entity=entity)])
 
     def add_sphere(self, name: str, radius: float, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with a sphere of some radius [m] that does not move; the rest as in `add_box`."""
-        return self._with_body(name, _GEOM.mjGEOM_SPHERE, [radius], 1, pose, entity)
+        return self.edit(add=[Solid(name=name, kind="sphere", size=radius, pose=pose, entity=entity)])
 
     def add_cylinder(
         self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
     ) -> Scene:
         """Return this scene with a cylinder along z of its pose [m] that does not move; the rest as in `add_box`."""
-        return self._with_body(name, _GEOM.mjGEOM_CYLINDER, [radius, half_length], 2, pose, entity)
+        size = radius, half_length
+        return self.edit(add=[Solid(name=name, kind="cylinder", size=size, pose=pose, entity=entity)])
 
     def add_capsule(
         self, name: str, radius: float, half_length: float, pose: ArrayLike, entity: str | None = None
@@ -328,26 +329,61 @@ class Scene(SceneFacts):
 
         `half_length` [m] is that of the straight part, without the caps; the rest as in `add_box`.
         """
-        return self._with_body(name, _GEOM.mjGEOM_CAPSULE, [radius, half_length], 2, pose, entity)
+        size = radius, half_length
+        return self.edit(add=[Solid(name=name, kind="capsule", size=size, pose=pose, entity=entity)])
 
     def add_mesh(self, name: str, vertices: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with the convex hull of points [m] in the frame of `pose`; the rest as in `add_box`."""
-        spec = self.spec.copy()
-        add_hull(spec, name, vertices, pose)
-        return self._rebuilt(spec, name, entity)
+        return self.edit(add=[Solid(name=name, kind="mesh", size=vertices, pose=pose, entity=entity)])
 
-    def _with_body(
-        self, name: str, kind: mujoco.mjtGeom, size: ArrayLike, count: int, pose: ArrayLike, entity: str | None
+    def edit(
+        self,
+        *,
+        add: Iterable[Solid] = (),
+        move: Mapping[str, ArrayLike] | None = None,
+        remove: Iterable[str] = (),
     ) -> Scene:
-        spec = self.spec.copy()
-        add_primitive(spec, name, kind, finite_array(f"size of {name}", size, ndim=1, last=count), pose)
-        return self._rebuilt(spec, name, entity)
+        """Return this scene with other surroundings, all changes in one go.
 
-    def _rebuilt(self, spec: mujoco.MjSpec, name: str, entity: str | None) -> Scene:
-        known = dict(self.notes.entities)
-        if entity is not None:
-            known[name] = EntityNote(category=entity)
-        return Scene.build(spec, replace(self.notes, entities=known))
+        What only moves is not compiled again, and what belongs to the robot is not computed again in any case.
+
+        Args:
+            add: What comes in, and stays where it is.
+            move: New poses in W by body, as 4 x 4 matrices, or positions of the bodies' frames [m]: obstacles and
+                entities that stand on the world by themselves.
+            remove: Bodies that go, with everything on them; a body that is added may have the name of one that goes.
+
+        Raises:
+            UnknownNameError: If there is no such body.
+            SceneError: If a name is taken, or a body belongs to the robot or is in the gripper.
+            UnsupportedError: If a body that is to move does not stand on the world by itself.
+        """
+        kept = self.robot_bodies | roles.held_bodies(self.model, self.notes)
+        spec, model = moved(self.spec, self.model, move or {}, kept)
+        gone, solids = list(remove), list(add)
+        if not gone and not solids:
+            return self._with_model(spec, model)
+        for name in gone:
+            removed(spec, self.model, name, kept)
+        for solid in solids:
+            solid.add_to(spec)
+        left = set(gone) - {solid.name for solid in solids}
+        entities = {name: note for name, note in self.notes.entities.items() if name not in gone}
+        entities |= {solid.name: EntityNote(category=solid.entity) for solid in solids if solid.entity is not None}
+        overrides = {name: value for name, value in self.notes.overrides.items() if name not in left}
+        return Scene.build(spec, replace(self.notes, entities=entities, overrides=overrides))
+
+    def _with_model(self, spec: mujoco.MjSpec, model: mujoco.MjModel) -> Scene:
+        """Return this scene with bodies elsewhere: who is who stays, and what stands freely begins there."""
+        home = self.home_qpos.copy()
+        free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+        for adr in model.jnt_qposadr[free].tolist():
+            home[adr : adr + 7] = model.qpos0[adr : adr + 7]
+        home.flags.writeable = False
+        scene = replace(self, spec=spec, model=model, home_qpos=home)
+        # These do not depend on where anything stands.
+        vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
+        return scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import Cost, checked_state
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import moving_batch
+from graceful_plan.costs.cost import moving_batch
 from graceful_plan.scene.scene import Scene
 from graceful_plan.transcription.spline_program import Charge, Charging
 from graceful_plan.transcription.symbolic import SymbolicRobot

@@ -9,13 +9,14 @@ is judged, and charged as it is timed (`judging`).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float
+from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.core.kernels import FINE_STEP
 from graceful_plan.costs.cost import NonFiniteCostError
@@ -90,6 +91,7 @@ def pareto(
     iterations: int | None = None,
     seed: int = 0,
     speed: float = 1.0,
+    constraints: Iterable[Constraint] | None = None,
     callback: Tell | None = None,
 ) -> ParetoFront:
     """Find the front of motion against impact, to choose a safety weight by what it costs and what it buys.
@@ -105,6 +107,7 @@ def pareto(
         iterations: Of planner and refinement together; with these alone, the result depends on the seed only.
         seed: Of all random numbers.
         speed: As of `plan`.
+        constraints: As of `plan`: by default what goes without saying in the scene, none if the list is empty.
         callback: Called now and then; returning True ends the search, what was found is still verified.
 
     Returns:
@@ -123,7 +126,7 @@ def pareto(
     def failed(status: PlanStatus, detail: str) -> ParetoFront:
         return ParetoFront(status=status, detail=detail, scene=scene.notes.name)
 
-    held = SceneConstraints(scene, default_constraints(scene))
+    held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
     ends = find_ends(start, goal, held, rng, seed=seed)
     if not isinstance(ends, Ends):
         return failed(ends.status, ends.detail)
@@ -240,6 +243,7 @@ class _Tuner:
                 objective=objective,
                 nodes=int(np.clip(budget.remaining_iterations / _PER_NODE, 50, _NODES)),
                 motions=[(problem.start, goals)],
+                constraints=self.query.request.constraints.constraints,
                 seed=seed,
                 time_limit=seconds if np.isfinite(seconds) else None,
             )

@@ -43,6 +43,7 @@ def stored(found, motions) -> BestMotion:
     return dataclasses.replace(best, runs=(attempt, dataclasses.replace(attempt, seed=1, total=None)))
 
 
+@pytest.mark.long
 def test_a_run_can_do_without_what_takes_long_to_measure(found):
     assert found.solved and found.first <= found.trace[0].time < found.seconds
     assert np.isnan([found.jerk_peak, found.jerk_rms, found.clearance, found.self_clearance, found.certified]).all()

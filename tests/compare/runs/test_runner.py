@@ -15,6 +15,7 @@ from graceful_plan.compare.runs.comparison import settle
 from graceful_plan.compare.runs.measures import FARTHEST, JERK_STEP, exact_clearance, jerk
 from graceful_plan.compare.runs.runner import run
 from graceful_plan.judge.exact import state_contacts
+from sizes import first_quick
 
 # --- jerk and clearance ----------------------------------------------------------------------------------------------
 
@@ -105,7 +106,7 @@ def jobs(tmp_path, *planners, suite="free_space", **kwargs):
 
 
 def test_a_task_is_planned_and_measured(tmp_path):
-    job = jobs(tmp_path, "rrt_connect", suite="tabletop", seconds=1.0)[0]
+    job = jobs(tmp_path, "rrt_connect", suite="tabletop", seconds=30.0)[0]
     found = run(job)
     assert found.status == "SOLVED"
     task = gp.load_scene("tabletop").tasks[job.problem.item]
@@ -222,7 +223,7 @@ def inverse(x):
     return 1.0 / x
 
 
-@pytest.mark.parametrize("processes", [0, 2])
+@pytest.mark.parametrize("processes", first_quick([0, 2]))
 def test_anything_can_be_spread(processes):
     assert sorted(workers.spread(workers.Work(do=inverse), [1, 2, 4], processes)) == [0.25, 0.5, 1.0]
     with pytest.raises(ZeroDivisionError):

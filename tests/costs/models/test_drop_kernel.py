@@ -17,7 +17,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropSettings
-from graceful_plan.costs.models.drop.kernel import CONSTANTS, DropKernel, drop_kernel
+from graceful_plan.costs.models.drop.kernel import CONSTANTS, ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.drop.loss import loss_tables
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.spill.constants import SpillSettings
@@ -134,7 +134,7 @@ def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
     shaped = kernel.probability(q.reshape(3, 7, -1), qd.reshape(3, 7, -1))
     assert np.array_equal(shaped.reshape(whole.shape), whole)
     assert np.array_equal(kernel.probability(q), kernel.probability(q, np.zeros_like(q)))
-    assert kernel.probability(q[:0]).shape == (0, 3, len(scene.entities))
+    assert kernel.probability(q[:0]).shape == (0, len(ROWS), len(scene.entities))
     lost = kernel.own_loss(q.reshape(3, 7, -1), qd.reshape(3, 7, -1))
     assert np.array_equal(lost, kernel.own_loss(q, qd).reshape(3, 7))
 
@@ -145,7 +145,7 @@ def test_neighbours_in_the_batch_and_batch_axes(scene, kernel):
 def test_impact_is_the_sum_over_entities(scene, kernel):
     q, qd = _states(scene, 40, seed=3)
     count = len(scene.entities)
-    severity = np.random.default_rng(0).uniform(size=(3, count)) * (np.arange(count) % 3 > 0)
+    severity = np.random.default_rng(0).uniform(size=(len(ROWS), count)) * (np.arange(count) % 3 > 0)
     moving, still = (np.einsum("nre,re->n", kernel.probability(q, rates), severity) for rates in (qd, None))
     np.testing.assert_allclose(kernel.impact(q, severity, qd), moving, atol=1e-12)
     np.testing.assert_allclose(kernel.with_severity(severity).states(q), still, atol=1e-12)
@@ -237,7 +237,7 @@ def _check_gradient(kernel, q, qd, severity, own=0.7):
 def test_gradient_is_the_finite_difference(name):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         scene, kernel = task.scene, drop_kernel(task.scene, SETTINGS)
-        severity = np.random.default_rng(k).uniform(size=(3, len(scene.entities)))
+        severity = np.random.default_rng(k).uniform(size=(len(ROWS), len(scene.entities)))
         q, qd = _states(scene, 40, seed=20 + k)
         q[-20:] = np.linspace(task.start, task.goal[0], 20) + 0.01 * q[:20]  # off the kinks of things set down squarely
         _check_gradient(kernel, q, qd, severity)
@@ -251,7 +251,7 @@ def test_in_single_precision_it_is_nearly_the_same(name, isa):
     for k, task in enumerate(gp.load_scene(name).tasks.values()):
         scene = task.scene
         kernel = _kernel_of(scene, isa)
-        severity = kernel.severities(np.random.default_rng(k).uniform(size=(3, len(scene.entities))), 0.7)
+        severity = kernel.severities(np.random.default_rng(k).uniform(size=(len(ROWS), len(scene.entities))), 0.7)
         q, qd = _states(scene, 200, seed=50 + k)
         exact, rough = (kernel.native.gradient(severity, q, qd, rough=rough) for rough in (False, True))
         assert np.ptp(exact[0]) > 0.1
@@ -266,7 +266,7 @@ def test_in_single_precision_it_is_nearly_the_same(name, isa):
 def test_single_precision_bears_extreme_speeds(scene, scale):
     kernel = drop_kernel(scene, SETTINGS)
     q, qd = _states(scene, 500, seed=3)
-    severity = kernel.severities(np.full((3, len(scene.entities)), 50.0), 50.0)
+    severity = kernel.severities(np.full((len(ROWS), len(scene.entities)), 50.0), 50.0)
     for array in kernel.native.gradient(severity, q, scale * qd, rough=True):
         assert np.isfinite(array).all()
 
@@ -277,7 +277,7 @@ def test_the_cost_has_the_gradient_of_its_model(scene):
     speed = np.linalg.norm(qd, axis=1)
     batch = StateBatch(scene, q, qd / speed[:, None], speed)
     cost = gp.ImpactCost(model="footprint", components=("carried",))
-    severity = np.zeros((3, len(scene.entities)))
+    severity = np.zeros((len(ROWS), len(scene.entities)))
     severity[0] = cost.severity(scene).sum(axis=0)
     impact, by_q, _ = drop_kernel(scene, SETTINGS).gradient(q, severity, qd, own=scene.own_severity)
     np.testing.assert_allclose(cost.state(batch), impact, atol=1e-12)
@@ -297,7 +297,7 @@ def test_gradient_of_an_arm_with_slides_and_turns():
     entities = {"vase": "glass", "box": "robust"}
     scene = gp.Scene.from_mjcf(_ODD_ARM, robot="arm", tool="tool", carried="thing", entities=entities, **limits)
     kernel = drop_kernel(scene, SETTINGS)
-    _check_gradient(kernel, *_states(scene, 100, seed=9), np.array([[1.0, 0.3], [0.0, 0.0], [0.0, 0.0]]))
+    _check_gradient(kernel, *_states(scene, 100, seed=9), np.array([[1.0, 0.3], *[[0.0, 0.0]] * (len(ROWS) - 1)]))
 
 
 # --- misuse -----------------------------------------------------------------------------------------------------------
@@ -314,9 +314,9 @@ def test_misuse_names_the_culprit(scene, kernel):
     with pytest.raises(ShapeError, match="severity"):
         kernel.impact(q, np.ones((2, len(scene.entities))))
     with pytest.raises(ShapeError, match="severity"):
-        kernel.with_severity(np.ones((3, len(scene.entities) + 1)))
+        kernel.with_severity(np.ones((len(ROWS), len(scene.entities) + 1)))
     with pytest.raises(NonFiniteError, match="severity"):
-        kernel.impact(q, np.ones((3, len(scene.entities))), own=np.nan)
+        kernel.impact(q, np.ones((len(ROWS), len(scene.entities))), own=np.nan)
     with pytest.raises(ValueError, match="speed"):
         compiled, tables = compile_scene(scene), drop_tables(scene)
         constants = SETTINGS.of(tables.shape_class)

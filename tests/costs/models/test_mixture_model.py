@@ -142,7 +142,8 @@ def test_one_fault_alone_acts_like_its_generator(scenes: dict[str, gp.Scene], ge
     assert set(model.sources(batch)) == {generator}
     P = model.probability(batch)
     strikers = {name for c, name in enumerate(scene.components) if P[:, c].any()}
-    expected = {"drop": {"carried", "contents"}, "spill": {"contents"}}.get(generator, {"body", "carried"})
+    expected = {"drop": {"carried", "contents"}, "spill": {"contents"}, "stop": {"contents"}}
+    expected = expected.get(generator, {"body", "carried"})
     assert strikers == expected
     assert P.max() <= 0.5
     certain = Footprint(faults=prior_of(**{generator: 1.0})).probability(batch)

@@ -71,12 +71,16 @@ def reached(scene, q, qd=None, spill=SPILL):
     """P [n, use, entity] from the core."""
     q = np.atleast_2d(np.asarray(q, float))
     qd = np.zeros_like(q) if qd is None else np.atleast_2d(np.asarray(qd, float))
-    return drop_kernel(scene, DROP, spill).probability(q, qd)[:, 1:]
+    return drop_kernel(scene, DROP, spill).probability(q, qd)[:, 1 : 1 + len(USES)]
+
+
+def moving(scene, q, qd):
+    speed = np.linalg.norm(qd, axis=1)
+    return StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
 
 
 def numpy_reached(scene, q, qd, spill=SPILL):
-    speed = np.linalg.norm(qd, axis=1)
-    batch = StateBatch(scene, q, qd / np.where(speed > 0.0, speed, 1.0)[:, None], speed)
+    batch = moving(scene, q, qd)
     tables, more = drop_tables(scene), spill_tables(scene)
     poured = pour(batch, tables, more, DROP.of(tables.shape_class))
     P = np.zeros((len(q), len(USES), len(scene.entities)))
@@ -142,7 +146,7 @@ def test_constants_of_all_sizes(scenes, seed, scale, fastest):
 
 def test_constants_are_handed_over_by_name():
     assert set(SPILL_CONSTANTS) == {field.name for field in dataclasses.fields(SpillConstants)}
-    assert ROWS == ("carried", *USES)
+    assert ROWS == ("carried", *USES, "stopped")
 
 
 # --- laws -------------------------------------------------------------------------------------------------------------
@@ -180,11 +184,11 @@ def test_an_entity_without_severity_changes_nothing(table):
     q, qd = states(table, 20, seed=3)
     q *= 0.05
     kernel = drop_kernel(table, DROP)
-    severity = np.ones((3, len(TABLE)))
+    severity = np.ones((len(ROWS), len(TABLE)))
     severity[:, 2] = 0.0
     P = kernel.probability(q, qd)
     np.testing.assert_allclose(kernel.impact(q, severity, qd), P.sum(axis=(1, 2)) - P[:, :, 2].sum(axis=1), atol=1e-12)
-    for row in range(3):
+    for row in range(len(ROWS)):
         one = np.zeros_like(severity)
         one[row] = 1.0
         np.testing.assert_allclose(kernel.impact(q, one, qd), P[:, row].sum(axis=1), atol=1e-12)
@@ -195,7 +199,7 @@ def test_more_severity_never_lowers_the_impact(table):
     q, qd = states(table, 20, seed=4)
     q *= 0.05
     kernel, rng = drop_kernel(table, DROP), np.random.default_rng(0)
-    low = rng.uniform(size=(3, len(TABLE)))
+    low = rng.uniform(size=(len(ROWS), len(TABLE)))
     assert np.all(kernel.impact(q, low + rng.uniform(size=low.shape), qd) >= kernel.impact(q, low, qd))
 
 

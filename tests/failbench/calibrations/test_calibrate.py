@@ -29,6 +29,7 @@ def calibrated(dropped: list[Failures]) -> family_fit.FamilyCalibration:
     return family_fit.fit_family(GaussianFamily(), dropped, model="gaussian", shapes=("ball",), about={"horizon": 1.0})
 
 
+@pytest.mark.long
 def test_fitting_helps(dropped: list[Failures], calibrated: family_fit.FamilyCalibration) -> None:
     assert len(dropped) == 4
     assert calibrated.fitted.brier_skill > 0.0
@@ -71,6 +72,7 @@ def test_one_scene_is_not_enough(dropped: list[Failures]) -> None:
         family_fit.fit_family(GaussianFamily(), dropped[:2], model="gaussian")
 
 
+@pytest.mark.long
 def test_drops_do_not_depend_on_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[int, int]] = []
     all_jobs, kinds = failure_jobs.failure_jobs, failure_jobs.KINDS[:1]

@@ -51,6 +51,7 @@ def calibrated() -> family_fit.FamilyCalibration:
     return family_fit.fit_family(FAMILY, parts, model="footprint", shapes=SHAPE_CLASSES, iterations=2, trusts=(25.0,))
 
 
+@pytest.mark.long
 def test_the_model_reads_what_calibration_writes(calibrated: family_fit.FamilyCalibration, tmp_path: Path) -> None:
     calibrate.write(calibrated, tmp_path / "footprint.yaml")
     read = DropSettings.load(tmp_path / "footprint.yaml")

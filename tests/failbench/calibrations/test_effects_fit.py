@@ -13,21 +13,21 @@ from failbench.calibrations.failures import Failures, fail_along, write_failures
 from failbench.calibrations.fault_events import FaultEvents, fault_events
 from failbench.calibrations.mixture import log_likelihood
 from failbench.cli import DONE, main
-from failbench.fault.registry import DEGREES, faults
+from failbench.fault.registry import DEGREES, faults, reactions
 from graceful_plan import load_scene
 from graceful_plan.costs import fault_prior
-from graceful_plan.costs.fault_prior import GENERATORS, FaultPrior, presets, shipped_effects
+from graceful_plan.costs.fault_prior import FAILURES, FaultPrior, presets, shipped_effects
 from graceful_plan.exceptions import SettingError, ShapeError
 
 
 def test_the_shipped_effects_are_those_of_the_faults_that_there_are():
-    assert list(shipped_effects()) == list(faults())
+    assert list(shipped_effects()) == [*faults(), *reactions()]
     assert tuple(DEGREES) == fault_prior.DEGREES
 
 
 @pytest.mark.parametrize("name", presets())
 def test_presets_name_faults_that_there_are(name):
-    assert set(FaultPrior.preset(name).rates) <= set(faults())
+    assert set(FaultPrior.preset(name).rates) <= {*faults(), *reactions()}
 
 
 # --- the fit ----------------------------------------------------------------------------------------------------------
@@ -36,12 +36,12 @@ def test_presets_name_faults_that_there_are(name):
 def draw(shares, n=40_000, motions=50, seed=0, concentration=(0.2, 1.0)):
     """Events of a fault that acts like each generator with some probability, half of them touches by the body."""
     rng = np.random.default_rng(seed)
-    probability = rng.beta(*concentration, size=(n, len(GENERATORS)))
+    probability = rng.beta(*concentration, size=(n, len(FAILURES)))
     body = rng.random(n) < 0.5
     probability[body, :2] = 0.0
     drop, spill, *arm = shares
     dropped = ~body & (rng.random(n) < drop)
-    kind = 1 + rng.choice(len(GENERATORS), size=n, p=[spill, *arm, 1.0 - spill - sum(arm)])
+    kind = 1 + rng.choice(len(FAILURES), size=n, p=[spill, *arm, 1.0 - spill - sum(arm)])
     kind[dropped] = 0
     chance = np.column_stack([probability, np.zeros(n)])[np.arange(n), kind]
     motion = rng.integers(motions, size=n)
@@ -61,7 +61,7 @@ BOTH = (0.9, 0.0, 0.8, 0.0, 0.0, 0.0)  # a loss of power: the arm falls, and the
 @pytest.mark.parametrize("true", [TRUE, BOTH], ids=["several", "both"])
 def test_the_truth_is_found_and_lies_in_the_intervals(true):
     effect = fit_effects({"weak_grip": draw(true, n=10_000)}, resamples=30, seed=1)["weak_grip"]
-    for name, share in zip(GENERATORS, true, strict=True):
+    for name, share in zip(FAILURES, true, strict=True):
         found = effect.shares[name]
         # What is spilled shows only in what is not dropped.
         assert found.value == pytest.approx(share, abs=0.06 if name != "spill" else 0.2)
@@ -114,17 +114,17 @@ def test_what_is_written_is_read(tmp_path, monkeypatch):
     table = yaml.safe_dump({"effects": yaml.safe_load(file.read_text())["effects"]})
     (tmp_path / "faults.yaml").write_text("version: 1\npresets: {mine: {noise: 1, dropout: 1}}\n" + table)
     prior = FaultPrior.load(tmp_path / "faults.yaml", degree="moderate")
-    for name in GENERATORS:
+    for name in FAILURES:
         assert prior.effects["noise"].get(name, 0.0) == pytest.approx(effects["noise"].shares[name].value, abs=1e-4)
     assert sum(prior.effects["dropout"].values()) == pytest.approx(0.0, abs=1e-3)
     about = yaml.safe_load(file.read_text())
     assert about["version"] == 1 and about["provenance"]["failures"] == 12 and about["provenance"]["seed"] == 0
-    assert set(about["provenance"]["intervals"]["moderate"]["noise"]) <= set(GENERATORS)
+    assert set(about["provenance"]["intervals"]["moderate"]["noise"]) <= set(FAILURES)
     # It can stand in for the shipped file.
     monkeypatch.setattr(fault_prior, "_EFFECTS", file)
     fault_prior._shipped_effects.cache_clear()
     try:
-        assert set(shipped_effects("moderate")) == {"noise", "dropout"}
+        assert set(shipped_effects("moderate")) == {"noise", "dropout", *reactions()}
     finally:
         fault_prior._shipped_effects.cache_clear()
 
@@ -160,7 +160,7 @@ def test_failures_become_events():
     assert list(found) == ["noise", "dropout"]
     noise = found["noise"]
     assert len(noise) == 20 and list(noise.motion) == [0] * 10 + [1] * 10 and set(noise.scene) == {"desk"}
-    column = list(GENERATORS).index("stray")
+    column = list(FAILURES).index("stray")
     np.testing.assert_array_equal(noise.probability[:5, column], np.arange(5.0) / 24.0)
     np.testing.assert_array_equal(noise.probability[5:10, column], np.arange(18.0, 23.0) / 24.0)
     assert not np.delete(noise.probability, column, axis=1).any()
@@ -181,6 +181,7 @@ def test_misuse_is_refused():
         fit_effects({"noise": events.rows(np.zeros(20, bool))})
 
 
+@pytest.mark.long
 def test_the_command_fits_effects_to_failures_of_a_file(tmp_path):
     task = load_scene("tabletop_l1").tasks["green_to_blue"]
     motion = make_motion(task, MotionKind(way="rrt_connect", speed=0.6), 1)

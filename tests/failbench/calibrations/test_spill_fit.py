@@ -58,6 +58,7 @@ def test_the_container_is_the_one_that_failbench_empties(scene: str, task: str) 
     assert tables.radius == pytest.approx(np.sqrt(vessel.volume / (np.pi * DEPTH)))
 
 
+@pytest.mark.long
 def test_each_use_has_failures_of_its_own(parts: list[Failures]) -> None:
     for use in USES:
         concerned = SpillFamily(use).concerned(parts)

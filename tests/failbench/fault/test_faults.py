@@ -61,6 +61,7 @@ def consequence(record, well):
     return np.linalg.norm(record.tool - reference, axis=1).max() + record.slip.max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ALL)
 def test_degree_scales_the_consequence(name):
     seeds = range(4)

@@ -9,7 +9,7 @@ import yaml
 from breaking import Record, healthy_run
 from places import LIBRARY, ROOT
 
-from failbench.fault.registry import DEGREES, faults, from_document, load_class, to_document
+from failbench.fault.registry import DEGREES, faults, from_document, load_class, reactions, to_document
 from graceful_plan.costs.fault_prior import shipped_effects
 
 TEXT = (ROOT / "docs" / "faults.md").read_text()
@@ -17,12 +17,13 @@ PRIOR = (ROOT / "docs" / "faults-prior.md").read_text()
 EXAMPLE = ROOT / "examples" / "custom_fault.py"
 
 
-def rows():
-    """The rows of the table of all faults: name, mechanism, parameter, four values, targets."""
+def rows(known=None):
+    """The rows of a table of faults: name, mechanism, parameter, four values, targets."""
+    known = faults() if known is None else known
     cells = [
         [cell.strip() for cell in line.strip("|").split("|")] for line in TEXT.splitlines() if line.startswith("|")
     ]
-    return {row[0]: row for row in cells if len(row) == 8 and row[0] in faults()}
+    return {row[0]: row for row in cells if len(row) == 8 and row[0] in known}
 
 
 def test_every_fault_is_in_the_table_in_order():
@@ -36,6 +37,12 @@ def test_table_has_the_values_of_the_class(name):
     assert row[7] == fault.TARGETS[0]
     unit = re.search(r"\[(.*)\]", row[2])
     assert unit is None or unit.group(0) in fault.PARAMETER
+
+
+def test_table_of_reactions_has_the_values_of_the_class():
+    ((name, row),) = rows(reactions()).items()
+    assert [float(value) for value in row[3:7]] == [reactions()[name].AMOUNTS[degree] for degree in DEGREES]
+    assert row[7] == reactions()[name].TARGETS[0]
 
 
 @pytest.mark.parametrize("name", list(faults()))

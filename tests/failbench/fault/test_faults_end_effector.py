@@ -59,7 +59,8 @@ def lost_weight(done):
 
 
 def slips(share, **given):
-    return Record(Grip(share=share), when=1.0, horizon=0.6, **given).slip[-1] > 5e-3
+    # Gradually, or the pads spring back and let go for a moment whatever force is left.
+    return Record(Grip(share=share, ramp=0.3), when=1.0, horizon=0.6, **given).slip[-1] > 5e-3
 
 
 def test_slip_begins_where_the_friction_cone_says():

@@ -53,6 +53,7 @@ def plant_of(fault, *, joints=(2,), steps=200, step=0, seed=0):
         command=healthy.copy(),
         healthy=healthy,
         past=healthy[:50] - 50.0,
+        paced=lambda time, pace, change: np.column_stack([time, pace, change]),
         fields={name: getattr(model(), name).copy() for name in fault.FIELDS},
         step=step,
     )

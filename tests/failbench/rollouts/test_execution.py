@@ -95,11 +95,11 @@ def test_a_motion_that_takes_too_long_is_refused(task):
 
 
 def test_an_object_that_slips_is_refused():
-    pan = gp.load_scene("kitchen_counter").tasks["move_oil"]
-    still = np.stack([pan.start, pan.start + 0.01])
-    with pytest.raises(ExecutionRefused, match=r"the object 'pan' at .* use SimSettings\(grasp='weld'\)"):
-        execute(still, world("kitchen_counter", "move_oil"))
-    held = execute(still, world("kitchen_counter", "move_oil", SimSettings(grasp="weld")))
+    bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
+    rushed = np.stack([bottle.start, bottle.goal[0]])
+    with pytest.raises(ExecutionRefused, match=r"the object 'bottle' at .* use SimSettings\(grasp='weld'\)"):
+        execute(rushed, world("dining_table", "pass_bottle"))
+    held = execute(rushed, world("dining_table", "pass_bottle", SimSettings(grasp="weld")))
     assert held.slip < 0.001
 
 

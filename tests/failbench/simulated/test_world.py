@@ -5,6 +5,7 @@ from motions import ARM, FINGERS, SERVO, arm, world
 
 import graceful_plan as gp
 from failbench import SimSettings, build_world, execute
+from failbench.simulated.states import STATE
 from failbench.simulated.world import SENSOR_SIZE
 from graceful_plan.exceptions import SettingError, UnsupportedError
 
@@ -46,6 +47,19 @@ def test_a_contact_sensor_feels_its_pair_and_no_other():
     data.qpos[vase + 2] = 0.1
     mujoco.mj_forward(made.model, data)
     assert data.sensordata[adr] == 0.0
+
+
+def test_fingers_press_with_what_their_drive_can_however_thin_the_object():
+    for name, task in (("tabletop", "green_to_blue"), ("dining_table", "serve_tea")):
+        made = world(name, task)
+        held = gp.load_scene(name).tasks[task]
+        start = execute(np.stack([held.start, held.start + 1e-3]), made).states[0]
+        data = mujoco.MjData(made.model)
+        mujoco.mj_setState(made.model, data, start, STATE)
+        data.ctrl[made.robot.gripper_actuators] = made.robot.grip_closed
+        mujoco.mj_forward(made.model, data)
+        pressed = np.abs(data.qfrc_actuator[made.robot.gripper_dofs]).sum()
+        assert pressed == pytest.approx(70.0, rel=1e-3)
 
 
 def test_bodies_may_be_without_names():

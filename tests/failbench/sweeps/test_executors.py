@@ -57,6 +57,7 @@ def test_a_killed_worker_is_replaced_and_its_chunk_done_again(tmp_path):
     assert len(list(tmp_path.iterdir())) == MAX_KILLS - 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("exits", "how"), [(False, "SIGKILL"), (True, "exit code 7")])
 def test_a_chunk_that_keeps_killing_its_worker_fails_and_the_others_do_not(tmp_path, exits, how):
     outcomes = run(Fake(deadly=0, deadly_times=99, notes=tmp_path, exits=exits))
@@ -65,6 +66,7 @@ def test_a_chunk_that_keeps_killing_its_worker_fails_and_the_others_do_not(tmp_p
     assert all(o.rows for i, o in outcomes.items() if i != 0)
 
 
+@pytest.mark.long
 def test_workers_that_cannot_begin_are_an_error_not_a_loop(capfd):
     with pytest.raises(WorkerError, match=r"died before they could begin, the last one with exit code 9; a script"):
         run(Stillborn())

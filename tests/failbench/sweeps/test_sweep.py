@@ -19,6 +19,7 @@ from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.sweep import JOURNAL, generate, read_sweep, resume, sweep_of, versions
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from sizes import first_quick
 
 DROP, LOOSE, NOISE = (to_document(faults()[name]()) for name in ("gripper_failure", "loose_joint", "noise"))
 
@@ -58,7 +59,7 @@ def files(folder: Path) -> dict[str, str]:
     return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in found}
 
 
-@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("workers", first_quick([2, 1, 4]))
 def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_path, workers):
     made = generate(sweep, tmp_path, executor=LocalExecutor(workers=workers))
     assert files(tmp_path) == reference
@@ -192,7 +193,7 @@ def test_sweep_of_scenarios_is_every_fault_on_every_task():
         sweep_of(["cake/*"], 8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_kills_of_drivers_and_workers_change_nothing(tmp_path):
     trial = Trial(tmp_path, rollouts=40, workers=2, seed=1, horizon=0.3)
     trial.run(4)
@@ -202,7 +203,7 @@ def test_kills_of_drivers_and_workers_change_nothing(tmp_path):
     assert trial.rows == trial.sweeps * 160
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ray_makes_the_same_bytes(sweep, reference, tmp_path, monkeypatch):
     ray = pytest.importorskip("ray")
     from failbench.sweeps.ray_executor import RayExecutor

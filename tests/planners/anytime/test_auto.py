@@ -16,6 +16,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
+from sizes import first_quick
 
 ITERATIONS = 400
 
@@ -53,6 +54,7 @@ def test_is_the_default():
     assert inspect.signature(gp.plan).parameters["planner"].default == "auto"
 
 
+@pytest.mark.long
 def test_same_seed_and_iterations_same_bytes_in_every_process(task):
     first, second, other = digest("green_to_blue", 3), digest("green_to_blue", 3), digest("green_to_blue", 4)
     assert first == second != other
@@ -60,7 +62,7 @@ def test_same_seed_and_iterations_same_bytes_in_every_process(task):
     assert hashlib.sha256(here.path.q.tobytes()).hexdigest() == first
 
 
-@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("workers", first_quick([2, 1, 3]))
 def test_searches_share_the_budget_and_only_improve(task, workers):
     problem, objective = bound(task)
     paths, budget = solved(gp.Auto(workers=workers), problem, objective)
@@ -70,7 +72,7 @@ def test_searches_share_the_budget_and_only_improve(task, workers):
     assert budget.spent == ITERATIONS
 
 
-@pytest.mark.parametrize("setting", ["descents", "scouts"])
+@pytest.mark.parametrize("setting", first_quick(["descents", "scouts"]))
 def test_what_a_search_leaves_out_it_does_without(task, setting):
     problem, objective = bound(task)
     paths, _ = solved(gp.Auto(search=gp.Anytime(**{setting: False})), problem, objective)

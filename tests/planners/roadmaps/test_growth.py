@@ -24,10 +24,7 @@ def _columns(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def front_of_roadmap(problem, objective, rng, *, nodes=200, deadline=np.inf) -> list[Path]:
     """Grow a small roadmap between the start and the goals; the paths of its front, the cheapest first."""
     ground = Ground(
-        lower=problem.lower,
-        upper=problem.upper,
-        states_free=problem.states_free,
-        edges_free=problem.edges_free,
+        problem=problem,
         impact=objective.states,
         price=lambda q0, q1: EdgePrices.of(*_columns(objective.edges(q0, q1))),
         severity=np.ones(1),
@@ -156,10 +153,7 @@ def test_what_is_late_is_left_out_and_the_rest_is_whole():
         return EdgePrices.of(np.linalg.norm(q1 - q0, axis=1), np.zeros((len(q0), 1)))
 
     ground = Ground(
-        lower=np.zeros(2),
-        upper=np.ones(2),
-        states_free=lambda q: np.ones(len(q), dtype=bool),
-        edges_free=lambda q0, q1: np.ones(len(q0), dtype=bool),
+        problem=FunctionProblem(start=np.zeros(2), goals=np.ones((1, 2)), lower=np.zeros(2), upper=np.ones(2)),
         impact=lambda q: np.zeros(len(q)),
         price=price,
         severity=np.ones(1),

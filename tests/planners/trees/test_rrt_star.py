@@ -42,6 +42,7 @@ def _solved(
     return list(planner.solve(problem, objective, budget, np.random.default_rng(seed))), budget
 
 
+@pytest.mark.long
 @_PLANNERS
 @pytest.mark.parametrize("seed", range(2))
 def test_paths_in_a_scene_are_free_and_only_improve(

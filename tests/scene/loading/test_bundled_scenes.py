@@ -191,7 +191,7 @@ def test_ready_is_free(name: str) -> None:
     assert gp.clearance(scene, scene.keyframes["ready"]) > _ROOM
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_caution_halves_the_impact_of_three_quarters_of_the_tasks() -> None:
     """As Algorithm 1 counts it: where things go after a fall, and with them their contents, is harder to avoid."""
     halved = []

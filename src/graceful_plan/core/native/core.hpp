@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "search/planning.hpp"
+#include "cells.hpp"
 #include "tables.hpp"
 
 namespace nb = nanobind;
@@ -134,6 +135,10 @@ class Core {
     tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(),
     tables_.target = target_.data();
     tables_.harmed = harmed_.data();
+    Cells cells(obstacle_);
+    cell_ = std::move(cells.cell), order_ = std::move(cells.order);
+    tables_.n_boundless = cells.n_boundless, tables_.n_cell = int(cell_.size());
+    tables_.cell = cell_.data(), tables_.order = order_.data();
   }
 
   const Tables& tables() const { return tables_; }
@@ -175,6 +180,17 @@ class Core {
     const Edges all = edges(q0, q1, step);
     nb::gil_scoped_release release;
     kernels().free_edges(tables_, all, margin, reinterpret_cast<uint8_t*>(out));
+    return array;
+  }
+  auto projected(Reals q, Reals lower, Reals upper, double clearance) const {
+    double* out;
+    const States all = states(q);
+    const size_t nq = size_t(tables_.n_joint);
+    auto array = make<double>({all.n, nq}, out);
+    require(lower.size() == nq && upper.size() == nq, "limits are those of another robot");
+    nb::gil_scoped_release release;
+    std::copy_n(all.q, all.n * nq, out);
+    for (size_t k = 0; has_bounds() && k < all.n; ++k) project(out + k * nq, lower.data(), upper.data(), clearance);
     return array;
   }
   auto clearance(Reals q) const {
@@ -563,6 +579,8 @@ class Core {
   std::vector<int> group_of_;
   std::vector<float> sphere_;
   std::vector<Obstacle> obstacle_;
+  std::vector<Cell> cell_;
+  std::vector<int32_t> order_;
   std::vector<Triangle> triangle_;
   std::vector<int32_t> pair_;
   std::vector<Part> part_;

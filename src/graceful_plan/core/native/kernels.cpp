@@ -29,8 +29,9 @@ constexpr double kTiny = 1e-300;
 #include "impact/drop_gradient.hpp"
 #include "impact/own_loss_gradient.hpp"
 #include "impact/tumble_gradient.hpp"
-#include "impact/spill.hpp"
-#include "impact/spill_gradient.hpp"
+#include "impact/contents/spill.hpp"
+#include "impact/contents/spill_gradient.hpp"
+#include "impact/contents/stop.hpp"
 #include "impact/impact_of_drop.hpp"
 #include "impact/body_dynamics.hpp"
 #include "impact/body_distance.hpp"
@@ -47,8 +48,9 @@ constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
 #include "impact/drop_gradient.hpp"
 #include "impact/own_loss_gradient.hpp"
 #include "impact/tumble_gradient.hpp"
-#include "impact/spill.hpp"
-#include "impact/spill_gradient.hpp"
+#include "impact/contents/spill.hpp"
+#include "impact/contents/spill_gradient.hpp"
+#include "impact/contents/stop.hpp"
 #include "impact/impact_of_drop.hpp"
 }  // namespace rough
 

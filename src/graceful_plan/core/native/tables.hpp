@@ -43,6 +43,13 @@ struct Obstacle {
   float keep;  // distance that everything has to keep from it [m]
 };
 
+// A box around obstacles that stand near each other, and the boxes inside of it: those up to `next`.
+struct Cell {
+  float centre[3], half[3];
+  float keep;                  // the most of what its obstacles ask for [m]
+  int32_t next, first, count;  // of `order`, the obstacles in it if it is a leaf
+};
+
 struct Triangle {
   float a[3], b[3], c[3], normal[3], offset;
   float edge[3][4],
@@ -86,6 +93,9 @@ struct Tables {
   const Cluster* cluster;
   const float* sphere;  // x y z r, in the frame of the group's link
   const Obstacle* obstacle;
+  int32_t n_boundless, n_cell;
+  const Cell* cell;
+  const int32_t* order;  // obstacles without bounds, then those of the leaves
   const Triangle* triangle;
   const int32_t* pair;  // pairs of groups
   const Part* part;
@@ -123,8 +133,11 @@ struct DropConstants {
 
 // --- the spill model: costs/models/spill ---------------------------------------------------------------------
 
-constexpr int kDropRows =
-    3;  // of severities: carried object; contents after a drop; contents that get out in the gripper
+// Of severities: carried object; contents after a drop; contents that get out in the gripper; those that a stop spills.
+constexpr int kDropRows = 4;
+constexpr int kStopRow = 3;
+constexpr int kSpillUses = 2;        // constants for contents after a drop, and for those that get out in the gripper
+constexpr double kLeastLost = 0.01;  // share of the contents that a puddle is made of at least
 
 struct SpillConstants {
   double position_spread, rim_spread, speed_spread, height_spread, carry, margin, reach, run_off, edge, slosh,
@@ -140,7 +153,14 @@ struct SpillTables {
   double mouth[3], axis[3];  // in the axes of the link; from the centre of mass
   double rim, depth, full, radius, power, repose;
   const SpillSurface* surface;  // null without contents
-  SpillConstants use[kDropRows - 1];
+  SpillConstants use[kSpillUses];
+};
+
+// How the robot stops by itself, and what contents make of it.
+struct StopTables {
+  double amplification, response, spread;  // spread: 0 if it does not
+  double slowness[kMaxJoints];             // inverse deceleration
+  SpillConstants places;                   // where contents come down that it throws out
 };
 
 // What its fall does to the object itself; the logarithm of the share of the energy that acts is one of two numbers.
@@ -159,6 +179,7 @@ struct DropTables {
   DropConstants constants;
   LossTables loss;
   SpillTables spill;
+  StopTables stop;
 };
 
 // --- the body model: costs/models/body has its specification and the names of what stands here -------------

@@ -19,7 +19,8 @@ from typing import final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Float, Int
+from graceful_plan.planners.planner import Problem
 from graceful_plan.planners.roadmaps.edge_prices import EdgePrices, Edges, Price, symmetric
 from graceful_plan.planners.roadmaps.graph import Graph
 from graceful_plan.planners.shortcut import Line
@@ -49,20 +50,14 @@ class Ground:
     """What a roadmap is grown in.
 
     Args:
-        lower: Lower limits.
-        upper: Upper limits.
-        states_free: Which configurations are free.
-        edges_free: Which straight edges are free, checked finely.
+        problem: What is free; edges are looked at as closely as paths have to be.
         impact: Impact given a failure at rest, to prefer some nodes by.
         price: What edges cost in the direction in which they are given.
         severity: By column of the prices.
         threads: How many threads ask at once; more than 1 only for what may be asked so.
     """
 
-    lower: Float[Array, " nq"]
-    upper: Float[Array, " nq"]
-    states_free: Callable[[Float[Array, "n nq"]], Bool[Array, " n"]]
-    edges_free: Callable[[Float[Array, "n nq"], Float[Array, "n nq"]], Bool[Array, " n"]]
+    problem: Problem
     impact: Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
     price: Price
     severity: Float[Array, " column"]
@@ -90,7 +85,7 @@ class Growth:
         deadline: float = np.inf,
     ) -> None:
         self.ground, self.neighbours, self.rng, self.deadline = ground, neighbours, rng, deadline
-        self.q, place = np.unique(pairs.reshape(-1, len(ground.lower)), axis=0, return_inverse=True)
+        self.q, place = np.unique(pairs.reshape(-1, pairs.shape[-1]), axis=0, return_inverse=True)
         self.pairs = place.reshape(-1, 2)
         self._parts: list[Edges] = []
         self._impact: list[Float[Array, " edge"]] = []  # of each part
@@ -118,14 +113,15 @@ class Growth:
 
     def _anywhere(self, n: int) -> tuple[Float[Array, "n nq"], Int[Array, "link 2"]]:
         """Draw nodes, and which earlier nodes each is to be joined to besides its nearest."""
-        ground, rng = self.ground, self.rng
-        found: list[Array] = [np.zeros((0, len(ground.lower)))]
+        problem, rng = self.ground.problem, self.rng
+        found: list[Array] = [np.zeros((0, len(problem.lower)))]
         for _ in range(_DRAWS):
             m = 2 * _TRIED * (n - sum(map(len, found))) + 16
-            q = rng.uniform(ground.lower, ground.upper, (m, len(ground.lower)))
+            q = rng.uniform(problem.lower, problem.upper, (m, len(problem.lower)))
             if len(self.pairs):
                 near = np.flatnonzero(rng.uniform(size=m) < _AROUND)
                 q[near] = self._around(len(near))
+            q = problem.projected(q)
             found.append(self._selected(q)[0])
             if sum(map(len, found)) >= n:
                 break
@@ -133,16 +129,16 @@ class Growth:
         return np.concatenate(found)[:n], straight
 
     def _around(self, n: int) -> Float[Array, "n nq"]:
-        ground, rng = self.ground, self.rng
+        problem, rng = self.ground.problem, self.rng
         pair, t = self.pairs[rng.integers(len(self.pairs), size=n)], rng.uniform(size=(n, 1))
-        extent = float(np.linalg.norm(ground.upper - ground.lower))
-        spread = 0.25 * extent * rng.uniform(size=(n, 1)) / np.sqrt(len(ground.lower))
-        q = (1.0 - t) * self.q[pair[:, 0]] + t * self.q[pair[:, 1]] + spread * rng.normal(size=(n, len(ground.lower)))
-        return np.clip(q, ground.lower, ground.upper)
+        extent = float(np.linalg.norm(problem.upper - problem.lower))
+        spread = 0.25 * extent * rng.uniform(size=(n, 1)) / np.sqrt(len(problem.lower))
+        q = (1.0 - t) * self.q[pair[:, 0]] + t * self.q[pair[:, 1]] + spread * rng.normal(size=(n, len(problem.lower)))
+        return np.clip(q, problem.lower, problem.upper)
 
     def _selected(self, q: Float[Array, "n nq"]) -> tuple[Float[Array, "m nq"], Int[Array, " m"]]:
         """Of every few free configurations keep the one with the least impact; also return which these are."""
-        free = np.flatnonzero(self.ground.states_free(q))
+        free = np.flatnonzero(self.ground.problem.states_free(q))
         groups = free[: len(free) // _TRIED * _TRIED].reshape(-1, _TRIED)
         impact = self.ground.impact(q[groups.ravel()]).reshape(groups.shape)
         kept = groups[np.arange(len(groups)), np.argmin(impact, axis=1)]
@@ -169,10 +165,10 @@ class Growth:
 
     def _beside(self, n: int, paths: list[Array]) -> tuple[Float[Array, "n nq"], Int[Array, "link 2"]]:
         """Draw nodes beside stretches of paths, with links to both sides of each stretch."""
-        rng, ground = self.rng, self.ground
+        problem, rng = self.ground.problem, self.rng
         counts = np.bincount(rng.integers(len(paths), size=2 * _TRIED * n + 16), minlength=len(paths))
         drawn = [_beside(self.q[path], path, m, rng) for path, m in zip(paths, counts.tolist(), strict=True)]
-        q = np.clip(np.concatenate([q for q, _ in drawn]), ground.lower, ground.upper)
+        q = problem.projected(np.clip(np.concatenate([q for q, _ in drawn]), problem.lower, problem.upper))
         sides = np.concatenate([sides for _, sides in drawn])
         mixed = rng.permutation(len(q))
         q, kept = self._selected(q[mixed])
@@ -210,7 +206,7 @@ class Growth:
         """Price the free ones of some links in both directions; None if the time is over."""
         if time.perf_counter() > self.deadline:
             return None
-        i, j = links[self.ground.edges_free(nodes[links[:, 0]], nodes[links[:, 1]])].T.astype(np.int32)
+        i, j = links[self.ground.problem.edges_free(nodes[links[:, 0]], nodes[links[:, 1]])].T.astype(np.int32)
         there = self.ground.price(nodes[i], nodes[j])
         back = there if self._both_ways is False else self.ground.price(nodes[j], nodes[i])
         return Edges(np.concatenate([i, j]), np.concatenate([j, i]), EdgePrices.concatenated([there, back]))

@@ -81,7 +81,8 @@ class Side:
         step = min(distance, reach)
         if step == 0.0 or not self.refinement.allows(step):
             return None
-        node = self.extend(near, steer(self.tree.q[near], target, distance, reach), step)
+        q = self.questions.problem.projected(steer(self.tree.q[near], target, distance, reach)[None])[0]
+        node = self.extend(near, q, step)
         if node is not None:
             self.refinement.added(step)
         return node

@@ -198,7 +198,7 @@ class _StarSearch:
         gap = target - tree.q[near]
         distance = np.linalg.norm(gap, axis=1)
         q = tree.q[near] + np.minimum(1.0, self.reach / np.maximum(distance, _TINY))[:, None] * gap
-        q = np.clip(q, self.problem.lower, self.problem.upper)
+        q = self.problem.projected(np.clip(q, self.problem.lower, self.problem.upper))
         new = (distance > _TINY) & self._is_new(q)
         return q[new], near[new]
 

@@ -216,12 +216,13 @@ class _Query:
 
     def _timed(self, curve: Spline) -> Motion:
         scene = self.follower.scene
-        trajectory = timed(curve, scene.limits, scene.joints, speed=self.speed, restraint=self.held.limits)
-        return self._charged(self.held.calmed(trajectory))
+        return self._charged(
+            self.held.timed(lambda limits: timed(curve, scene.limits, scene.joints, speed=self.speed, restraint=limits))
+        )
 
     def _charged(self, trajectory: Trajectory) -> Motion:
         cost = self.objective.breakdown(trajectory)
-        ranking = cost.total + time_price(careful=bool(self.held.cones)) * trajectory.duration
+        ranking = cost.total + time_price(careful=self.held.level) * trajectory.duration
         return Motion(path=trajectory.path, trajectory=trajectory, cost=cost, arrival=0, ranking=ranking)
 
     def _judged(self, motions: Sequence[Motion], objections: _Objections) -> PlanResult:
@@ -229,7 +230,12 @@ class _Query:
         scene, goal = self.follower.scene, self.line.goal
         for motion in motions:
             straight = straightness(motion.trajectory, goal, scene, deviation=self.bounds[0], angle=self.bounds[1])
-            verdict = Verdict(checks={**verdict_of(motion, self.objective, self.held, goal).checks, **straight})
+            verdict = Verdict(
+                checks={
+                    **verdict_of(motion, self.objective, self.held, goal).checks,
+                    **straight,
+                }
+            )
             if verdict.passed:
                 found = (motion.path, motion.trajectory, motion.cost)
                 return PlanResult(

@@ -8,7 +8,7 @@ are executed one after the other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol, runtime_checkable
@@ -29,6 +29,7 @@ from graceful_plan.result import CostBreakdown, PlanResult, PlanStatus, TracePoi
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline
+from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -126,18 +127,21 @@ class _Joining:
     request: Request
     budget: Budget
 
+    def _timing(self, curve: Spline) -> Callable[[Restraint], Trajectory]:
+        scene = self.request.objective.scene
+        return lambda limits: timed(curve, scene.limits, scene.joints, speed=self.request.speed, restraint=limits)
+
     def joined(self, legs: Sequence[PlanResult]) -> PlanResult:
         """Return the cheapest curve that the judge passes; the legs one after the other if there is none."""
         trajectories = [leg.unwrap() for leg in legs]
         clear, others, why = [], [], ""
-        scene, held = self.request.objective.scene, self.request.constraints
+        held = self.request.constraints
         for spacing in _SPACINGS:
             curve = _through([trajectory.path for trajectory in trajectories], spacing)
             if curve is None:
                 continue
             try:
-                trajectory = timed(curve, scene.limits, scene.joints, speed=self.request.speed, restraint=held.limits)
-                motion = self._charged(held.calmed(trajectory))
+                motion = self._charged(held.timed(self._timing(curve)))
             except RetimingError as error:
                 why = str(error)
                 continue
@@ -168,8 +172,9 @@ class _Joining:
         return bool(((q >= lower) & (q <= upper)).all() and self.request.constraints.kernels.free(q).all())
 
     def _verdict(self, motion: Motion) -> Verdict:
-        scene = self.request.objective.scene
-        checks = dict(verdict_of(motion, self.request.objective, self.request.constraints, self.request.pose).checks)
+        asked, scene = self.request, self.request.objective.scene
+        verdict = verdict_of(motion, asked.objective, asked.constraints, asked.pose, asked.verification)
+        checks = dict(verdict.checks)
         checks["via"], _ = passing(motion.trajectory, self.stages.wanted, scene)
         return Verdict(checks=checks)
 

@@ -49,6 +49,7 @@ void bind_core(nb::module_& m) {
       .def("link_poses", &Core::link_poses, "q"_a)
       .def("free_states", &Core::free_states, "q"_a, "margin"_a)
       .def("free_edges", &Core::free_edges, "q0"_a, "q1"_a, "step"_a, "margin"_a)
+      .def("projected", &Core::projected, "q"_a, "lower"_a, "upper"_a, "clearance"_a)
       .def("clearance", &Core::clearance, "q"_a)
       .def("clearance_gradient", &Core::clearance_gradient, "q"_a)
       .def("interaction", &Core::interaction, "q"_a)

@@ -37,6 +37,7 @@ void bind_impact(nb::module_& m) {
           "part_half"_a, "main"_a, "size"_a, "target_entity"_a, "target"_a, "level_start"_a, "n_entity"_a, "speed"_a,
           "constants"_a, nb::keep_alive<1, 2>())
       .def("add_contents", &DropModel::add_contents, "container"_a, "stands"_a, "visible"_a, "constants"_a)
+      .def("add_stop", &DropModel::add_stop, "deceleration"_a, "constants"_a, "places"_a)
       .def("add_loss", &DropModel::add_loss, "strength"_a, "loss"_a)
       .def("probability", &DropModel::probability, "q"_a, "qd"_a)
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)

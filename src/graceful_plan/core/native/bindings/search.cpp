@@ -64,8 +64,9 @@ class SceneSpace final : public Space {
     return true;
   }
   bool has_bounds() const override { return settings_.projects && core_.has_bounds(); }
-  bool project(double* q) override { return project(q, margin + kProjectionReserve); }
-  bool project(double* q, double clearance) const { return core_.project(q, lower.data(), upper.data(), clearance); }
+  bool project(double* q) override {
+    return core_.project(q, lower.data(), upper.data(), margin + kProjectionReserve);
+  }
   void ride(const Chain& of, int link, const double* point, Ride* out) override {
     require(link >= 0 && link < core_.tables().n_link, "link");
     core_.ride(of.points, size_t(of.n_edge) + 1, link, point, out);
@@ -419,15 +420,7 @@ void bind_search(nb::module_& m) {
           },
           nb::kw_only(), "core"_a, "impact"_a, "lower"_a, "upper"_a, "w"_a, "check_step"_a, "fine_step"_a,
           "cost_step"_a, "margin"_a, "holds"_a = nb::none(), "clearance"_a = nb::none(), "projects"_a = true,
-          nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
-      .def(
-          "project",
-          [](const SceneSpace& self, Reals q, double clearance) {
-            std::vector<Point> rows = points(q);
-            for (Point& row : rows) self.project(row.data(), clearance);
-            return as_array(rows, self.dim);
-          },
-          "q"_a, "clearance"_a);
+          nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>());
   nb::class_<CallbackSpace, Space>(m, "CallbackSpace")
       .def(
           "__init__",

@@ -192,6 +192,27 @@ struct Placed {
   }
 };
 
+// Calls visit(j) for obstacles that may be within reach(distance they ask for) of points, until one says it is enough.
+template <class Reach, class Visit>
+static inline bool for_each_obstacle_near(const Tables& tables, const Vec<F>& p, Reach reach, Visit visit) {
+  for (int k = 0; k < tables.n_boundless; ++k)
+    if (visit(tables.order[k])) return true;
+  for (int n = 0; n < tables.n_cell;) {
+    const Cell& cell = tables.cell[n];
+    const F r = reach(cell.keep), x = relu(absolute(p.x - cell.centre[0]) - cell.half[0]),
+            y = relu(absolute(p.y - cell.centre[1]) - cell.half[1]),
+            z = relu(absolute(p.z - cell.centre[2]) - cell.half[2]);
+    if (!any(x * x + y * y + z * z < r * r)) {
+      n = cell.next;
+      continue;
+    }
+    for (int k = cell.first; k < cell.first + cell.count; ++k)
+      if (visit(tables.order[k])) return true;
+    ++n;
+  }
+  return false;
+}
+
 // Which lanes collide. With `first_hit` it returns as soon as any lane does: one bad state spoils an edge.
 template <bool first_hit> static inline MaskF collides(const Tables& tables, const Frame<F>* X_W, float margin) {
   Placed placed(tables, X_W);
@@ -199,12 +220,13 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
   for (int g = tables.n_group - 1; g >= 0; --g) {  // the far links move most: test them first
     const Group& group = tables.group[g];
     if (group.frame == 0) continue;  // the base does not move
-    for (int j = 0; j < tables.n_obstacle; ++j) {
+    const auto reach = [&](float keep) { return F{} + (group.bound[3] + margin + keep); };
+    const bool enough = for_each_obstacle_near(tables, placed.bound[g], reach, [&](int j) {
       const Obstacle& o = tables.obstacle[j];
-      if (o.ignores >> group.link & 1) continue;
-      const float kept = margin + o.keep, reach = group.bound[3] + kept;
-      if (!any(near_bound(o, placed.bound[g], F{} + reach))) continue;
-      if (!any(touches(tables, o, placed.bound[g], reach))) continue;
+      if (o.ignores >> group.link & 1) return false;
+      const float kept = margin + o.keep;
+      if (!any(near_bound(o, placed.bound[g], F{} + (group.bound[3] + kept)))) return false;
+      if (!any(touches(tables, o, placed.bound[g], group.bound[3] + kept))) return false;
       const Vec<F>* sphere = placed.spheres(g);
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
@@ -213,9 +235,11 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
           continue;
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
           hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + kept);
-        if (first_hit ? any(hit) : all(hit)) return hit;
+        if (first_hit ? any(hit) : all(hit)) return true;
       }
-    }
+      return false;
+    });
+    if (enough) return hit;
   }
   for (int p = 0; p < tables.n_pair; ++p) {
     const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
@@ -259,14 +283,43 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
   Placed placed(tables, X_W);
   Nearest best = {F{} + 1e9f, MaskF{} - 1, MaskF{}};
   for_each_bound(tables, X_W, [&](int k, F clearance) { best.update(clearance, -2 - k, 0); });
+  for (int p = 0; p < tables.n_pair; ++p) {
+    const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
+    const Group &ga = tables.group[a], &gb = tables.group[b];
+    F gap = square_root(squared_distance(placed.bound[a], placed.bound[b])) - (ga.bound[3] + gb.bound[3]);
+    if (!any(gap < best.distance)) continue;
+    const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
+    // Whether a sphere and a bound may be nearer than what was found so far, in any lane.
+    const auto near = [&](const Vec<F>& p, const Vec<F>& q, float radii) {
+      const F within = relu(best.distance + radii);
+      return any(squared_distance(p, q) < within * within);
+    };
+    for (int c = ga.first_cluster; c < ga.first_cluster + ga.n_cluster; ++c) {
+      const Cluster& mine = tables.cluster[c];
+      const Vec<F> centre = transform(X_W[ga.frame], mine.bound);
+      if (ga.n_cluster > 1 && !near(centre, placed.bound[b], mine.bound[3] + gb.bound[3])) continue;
+      for (int d = gb.first_cluster; d < gb.first_cluster + gb.n_cluster; ++d) {
+        const Cluster& other = tables.cluster[d];
+        const Vec<F> facing = transform(X_W[gb.frame], other.bound);
+        if (!near(centre, facing, mine.bound[3] + other.bound[3])) continue;
+        for (int k = mine.first; k < mine.first + mine.count; ++k) {
+          const float radius = tables.sphere[4 * k + 3];
+          if (mine.count > 1 && !near(sa[k], facing, radius + other.bound[3])) continue;
+          for (int m = other.first; m < other.first + other.count; ++m)
+            best.update(square_root(squared_distance(sa[k], sb[m])) - (radius + tables.sphere[4 * m + 3]), k, -1 - m);
+        }
+      }
+    }
+  }
   for (int g = tables.n_group - 1; g >= 0; --g) {
     const Group& group = tables.group[g];
     if (group.frame == 0) continue;  // the base does not move
-    for (int j = 0; j < tables.n_obstacle; ++j) {
+    const auto reach = [&](float keep) { return relu(best.distance + (group.bound[3] + keep)); };
+    for_each_obstacle_near(tables, placed.bound[g], reach, [&](int j) {
       const Obstacle& o = tables.obstacle[j];
-      if (o.ignores >> group.link & 1) continue;
-      if (!any(near_bound(o, placed.bound[g], relu(best.distance + (group.bound[3] + o.keep))))) continue;
-      if (!any(signed_distance(tables, o, placed.bound[g]) - (group.bound[3] + o.keep) < best.distance)) continue;
+      if (o.ignores >> group.link & 1) return false;
+      if (!any(near_bound(o, placed.bound[g], reach(o.keep)))) return false;
+      if (!any(signed_distance(tables, o, placed.bound[g]) - (group.bound[3] + o.keep) < best.distance)) return false;
       const Vec<F>* sphere = placed.spheres(g);
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
@@ -277,18 +330,8 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
           best.update(signed_distance(tables, o, sphere[k]) - (tables.sphere[4 * k + 3] + o.keep), k, j);
       }
-    }
-  }
-  for (int p = 0; p < tables.n_pair; ++p) {
-    const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
-    const Group &ga = tables.group[a], &gb = tables.group[b];
-    F gap = square_root(squared_distance(placed.bound[a], placed.bound[b])) - (ga.bound[3] + gb.bound[3]);
-    if (!any(gap < best.distance)) continue;
-    const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
-    for (int k = ga.first; k < ga.first + ga.count; ++k)
-      for (int m = gb.first; m < gb.first + gb.count; ++m)
-        best.update(square_root(squared_distance(sa[k], sb[m])) - (tables.sphere[4 * k + 3] + tables.sphere[4 * m + 3]),
-                    k, -1 - m);
+      return false;
+    });
   }
   return best;
 }

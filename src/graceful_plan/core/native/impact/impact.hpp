@@ -196,10 +196,26 @@ class DropModel {
       require(s.first >= 0 && s.first <= s.end && s.end <= tables_.n_level, "levels that a surface stands on");
       spill_.push_back(s);
     }
-    for (int use = 0; use < kDropRows - 1; ++use)
+    for (int use = 0; use < kSpillUses; ++use)
       std::copy_n(constants.data() + use * int(std::size(kSpillConstants)), std::size(kSpillConstants),
                   &spill.use[use].position_spread);
     spill.surface = spill_.data();  // null if there is nothing to land on
+  }
+
+  // deceleration: of each joint when the robot stops by itself; constants: amplification, response, spread; places:
+  // those of the spill model
+  void add_stop(Reals deceleration, Reals constants, Reals places) {
+    const size_t nq = size_t(core_.tables().n_joint);
+    require(deceleration.size() == nq && constants.size() == 3 && places.size() == std::size(kSpillConstants),
+            "tables of stops");
+    StopTables& stop = tables_.stop;
+    std::copy_n(places.data(), places.size(), &stop.places.position_spread);
+    stop.amplification = constants.data()[0], stop.response = constants.data()[1], stop.spread = constants.data()[2];
+    require(stop.amplification >= 0 && stop.response > 0 && stop.spread > 0, "constants of stops");
+    for (size_t j = 0; j < nq; ++j) {
+      require(deceleration.data()[j] > 0, "deceleration of a joint");
+      stop.slowness[j] = 1.0 / deceleration.data()[j];
+    }
   }
 
   // strength: of each surface; loss: sharpness, shifts (2), weights (2)

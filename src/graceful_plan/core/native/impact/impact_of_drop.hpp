@@ -8,6 +8,9 @@ static inline bool matters(const DropTables& drop, const double* severity) {
   return false;
 }
 
+// Whether the robot may stop by itself, and moves.
+static inline bool stops(const DropTables& drop, const D* qd) { return drop.stop.spread > 0 && qd; }
+
 // Whether what becomes of the object itself counts: the last one of all severities.
 static inline bool own_matters(const DropTables& drop, const double* severity) {
   return drop.loss.sharpness > 0 && (!severity || severity[kDropRows * drop.n_entity] != 0.0);
@@ -53,16 +56,22 @@ static inline void drop_probability(const Tables& tables, const DropTables& drop
   if (!drop.spill.surface) return;
   Mouth mouth;
   pour(drop.spill, X_W[drop.frame], flight, mouth);
-  for (int row = 1; row < kDropRows; ++row) {
+  const auto reach = [&](int row, const SpillConstants& k, D weight, D rho) {
     const double* own = severity ? severity + row * drop.n_entity : nullptr;
-    if (own && !matters(drop, own)) continue;
-    Spill spill(drop.spill.use[row - 1]);
-    spill.run(drop, flight, landing, mouth, own);
+    Spill spill(k);
+    spill.run(drop, flight, landing, mouth, rho, own);
     D* reached = P + row * drop.n_entity;
     for (int i = 0; i < drop.n_surface; ++i)
       if (Spill::wanted(drop, i, own))
-        reached[drop.surface[i].entity] = maximum(reached[drop.surface[i].entity], spill.probability(i));
-  }
+        reached[drop.surface[i].entity] = maximum(reached[drop.surface[i].entity], weight * spill.probability(i));
+  };
+  const auto counts = [&](int row) { return !severity || matters(drop, severity + row * drop.n_entity); };
+  for (int row = 1; row <= kSpillUses; ++row)
+    if (const SpillConstants& k = drop.spill.use[row - 1]; counts(row))
+      reach(row, k, D{} + 1.0, Filling(drop.spill, k, mouth).rho);
+  if (!stops(drop, qd) || !counts(kStopRow)) return;
+  const Stop stop(drop.spill, drop.stop, mouth, stopping_time(tables, drop.stop, qd));
+  if (any(stop.chance > kNothing)) reach(kStopRow, drop.stop.places, stop.chance, stop.rho);
 }
 
 static inline D drop_impact_of(const Tables& tables, const DropTables& drop, const double* severity, const D* q,
@@ -76,16 +85,31 @@ static inline D drop_impact_of(const Tables& tables, const DropTables& drop, con
 // --- gradient -------------------------------------------------------------------------------------------------------
 
 // Adds what contents do to the impact and to derivatives; returns that with respect to a small turn of the object.
-static inline Vec<D> back_contents(Backward& back, const double* severity, D& impact) {
+// d_stop: with respect to the time that the robot needs to stop.
+static inline Vec<D> back_contents(Backward& back, const double* severity, const D* qd, D& impact, D& d_stop) {
   const DropTables& drop = back.drop;
   Vec<D> d_turn = {D{}, D{}, D{}};
   if (!drop.spill.surface) return d_turn;
   Mouth mouth;
   MouthSlope d_mouth;
   pour(drop.spill, back.X_W[drop.frame], back.flight, mouth);
-  for (int row = 1; row < kDropRows; ++row) {
+  for (int row = 1; row <= kSpillUses; ++row) {
     const double* own = severity + row * drop.n_entity;
-    if (matters(drop, own)) impact += back_spill(back, mouth, drop.spill.use[row - 1], own, d_mouth);
+    if (!matters(drop, own)) continue;
+    const SpillConstants& k = drop.spill.use[row - 1];
+    Outflow out{k, D{} + 1.0, Filling(drop.spill, k, mouth).rho};
+    impact += back_spill(back, mouth, out, own, d_mouth);
+    back_filling(drop.spill, k, mouth, out.d_rho, d_mouth);
+  }
+  const double* spilled = severity + kStopRow * drop.n_entity;
+  if (stops(drop, qd) && matters(drop, spilled)) {
+    const Stop stop(drop.spill, drop.stop, mouth, stopping_time(back.tables, drop.stop, qd));
+    if (any(stop.chance > kNothing)) {
+      Outflow out{drop.stop.places, stop.chance, stop.rho};
+      const D reached = back_spill(back, mouth, out, spilled, d_mouth);
+      impact += stop.chance * reached;
+      d_stop = back_stop(drop.spill, drop.stop, mouth, stop, reached, out.d_rho, d_mouth);
+    }
   }
   return back_pour(back.flight, mouth, d_mouth, back.d_flight);
 }
@@ -162,11 +186,14 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   }
   back_tumble(back, tumble, d_tumble);
   back_sweep(back, sweep, d_sweep);
-  const Vec<D> d_pour = back_contents(back, severity, impact);
+  D d_stop = {};
+  const Vec<D> d_pour = back_contents(back, severity, qd, impact, d_stop);
   back_land(back);
   Vec<D> d_turn = back_release(back);
   d_turn = {d_turn.x + d_pour.x, d_turn.y + d_pour.y, d_turn.z + d_pour.z};
   back_joints(back, qd, d_turn, out.d_q, out.d_qd);
+  if (stops(drop, qd))
+    back_stopping_time(tables, drop.stop, qd, stopping_time(tables, drop.stop, qd), d_stop, out.d_qd);
   return impact;
 }
 

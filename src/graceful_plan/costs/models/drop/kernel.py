@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -14,7 +15,7 @@ from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.loss import LANDING_LOSS, NODES, WEIGHTS, LossTables, loss_tables
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
-from graceful_plan.costs.models.spill.constants import USES, SpillSettings
+from graceful_plan.costs.models.spill.constants import USES, SpillSettings, StopSettings
 from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
 from graceful_plan.exceptions import ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
@@ -28,9 +29,18 @@ CONSTANTS: tuple[str, ...] = tuple(_native.drop_constants())
 """Names of the constants in the order in which the core takes them."""
 SPILL_CONSTANTS: tuple[str, ...] = tuple(_native.spill_constants())
 """The same for the spill model."""
-ROWS = ("carried", *USES)
+ROWS = ("carried", *USES, "stopped")
 """Rows of probabilities and severities: the object after a drop; contents after a drop; contents that get out while the
-gripper holds."""
+gripper holds; contents that a stop of the robot spills."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StopTables:
+    """How a robot stops by itself: constants, and the greatest accelerations of its joints [rad/s^2]."""
+
+    settings: StopSettings
+    acceleration: Float[Array, " nq"]
 
 
 @final
@@ -48,6 +58,7 @@ class DropKernel:
         n_entity: How many entities the scene has.
         contents: Tables and constants of the spill model if there are contents.
         loss: How easily the object itself is damaged; never, by default.
+        stop: How the robot stops by itself; that spills nothing, by default.
 
     Raises:
         UnsupportedError: If there is more of something than the core holds.
@@ -62,6 +73,7 @@ class DropKernel:
         n_entity: int,
         contents: tuple[SpillTables, SpillSettings] | None = None,
         loss: LossTables | None = None,
+        stop: StopTables | None = None,
     ) -> None:
         for what, count in (("carried parts", len(tables.part_half)), ("surfaces", len(tables.target_entity))):
             if count > CAPACITY[what]:
@@ -86,6 +98,8 @@ class DropKernel:
         )
         if contents is not None:
             self._add_contents(*contents)
+        if stop is not None:
+            self._add_stop(stop.settings, stop.acceleration)
         if loss is not None:
             numbers = (1.0, *(LANDING_LOSS * node for node in NODES))
             self.native.add_loss(_reals(loss.strength), np.array([*(x / loss.spread for x in numbers), *WEIGHTS]))
@@ -97,6 +111,13 @@ class DropKernel:
             stands=np.ascontiguousarray(tables.stands, dtype=np.int32),
             visible=_reals(tables.visible),
             constants=np.array([getattr(settings.of(use), name) for use in USES for name in SPILL_CONSTANTS]),
+        )
+
+    def _add_stop(self, settings: StopSettings, acceleration: Float[Array, " nq"]) -> None:
+        self.native.add_stop(
+            deceleration=_reals(settings.deceleration * acceleration),
+            constants=np.array([settings.amplification, settings.response, settings.spread]),
+            places=np.array([getattr(settings.places, name) for name in SPILL_CONSTANTS]),
         )
 
     def probability(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch row entity"]:
@@ -160,7 +181,11 @@ class DropKernel:
 
 
 def drop_kernel(
-    scene: Scene, settings: DropSettings, spill: SpillSettings | None = None, fragility: FragilityTable | None = None
+    scene: Scene,
+    settings: DropSettings,
+    spill: SpillSettings | None = None,
+    fragility: FragilityTable | None = None,
+    stop: StopSettings | None = None,
 ) -> DropKernel:
     """Return both models of a scene in which something is carried; they are made once per set of constants.
 
@@ -169,17 +194,21 @@ def drop_kernel(
         settings: Of the drop model.
         spill: Of the spill model; the shipped ones by default.
         fragility: How easily things are damaged, the object itself among them; the shipped table by default.
+        stop: How the robot stops by itself; the shipped constants by default.
 
     Raises:
         UnsupportedError: If the core cannot represent it.
     """
     constants = settings.of(drop_tables(scene).shape_class)
     spill = SpillSettings.shipped() if spill is None else spill
-    return _kernel(scene, constants, spill, FragilityTable.shipped() if fragility is None else fragility)
+    fragility = FragilityTable.shipped() if fragility is None else fragility
+    return _kernel(scene, constants, spill, fragility, StopSettings.shipped() if stop is None else stop)
 
 
 @per_scene(most=4)
-def _kernel(scene: Scene, constants: DropConstants, spill: SpillSettings, fragility: FragilityTable) -> DropKernel:
+def _kernel(
+    scene: Scene, constants: DropConstants, spill: SpillSettings, fragility: FragilityTable, stop: StopSettings
+) -> DropKernel:
     return DropKernel(
         drop_tables(scene),
         constants,
@@ -188,6 +217,7 @@ def _kernel(scene: Scene, constants: DropConstants, spill: SpillSettings, fragil
         n_entity=len(scene.entities),
         contents=None if scene.contents is None else (spill_tables(scene), spill),
         loss=loss_tables(scene, fragility),
+        stop=StopTables(settings=stop, acceleration=scene.limits.acceleration),
     )
 
 

@@ -24,7 +24,7 @@ from graceful_plan.costs.models.body.tables import ROWS as HOLDING
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.moving.model import MovingModel
-from graceful_plan.costs.models.spill.constants import SpillSettings
+from graceful_plan.costs.models.spill.constants import SpillSettings, StopSettings
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.elements import COMPONENTS
@@ -35,7 +35,7 @@ Array = np.ndarray
 
 FALLING = ("carried", "contents")
 """Components that fall when the gripper lets go."""
-_SOURCE = {"carried": (("carried", "drop"),), "contents": (("dropped", "drop"), ("held", "spill"))}
+_SOURCE = {"carried": (("carried", "drop"),), "contents": (("dropped", "drop"), ("held", "spill"), ("stopped", "stop"))}
 """Rows of the drop kernel that strike as a component, and the generator behind each."""
 
 
@@ -50,6 +50,7 @@ class Footprint(NativeModel):
         settings: Constants of the drop model; the shipped ones by default.
         spill: Constants of the spill model; the shipped ones by default.
         body: Constants of the body model; the shipped ones by default.
+        stop: How hard the robot stops by itself, and what contents make of it; the shipped constants by default.
 
     Raises:
         UnknownNameError: If there is no such preset.
@@ -59,6 +60,7 @@ class Footprint(NativeModel):
     settings: DropSettings = field(default_factory=DropSettings.shipped)
     spill: SpillSettings = field(default_factory=SpillSettings.shipped)
     body: BodySettings = field(default_factory=BodySettings.shipped)
+    stop: StopSettings = field(default_factory=StopSettings.shipped)
 
     def __post_init__(self) -> None:
         if not isinstance(self.faults, str | FaultPrior):
@@ -93,7 +95,7 @@ class Footprint(NativeModel):
         """Return P that the fall of the carried object damages it."""
         if batch.scene.carried is None or not self.knows_own_loss or not len(batch):
             return {"drop": np.zeros(len(batch))}
-        kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility)
+        kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop)
         return {"drop": self.prior.weights()["drop"] * kernel.own_loss(batch.q, batch.qd)}
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
@@ -146,16 +148,16 @@ class Footprint(NativeModel):
     def widened(self, metres: float) -> Footprint:
         """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
         wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
-        return replace(self, settings=wide[0], spill=wide[1], body=wide[2])
+        return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
-        """What comes of drops and of spills."""
+        """What comes of drops, of spills and of stops."""
         scene, weights = batch.scene, self.prior.weights()
-        names = [name for name in ("drop", "spill") if weights[name] > 0.0]
+        names = [name for name in ("drop", "spill", "stop") if weights[name] > 0.0]
         found = {name: np.zeros((len(batch), len(scene.components), len(scene.entities))) for name in names}
         if scene.carried is None or not len(batch) or not names:
             return found
-        P = drop_kernel(scene, self.settings, self.spill).probability(batch.q, batch.qd)
+        P = drop_kernel(scene, self.settings, self.spill, None, self.stop).probability(batch.q, batch.qd)
         for row, component in enumerate(scene.components):
             for own, source in _SOURCE.get(component, ()):
                 if source in found:
@@ -185,7 +187,7 @@ class Footprint(NativeModel):
         return np.array([[weights[name], held[name]] for name in GENERATORS])
 
     def _drop_kernel(self, scene: Scene, own: OwnLoss | None) -> DropKernel:
-        return drop_kernel(scene, self.settings, self.spill, None if own is None else own.fragility)
+        return drop_kernel(scene, self.settings, self.spill, None if own is None else own.fragility, self.stop)
 
     def _own_severity(self, own: OwnLoss | None) -> float:
         return 0.0 if own is None else self.prior.weights()["drop"] * own.severity

@@ -17,7 +17,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
-from graceful_plan.costs.models.drop.kernel import DropKernel
+from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel
 from graceful_plan.costs.models.drop.tables import DISC, DropTables, drop_tables, levels
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_scene
@@ -47,11 +47,18 @@ def moving_kernels(
         return []
     constants = settings.of(drop_tables(scene).shape_class)
     return [
-        model.with_severity(np.array([[share * weight], [0.0], [0.0]]), paces)  # all falls together
+        model.with_severity(_of_object(share * weight), paces)
         for entity, weight in zip(scene.moving.values(), severity.tolist(), strict=True)
         if weight > 0.0
         for model, share in _standing(scene, entity.name, constants)
     ]
+
+
+def _of_object(severity: float) -> Float[Array, "row 1"]:
+    """Return the severities of one entity: all falls together count as the object's."""
+    rows = np.zeros((len(ROWS), 1))
+    rows[ROWS.index("carried")] = severity
+    return rows
 
 
 @per_scene

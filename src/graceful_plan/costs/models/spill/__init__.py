@@ -1,4 +1,4 @@
-r"""The spill model: whom contents reach if their container is dropped here, or if they get out of it in the gripper.
+r"""The spill model: whom contents reach if they are dropped here, get out in the gripper, or if the robot stops here.
 
 Contents leave over the rim, come down on something, run out to a puddle as deep as surface tension lets it be (dry
 contents to a heap), reach what stands in it, and run over the edges of what carries it to what is below. What the drop
@@ -9,13 +9,18 @@ down on the same things, at a less certain place.
 reach the entity | contents get out while the gripper holds). How likely that is does not show in the state (fits to
 speed and tilt explain less than 1 % of the variance), so it is left to the prior over faults.
 
+"stopped" is P(contents reach the entity | the robot stops by itself). That does show in the state: a robot that brakes
+throws contents forward, and how fast it moves, how long it needs to stop and how full and tilted the container is
+tell whether they go over the rim. They leave with the velocity that the rim had. What they felt before the stop, and
+waves of the surface beyond a constant factor, are left out.
+
 Hot contents: severities have columns for hot contents already, so that nothing here depends on the temperature.
 
 Specification
 -------------
 Symbols, functions and the drop model's results as in the docstring of `graceful_plan.costs.models.drop`; F_l, M_l: sums
 over a level; tc_l: tc of its first target; Z_l: its top. Constants, for each use: `SpillConstants`. Tables:
-`SpillTables`. The native kernel (native/impact/spill.hpp) follows this text.
+`SpillTables`. The native kernel (native/impact/contents) follows this text.
 
 .. code-block:: text
 
@@ -43,10 +48,20 @@ over a level; tc_l: tc of its first target; Z_l: its top. Constants, for each us
 
     Together: P_k = 1 - (1 - A_k)(1 - B_k)(1 - D_k);  P(entity) = max over its targets, 0 if it has none
 
+  Stopped: with constants of its own, but P(entity) is multiplied by out, and rho is another; kd, ka, tr, us, and the
+  others as `places`: StopSettings
+      T = max over the joints of |qd|/(kd greatest acceleration)     time that the robot needs to stop
+      f = g e_z - ka vm/sqrt(T^2 + tr^2)                             what is felt in the container
+      fill(c): as above, with c for z and without speed              c' = axis . f/sqrt(f . f + 1e-4);
+                                                                     c = z g/sqrt(g^2 + 1e-4)
+      e = 1 - S(ln fill(c)/us),  e' = 1 - S(ln fill(c')/us)          P that they stay, before and in the stop
+      out = max(0, 1 - e'/e)
+      lost = max(0, (1 + fill(c)^4)^(-1/4) - (1 + fill(c')^4)^(-1/4));  rho = R (lost + 0.01)^power
+
 The volume that a tilted cylinder holds is a wedge; 1/(1 + x + x^2 + 1.7 x^3) is within 0.03 of it, in shares of what
 it holds upright.
 
 References:
     Depth of a puddle: capillary length and contact angle, de Gennes, Brochard-Wyart, Quéré, "Capillarity and Wetting
-    Phenomena", 2004. The rest: own work, fitted to FailBench; see the head of `spill.yaml`.
+    Phenomena", 2004. The rest: own work, fitted to FailBench; see the heads of `spill.yaml` and `stop.yaml`.
 """

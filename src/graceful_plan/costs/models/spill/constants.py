@@ -16,6 +16,8 @@ from graceful_plan.yaml_file import Block, YamlTable
 USES = ("dropped", "held")
 """How contents get out: their container falls and lands; it is jolted or tipped in the gripper."""
 _POSITIVE = ("position_spread", "soft_spread")
+_STOP = ("deceleration", "amplification", "response", "spread")
+"""Constants of stops that are numbers."""
 
 
 @final
@@ -59,6 +61,48 @@ class SpillConstants:
 
 @final
 @dataclass(frozen=True, kw_only=True)
+class StopSettings(YamlTable):
+    """How hard the robot stops by itself, and what contents make of it; the shipped ones are `stop.yaml`.
+
+    Raises:
+        SettingError: If one is not finite or out of its range.
+    """
+
+    shipped_file = Path(__file__).parent / "stop.yaml"
+    kind = "stops"
+    keys = ("stop", "places")
+
+    deceleration: float
+    """kd: of the joint that needs longest, over the greatest acceleration that motions have."""
+    amplification: float
+    """ka: how much more than the mean deceleration contents feel."""
+    response: float
+    """tr: time that their surface needs to follow [s]; shorter stops hardly tilt it."""
+    spread: float
+    """us: how uncertain the logarithm of what the container could hold is."""
+    places: SpillConstants
+    """Where contents come down that a stop throws out. Speed before it counts for that, not for how full the container
+    is."""
+
+    def __post_init__(self) -> None:
+        values = {name: getattr(self, name) for name in _STOP}
+        check_ranges(values, positive=("deceleration", "response", "spread"), not_negative={"amplification"})
+
+    @classmethod
+    def parsed(cls, root: Block) -> StopSettings:
+        """Make them of the values in a file."""
+        places = SpillConstants(
+            **root["places"].numbers_by_name(*(constant.name for constant in fields(SpillConstants)))
+        )
+        return cls(places=places, **root["stop"].numbers_by_name(*_STOP))
+
+    def widened(self, metres: float) -> StopSettings:
+        """Return constants with the place where contents land uncertain by so much more."""
+        return replace(self, places=_widened(self.places, metres))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
 class SpillSettings(YamlTable):
     """Constants of the spill model by use, see `USES`."""
 
@@ -77,11 +121,12 @@ class SpillSettings(YamlTable):
 
     def widened(self, metres: float) -> SpillSettings:
         """Return constants with the place where contents land uncertain by so much more."""
-        dropped, held = (
-            replace(own, position_spread=math.hypot(own.position_spread, metres)) for own in (self.dropped, self.held)
-        )
-        return SpillSettings(dropped=dropped, held=held)
+        return SpillSettings(dropped=_widened(self.dropped, metres), held=_widened(self.held, metres))
 
     def of(self, use: str) -> SpillConstants:
         """Return the constants of one of `USES`."""
         return getattr(self, use)
+
+
+def _widened(constants: SpillConstants, metres: float) -> SpillConstants:
+    return replace(constants, position_spread=math.hypot(constants.position_spread, metres))

@@ -1,7 +1,8 @@
 // The gradient of the spill model: spill.hpp backwards, written as drop_gradient.hpp.
 
 struct MouthSlope {
-  D x = {}, y = {}, vx = {}, vy = {}, up = {}, speed2 = {};
+  D x = {}, y = {}, vx = {}, vy = {}, vz = {}, up = {}, speed2 = {};
+  Vec<D> axis = {D{}, D{}, D{}};
 };
 
 // Derivatives with respect to what all surfaces share.
@@ -159,18 +160,20 @@ static inline void back_arrive(Backward& back, const Mouth& mouth, const Spill& 
 
 // --- the container --------------------------------------------------------------------------------------------------
 
-static inline void back_filling(Backward& back, const Mouth& mouth, const Spill& spill, const SpillSlope& d,
-                                MouthSlope& d_mouth) {
-  const SpillTables& tables = back.drop.spill;
+static inline void back_blur(Backward& back, const Spill& spill, const SpillSlope& d, MouthSlope& d_mouth) {
   const SpillConstants& k = spill.k;
   const D d_variance =
       -0.5 * kBeta * kBeta * spill.inverse_scale * spill.inverse_scale * spill.inverse_scale * d.inverse_scale;
   d_mouth.x += d.x, d_mouth.y += d.y;
   d_mouth.speed2 += k.speed_spread * k.speed_spread * d_variance;
   back.d_landing.fallen += 2.0 * k.height_spread * k.height_spread * back.landing.fallen * d_variance;
+}
+
+static inline void back_filling(const SpillTables& tables, const SpillConstants& k, const Mouth& mouth, D d_rho,
+                                MouthSlope& d_mouth) {
   const Filling filling(tables, k, mouth);
   const D cube = filling.fill * filling.fill * filling.fill;
-  const D d_fill = -d.rho * filling.rho * tables.power * cube * reciprocal(1.0 + cube * filling.fill);
+  const D d_fill = -d_rho * filling.rho * tables.power * cube * reciprocal(1.0 + cube * filling.fill);
   const D d_x = d_fill * (1.0 + filling.x * (2.0 + 5.1 * filling.x)) * (1.0 / tables.full),
           d_lean = d_x * (tables.rim / tables.depth);
   d_mouth.speed2 += d_lean * k.slosh * 0.5 * reciprocal(filling.speed);
@@ -179,9 +182,10 @@ static inline void back_filling(Backward& back, const Mouth& mouth, const Spill&
   d_mouth.up -= d_slope * (inverse_side + filling.slope * inverse_up);
 }
 
-static inline D severest(const DropTables& drop, const Spill& spill, const double* severity, ReachedSlope& reached) {
+static inline D severest(const DropTables& drop, const Spill& spill, const double* severity, D weight,
+                         ReachedSlope& reached) {
   D P[kMaxEntities], open[kMaxEntities], impact = {};
-  for (int e = 0; e < drop.n_entity; ++e) P[e] = D{}, open[e] = D{} + severity[e];
+  for (int e = 0; e < drop.n_entity; ++e) P[e] = D{}, open[e] = weight * severity[e];
   for (int i = 0; i < drop.n_surface; ++i)
     if (drop.surface[i].entity >= 0)
       P[drop.surface[i].entity] = maximum(P[drop.surface[i].entity], spill.probability(i));
@@ -200,14 +204,20 @@ static inline D severest(const DropTables& drop, const Spill& spill, const doubl
   return impact;
 }
 
-// The impact of one use, and its derivatives.
-static inline D back_spill(Backward& back, const Mouth& mouth, const SpillConstants& constants, const double* severity,
+// What gets out: with which probability, and the radius of its puddle, with the derivative with respect to that.
+struct Outflow {
+  const SpillConstants& k;
+  D weight, rho, d_rho = {};
+};
+
+// The impact if it gets out; derivatives of that times its weight.
+static inline D back_spill(Backward& back, const Mouth& mouth, Outflow& out, const double* severity,
                            MouthSlope& d_mouth) {
   const DropTables& drop = back.drop;
-  Spill spill(constants);
-  spill.run(drop, back.flight, back.landing, mouth, severity);
+  Spill spill(out.k);
+  spill.run(drop, back.flight, back.landing, mouth, out.rho, severity);
   ReachedSlope reached;
-  const D impact = severest(drop, spill, severity, reached);
+  const D impact = severest(drop, spill, severity, out.weight, reached);
   SpillSlope d(drop);
   for (int i = 0; i < drop.n_surface; ++i)
     if (any(reached.stood[i] != 0.0)) back_standing(drop, spill, i, reached.stood[i], d);
@@ -218,18 +228,20 @@ static inline D back_spill(Backward& back, const Mouth& mouth, const SpillConsta
     const LevelSlope d_arrives = back_flow(drop, spill, l, reached, d_flow, d);
     back_arrive(back, mouth, spill, l, d_arrives, d_mouth);
   }
-  back_filling(back, mouth, spill, d, d_mouth);
+  back_blur(back, spill, d, d_mouth);
+  out.d_rho = d.rho;
   return impact;
 }
 
 // Returns the derivative with respect to a small turn of the object.
 static inline Vec<D> back_pour(const Flight& flight, const Mouth& mouth, const MouthSlope& d, FlightSlope& d_flight) {
-  const Vec<D> d_u = {d.vx + 2.0 * d.speed2 * mouth.vx, d.vy + 2.0 * d.speed2 * mouth.vy, D{}};
+  const Vec<D> d_u = {d.vx + 2.0 * d.speed2 * mouth.vx, d.vy + 2.0 * d.speed2 * mouth.vy, d.vz};
   const D d_z = d.up * mouth.up * inverse_root(mouth.axis.z * mouth.axis.z + 0.01);
   const Vec<D> swing = cross(mouth.o, d_u), pull = cross(d_u, flight.w);
   d_flight.c.x += d.x, d_flight.c.y += d.y;
-  d_flight.v.x += d_u.x, d_flight.v.y += d_u.y;
+  d_flight.v.x += d_u.x, d_flight.v.y += d_u.y, d_flight.v.z += d_u.z;
   d_flight.w.x += swing.x, d_flight.w.y += swing.y, d_flight.w.z += swing.z;
-  const Vec<D> arm = cross(mouth.o, {d.x + pull.x, d.y + pull.y, pull.z}), tilt = cross(mouth.axis, {D{}, D{}, d_z});
+  const Vec<D> arm = cross(mouth.o, {d.x + pull.x, d.y + pull.y, pull.z}),
+               tilt = cross(mouth.axis, {d.axis.x, d.axis.y, d_z + d.axis.z});
   return {arm.x + tilt.x, arm.y + tilt.y, arm.z + tilt.z};
 }

@@ -4,16 +4,16 @@
 // --- the container --------------------------------------------------------------------------------------------------
 
 struct Mouth {
-  Vec<D> o, axis;  // from c; the container's axis
-  D x, y, vx, vy;  // m, vm
-  D up, speed2;    // p, sm2
+  Vec<D> o, axis;      // from c; the container's axis
+  D x, y, vx, vy, vz;  // m, vm
+  D up, speed2;        // p, sm2
 };
 
 static inline void pour(const SpillTables& spill, const Frame<D>& X, const Flight& flight, Mouth& mouth) {
   mouth.o = rotate(X, spill.mouth), mouth.axis = rotate(X, spill.axis);
   const Vec<D> swing = cross(flight.w, mouth.o);
   mouth.x = flight.c.x + mouth.o.x, mouth.y = flight.c.y + mouth.o.y;
-  mouth.vx = flight.v.x + swing.x, mouth.vy = flight.v.y + swing.y;
+  mouth.vx = flight.v.x + swing.x, mouth.vy = flight.v.y + swing.y, mouth.vz = flight.v.z + swing.z;
   mouth.up = 0.5 * (mouth.axis.z + square_root(mouth.axis.z * mouth.axis.z + 0.01));
   mouth.speed2 = mouth.vx * mouth.vx + mouth.vy * mouth.vy;
 }
@@ -66,11 +66,11 @@ struct Spill {
 
   explicit Spill(const SpillConstants& constants) : k(constants) {}
 
-  // `severity` as in drop_probability.
-  void run(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth,
+  // `radius` of the puddle; `severity` as in drop_probability.
+  void run(const DropTables& drop, const Flight& flight, const Landing& landing, const Mouth& mouth, D radius,
            const double* severity) {
     const SpillTables& spill = drop.spill;
-    rho = Filling(spill, k, mouth).rho;
+    rho = radius;
     inner = spill.radius * k.edge;
     x = mouth.x, y = mouth.y;
     const D deep = k.height_spread * landing.fallen;

@@ -1,0 +1,212 @@
+"""Spheres that cover the geoms of links, made once for each shape and kept.
+
+What belongs to the robot does not change when an obstacle does. Covers are found again by what they are made of, in
+this process and, where they took long, in a folder of the user's: see `kept`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from threading import Lock
+
+import mujoco
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core import kept, sphere_cover
+from graceful_plan.core.kernels import CAPACITY
+from graceful_plan.exceptions import UnsupportedError
+
+Array = np.ndarray
+
+_GEOM = mujoco.mjtGeom
+GEOM_KINDS = {
+    _GEOM.mjGEOM_PLANE: "plane",
+    _GEOM.mjGEOM_SPHERE: "sphere",
+    _GEOM.mjGEOM_CAPSULE: "capsule",
+    _GEOM.mjGEOM_ELLIPSOID: "ellipsoid",
+    _GEOM.mjGEOM_CYLINDER: "cylinder",
+    _GEOM.mjGEOM_BOX: "box",
+    _GEOM.mjGEOM_MESH: "mesh",
+}
+"""Names of the types of geoms that can be represented."""
+BASE_PROTRUSION = 0.03
+"""How far spheres may stick out of large geoms of the base [m]; they only keep the arm off its own foot."""
+_MANY = 200
+_MOST_KEPT = 512
+"""Covers of links in memory; those not asked for longest go first."""
+_SLOW = 0.05
+"""A cover that took longer is kept in the folder [s]: reading one takes a millisecond."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GroupCover:
+    """Spheres of a link.
+
+    | field      | meaning                                          | unit | shape    |
+    |------------|--------------------------------------------------|------|----------|
+    | spheres    | centre in the link frame, radius                 | m    | sphere 4 |
+    | bound      | a sphere around them all                         | m    | 4        |
+    | protrusion | how far they stick out of the geoms, at most     | m    |          |
+    """
+
+    spheres: Float[Array, "sphere 4"]
+    bound: Float[Array, " 4"]
+    protrusion: float
+
+
+_covers: OrderedDict[bytes, GroupCover] = OrderedDict()
+_covers_lock = Lock()
+
+
+def group_cover(
+    model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], *, base: bool
+) -> GroupCover:
+    """Return spheres that contain some geoms of one link.
+
+    Args:
+        model: The model.
+        geoms: The geoms.
+        X_LG: Where they are on the link.
+        base: Whether the link is the base.
+
+    Raises:
+        UnsupportedError: If a geom cannot be covered; names it.
+    """
+    key = hashlib.sha256(X_LG.tobytes() + bytes([base]))
+    for geom in geoms:
+        key.update(_shape(model, geom))
+    digest = key.digest()
+    with _covers_lock:
+        if digest in _covers:
+            _covers.move_to_end(digest)
+            return _covers[digest]
+    cover = _group_cover(model, geoms, X_LG, base=base)
+    with _covers_lock:
+        _covers[digest] = cover
+        if len(_covers) > _MOST_KEPT:
+            _covers.popitem(last=False)
+    return cover
+
+
+def forget() -> None:
+    """Forget the covers of this process; those in the folder stay."""
+    with _covers_lock:
+        _covers.clear()
+
+
+def _shape(model: mujoco.MjModel, geom: int) -> bytes:
+    """Return what a cover depends on, as bytes."""
+    kind = int(model.geom_type[geom])
+    shape = bytes([kind]) + model.geom_size[geom].tobytes()
+    return shape + _mesh_bytes(model, int(model.geom_dataid[geom])) if kind == _GEOM.mjGEOM_MESH else shape
+
+
+def _mesh_bytes(model: mujoco.MjModel, mesh: int) -> bytes:
+    first, graph = int(model.mesh_vertadr[mesh]), int(model.mesh_graphadr[mesh])
+    n_vertex, n_face = (int(n) for n in model.mesh_graph[graph : graph + 2]) if graph >= 0 else (0, 0)
+    vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
+    return vertices.tobytes() + model.mesh_graph[max(graph, 0) : graph + 2 + 3 * n_vertex + 6 * n_face].tobytes()
+
+
+def _group_cover(
+    model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], *, base: bool
+) -> GroupCover:
+    centres, radii, sticks_out = [], [], 0.0
+    for geom, X in zip(geoms, X_LG, strict=True):
+        c, r = _geom_cover(model, geom)
+        if base and len(r) > _MANY:
+            c, r = _geom_cover(model, geom, BASE_PROTRUSION)
+        centres.append(c @ X[:3, :3].T + X[:3, 3])
+        radii.append(r)
+        if not base and model.geom_type[geom] != _GEOM.mjGEOM_SPHERE:
+            sticks_out = sphere_cover.MAX_PROTRUSION
+    all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
+    if len(all_radii) <= CAPACITY["spheres"]:  # more will be refused; no need to compare them all
+        keep = _not_inside_others(all_centres, all_radii)
+        all_centres, all_radii = all_centres[keep], all_radii[keep]
+    spheres = np.column_stack([all_centres, all_radii])
+    bound = sphere_cover.enclosing_sphere(all_centres, all_radii)
+    spheres.flags.writeable = bound.flags.writeable = False
+    return GroupCover(spheres=spheres, bound=bound, protrusion=sticks_out)
+
+
+def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " sphere"]) -> Array:
+    gap = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    contains = gap + radii[:, None] <= radii[None] + 1e-9  # [i, j]: j contains i
+    earlier = np.arange(len(radii))
+    twins = contains & contains.T & (earlier[:, None] <= earlier[None])  # of two equal ones the first stays
+    return ~np.any(contains & ~twins & ~np.eye(len(radii), dtype=bool), axis=1)
+
+
+def _geom_cover(
+    model: mujoco.MjModel, geom: int, protrusion: float = sphere_cover.MAX_PROTRUSION
+) -> sphere_cover.Cover:
+    size = (float(model.geom_size[geom, 0]), float(model.geom_size[geom, 1]), float(model.geom_size[geom, 2]))
+    kind = GEOM_KINDS.get(_GEOM(int(model.geom_type[geom])))
+    if kind == "sphere":
+        return sphere_cover.sphere_cover(size[0])
+    if kind == "capsule":
+        return sphere_cover.capsule_cover(size[0], size[1], protrusion)
+    if kind == "box":
+        return sphere_cover.box_cover(size, protrusion)
+    if kind == "cylinder":
+        return sphere_cover.cylinder_cover(size[0], size[1], protrusion)
+    if kind == "ellipsoid":
+        return sphere_cover.ellipsoid_cover(size, protrusion)
+    if kind == "mesh":
+        return _mesh_cover(hull_triangles(model, int(model.geom_dataid[geom])), protrusion)
+    raise UnsupportedError(
+        f"geom {geom_name(model, geom)!r} of the robot or the carried object is a {kind or 'geom of unknown type'}; "
+        "use spheres, capsules, boxes, cylinders, ellipsoids or convex meshes"
+    )
+
+
+def _mesh_cover(triangles: Float[Array, "triangle 3 3"], protrusion: float) -> sphere_cover.Cover:
+    """Cover a convex hull, or find its cover in the folder; one with a hole would hide collisions, so it is checked."""
+    vertices = np.unique(triangles.reshape(-1, 3), axis=0)
+    method = repr((sphere_cover.METHOD, protrusion)).encode()
+    digest = hashlib.sha256(method + triangles.tobytes()).hexdigest()
+    found = kept.read(digest)
+    if found is not None and found.ndim == 2 and found.shape[1:] == (4,) and _contains(found, vertices):
+        return found[:, :3], found[:, 3]
+    started = time.perf_counter()
+    cover = sphere_cover.hull_cover(vertices, _planes(triangles), protrusion)
+    if time.perf_counter() - started > _SLOW:
+        kept.write(digest, np.column_stack(cover))
+    return cover
+
+
+def _contains(spheres: Float[Array, "sphere 4"], points: Float[Array, "n 3"]) -> bool:
+    apart = np.linalg.norm(points[:, None] - spheres[:, :3], axis=-1) - spheres[:, 3]
+    return bool(np.isfinite(spheres).all() and (apart.min(axis=1, initial=np.inf) <= 1e-9).all())
+
+
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """Name a geom, by its body if it has no name."""
+    return model.geom(geom).name or f"#{geom} of body {model.body(int(model.geom_bodyid[geom])).name}"
+
+
+def hull_triangles(model: mujoco.MjModel, mesh: int) -> Float[Array, "triangle 3 3"]:
+    """Convex hull of a mesh as MuJoCo computed it: triangles, counter-clockwise from outside, in the mesh frame."""
+    first, graph = model.mesh_vertadr[mesh], model.mesh_graphadr[mesh]
+    vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
+    if graph < 0:
+        raise UnsupportedError(f"mesh {model.mesh(mesh).name!r} has no convex hull; use it in a geom that collides")
+    n_vertex, n_face = (int(n) for n in model.mesh_graph[graph : graph + 2])
+    # The graph holds the two counts, per vertex an edge address and its id, the edges, and the faces' vertex ids.
+    faces = graph + 2 + 2 * n_vertex + n_vertex + 3 * n_face
+    corners = vertices[model.mesh_graph[faces : faces + 3 * n_face].reshape(-1, 3)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ti,ti->t", normal, corners[:, 0] - corners.mean(axis=(0, 1))) < 0.0
+    corners[inward] = corners[inward][:, [0, 2, 1]]
+    return corners[np.linalg.norm(normal, axis=1) > 1e-10]
+
+
+def _planes(triangles: Float[Array, "triangle 3 3"]) -> Float[Array, "triangle 4"]:
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.column_stack([normal, np.einsum("ti,ti->t", normal, triangles[:, 0])])

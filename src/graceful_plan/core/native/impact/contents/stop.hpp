@@ -1,0 +1,106 @@
+// The inertial spill: what leaves a container when the robot stops by itself. The specification, with the letters used
+// here, is in costs/models/spill.
+
+// --- values ----------------------------------------------------------------------------------------------------------
+
+// What a container keeps whose axis has this cosine with the upward direction of what is felt in it.
+struct Leaning {
+  D root, up, slope, x, fill, fourth, kept;
+
+  Leaning(const SpillTables& spill, D cosine) {
+    root = square_root(cosine * cosine + 0.01), up = 0.5 * (cosine + root);
+    slope = square_root(1.0051 - up * up) * reciprocal(up);
+    x = relu(slope - spill.repose) * (spill.rim / spill.depth);
+    fill = (1.0 + x * (1.0 + x * (1.0 + 1.7 * x))) * (1.0 / spill.full);
+    fourth = 1.0 + fill * fill * fill * fill;
+    kept = exponential(-0.25 * logarithm(fourth));
+  }
+};
+
+// e: P that all contents stay, but for what nobody notices.
+struct Staying {
+  D exponent, value;
+
+  Staying(const StopTables& stop, const Leaning& leaning)
+      : exponent(logarithm(leaning.fill) * (1.0 / (kBeta * stop.spread))), value(reciprocal(1.0 + odds(exponent))) {}
+};
+
+// T: how long the robot needs to stop.
+static inline D stopping_time(const Tables& tables, const StopTables& stop, const D* qd) {
+  D longest = {};
+  for (int j = 0; j < tables.n_joint; ++j) longest = maximum(longest, absolute(qd[j]) * stop.slowness[j]);
+  return longest;
+}
+
+constexpr double kLeastFelt = 1e-4;  // squared [m^2/s^4]
+
+struct Stop {
+  D time, rate;  // a = rate vm
+  Vec<D> felt;
+  D inverse, cosine;  // of |felt|; of the axis
+  Leaning before, braked;
+  Staying stayed, stays;
+  D chance, lost, rho;
+
+  Stop(const SpillTables& spill, const StopTables& stop, const Mouth& mouth, D seconds)
+      : time(seconds),
+        rate(stop.amplification * inverse_root(time * time + stop.response * stop.response)),
+        felt{-rate * mouth.vx, -rate * mouth.vy, kGravity - rate * mouth.vz},
+        inverse(inverse_root(felt.x * felt.x + felt.y * felt.y + felt.z * felt.z + kLeastFelt)),
+        cosine((mouth.axis.x * felt.x + mouth.axis.y * felt.y + mouth.axis.z * felt.z) * inverse),
+        before(spill, mouth.axis.z * kGravity * still()),
+        braked(spill, cosine),
+        stayed(stop, before),
+        stays(stop, braked) {
+    chance = relu(1.0 - stays.value * reciprocal(stayed.value));
+    lost = relu(before.kept - braked.kept);
+    rho = spill.radius * exponential(spill.power * logarithm(lost + kLeastLost));
+  }
+  // What `inverse` is at rest: exactly then a stop changes nothing.
+  static D still() { return inverse_root(D{} + (kGravity * kGravity + kLeastFelt)); }
+};
+
+// --- backwards, written as drop_gradient.hpp
+// ----------------------------------------------------------------------------
+
+// Returns the derivative with respect to the cosine.
+static inline D back_leaning(const SpillTables& spill, const Leaning& leaning, D d_logarithm, D d_kept) {
+  const D cube = leaning.fill * leaning.fill * leaning.fill;
+  const D d_fill = d_logarithm * reciprocal(leaning.fill) - d_kept * leaning.kept * cube * reciprocal(leaning.fourth);
+  const D d_x = d_fill * (1.0 + leaning.x * (2.0 + 5.1 * leaning.x)) * (1.0 / spill.full);
+  const D d_slope = where(leaning.slope > spill.repose, d_x * (spill.rim / spill.depth), D{});
+  const D d_up = -d_slope * (inverse_root(1.0051 - leaning.up * leaning.up) + leaning.slope * reciprocal(leaning.up));
+  return d_up * leaning.up * reciprocal(leaning.root);
+}
+
+// Returns the derivative with respect to the time that the robot needs to stop.
+static inline D back_stop(const SpillTables& spill, const StopTables& tables, const Mouth& mouth, const Stop& stop,
+                          D d_chance, D d_rho, MouthSlope& d_mouth) {
+  const D d_out = where(stop.chance > 0.0, d_chance, D{});
+  const D d_lost = where(stop.lost > 0.0, d_rho * stop.rho * spill.power * reciprocal(stop.lost + kLeastLost), D{});
+  // Of 1 - e'/e with respect to ln fill; exponents are held where nothing stays for certain.
+  const D ratio = d_out * stop.stays.value * reciprocal(stop.stayed.value) * (1.0 / (kBeta * tables.spread));
+  const auto slope = [&](const Staying& at) { return where(at.exponent < kHeld, ratio * (1.0 - at.value), D{}); };
+  const D d_before = back_leaning(spill, stop.before, -slope(stop.stayed), d_lost),
+          d_braked = back_leaning(spill, stop.braked, slope(stop.stays), -d_lost);
+  const D along = d_braked * stop.inverse, back = d_braked * stop.cosine * stop.inverse * stop.inverse;
+  d_mouth.axis.x += along * stop.felt.x, d_mouth.axis.y += along * stop.felt.y;
+  d_mouth.axis.z += along * stop.felt.z + d_before * kGravity * Stop::still();
+  const Vec<D> d_felt = {along * mouth.axis.x - back * stop.felt.x, along * mouth.axis.y - back * stop.felt.y,
+                         along * mouth.axis.z - back * stop.felt.z};
+  d_mouth.vx -= stop.rate * d_felt.x, d_mouth.vy -= stop.rate * d_felt.y, d_mouth.vz -= stop.rate * d_felt.z;
+  const D d_rate = -(mouth.vx * d_felt.x + mouth.vy * d_felt.y + mouth.vz * d_felt.z);
+  const D slowed = stop.time * stop.time + tables.response * tables.response;
+  return -d_rate * stop.rate * stop.time * reciprocal(slowed);
+}
+
+// Of several joints that need equally long the first one counts.
+static inline void back_stopping_time(const Tables& tables, const StopTables& stop, const D* qd, D longest, D d_time,
+                                      D* d_qd) {
+  D open = d_time;
+  for (int j = 0; j < tables.n_joint; ++j) {
+    const auto slowest = absolute(qd[j]) * stop.slowness[j] == longest;
+    d_qd[j] += where(slowest, where(qd[j] < 0.0, -open, open) * stop.slowness[j], D{});
+    open = where(slowest, D{}, open);
+  }
+}

@@ -1,0 +1,1 @@
+"""Calls that end in time: a clock, and motions that come quickly."""

@@ -1,0 +1,143 @@
+"""What is left of the time of a call, and whether its last steps still fit: they take what they took lately.
+
+A motion is timed and charged, then judged. How long that takes depends on the scene, on what is asked and on the
+machine, so it is learnt: a step is begun only if it would hardly be late when it takes as long as the longest of its
+last runs in this scene.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import deque
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal, final
+
+import numpy as np
+
+from graceful_plan.scene.per_scene import per_layout
+from graceful_plan.scene.scene import Scene
+
+Step = Literal["ending", "timing", "judging"]
+"""Descents end, once they should have; one motion is timed and charged; one is judged."""
+
+_FIRST: dict[Step, float] = {"ending": 0.005, "timing": 0.01, "judging": 0.04}
+"""What is kept before there are any runs [s]: what they take where contents are carried."""
+_LATELY = 16
+"""Runs of a step that count."""
+_FORGOTTEN = 0.95
+"""What is left of these times whenever a step is not begun for their sake: a single long run is forgotten some day."""
+_LATE, _LATE_SHARE = 0.003, 0.01
+"""By how much a call may be late if a step takes as long as it ever did lately [s], or by which share of its limit."""
+_SPARE, _SPARE_SHARE = 0.1, 0.08
+"""At least so much is kept for the last steps [s], but no more than this share of a time limit: machines get busy."""
+_TIMED = 3
+"""Motions that are to be timed within the time that is kept for the last steps."""
+_MOST_KEPT = 0.7
+"""Share of a time limit that is kept for them at most."""
+
+
+@final
+class Paces:
+    """How long steps took lately."""
+
+    def __init__(self) -> None:
+        self._lately: dict[Step, deque[float]] = {step: deque(maxlen=_LATELY) for step in _FIRST}
+
+    def longest(self, step: Step) -> float:
+        """Return the longest of the last runs [s]; 0 before there are any."""
+        return max(self._lately[step], default=0.0)
+
+    def typical(self, step: Step) -> float:
+        """Return the median of the last runs [s]; 0 before there are any."""
+        return statistics.median(self._lately[step] or (0.0,))
+
+    def knows(self, step: Step) -> bool:
+        """Whether there were any runs."""
+        return bool(self._lately[step])
+
+    def kept_for(self, step: Step) -> float:
+        """Return what to keep for a run [s]."""
+        return self.longest(step) if self.knows(step) else _FIRST[step]
+
+    def took(self, step: Step, seconds: float) -> None:
+        """Take note of a run."""
+        self._lately[step].append(seconds)
+
+    def doubt(self, step: Step) -> None:
+        """Forget a little of how long the last runs took."""
+        self._lately[step] = deque((_FORGOTTEN * seconds for seconds in tuple(self._lately[step])), maxlen=_LATELY)
+
+
+@per_layout
+def paces_of(_scene: Scene) -> Paces:
+    """Return what is known of the steps in a scene; calls add to it."""
+    return Paces()
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """The time that a call has.
+
+    | field    | meaning                                  | unit |
+    |----------|------------------------------------------|------|
+    | deadline | reading of `time.perf_counter`           | s    |
+    | paces    | how long steps take                      |      |
+    | limit    | what the call has in all                 | s    |
+    """
+
+    deadline: float = np.inf
+    paces: Paces = field(default_factory=Paces)
+    limit: float = 0.0
+
+    @property
+    def left(self) -> float:
+        """Seconds until the deadline, negative after it."""
+        return self.deadline - time.perf_counter()
+
+    def reserve(self, limit: float) -> float:
+        """Return what to keep of a time limit for the last steps [s]."""
+        kept_for = self.paces.kept_for
+        learnt = kept_for("ending") + _TIMED * kept_for("timing") + kept_for("judging")
+        return min(max(learnt, min(_SPARE, _SPARE_SHARE * limit)), _MOST_KEPT * limit)
+
+    def ended(self, late: float) -> None:
+        """Take note of how late descents were [s]."""
+        if self.deadline < np.inf:
+            self.paces.took("ending", max(0.0, late))
+
+    def has_room(self, *steps: Step) -> bool:
+        """Whether these steps would end in time, or hardly late; of one that is not known somebody has to try it."""
+        left = self.left
+        if not all(self.paces.knows(step) for step in steps):
+            return True
+        late = max(_LATE, _LATE_SHARE * self.limit)
+        if left > 0.0 and left >= sum(self.paces.longest(step) for step in steps) - late:
+            return True
+        for step in steps:
+            self.paces.doubt(step)
+        return False
+
+    def may_do(self, *steps: Step) -> bool:
+        """Whether these steps would end in time if they take what they mostly take.
+
+        For steps without which a call ends with nothing, where `has_room` is for those that it can do without: on a
+        machine that was busy for a moment, the longest of the last runs says little of the next.
+        """
+        return self.has_room(*steps) or self.left >= sum(self.paces.typical(step) for step in steps)
+
+    def has_plenty(self, *steps: Step) -> bool:
+        """Whether there is room for more than what has to be done: these steps, as long as they ever took, twice."""
+        return self.left >= 2.0 * sum(self.paces.longest(step) for step in steps)
+
+    @contextmanager
+    def measured(self, step: Step) -> Generator[None]:
+        """Take note of how long a `with` block takes."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.paces.took(step, time.perf_counter() - started)

@@ -1,0 +1,109 @@
+"""Signatures of the robot's own protective stop, against the motion that it interrupts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from breaking import WELD, Nothing, Record, healthy_run
+from mujoco.batch import MODEL_FIELDS
+
+import failbench
+from failbench import Job, run, steps
+from failbench.fault.registry import DEGREES, ProtectiveStop, faults, from_document, reactions, to_document
+from failbench.testing import check_fault
+from graceful_plan.exceptions import SettingError
+
+
+def test_it_is_no_fault_but_a_reaction():
+    assert list(reactions()) == ["protective_stop"]
+    assert failbench.reactions() is reactions()
+    assert not set(reactions()) & set(faults())
+    assert ProtectiveStop.CATEGORY == "reaction"
+    assert set(ProtectiveStop.FIELDS) <= MODEL_FIELDS
+
+
+@pytest.mark.parametrize("category", [0, 1])
+def test_it_keeps_the_contract_of_faults(category):
+    check_fault(ProtectiveStop(category=category))
+    check_fault(ProtectiveStop(category=category), healthy_run(WELD))
+
+
+def braking_time(record):
+    """The time that a stop at the degree's deceleration takes from the speed of the onset [s]."""
+    return np.max(np.abs(record.qd0) / record.robot.acceleration) / record.job.fault.amount
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_it_brakes_along_the_path_as_hard_as_the_degree_says(degree):
+    done = healthy_run()
+    record = Record(ProtectiveStop(degree=degree), when=0.5, horizon=1.4)
+    needed = braking_time(record)
+    assert needed > 0.02
+    assert np.ptp(record.q[record.t > needed + 0.15], axis=0).max() < 5e-3  # it trembles at most
+    # The clock of the motion has run on for half of that.
+    onset = record.onset_step * record.dt
+    end = done.trajectory.at(done.trajectory.t[0] + min(onset + needed / 2.0, done.duration)).q
+    assert record.q[-1] == pytest.approx(end, abs=5e-3)
+    if needed > 0.1:  # half way through half the speed is left
+        half = np.argmin(np.abs(record.t - needed / 2.0))
+        assert np.abs(record.qd[half]).max() == pytest.approx(0.5 * np.abs(record.qd0).max(), rel=0.25)
+
+
+def test_every_configuration_on_the_way_is_one_of_the_motion():
+    done = healthy_run()
+    record = Record(ProtectiveStop(degree="moderate"), when=0.4, horizon=0.6)
+    fine = done.trajectory.at(np.linspace(done.trajectory.t[0], done.trajectory.t[-1], 4000)).q
+    off = np.abs(record.q[:, None] - fine[None]).max(axis=2).min(axis=1)
+    assert off.max() < 5e-3
+
+
+def test_at_rest_nothing_happens():
+    record, well = (Record(f, when=1.0, horizon=0.2) for f in (ProtectiveStop(), Nothing()))
+    assert record.q == pytest.approx(well.q, abs=1e-4)
+
+
+def test_a_ramp_brakes_later():
+    hard, soft = (Record(ProtectiveStop(ramp=ramp), when=0.4, horizon=0.8) for ramp in (0.0, 0.2))
+    moved = [np.abs(record.q[-1] - record.q0).max() for record in (hard, soft)]
+    assert moved[1] > 1.1 * moved[0]
+    assert np.abs(soft.qd[-1]).max() < 0.01
+
+
+def test_brakes_that_close_at_once_stop_each_joint_on_its_own():
+    record = Record(ProtectiveStop(category=0), when=0.4, horizon=0.4)
+    arm = record.robot.actuators
+    assert not record.force[:, arm].any()
+    assert np.abs(record.qd0).max() > 0.5
+    assert np.abs(record.qd[record.t > 0.1]).max() < 1e-3
+    assert record.slip[-1] < 0.02  # the gripper holds
+
+
+def test_the_robot_goes_on_after_its_time_as_all_faults_do():
+    done = healthy_run()
+    record = Record(ProtectiveStop(duration=0.1), horizon=0.2)
+    meant = done.commands(record.onset_step, len(record.command))
+    assert np.array_equal(record.command[50:], meant[50:])
+
+
+def test_native_rollouts_are_the_plain_loop():
+    done = healthy_run()
+    jobs = [
+        Job(fault=ProtectiveStop(category=category, ramp=ramp), onset=0.5 * done.duration, seed=0)
+        for category in (0, 1)
+        for ramp in (0.0, 0.1)
+    ]
+    for job, rollout in zip(jobs, run(done, jobs, horizon=0.2), strict=True):
+        *_, (_, data) = steps(done, job, horizon=0.2)
+        joint = done.world.model.body_jntadr[done.world.carried_body]
+        x = data.qpos[done.world.model.jnt_qposadr[joint] :][:7]
+        pose = np.concatenate([x[3:7], x[:3]])
+        assert any(np.array_equal(pose, seen) for seen in rollout.poses.values())
+
+
+def test_it_has_a_json_form_and_refuses_other_categories():
+    for category in (0, 1):
+        fault = ProtectiveStop(category=category, degree="minor")
+        assert from_document(to_document(fault)) == fault
+    with pytest.raises(SettingError, match="category = 2, expected one of 0, 1"):
+        ProtectiveStop(category=2)
+    assert dataclasses.replace(ProtectiveStop(), degree="critical").amount == 2.0

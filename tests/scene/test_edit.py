@@ -1,0 +1,121 @@
+"""Edits in one go are what edits one by one are, and a scene with something moved is what one made anew is."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
+from graceful_plan.judge.exact import Judge, state_contacts
+from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.scene import Scene
+
+
+def _solids() -> list[Solid]:
+    turned = np.eye(4)
+    turned[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    turned[:3, 3] = 0.5, 0.5, 0.9
+    tetrahedron = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
+    return [
+        Solid(name="crate", kind="box", size=[0.1, 0.2, 0.05], pose=turned, entity="glass"),
+        Solid(name="ball", kind="sphere", size=0.1, pose=[0.6, -0.4, 0.8]),
+        Solid(name="tube", kind="cylinder", size=(0.05, 0.2), pose=[0.4, 0.6, 0.7]),
+        Solid(name="rod", kind="capsule", size=(0.02, 0.2), pose=[0.4, -0.6, 0.7]),
+        Solid(name="wedge", kind="mesh", size=tetrahedron, pose=[0.3, 0.3, 1.0]),
+    ]
+
+
+def _same_tables(first: Scene, second: Scene) -> None:
+    a, b = compile_scene(first), compile_scene(second)
+    for tables, others in ((a.robot, b.robot), (a.world, b.world), (a.hazards, b.hazards)):
+        for name in type(tables).__dataclass_fields__:
+            np.testing.assert_allclose(getattr(tables, name), getattr(others, name), atol=1e-9, err_msg=name)
+
+
+def test_all_in_one_go_is_one_by_one(scene: Scene) -> None:
+    one_by_one = scene
+    for solid in _solids():
+        one_by_one = one_by_one.edit(add=[solid])
+    together = scene.edit(add=_solids())
+    assert set(together.entities) == set(one_by_one.entities) == {*scene.entities, "crate"}
+    _same_tables(together, one_by_one)
+    back = together.edit(remove=[solid.name for solid in _solids()])
+    assert set(back.entities) == set(scene.entities)
+    _same_tables(back, scene)
+
+
+def test_what_is_moved_stands_where_a_new_one_would(scene: Scene) -> None:
+    first = scene.edit(add=_solids())
+    poses = {solid.name: np.array([0.7, 0.1 * k, 1.2]) for k, solid in enumerate(_solids())}
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]], poses["tube"]
+    quarter = np.eye(4)
+    quarter[:3, :3], quarter[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], poses["crate"]
+    moved = first.edit(move={**poses, "tube": turned})  # a position alone keeps how it is turned
+    anew = [
+        Solid(name=s.name, kind=s.kind, size=s.size, entity=s.entity,
+              pose={"tube": turned, "crate": quarter}.get(s.name, poses[s.name]))
+        for s in _solids()
+    ]  # fmt: skip
+    _same_tables(moved, scene.edit(add=anew))
+    _same_tables(first, scene.edit(add=_solids()))  # which is as it was
+    model = moved.spec.copy().compile()
+    np.testing.assert_allclose(model.body_pos, moved.model.body_pos, atol=1e-12)
+    np.testing.assert_allclose(model.body_quat, moved.model.body_quat, atol=1e-12)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(*scene.limits.position.T, (300, len(scene.joints)))
+    touches = [sorted(t[:3] for t in Judge(s).touches(q)) for s in (moved, scene.edit(add=anew))]
+    assert touches[0] == touches[1] and touches[0]
+
+
+def test_moving_makes_nothing_of_the_robot_again(scene: Scene) -> None:
+    first = scene.edit(add=_solids())
+    moved = first.edit(move={"ball": [0.0, 0.9, 0.9]})
+    assert moved.layout is first.layout and moved.collision_pairs() is first.collision_pairs()
+    assert compile_scene(moved).robot.sphere is compile_scene(first).robot.sphere
+    assert first.edit(remove=["ball"]).layout is not first.layout
+
+
+def test_something_that_stands_freely_is_moved_too(scene: Scene) -> None:
+    """It begins where it is put, and can be taken up from there."""
+    name = next(
+        scene.model.body(int(scene.model.jnt_bodyid[j])).name
+        for j in range(scene.model.njnt)
+        if scene.model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE
+    )
+    moved = scene.edit(move={name: [0.3, 0.4, 1.5]})
+    np.testing.assert_allclose(moved.data_at(np.zeros(7)).body(name).xpos, [0.3, 0.4, 1.5])
+    np.testing.assert_allclose(scene.data_at(np.zeros(7)).body(name).xpos, scene.model.body(name).pos)
+    np.testing.assert_allclose(moved.spec.copy().compile().qpos0, moved.model.qpos0)
+
+
+def test_an_obstacle_that_is_moved_into_the_way_is_in_the_way(scene: Scene) -> None:
+    first = scene.edit(add=[Solid(name="block", kind="box", size=[0.05] * 3, pose=[0.0, 3.0, 1.0])])
+    q = next(iter(first.tasks.values())).start
+    into = first.edit(move={"block": first.data_at(q).site(first.tool).xpos})
+    assert compile_scene(first).kernels.free(q) and not compile_scene(into).kernels.free(q)
+    assert any("block" in contact.second for contact in state_contacts(q, into))
+    assert not any("block" in contact.second for contact in state_contacts(q, first))
+
+
+def test_edits_that_cannot_be_are_refused(scene: Scene, task) -> None:
+    hand = scene.model.body(scene.model.site(scene.tool).bodyid[0]).name
+    held = task.scene.carried.body
+    for names in ([hand], [held]):
+        with pytest.raises(SceneError, match="cannot be removed"):
+            task.scene.edit(remove=names)
+        with pytest.raises(SceneError, match="cannot be moved"):
+            task.scene.edit(move={names[0]: [0, 0, 1]})
+    with pytest.raises(UnknownNameError, match="nowhere"):
+        scene.edit(move={"nowhere": [0, 0, 0]})
+    with pytest.raises(UnknownNameError, match="cone"):
+        Solid(name="a", kind="cone", size=1.0, pose=[0, 0, 0])
+    with pytest.raises(SceneError, match="taken"):
+        scene.edit(add=[Solid(name="a", kind="sphere", size=0.1, pose=[0, 0, 3])] * 2)
+    stacked = scene.edit(add=[Solid(name="a", kind="sphere", size=0.1, pose=[0, 0, 3])])
+    spec = stacked.spec.copy()
+    spec.body("a").add_body(name="b", pos=[0, 0, 0.2]).add_geom(size=[0.1, 0, 0])
+    with pytest.raises(UnsupportedError, match="move what it stands on"):
+        Scene.build(spec, scene.notes).edit(move={"b": [0, 0, 1]})

@@ -1,0 +1,66 @@
+"""Shapes and types are enforced while tests run: the first calls of a function in a test, and then one in many."""
+
+import jaxtyping
+import numpy as np
+import pytest
+import shape_checks
+from beartype import beartype
+
+import graceful_plan as gp
+from graceful_plan.array_types import Float
+
+WRONG = jaxtyping.TypeCheckError
+
+
+@shape_checks.jaxtyped(typechecker=beartype)
+def product(a: Float[np.ndarray, "n m"], b: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
+    return a @ b if a.size else np.zeros((1, 1))
+
+
+@pytest.mark.parametrize("test", [1, 2])
+def test_the_first_calls_of_each_test_are_checked_and_one_in_many_later(test):
+    checked = []
+    for _ in range(3 * shape_checks.EVERY):
+        try:
+            product(np.zeros((0, 1)), np.zeros(1))  # what comes back has the wrong shape
+            checked.append(False)
+        except WRONG:
+            checked.append(True)
+    assert all(checked[: shape_checks.FIRST])
+    assert sum(checked) == shape_checks.FIRST + 3
+
+
+def test_arguments_have_to_fit_together():
+    np.testing.assert_array_equal(product(np.eye(2), np.ones(2)), np.ones(2))
+    with pytest.raises(WRONG):
+        product(np.eye(2), np.ones(3))
+
+
+def test_methods_properties_and_dataclasses_are_checked():
+    @shape_checks.jaxtyped(typechecker=beartype)
+    class Plain:
+        @shape_checks.jaxtyped(typechecker=beartype)
+        def method(self, x: int) -> int:
+            return x
+
+        @staticmethod
+        @shape_checks.jaxtyped(typechecker=beartype)
+        def static(x: int) -> int:
+            return x
+
+        @property
+        @shape_checks.jaxtyped(typechecker=beartype)
+        def wrong(self) -> int:
+            return "one"
+
+    for call in (lambda: Plain().method("1"), lambda: Plain.static("1"), lambda: Plain().wrong):
+        with pytest.raises(WRONG):
+            call()
+    assert (Plain().method(1), Plain.static(2)) == (1, 2)
+
+
+def test_the_library_is_checked():
+    with pytest.raises(WRONG):
+        gp.load_scene(3)
+    with pytest.raises(WRONG):
+        gp.Auto(workers=None)
