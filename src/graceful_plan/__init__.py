@@ -14,6 +14,8 @@ from graceful_plan.constraints.distance import KeepDistance
 from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.standing import KeepStanding
 from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
+from graceful_plan.costs.blocks.clearance_cost import ClearanceCost
+from graceful_plan.costs.blocks.posture_costs import JointCost, ManipulabilityCost, PoseCost
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.impact import ImpactCost
@@ -50,6 +52,7 @@ __all__ = [
     "BoxOverlap",
     "CHOMP",
     "CasADi",
+    "ClearanceCost",
     "Constraint",
     "Cost",
     "CostBreakdown",
@@ -61,11 +64,13 @@ __all__ = [
     "GraspHolds",
     "ImpactCost",
     "InteractionModel",
+    "JointCost",
     "JointLength",
     "KeepContents",
     "KeepDistance",
     "KeepStanding",
     "Liquid",
+    "ManipulabilityCost",
     "MovingEntity",
     "Objective",
     "PLANNERS",
@@ -76,6 +81,7 @@ __all__ = [
     "PlanStatus",
     "Planner",
     "PlanningFailed",
+    "PoseCost",
     "PoseGoal",
     "RRTConnect",
     "RRTStar",

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.own_costs import Bowl, Crosswise, Haste, Height
 
 import graceful_plan as gp
 from graceful_plan.costs.objective import Objective, search_paces
 from graceful_plan.costs.slopes import CostSlopes
 from graceful_plan.exceptions import CostError
+from support.costs.own_costs import Bowl, Crosswise, Haste, Height
 
 Array = np.ndarray
 STEP = 1e-6

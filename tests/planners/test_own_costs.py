@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from support.own_costs import Bowl, Crosswise, Haste, Height
 
 import graceful_plan as gp
 from graceful_plan.core import _native
@@ -18,6 +17,7 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline, grid_points
+from support.costs.own_costs import Bowl, Crosswise, Haste, Height
 
 Array = np.ndarray
 _CONTROLS, _DENSITY = 9, 4

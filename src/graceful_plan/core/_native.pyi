@@ -163,7 +163,34 @@ class OwnCost(Impact):
 
 @final
 class ClearanceCost(Impact):
-    def __init__(self, core: Core, distance: float) -> None: ...
+    def __init__(self, core: Core, seen: Core, distance: float) -> None: ...
+
+@final
+class JointCost(Impact):
+    def __init__(self, core: Core, centre: Reals, scale: Reals) -> None: ...
+
+@final
+class PoseCost(Impact):
+    def __init__(
+        self,
+        core: Core,
+        *,
+        link: int,
+        tool: Reals,
+        position: Reals,
+        turn: Reals,
+        full: float,
+        distance: float,
+        angle: float,
+    ) -> None: ...
+
+@final
+class ManipulabilityCost(Impact):
+    def __init__(self, core: Core, *, link: int, tool: Reals, chain: Integers, least: float) -> None: ...
+
+@final
+class ScaledImpact(Impact):
+    def __init__(self, model: Impact, factor: float) -> None: ...
 
 @final
 class TimedImpact(Impact):

@@ -51,8 +51,8 @@ class EdgeSamples:
         ends = (self._piece == 0) | (self._piece == self._pieces[self.edge])
         return np.where(ends, 0.5, 1.0) * (measure / self._pieces)[self.edge]
 
-    def integral(self, values: Float[Array, "m *more"], measure: Float[Array, " n"]) -> Float[Array, "n *more"]:
-        """Integral of sampled values over each edge."""
+    def integral(self, values: Float[Array, "..."], measure: Float[Array, " n"]) -> Float[Array, "..."]:
+        """Integral of sampled values over each edge; of several values a sample, of each of them."""
         if len(self.first) == 0:
             return np.zeros((0, *values.shape[1:]))
         weight = self.weights(measure).reshape(-1, *(1,) * (values.ndim - 1))

@@ -20,6 +20,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, ImpactKernel
+from graceful_plan.costs.blocks.native_cost import native_kernel
 from graceful_plan.costs.cost import AHEAD, Cost, StateBatch, checked_state, moving_batch
 from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
@@ -139,10 +140,10 @@ class SceneObjective:
     @cached_property
     def kernel(self) -> ImpactKernel | None:
         """The native kernel that computes the edge costs, None if there is none."""
-        impact, exposure = self.objective.impact, self.objective.exposure
-        if not (self.motion_is_length and isinstance(impact, ImpactCost)) or exposure == "waypoints":
+        exposure = self.objective.exposure
+        if not self.motion_is_length or exposure == "waypoints":
             return None
-        kernel = impact.kernel(self.scene, self.paces)
+        kernel = native_kernel(self.objective.impact, self.scene, self.paces)
         if kernel is None or exposure == "length":
             return kernel
         return kernel.timed(self.pace * self.scene.limits.velocity)
@@ -194,7 +195,7 @@ class SceneObjective:
     def impact_gradients(
         self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP
     ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]]:
-        """`edges`, and the derivatives of S alone, from the slopes of states in one batch: of costs without a kernel."""
+        """`edges`, and the derivatives of S alone, for costs without a kernel: slopes of all states in one batch."""
         samples = self.samples(q0, q1, step)
         motion = samples.length if self.motion_is_length else self._motion_gradients(samples)[0]
         if self.objective.exposure == "waypoints":

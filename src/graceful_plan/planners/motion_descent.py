@@ -350,7 +350,9 @@ def _fitted(curve: Spline, controls: int) -> Float[Array, "control nq"]:
     """Return the control points of the same curve, or of one that meets it at all knots, with so many."""
     if len(curve.controls) == controls:
         return curve.controls
-    return Spline.through(curve.at(np.linspace(0.0, curve.spans, controls - 2))).controls
+    fitted = Spline.through(curve.at(np.linspace(0.0, curve.spans, controls - 2))).controls.copy()
+    fitted[0], fitted[-1] = curve.controls[0], curve.controls[-1]  # to the last bit
+    return fitted
 
 
 def _go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:

@@ -64,7 +64,8 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
 
 def _own_cost(objective: SceneObjective, core: _native.Core) -> _native.OwnCost:
     """Return an objective without a kernel as the core takes it; it must not be kept with the objective, a circle."""
-    length = objective.motion_is_length
+    # A descent of a path adds vertices: not where they count.
+    descends = objective.motion_is_length and objective.objective.exposure != "waypoints"
     return _native.OwnCost(
         core,
         measure=_MEASURES[objective.objective.exposure],
@@ -72,8 +73,10 @@ def _own_cost(objective: SceneObjective, core: _native.Core) -> _native.OwnCost:
         states=lambda q: objective.impact_slopes.states(q, np.zeros_like(q)),
         slopes=lambda q, qd: _contiguous(objective.impact_slopes(q, qd if _moving(objective) else np.zeros_like(qd))),
         edges=lambda q0, q1: np.ascontiguousarray(objective.edges(q0, q1)),
-        edge_slopes=(lambda q0, q1, step: _contiguous(objective.impact_gradients(q0, q1, step))) if length else None,
-        motion=None if length else lambda q, tangent: _contiguous(objective.tangent_slopes(q, tangent)),
+        edge_slopes=(lambda q0, q1, step: _contiguous(objective.impact_gradients(q0, q1, step))) if descends else None,
+        motion=None
+        if objective.motion_is_length
+        else lambda q, tangent: _contiguous(objective.tangent_slopes(q, tangent)),
     )
 
 

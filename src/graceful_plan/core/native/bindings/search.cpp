@@ -64,9 +64,7 @@ class SceneSpace final : public Space {
     return true;
   }
   bool has_bounds() const override { return settings_.projects && core_.has_bounds(); }
-  bool project(double* q) override {
-    return core_.project(q, lower.data(), upper.data(), margin + kProjectionReserve);
-  }
+  bool project(double* q) override { return core_.project(q, lower.data(), upper.data(), margin + kProjectionReserve); }
   void ride(const Chain& of, int link, const double* point, Ride* out) override {
     require(link >= 0 && link < core_.tables().n_link, "link");
     core_.ride(of.points, size_t(of.n_edge) + 1, link, point, out);
@@ -105,6 +103,8 @@ class SceneSpace final : public Space {
   }
 
  private:
+  static constexpr double kEverything = std::numeric_limits<double>::infinity();
+
   void native_clearances(const Probes& probes, double* out, double* gradient) const {
     const size_t n = size_t(probes.n), nq = size_t(dim);
     std::vector<uint8_t> free(n, 0);
@@ -116,7 +116,8 @@ class SceneSpace final : public Space {
       if (!free[k]) close.insert(close.end(), probes.q + k * nq, probes.q + (k + 1) * nq);
     if (close.empty()) return;
     Point value(close.size() / nq), slope(close.size());
-    core_.kernels().clearance(core_.tables(), {close.data(), nullptr, value.size()}, value.data(), slope.data());
+    core_.kernels().clearance(core_.tables(), {close.data(), nullptr, value.size()}, kEverything, value.data(),
+                              slope.data());
     for (size_t k = 0, i = 0; k < n; ++k) {
       if (free[k]) continue;
       out[k] = value[i];
