@@ -31,6 +31,7 @@ SUBJECTS = (
     "straight_tool",
     "constraints",
     "motion_problems",
+    "own_costs",
     "planners",
     "best_known",
     "auto",
