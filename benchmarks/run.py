@@ -29,6 +29,7 @@ SUBJECTS = (
     "first_motion",
     "inverse_kinematics",
     "straight_tool",
+    "clouds",
     "constraints",
     "motion_problems",
     "own_costs",

@@ -39,6 +39,8 @@ from graceful_plan.scene.loading.bundled import load_scene, scenes
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene, Task
+from graceful_plan.scene.sensed.cloud import PointCloud
+from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.transcription.trajectory_optimisation import optimise_trajectory
@@ -62,6 +64,7 @@ __all__ = [
     "Footprint",
     "GracefulPlanError",
     "GraspHolds",
+    "HeightMap",
     "ImpactCost",
     "InteractionModel",
     "JointCost",
@@ -80,6 +83,7 @@ __all__ = [
     "PlanResult",
     "PlanStatus",
     "Planner",
+    "PointCloud",
     "PlanningFailed",
     "PoseCost",
     "PoseGoal",

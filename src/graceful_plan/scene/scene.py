@@ -37,6 +37,8 @@ from graceful_plan.scene.model_parts import (
 )
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.screening import load_spec
+from graceful_plan.scene.sensed.cloud import PointCloud
+from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
 
@@ -339,7 +341,7 @@ class Scene(SceneFacts):
     def edit(
         self,
         *,
-        add: Iterable[Solid] = (),
+        add: Iterable[Solid | PointCloud | HeightMap] = (),
         move: Mapping[str, ArrayLike] | None = None,
         remove: Iterable[str] = (),
     ) -> Scene:

@@ -15,6 +15,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import PLANE_EXTENT, compile_scene
+from graceful_plan.costs.models.drop.crowds import simplified
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
@@ -187,10 +188,11 @@ def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
         and not _below(model, int(model.geom_bodyid[geom]), carried)
     ]
     boxes = np.array([_turned_box(model, data, geom) for geom in geoms]).reshape(-1, 11)
+    boxes, source = simplified(boxes, model.geom_bodyid[geoms])
     order = np.argsort(-boxes[:, 10], kind="stable")
     boxes = boxes[order]
     return {
-        "target_entity": np.array([owner.get(geoms[k], -1) for k in order], dtype=int),
+        "target_entity": np.array([owner.get(geoms[k], -1) for k in source[order].tolist()], dtype=int),
         "target_centre": boxes[:, 0:2],
         "target_axis": boxes[:, 2:4],
         "target_half": boxes[:, 4:6],

@@ -1,0 +1,83 @@
+"""Bodies of very many boxes, such as point clouds, as the few surfaces that they look like from above.
+
+The drop model looks at every surface in every state, so it takes a body of a thousand boxes for what a coarse map of
+its tops shows: cells of equal height are joined.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graceful_plan.array_types import Float, Int
+from graceful_plan.scene.sensed.boxes import joined
+
+Array = np.ndarray
+
+CROWD = 24
+"""Surfaces of one body that are kept as they are."""
+_MOST, _LEAST = 192, 12
+"""Surfaces that are left of all crowds together, and of one at least may be."""
+_WIDTH = 0.04
+"""Of a cell, the first that is tried [m]: a little less than what is usually carried."""
+_COARSER = 1.4
+_STEP = 0.01
+"""Tops are rounded up to whole ones of these, to begin with [m]."""
+
+
+def simplified(
+    boxes: Float[Array, "target 11"], body: Int[Array, " target"]
+) -> tuple[Float[Array, "kept 11"], Int[Array, " kept"]]:
+    """Return surfaces where crowds are replaced, and of which of the given ones each is or stands for.
+
+    Args:
+        boxes: Rows as `drop_tables` has them: centre, axis, half sizes, diagonal, carrying half sizes, bottom, top.
+        body: That each belongs to.
+    """
+    rows, source = [boxes[:0]], [np.zeros(0, dtype=int)]
+    groups = [np.flatnonzero(body == one) for one in np.unique(body)]
+    most = max(_LEAST, _MOST // max(1, sum(len(mine) > CROWD for mine in groups)))
+    for mine in groups:
+        crowd = boxes[mine] if len(mine) <= CROWD else _from_above(boxes[mine], most)
+        rows.append(crowd)
+        source.append(mine if len(mine) <= CROWD else np.full(len(crowd), mine[0]))
+    order = np.argsort(np.concatenate(source), kind="stable")
+    return np.concatenate(rows)[order], np.concatenate(source)[order]
+
+
+def _from_above(boxes: Float[Array, "target 11"], most: int) -> Float[Array, "kept 11"]:
+    width, step = _WIDTH, _STEP
+    while True:
+        found = _map(boxes, width, step)
+        if len(found) <= most:
+            return found
+        width, step = _COARSER * width, _COARSER * step
+
+
+def _map(boxes: Float[Array, "target 11"], width: float, step: float) -> Float[Array, "kept 11"]:
+    centre, axis, half, (bottom, top) = boxes[:, :2], np.abs(boxes[:, 2:4]), boxes[:, 4:6], boxes[:, 9:11].T
+    reach = axis * half[:, :1] + axis[:, ::-1] * half[:, 1:]
+    corner = (centre - reach).min(axis=0)
+    cells = np.maximum(1, np.ceil(((centre + reach).max(axis=0) - corner) / width - 1e-9)).astype(int)
+    highest, lowest = np.full(cells, -np.inf), np.full(cells, np.inf)
+    # Cells whose middle a box covers, or the one that it stands in.
+    first = np.ceil((centre - reach - corner) / width - 0.5).astype(int)
+    last = np.floor((centre + reach - corner) / width - 0.5).astype(int) + 1
+    own = np.clip(((centre - corner) / width).astype(int), 0, cells - 1)
+    narrow = last <= first
+    first, last = np.where(narrow, own, first), np.where(narrow, own + 1, last)
+    for k in np.argsort(top, kind="stable").tolist():
+        part = slice(first[k, 0], last[k, 0]), slice(first[k, 1], last[k, 1])
+        highest[part] = top[k]
+        lowest[part] = np.minimum(lowest[part], bottom[k])
+    x, y = np.nonzero(np.isfinite(highest))
+    level = np.ceil(highest[x, y] / step - 1e-9).astype(np.int64)
+    begin, end = joined(np.stack([x, y, 2 * level], axis=1))
+    kept = np.zeros((len(begin), 11))
+    lower, upper = corner + begin[:, :2] * width, corner + end[:, :2] * width
+    kept[:, 0:2], kept[:, 2] = 0.5 * (lower + upper), 1.0
+    kept[:, 4:6] = kept[:, 7:9] = 0.5 * (upper - lower)
+    kept[:, 6] = kept[:, 4:6].sum(axis=1) / np.sqrt(2.0)
+    parts = [(slice(a[0], b[0]), slice(a[1], b[1])) for a, b in zip(begin, end, strict=True)]
+    kept[:, 9] = [lowest[part].min() for part in parts]
+    kept[:, 10] = np.minimum(begin[:, 2] // 2 * step, [highest[part].max() for part in parts])
+    return kept

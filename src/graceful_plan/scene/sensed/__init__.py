@@ -1,0 +1,1 @@
+"""Surroundings as sensors tell of them."""

@@ -1,0 +1,141 @@
+"""Point clouds and depth images as obstacles: the cells of a grid that points are in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.path import finite_array
+from graceful_plan.scene.roles import rigid_pose
+from graceful_plan.scene.sensed.boxes import add_boxes, closed, joined
+
+Array = np.ndarray
+
+_FARTHEST = 500.0
+"""From the origin of W: beyond is no place for a robot, and indices of cells stay small [m]."""
+
+
+_MOST_CELLS = 1e8
+"""In the box around all points, one byte each."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointCloud:
+    """Points that a sensor saw, as an obstacle to put into a scene by `Scene.edit`.
+
+    All cells of a grid that a point is in are full, and gaps of up to two cells between these, without which noise
+    would make a thousand boxes of a table. Grown by `inflation` they are the obstacle, as boxes of one body. What was
+    not seen is free. Leave out the points on the robot itself and on what it carries.
+
+    | field      | meaning                                                                        | unit | shape   |
+    |------------|--------------------------------------------------------------------------------|------|---------|
+    | name       | of the new body                                                                |      |         |
+    | points     | in the frame of `pose`; those with NaN or infinity were not seen               | m    | point 3 |
+    | resolution | width of a cell                                                                | m    |         |
+    | inflation  | by which cells are grown to all sides                                          | m    |         |
+    | pose       | of the frame of the points in W; W itself if None                              |      | 4 4     |
+    | entity     | its class if it can be harmed; an obstacle only if None                        |      |         |
+
+    Raises:
+        ShapeError: If the points are no rows of three.
+        SettingError: If a width is out of its range, or a point farther than 500 m from W.
+    """
+
+    name: str
+    points: ArrayLike
+    resolution: float = 0.02
+    inflation: float = 0.0
+    pose: ArrayLike | None = None
+    entity: str | None = None
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ShapeError(f"points of {self.name}", points.shape, "(n, 3)")
+        if not (np.isfinite(self.resolution) and self.resolution > 0.0):
+            raise SettingError(f"resolution of {self.name}", self.resolution, "a width above 0 m")
+        if not (np.isfinite(self.inflation) and self.inflation >= 0.0):
+            raise SettingError(f"inflation of {self.name}", self.inflation, "a finite distance of at least 0 m")
+        points = points[np.isfinite(points).all(axis=1)]
+        if self.pose is not None:
+            X_WS = rigid_pose(f"pose of {self.name}", self.pose)
+            points = points @ X_WS[:3, :3].T + X_WS[:3, 3]
+        if points.size and np.abs(points).max() > _FARTHEST:
+            raise SettingError(f"points of {self.name}", float(np.abs(points).max()), f"within {_FARTHEST:g} m of W")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "pose", None)
+
+    @classmethod
+    def from_depth(
+        cls,
+        name: str,
+        depth: ArrayLike,
+        intrinsics: ArrayLike,
+        pose: ArrayLike,
+        *,
+        near: float = 0.1,
+        far: float = 3.0,
+        resolution: float = 0.02,
+        inflation: float = 0.0,
+        entity: str | None = None,
+    ) -> PointCloud:
+        """Return what a pinhole camera saw.
+
+        Args:
+            name: Of the new body.
+            depth: Distance along the optical axis of each pixel [m], rows from the top; 0 and NaN where nothing was
+                seen.
+            intrinsics: Camera matrix, 3 x 3 [pixels], whose pixel centres are at whole numbers.
+            pose: Of the camera in W, 4 x 4: x to the right of the image, y down, z ahead.
+            near: Depths below are left out [m].
+            far: Depths above are left out [m].
+            resolution: As of a cloud.
+            inflation: As of a cloud.
+            entity: As of a cloud.
+        """
+        image = np.asarray(depth, dtype=np.float64)
+        if image.ndim != 2:
+            raise ShapeError(f"depth of {name}", image.shape, "(rows, columns)")
+        K = finite_array(f"intrinsics of {name}", intrinsics, ndim=2, last=3)
+        if K.shape != (3, 3) or not np.linalg.det(K):
+            raise SettingError(f"intrinsics of {name}", K.tolist(), "a camera matrix, 3 x 3, that can be inverted")
+        row, column = np.nonzero((image >= near) & (image <= far))
+        rays = np.stack([column, row, np.ones_like(row)], axis=1) @ np.linalg.inv(K).T
+        points = rays * image[row, column][:, None]
+        return cls(name=name, points=points, resolution=resolution, inflation=inflation, pose=pose, entity=entity)
+
+    @property
+    def boxes(self) -> tuple[Float[Array, "box 3"], Float[Array, "box 3"]]:
+        """Lower and upper corners in W [m] of what is taken to be full."""
+        points = np.asarray(self.points)
+        if not len(points):
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        cells = np.floor(points / self.resolution).astype(np.int64)
+        origin = cells.min(axis=0)
+        cells -= origin
+        size = cells.max(axis=0) + 1
+        if np.prod(size.astype(float)) > _MOST_CELLS:
+            wanted = (
+                f"so coarse that the box around all points, {(size * self.resolution).round(1).tolist()} m, has at most"
+            )
+            raise SettingError(f"resolution of {self.name}", self.resolution, f"{wanted} {_MOST_CELLS:g} cells")
+        full = np.zeros(size, dtype=bool)
+        full[tuple(cells.T)] = True
+        first, last = joined(np.stack(np.nonzero(closed(full)), axis=1))
+        return (first + origin) * self.resolution - self.inflation, (last + origin) * self.resolution + self.inflation
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add a body with all boxes.
+
+        Raises:
+            SceneError: If the name is taken.
+            SettingError: If the resolution gives too many boxes.
+        """
+        add_boxes(spec, self.name, *self.boxes, "resolution")

@@ -1,0 +1,83 @@
+"""Height maps as obstacles: columns up to what was seen from above."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.path import finite_array
+from graceful_plan.scene.sensed.boxes import add_boxes, joined
+
+Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeightMap:
+    """Heights over a grid, as an obstacle to put into a scene by `Scene.edit`: everything below them is full.
+
+    | field   | meaning                                                                | unit | shape   |
+    |---------|------------------------------------------------------------------------|------|---------|
+    | name    | of the new body                                                        |      |         |
+    | heights | in W, the first index along x, the second one along y; NaN where empty | m    | x y     |
+    | cell    | width of a cell                                                        | m    |         |
+    | corner  | x and y in W of the corner of the first cell                           | m    | 2       |
+    | bottom  | height that columns begin at                                           | m    |         |
+    | step    | heights are rounded up to whole ones of these                          | m    |         |
+    | entity  | its class if it can be harmed; an obstacle only if None                |      |         |
+
+    Raises:
+        ShapeError: If the heights are no grid.
+        SettingError: If a width is not above 0.
+    """
+
+    name: str
+    heights: ArrayLike
+    cell: float
+    corner: Sequence[float] | ArrayLike
+    bottom: float = 0.0
+    step: float = 0.01
+    entity: str | None = None
+
+    def __post_init__(self) -> None:
+        heights = np.asarray(self.heights, dtype=np.float64)
+        if heights.ndim != 2:
+            raise ShapeError(f"heights of {self.name}", heights.shape, "(along x, along y)")
+        for word in ("cell", "step"):
+            if not (np.isfinite(getattr(self, word)) and getattr(self, word) > 0.0):
+                raise SettingError(f"{word} of {self.name}", getattr(self, word), "a width above 0 m")
+        finite_array(f"bottom of {self.name}", [self.bottom])
+        object.__setattr__(self, "heights", heights)
+        corner = finite_array(f"corner of {self.name}", np.asarray(self.corner), ndim=1, last=2)
+        object.__setattr__(self, "corner", corner)
+
+    @property
+    def boxes(self) -> tuple[Float[Array, "box 3"], Float[Array, "box 3"]]:
+        """Lower and upper corners in W [m] of what is full."""
+        heights, corner = np.asarray(self.heights), np.asarray(self.corner)
+        above = np.isfinite(heights) & (heights > self.bottom)
+        x, y = np.nonzero(above)
+        if not len(x):
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        steps = np.ceil((heights[above] - self.bottom) / self.step - 1e-9).astype(np.int64)
+        # Columns of one height are cells of one layer, which no other layer is next to.
+        first, last = joined(np.stack([x, y, 2 * steps], axis=1))
+        lower = np.column_stack([corner + first[:, :2] * self.cell, np.full(len(first), self.bottom)])
+        top = self.bottom + first[:, 2] // 2 * self.step
+        return lower, np.column_stack([corner + last[:, :2] * self.cell, top])
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add a body with all columns.
+
+        Raises:
+            SceneError: If the name is taken.
+            SettingError: If the step gives too many boxes.
+        """
+        add_boxes(spec, self.name, *self.boxes, "step")
