@@ -1,5 +1,6 @@
 """graceful_plan: motion planning that chooses paths along which a failure at any moment does little harm."""
 
+from graceful_plan import costs
 from graceful_plan._version import __version__
 from graceful_plan.analysis.certificate import certify
 from graceful_plan.analysis.checks import clearance, interaction_probability
@@ -15,7 +16,6 @@ from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.standing import KeepStanding
 from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
 from graceful_plan.costs.blocks.clearance_cost import ClearanceCost
-from graceful_plan.costs.blocks.posture_costs import JointCost, ManipulabilityCost, PoseCost
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.impact import ImpactCost
@@ -67,13 +67,11 @@ __all__ = [
     "HeightMap",
     "ImpactCost",
     "InteractionModel",
-    "JointCost",
     "JointLength",
     "KeepContents",
     "KeepDistance",
     "KeepStanding",
     "Liquid",
-    "ManipulabilityCost",
     "MovingEntity",
     "Objective",
     "PLANNERS",
@@ -85,7 +83,6 @@ __all__ = [
     "Planner",
     "PointCloud",
     "PlanningFailed",
-    "PoseCost",
     "PoseGoal",
     "RRTConnect",
     "RRTStar",
@@ -106,6 +103,7 @@ __all__ = [
     "__version__",
     "certify",
     "clearance",
+    "costs",
     "evaluate",
     "explain",
     "impact_map",

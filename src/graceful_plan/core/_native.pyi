@@ -170,6 +170,10 @@ class JointCost(Impact):
     def __init__(self, core: Core, centre: Reals, scale: Reals) -> None: ...
 
 @final
+class EnergyCost(Impact):
+    def __init__(self, core: Core, inertia: Reals, limit: Reals) -> None: ...
+
+@final
 class PoseCost(Impact):
     def __init__(
         self,

@@ -13,6 +13,7 @@ from graceful_plan.costs.objective import search_paces
 from graceful_plan.exceptions import CostError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.scene.pose_goal import pose_error
 from graceful_plan.testing import ContractError, check_cost
+from graceful_plan.timing.dynamics import RobotDynamics
 from support.costs.own_costs import Bowl
 
 Array = np.ndarray
@@ -40,12 +41,13 @@ BLOCKS: dict[str, Callable[[gp.Scene], gp.Cost]] = {
     "surroundings": lambda scene: gp.ClearanceCost(0.15),
     "self": lambda scene: gp.ClearanceCost(0.1, to="self"),
     "entity": lambda scene: gp.ClearanceCost(0.4, to="laptop"),
-    "pose": lambda scene: gp.PoseCost(goal(scene)),
-    "axis": lambda scene: gp.PoseCost(goal(scene, free_yaw=True), distance=None),
-    "middle": lambda scene: gp.JointCost(),
-    "posture": lambda scene: gp.JointCost(centre=(0.1,) * 7, scale=(0.5, 1.0, 1.0, 2.0, 1.0, 1.0, 3.0)),
-    "manipulability": lambda scene: gp.ManipulabilityCost(0.12),
-    "sum": lambda scene: 2.0 * gp.ClearanceCost(0.2) + 0.5 * (gp.JointCost() + gp.ManipulabilityCost()),
+    "pose": lambda scene: gp.costs.PoseCost(goal(scene)),
+    "axis": lambda scene: gp.costs.PoseCost(goal(scene, free_yaw=True), distance=None),
+    "middle": lambda scene: gp.costs.JointCost(),
+    "posture": lambda scene: gp.costs.JointCost(centre=(0.1,) * 7, scale=(0.5, 1.0, 1.0, 2.0, 1.0, 1.0, 3.0)),
+    "energy": lambda scene: gp.costs.EnergyCost((90.0, 90.0, 90.0, 90.0, 12.0, 12.0, 12.0)),
+    "manipulability": lambda scene: gp.costs.ManipulabilityCost(0.12),
+    "sum": lambda scene: 2.0 * gp.ClearanceCost(0.2) + 0.5 * (gp.costs.JointCost() + gp.costs.ManipulabilityCost()),
     "with the impact": lambda scene: gp.ImpactCost() + 0.3 * gp.ClearanceCost(0.2),
 }
 each = pytest.mark.parametrize("block", BLOCKS)
@@ -109,7 +111,7 @@ def test_clearance_is_charged_below_the_distance_alone(scene: gp.Scene) -> None:
 
 
 def test_manipulability_is_that_of_the_jacobian_of_mujoco(scene: gp.Scene) -> None:
-    q, cost = states(scene, 30), gp.ManipulabilityCost(least=10.0)
+    q, cost = states(scene, 30), gp.costs.ManipulabilityCost(least=10.0)
     site = scene.model.site(scene.tool).id
     dofs = [int(scene.model.jnt_dofadr[scene.model.joint(name).id]) for name in scene.joints]
     for row, value in zip(q, values(cost, scene, q), strict=True):
@@ -120,22 +122,31 @@ def test_manipulability_is_that_of_the_jacobian_of_mujoco(scene: gp.Scene) -> No
         assert (1.0 - np.sqrt(value)) * 10.0 == pytest.approx(np.sqrt(max(0.0, np.linalg.det(J @ J.T))), abs=1e-6)
 
 
+def test_energy_is_that_of_torques_by_mujoco(scene: gp.Scene) -> None:
+    q, at_rest, limit = states(scene, 20), np.zeros(7), np.arange(10.0, 80.0, 10.0)
+    dynamics = RobotDynamics(scene)
+    expected = [np.mean((dynamics(row, at_rest, at_rest) / limit) ** 2) for row in q]
+    np.testing.assert_allclose(values(gp.costs.EnergyCost(tuple(limit.tolist())), scene, q), expected, rtol=1e-4)
+
+
 @pytest.mark.parametrize("free_yaw", [False, True])
 def test_a_pose_is_charged_by_distance_and_angle(scene: gp.Scene, free_yaw: bool) -> None:
     q, wanted = states(scene, 30), goal(scene, free_yaw=free_yaw)
     away = [pose_error(wanted, X) for X in gp.StateBatch(scene, q).tool_poses]
     charged = [(d / 0.2) ** 2 + 2.0 * (1.0 - np.cos(a)) / 0.7**2 for d, a in away]
-    np.testing.assert_allclose(values(gp.PoseCost(wanted, 0.2, 0.7), scene, q), charged, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(values(gp.costs.PoseCost(wanted, 0.2, 0.7), scene, q), charged, rtol=1e-6, atol=1e-9)
 
 
 def test_the_middle_of_the_joints_costs_nothing_and_their_limits_one(scene: gp.Scene) -> None:
     limits = scene.limits.position
-    np.testing.assert_allclose(values(gp.JointCost(), scene, np.stack([limits.mean(axis=1), *limits.T])), [0, 1, 1])
+    np.testing.assert_allclose(
+        values(gp.costs.JointCost(), scene, np.stack([limits.mean(axis=1), *limits.T])), [0, 1, 1]
+    )
 
 
 def test_sums_are_sums(scene: gp.Scene) -> None:
     batch = gp.StateBatch(scene, states(scene, 10))
-    a, b = gp.JointCost(), Bowl(told=True)
+    a, b = gp.costs.JointCost(), Bowl(told=True)
     np.testing.assert_allclose((2.0 * a + b * 3.0).state(batch), 2.0 * a.state(batch) + 3.0 * b.state(batch))
     assert (a + b).gradient(batch) is not None and (a + Bowl(told=False)).gradient(batch) is None
     assert 2.0 * (a + 3.0 * b) == 2.0 * a + 6.0 * b and hash(a + b) == hash(a + b)
@@ -147,7 +158,7 @@ def test_sums_are_sums(scene: gp.Scene) -> None:
 
 def test_a_term_that_breaks_its_contract_is_named(scene: gp.Scene) -> None:
     with pytest.raises(CostError, match="Broken"):
-        values(gp.JointCost() + Broken(), scene, states(scene, 3))
+        values(gp.costs.JointCost() + Broken(), scene, states(scene, 3))
 
 
 class Broken(gp.Cost):
@@ -186,7 +197,7 @@ def test_wrong_gradients_are_found_beside_kinks_and_rounding(scene: gp.Scene, st
 
 
 def test_planning_stays_in_the_core(task: gp.Task) -> None:
-    objective = gp.Objective(impact=gp.ClearanceCost(0.1) + 0.1 * gp.JointCost(), w=2.0, exposure="length")
+    objective = gp.Objective(impact=gp.ClearanceCost(0.1) + 0.1 * gp.costs.JointCost(), w=2.0, exposure="length")
     plain = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=200)
     found = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=200)
     assert found.status is gp.PlanStatus.SOLVED and "estimated_total" in found.stats
@@ -197,13 +208,14 @@ def test_planning_stays_in_the_core(task: gp.Task) -> None:
     ("make", "message"),
     [
         (lambda: gp.ClearanceCost(0.0), "distance = 0.0, expected a finite number > 0"),
-        (lambda: gp.ManipulabilityCost(np.inf), "least = inf"),
-        (lambda: gp.JointCost(centre=(np.nan,)), "centre"),
-        (lambda: gp.JointCost(scale=-1.0), "scale = -1.0"),
-        (lambda: gp.JointCost(scale=(1.0, 0.0)), "scale"),
-        (lambda: gp.PoseCost(gp.PoseGoal(np.eye(4)), None, None), "distance = None"),
-        (lambda: gp.PoseCost(gp.PoseGoal(np.eye(4)), 0.1, 0.0), "angle = 0.0"),
-        (lambda: -1.0 * gp.JointCost(), "factor = -1.0, expected a finite number >= 0 before JointCost"),
+        (lambda: gp.costs.ManipulabilityCost(np.inf), "least = inf"),
+        (lambda: gp.costs.JointCost(centre=(np.nan,)), "centre"),
+        (lambda: gp.costs.EnergyCost((0.0,)), "torque"),
+        (lambda: gp.costs.JointCost(scale=-1.0), "scale = -1.0"),
+        (lambda: gp.costs.JointCost(scale=(1.0, 0.0)), "scale"),
+        (lambda: gp.costs.PoseCost(gp.PoseGoal(np.eye(4)), None, None), "distance = None"),
+        (lambda: gp.costs.PoseCost(gp.PoseGoal(np.eye(4)), 0.1, 0.0), "angle = 0.0"),
+        (lambda: -1.0 * gp.costs.JointCost(), "factor = -1.0, expected a finite number >= 0 before JointCost"),
     ],
 )
 def test_settings_are_checked(make: Callable[[], gp.Cost], message: str) -> None:
@@ -216,5 +228,7 @@ def test_what_does_not_fit_a_scene_is_named(scene: gp.Scene) -> None:
         UnknownNameError, match=r"unknown thing to keep clear of 'lamp'; valid: .*laptop.*self, stapler, surround"
     ):
         values(gp.ClearanceCost(to="lamp"), scene, states(scene, 1))
+    with pytest.raises(ShapeError, match=r"EnergyCost\.torque has shape \(2,\)"):
+        values(gp.costs.EnergyCost((1.0, 1.0)), scene, states(scene, 1))
     with pytest.raises(ShapeError, match=r"JointCost\.centre has shape"):
-        values(gp.JointCost(centre=(0.0, 1.0)), scene, states(scene, 1))
+        values(gp.costs.JointCost(centre=(0.0, 1.0)), scene, states(scene, 1))

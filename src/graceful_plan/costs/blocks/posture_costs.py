@@ -12,6 +12,7 @@ from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.blocks.native_cost import NativeCost
+from graceful_plan.costs.models.body.tables import body_tables
 from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
@@ -72,6 +73,52 @@ class JointCost(NativeCost):
                 known[name] = np.broadcast_to(np.asarray(value, dtype=np.float64), lower.shape).copy()
         kernels = compile_scene(scene).kernels
         return ImpactKernel(kernels, _native.JointCost(kernels.core, *known.values()))
+
+
+@final
+@dataclass(frozen=True)
+class EnergyCost(NativeCost):
+    """Charges for holding the arm up: the mean over joints of (torque / limit)^2.
+
+    The torques are those of the weight of links and load. Drives lose about the square of their torque as heat, so that
+    the integral over time is in proportion to what a slow motion takes; what acceleration takes is not known of a
+    state, see `optimise_trajectory` for that.
+
+    Args:
+        torque: Torques that are charged 1 [N m or N], one per joint; the limits of the model by default.
+
+    Raises:
+        SettingError: If one is not a finite number > 0.
+    """
+
+    torque: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.torque is not None:
+            object.__setattr__(self, "torque", tuple(float(t) for t in self.torque))
+            if not all(np.isfinite(t) and t > 0.0 for t in self.torque):
+                raise SettingError("torque", self.torque, "finite numbers > 0, one per joint")
+
+    def kernel(self, scene: Scene) -> ImpactKernel:
+        """Make what computes the cost in a scene.
+
+        Raises:
+            ShapeError: If torques are not one number per joint.
+            UnsupportedError: If none are given, and the model limits not all of them.
+        """
+        limit = scene.limits.torque if self.torque is None else np.array(self.torque)
+        if len(limit) != len(scene.joints):
+            raise ShapeError("EnergyCost.torque", limit.shape, f"({len(scene.joints)},)")
+        unlimited = [name for name, value in zip(scene.joints, limit, strict=True) if not np.isfinite(value)]
+        if unlimited:
+            raise UnsupportedError(
+                f"the model has no torque limit of {unlimited[0]!r}: EnergyCost(torque=...) takes them"
+            )
+        tables, kernels = body_tables(scene), compile_scene(scene).kernels
+        columns = [tables.mass[:, None], tables.centre, tables.inertia.reshape(-1, 9)]
+        inertia = np.ascontiguousarray(np.concatenate(columns, axis=1))
+        limit = np.ascontiguousarray(limit, dtype=np.float64)
+        return ImpactKernel(kernels, _native.EnergyCost(kernels.core, inertia, limit))
 
 
 @final

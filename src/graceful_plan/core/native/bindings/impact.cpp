@@ -88,6 +88,8 @@ void bind_impact(nb::module_& m) {
            nb::keep_alive<1, 3>());
   nb::class_<JointCost, Impact>(m, "JointCost")
       .def(nb::init<const Core&, Reals, Reals>(), "core"_a, "centre"_a, "scale"_a, nb::keep_alive<1, 2>());
+  nb::class_<EnergyCost, Impact>(m, "EnergyCost")
+      .def(nb::init<const Core&, Reals, Reals>(), "core"_a, "inertia"_a, "limit"_a, nb::keep_alive<1, 2>());
   nb::class_<PoseCost, Impact>(m, "PoseCost")
       .def(
           "__init__",

@@ -32,6 +32,60 @@ class JointCost final : public StateCost {
   const Point centre_, scale_;
 };
 
+// Mean over joints of (torque / limit)^2, of the torques that hold the arm and its load up.
+class EnergyCost final : public StateCost {
+ public:
+  // `inertia`: per frame mass, centre (3), inertia about it (9), as of the body model.
+  EnergyCost(const Core& core, const Reals& inertia, const Reals& limit) : StateCost(core), limit_(point(limit)) {
+    const Tables& t = core.tables();
+    require(limit_.size() == joints() && inertia.size() == 13 * (joints() + 1), "inertia of frames, limits of joints");
+    for (double l : limit_) require(l > 0, "limit");
+    for (size_t f = 0; f <= joints(); ++f) {
+      const double* row = inertia.data() + 13 * f;
+      Inertia rigid{};
+      rigid.mass = row[0];
+      std::copy(row + 1, row + 4, rigid.centre), std::copy(row + 4, row + 13, rigid.inertia);
+      require(core.frame(int(f)) == int(f), "frames come first");
+      inertia_.push_back(rigid);
+    }
+    drive_.resize(joints());
+    for (int l = 0; l < t.n_link; ++l)
+      if (t.link[l].joint >= 0) drive_[size_t(t.link[l].joint)].link = l;
+    tables_.n_frame = int(inertia_.size()), tables_.inertia = inertia_.data(), tables_.drive = drive_.data();
+  }
+
+ protected:
+  void charge(const double* q, size_t n, double* value, double* slope) const override {
+    const size_t nq = joints(), size = n * nq, copies = slope ? nq + 1 : 1;
+    Point moved, gravity(copies * size), mass(copies * size * nq);
+    for (size_t c = 0; c < copies; ++c) {
+      moved.insert(moved.end(), q, q + size);
+      for (size_t k = 0; c > 0 && k < n; ++k) moved[c * size + k * nq + c - 1] += kStep;
+    }
+    core_.kernels().body_dynamics(core_.tables(), tables_, {moved.data(), nullptr, copies * n}, mass.data(),
+                                  gravity.data());
+    for (size_t k = 0; k < n; ++k) {
+      value[k] = charged(&gravity[k * nq]);
+      for (size_t j = 0; slope && j < nq; ++j)
+        slope[k * nq + j] = (charged(&gravity[(j + 1) * size + k * nq]) - value[k]) / kStep;
+    }
+  }
+
+ private:
+  static constexpr double kStep = 1e-6;  // of a difference, in double precision [rad]
+
+  double charged(const double* torque) const {
+    double sum = 0;
+    for (size_t j = 0; j < limit_.size(); ++j) sum += torque[j] * torque[j] / (limit_[j] * limit_[j]);
+    return sum / double(limit_.size());
+  }
+
+  const Point limit_;
+  std::vector<Inertia> inertia_;
+  std::vector<JointDrive> drive_;
+  BodyTables tables_{};
+};
+
 // How far the tool is from a pose: (distance / unit)^2 of its position, and 2 (1 - cos angle) / unit^2 of its
 // orientation, the angle squared where it is small. A unit that is infinite leaves its part out.
 class PoseCost final : public StateCost {
