@@ -17,6 +17,7 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.timing.retiming import timed
 from graceful_plan.timing.spline import Spline, grid_points
+from graceful_plan.transcription.motion_charges import ImpactCharge
 from support.costs.own_costs import Bowl, Crosswise, Haste, Height
 
 Array = np.ndarray
@@ -136,6 +137,37 @@ def test_plans_descend_along_own_costs(task: gp.Task, exposure: str) -> None:
     again = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=100)
     np.testing.assert_array_equal(own.trajectory.q, again.trajectory.q)
     assert own.cost == gp.evaluate(own.trajectory, task.scene, objective)
+
+
+@dataclass(frozen=True, eq=False)
+class Leaning(gp.Cost):
+    """Counts how often its gradient is asked for, and of how many states."""
+
+    sizes: list[int] = field(default_factory=list)
+
+    def state(self, batch: gp.StateBatch) -> Array:
+        return batch.q[:, 1] ** 2
+
+    def gradient(self, batch: gp.StateBatch) -> Array:
+        self.sizes.append(len(batch))
+        return 2.0 * batch.q * (np.arange(batch.q.shape[1]) == 1)
+
+
+@pytest.mark.parametrize("planner", ["chomp", "casadi", "auto"])
+def test_planners_ask_for_gradients_in_batches(task: gp.Task, planner: str) -> None:
+    pytest.importorskip("casadi") if planner == "casadi" else None
+    cost = Leaning()
+    objective = bound(task, Objective(impact=cost, w=1.0))
+    problem = problem_of(task, objective)
+    list(gp.PLANNERS[planner]().solve(problem, objective, Budget(iterations=150), np.random.default_rng(0)))
+    assert len(cost.sizes) > 5 and np.median(cost.sizes) > 10
+
+
+def test_transcription_asks_for_gradients(task: gp.Task) -> None:
+    told, untold = (ImpactCharge(cost, task.scene, 2.0) for cost in (Bowl(), Bowl(told=False)))
+    q = np.random.default_rng(0).normal(size=(5, 7))
+    np.testing.assert_allclose(told.slope(q, q), 2.0 * np.concatenate([q - 0.3, 0.0 * q], axis=1))
+    np.testing.assert_allclose(told.slope(q, q), untold.slope(q, q), atol=1e-4)
 
 
 def test_a_cost_that_raises_within_a_descent_says_so(task: gp.Task) -> None:
