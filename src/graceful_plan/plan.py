@@ -36,7 +36,7 @@ from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
-from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.query.goals import Configuration, Goal, poses_of
 from graceful_plan.query.motions import along, motions
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
@@ -45,7 +45,6 @@ from graceful_plan.query.search import KEPT, Callback, Search
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
-from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -88,7 +87,7 @@ def plan(
 
     Args:
         start: Configuration [rad or m], or the name of a keyframe.
-        goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
+        goal: Configuration, keyframe, a `PoseGoal` for the tool, or several of any of these, such as a set of grasps.
         scene: Robot, surroundings and what is carried.
         w: Safety weight: how many radians of joint motion it is worth to spare one second in which a failure would do
             harm of severity 1; default: the objective's, or 0.3.
@@ -128,7 +127,6 @@ def plan(
         objective=bound,
         constraints=held,
         preference=None if measure.kind == "expectation" else Preference(measure, bound),
-        pose=goal if isinstance(goal, PoseGoal) else None,
         speed=share,
         max_wait=checked_wait(max_wait, scene),
         verification=checked_verification(verification),
@@ -153,7 +151,8 @@ def plan(
     if isinstance(ends, PlanResult):
         return ends
     clock = Clock(started + limit, paces_of(scene), limit)
-    request = replace(request, constraints=ends.constraints, clock=clock)
+    poses = poses_of(goal, ends.goal_index)
+    request = replace(request, constraints=ends.constraints, poses=poses, clock=clock)
     reserve = clock.reserve(limit) + (min(_TIMING_RESERVE, limit / 4.0) if scene.moving else 0.0)
     budget = Budget(limit - (reserve if np.isfinite(limit) else 0.0), iterations, stop, started)
     try:

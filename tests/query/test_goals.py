@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import state_contacts
 from graceful_plan.query.goals import resolve_goal, resolve_start
+from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 
@@ -43,6 +45,37 @@ def test_several_goals_keep_their_order_and_index(scene: Scene, start: np.ndarra
     assert len(resolved.problems) == 1 and resolved.problems[0].startswith("goal 1: ")
     mixed = resolve_goal(["ready", start], scene, start)
     np.testing.assert_array_equal(mixed.q, [scene.keyframes["ready"], start])
+
+
+def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.ndarray) -> None:
+    """Grasps all around a place: those nearest to the tool give enough, those out of reach say so."""
+    tool = Placement(scene).place(start).site(scene.tool)
+    near, far = tool.xpos + [0.0, 0.0, 0.02], tool.xpos + [0.0, 0.1, 0.05]
+    down = [0.0, 1.0, 0.0, 0.0]
+    beyond, away, here = PoseGoal.at([3.0, 0.0, 0.5], down), PoseGoal.at(far, down), PoseGoal.at(near, down)
+    resolved = resolve_goal([beyond, away, "ready", here], scene, start)
+    assert set(resolved.index) == {1, 2, 3} and resolved.index[0] == 2
+    assert list(resolved.index).index(3) < list(resolved.index).index(1)
+    assert any(problem.startswith("goal 0: ") for problem in resolved.problems)
+    for q, k in zip(resolved.q, resolved.index, strict=True):
+        if k != 2:
+            reached = Placement(scene).place(q).site(scene.tool).xpos
+            np.testing.assert_allclose(reached, {1: far, 3: near}[k], atol=1e-3)
+    many = resolve_goal([here] * 20 + [away], scene, start)
+    assert 8 <= len(many.index) <= 9 and 20 not in many.index
+    assert len(resolve_goal([beyond, beyond], scene, start).q) == 0
+
+
+def test_a_plan_to_a_set_of_poses_says_which_one_it_reached(scene: Scene, start: np.ndarray) -> None:
+    tool = Placement(scene).place(start).site(scene.tool)
+    poses = [PoseGoal.at(tool.xpos + [0.0, 0.05 * k, 0.1], [0.0, 1.0, 0.0, 0.0], free_yaw=True) for k in (9, 1, 2)]
+    result = gp.plan(start, poses, scene, w=0.0, iterations=200)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+    assert result.goal_index is not None
+    assert gp.verify(result.trajectory, scene, goal=poses[result.goal_index]).checks["goal"].passed
+    through = gp.plan(start, poses, scene, w=0.0, via=["ready"], iterations=600)
+    assert through.status is gp.PlanStatus.SOLVED, through.detail
+    assert gp.verify(through.trajectory, scene, goal=poses[through.goal_index or 0]).checks["goal"].passed
 
 
 def test_a_collision_names_the_pair_and_its_depth(scene: Scene, colliding: np.ndarray) -> None:

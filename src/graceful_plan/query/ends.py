@@ -11,9 +11,8 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.path import Path
 from graceful_plan.query.escape import way_out
-from graceful_plan.query.goals import Configuration, Goal, Resolved, resolve_goal, resolve_start
+from graceful_plan.query.goals import Configuration, Goal, Resolved, has_poses, resolve_goal, resolve_start
 from graceful_plan.result import PlanResult, PlanStatus
-from graceful_plan.scene.pose_goal import PoseGoal
 
 Array = np.ndarray
 
@@ -87,7 +86,7 @@ def find_ends(
     goals = constrained("goal", found, constraints)
     if cancelled():
         return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
-    if not len(goals.q) and isinstance(goal, PoseGoal) and late(_SHARE_OF_GOALS):
+    if not len(goals.q) and has_poses(goal) and late(_SHARE_OF_GOALS):
         return PlanResult(status=PlanStatus.TIMEOUT, detail=f"no time to look for more; {goals.detail}")
     if not len(goals.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)

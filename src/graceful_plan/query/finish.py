@@ -34,7 +34,8 @@ def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None
         if not (clock.has_room("judging") if refused else clock.may_do("judging")):
             break
         with clock.measured("judging"):
-            verdict = verdict_of(motion, request.objective, request.constraints, request.pose, request.verification)
+            pose, looks = request.pose(motion.arrival), request.verification
+            verdict = verdict_of(motion, request.objective, request.constraints, pose, looks)
         judged = Judged(motion=motion, verdict=verdict)
         if judged.verdict.passed:
             return judged

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,14 +18,19 @@ from graceful_plan.exceptions import ShapeError, UnknownNameError
 from graceful_plan.judge.exact import Judge, state_contacts
 from graceful_plan.path import finite_array
 from graceful_plan.query.ik import solve_ik
-from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 Configuration = ArrayLike | str
 """A configuration [nq] or the name of a keyframe."""
-Goal = Configuration | Sequence[Configuration] | PoseGoal
+Goal = Configuration | PoseGoal | Sequence[Configuration | PoseGoal]
 
+_LEVER = 0.25
+"""What a radian counts as distance where poses are sorted by how far they are [m/rad]."""
+_ENOUGH, _OF_EACH = 8, 2
+"""Configurations that are enough for several poses, and for one of them."""
 CLAMPED = 1e-6
 """How far outside of a position limit [rad or m] a configuration is moved onto it instead of being refused."""
 
@@ -69,8 +75,11 @@ def resolve_goal(
 ) -> Resolved:
     """Turn a goal into usable configurations, in the order given; of a pose, those nearest to the start first.
 
+    Of several poses, inverse kinematics begins with those nearest to where the tool is, and stops once there are
+    enough configurations for them.
+
     Args:
-        goal: A configuration, several, keyframes by name, or a pose.
+        goal: A configuration, a keyframe by name, a pose, or several of these.
         scene: Where.
         start: Where the motion begins; poses are solved near to it.
         seed: Of the random numbers of inverse kinematics.
@@ -83,9 +92,66 @@ def resolve_goal(
     """
     if isinstance(goal, PoseGoal):
         return _pose(goal, scene, start, seed, cancelled)
-    configurations = _configurations(goal, scene)
+    several = _poses_among(goal)
+    if several:
+        return _several(several, scene, start, seed, cancelled)
+    configurations = _configurations(cast("Configuration | Sequence[Configuration]", goal), scene)
     words = ["goal"] if len(configurations) == 1 else [f"goal {i}" for i in range(len(configurations))]
     return _usable(list(zip(words, configurations, strict=True)), scene)
+
+
+def has_poses(goal: Goal) -> bool:
+    """Whether a goal is a pose, or one of several is."""
+    return isinstance(goal, PoseGoal) or bool(_poses_among(goal))
+
+
+def _poses_among(goal: Goal) -> Sequence[Configuration | PoseGoal]:
+    """Return several goals if one of them is a pose; else nothing."""
+    if isinstance(goal, Sequence) and any(isinstance(one, PoseGoal) for one in goal):
+        return cast("Sequence[Configuration | PoseGoal]", goal)
+    return ()
+
+
+def poses_of(goal: Goal, index: Sequence[int]) -> tuple[PoseGoal | None, ...]:
+    """Return the poses that goals with some indices are; None for those that are configurations."""
+    if isinstance(goal, PoseGoal):
+        return (goal,) * len(index)
+    several = _poses_among(goal)
+    chosen = [several[k] if several else None for k in index]
+    return tuple(one if isinstance(one, PoseGoal) else None for one in chosen)
+
+
+def _several(
+    goals: Sequence[Configuration | PoseGoal],
+    scene: Scene,
+    start: ArrayLike,
+    seed: int,
+    cancelled: Callable[[], bool],
+) -> Resolved:
+    """Resolve configurations, then poses from the nearest on until there is enough."""
+    placed = Placement(scene).place(np.asarray(start, dtype=float)).site(scene.tool)
+    X_WT = np.eye(4)
+    X_WT[:3, :3], X_WT[:3, 3] = placed.xmat.reshape(3, 3), placed.xpos
+
+    def away(k: int) -> float:
+        one = goals[k]
+        return float(np.dot(pose_error(one, X_WT), (1.0, _LEVER))) if isinstance(one, PoseGoal) else -1.0
+
+    q, index = [np.zeros((0, len(scene.joints)))], []
+    notes, problems = [], []
+    for k in sorted(range(len(goals)), key=away):
+        one = goals[k]
+        if isinstance(one, PoseGoal):
+            if len(index) >= _ENOUGH or cancelled():
+                break
+            found = _pose(one, scene, start, seed, cancelled, count=_OF_EACH, rounds=1)
+        else:
+            found = resolve_goal(one, scene, start)
+        q.append(found.q)
+        index += [k] * len(found.q)
+        notes += [text.replace("goal", f"goal {k}", 1) for text in found.notes]
+        problems += [text.replace("goal", f"goal {k}", 1) for text in found.problems]
+    return Resolved(np.concatenate(q), tuple(index), tuple(notes), tuple(problems))
 
 
 def _configurations(goal: Configuration | Sequence[Configuration], scene: Scene) -> list[Float[Array, " nq"]]:
@@ -144,7 +210,14 @@ def _collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
     return f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
 
 
-def _pose(goal: PoseGoal, scene: Scene, start: ArrayLike, seed: int, cancelled: Callable[[], bool]) -> Resolved:
+def _pose(
+    goal: PoseGoal,
+    scene: Scene,
+    start: ArrayLike,
+    seed: int,
+    cancelled: Callable[[], bool],
+    **effort: int,
+) -> Resolved:
     judge = Judge(scene)
     blocked: list[Array] = []
 
@@ -154,13 +227,12 @@ def _pose(goal: PoseGoal, scene: Scene, start: ArrayLike, seed: int, cancelled: 
         blocked.extend(q[~ok])
         return ok
 
-    found = solve_ik(goal, scene, start, free=free, seed=seed, cancelled=cancelled)
+    found = solve_ik(goal, scene, start, free=free, seed=seed, cancelled=cancelled, **effort)
     if len(found.q):
         return Resolved(found.q, (0,) * len(found.q))
     if blocked:
-        problem = (
-            f"all {len(blocked)} configurations found for the pose collide; {_collision('goal', blocked[0], scene)}"
-        )
+        told = _collision("one", blocked[0], scene)
+        problem = f"goal: all {len(blocked)} configurations found for the pose collide; {told}"
     else:
         missing = f"{1e3 * found.position_error:.3g} mm and {found.orientation_error:.3g} rad"
         problem = f"goal: no configuration within the limits reaches the pose; the nearest found misses it by {missing}"

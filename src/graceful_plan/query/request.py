@@ -24,7 +24,7 @@ class Request:
     | objective    | what to minimise, in which scene                                      |      |
     | constraints  | what has to hold on the way                                           |      |
     | preference   | what decides between paths instead, if the mean impact does not       |      |
-    | pose         | the pose to be reached, if that is the goal                           |      |
+    | poses        | the pose to be reached by each way to a goal, None where that is none |      |
     | speed        | fraction of the velocity limits to use                                |      |
     | max_wait     | longest wait at the start, if something moves                         | s    |
     | verification | how closely the judge looks                                           |      |
@@ -36,9 +36,13 @@ class Request:
     objective: SceneObjective
     constraints: SceneConstraints
     preference: Preference | None = None
-    pose: PoseGoal | None = None
+    poses: tuple[PoseGoal | None, ...] = ()
     speed: float = 1.0
     max_wait: float = 0.0
     verification: Verification | None = None
     callback: Callback | None = None
     clock: Clock = field(default_factory=Clock)
+
+    def pose(self, arrival: int) -> PoseGoal | None:
+        """Return the pose that a way to a goal is to reach; None if that is a configuration."""
+        return self.poses[arrival] if self.poses else None

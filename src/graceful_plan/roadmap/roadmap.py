@@ -122,7 +122,7 @@ class Roadmap:
 
         Args:
             start: Configuration [rad or m], or the name of a keyframe.
-            goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
+            goal: Configuration, keyframe, `PoseGoal` for the tool, or several of these.
             scene: Where severities are from: the roadmap's scene, or what `Scene.with_severity` or
                 `Scene.without_moving` makes of it.
             w: Safety weight; the objective's by default.

@@ -41,6 +41,9 @@ from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
+from graceful_plan.scene.urdf.composing import TOOL, composed, held_still, touching, velocities
+from graceful_plan.scene.urdf.reading import read_urdf
+from graceful_plan.scene.urdf.srdf import read_srdf
 
 Array = np.ndarray
 
@@ -126,6 +129,73 @@ class Scene(SceneFacts):
         scene = cls.build(spec, notes)
         check_keyframes(notes, scene.limits)
         return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path,
+        *,
+        tool: str,
+        acceleration: float | Sequence[float],
+        packages: Sequence[str | Path] = (),
+        srdf: str | Path | None = None,
+        world: str | Path | mujoco.MjSpec | None = None,
+        pose: ArrayLike | None = None,
+        velocity: Sequence[float] | None = None,
+        fingers: float | Mapping[str, float] | None = None,
+        allowed_contacts: Sequence[AllowedContact] = (),
+        keyframes: Mapping[str, ArrayLike] | None = None,
+        entities: Mapping[str, str | EntityNote] | None = None,
+        severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
+    ) -> Scene:
+        """Make a scene of a robot from URDF, in a world or alone. Names get the robot's name and "/" before them.
+
+        Links that a joint lies between may touch, and those that overlap nearly wherever the joints are: hulls of
+        meshes overlap where the meshes do not. Only collision geometry counts.
+
+        Args:
+            source: URDF file, or its text.
+            tool: Link whose frame is that of the tool. The joints between the base and it are planned.
+            acceleration: Limit of each planned joint, or of all [rad/s2 or m/s2]: URDF has none.
+            packages: Folders that `package://` stands for: packages, or folders that have these in them; those above
+                the file are tried, too.
+            srdf: SRDF file or text: pairs that may touch, and group states as keyframes.
+            world: MJCF with the surroundings, as in `from_mjcf`.
+            pose: Of the robot's root link in W, 4 x 4.
+            velocity: Limit of each planned joint [rad/s or m/s]; those of the URDF by default.
+            fingers: Position of the joints that hang on the last planned joint; those that mimic one follow it. Or
+                positions by joint name.
+            allowed_contacts: What may touch besides.
+            keyframes: Configurations by name.
+            entities: As in `from_mjcf`.
+            severity: As in `from_mjcf`.
+
+        Raises:
+            SceneError: If a file is broken, hostile or not there.
+            UnsupportedError: If it has features that cannot be represented.
+            UnknownNameError: If there is no such link.
+        """
+        robot = read_urdf(source, packages)
+        chain, prefix = robot.chain(tool), f"{robot.name}/"
+        spec = composed(robot, tool, world, pose)
+        told = None if srdf is None else read_srdf(srdf)
+        states = {} if told is None else told.keyframes([joint.name for joint in chain])
+        disabled = () if told is None else told.contacts(robot)
+        return cls.from_mjcf(
+            spec,
+            robot=prefix,
+            tool=prefix + TOOL,
+            entities=entities,
+            severity=severity,
+            fingers=held_still(robot, chain, fingers) if isinstance(fingers, int | float) else fingers,
+            velocity=velocities(chain) if velocity is None else velocity,
+            acceleration=np.broadcast_to(np.asarray(acceleration, dtype=float), len(chain)).tolist()
+            if np.ndim(acceleration) == 0
+            else acceleration,
+            keyframes={**states, **(keyframes or {})},
+            allowed_contacts=(*touching(spec, prefix, chain), *disabled, *allowed_contacts),
+            name=robot.name,
+        )
 
     @classmethod
     def build(cls, spec: mujoco.MjSpec, notes: Notes, compiled: mujoco.MjModel | None = None) -> Scene:

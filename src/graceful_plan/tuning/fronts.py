@@ -34,11 +34,10 @@ from graceful_plan.query.arguments import (
     checked_time_limit,
 )
 from graceful_plan.query.ends import Ends, find_ends
-from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.query.goals import Configuration, Goal, poses_of
 from graceful_plan.query.request import Request
 from graceful_plan.result import PlanStatus
 from graceful_plan.roadmap import Roadmap
-from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
 from graceful_plan.tuning.archive import Archive, Candidate
 from graceful_plan.tuning.front_problem import FrontProblem, Seeds
@@ -98,7 +97,7 @@ def pareto(
 
     Args:
         start: Configuration [rad or m], or the name of a keyframe.
-        goal: Configuration, keyframe, several of them, or a `PoseGoal` for the tool.
+        goal: Configuration, keyframe, `PoseGoal` for the tool, or several of these.
         scene: Robot, surroundings and what is carried.
         points: Most points of the front; they are picked so that they stand for all that was found.
         planner: Name of a planner or a settings object: minimises V + w S for single weights.
@@ -134,7 +133,7 @@ def pareto(
         planner=solver,
         objective=wanted.bind(scene, search_paces(checked_speed(speed))),
         constraints=ends.constraints,
-        pose=goal if isinstance(goal, PoseGoal) else None,
+        poses=poses_of(goal, ends.goal_index),
         speed=checked_speed(speed),
     )
     query = FrontQuery(ends=ends, request=request)

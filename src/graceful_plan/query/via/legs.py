@@ -21,7 +21,7 @@ from graceful_plan.judge.passing import passing
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.finish import verdict_of
-from graceful_plan.query.goals import Configuration, Goal
+from graceful_plan.query.goals import Configuration, Goal, poses_of
 from graceful_plan.query.motions import Motion, recharged
 from graceful_plan.query.request import Request
 from graceful_plan.query.via.stages import Stages, find_stages
@@ -80,7 +80,11 @@ def plan_through(
     if isinstance(stages, PlanResult):
         return stages
     legs = _legs(stages, leg, budget)
-    result = legs if isinstance(legs, PlanResult) else _Joining(stages, request, budget).joined(legs)
+    if isinstance(legs, PlanResult):
+        result = legs
+    else:
+        asked = replace(request, poses=poses_of(stages.goal, (legs[-1].goal_index or 0,)))
+        result = _Joining(stages, asked, budget).joined(legs)
     detail = "; ".join([*stages.notes, *([result.detail] if result.detail else [])])
     return replace(result, detail=detail, stats={**result.stats, "total_time": budget.elapsed})
 
@@ -173,7 +177,7 @@ class _Joining:
 
     def _verdict(self, motion: Motion) -> Verdict:
         asked, scene = self.request, self.request.objective.scene
-        verdict = verdict_of(motion, asked.objective, asked.constraints, asked.pose, asked.verification)
+        verdict = verdict_of(motion, asked.objective, asked.constraints, asked.pose(0), asked.verification)
         checks = dict(verdict.checks)
         checks["via"], _ = passing(motion.trajectory, self.stages.wanted, scene)
         return Verdict(checks=checks)

@@ -1,0 +1,117 @@
+"""The mesh files that a URDF names: where they are, and their content in a form that MuJoCo reads."""
+
+from __future__ import annotations
+
+import importlib
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SceneError, UnsupportedError
+
+Array = np.ndarray
+
+_MOST_BYTES = 100_000_000
+_READ = (".stl", ".obj")
+"""By MuJoCo itself; `.dae` is converted."""
+
+
+def found_mesh(name: str, folder: Path | None, packages: Sequence[Path]) -> Path:
+    """Return the file that a URDF means.
+
+    Args:
+        name: "package://PACKAGE/FILE", "file:///FILE", or a path relative to the URDF's folder.
+        folder: That folder, if there is one.
+        packages: Folders that are packages, or have them in them. The folders above the URDF are tried, too.
+
+    Raises:
+        SceneError: If it is nowhere there; says where it was looked for.
+    """
+    kind, _, rest = name.rpartition("://")
+    rest = unquote(rest)
+    if kind == "package":
+        package, _, inside = rest.partition("/")
+        above = [] if folder is None else list(folder.parents)
+        tried = [place for root in [*packages, *above] for place in _places(root, package, inside)]
+        wanted = "packages=[folder that has this package in it]"
+    else:
+        tried = [Path(rest)] if kind == "file" or folder is None else [folder / rest]
+        wanted = "the file there"
+    for place in tried:
+        if place.is_file():
+            return place
+    raise SceneError(f"the mesh {name!r} is not to be found; give {wanted}")
+
+
+def _places(root: Path, package: str, inside: str) -> Iterable[Path]:
+    """Where a file of a package may be, but not outside of it."""
+    for folder in (root / package, *([root] if root.name == package else [])):
+        place = folder / inside
+        if place.resolve().is_relative_to(folder.resolve()):
+            yield place
+
+
+def mesh_content(file: Path) -> tuple[bytes, str]:
+    """Return the content of a mesh file and its ending, converted if MuJoCo does not read it.
+
+    Raises:
+        SceneError: If it cannot be read.
+        UnsupportedError: If it is of another kind, or the library that converts it is not there.
+    """
+    ending = file.suffix.lower()
+    if file.stat().st_size > _MOST_BYTES:
+        raise SceneError(f"{file.stat().st_size} bytes, at most {_MOST_BYTES} are read", file=str(file))
+    if ending == ".dae":
+        return _converted(file), ".obj"
+    if ending not in _READ:
+        raise UnsupportedError(f"{file}: meshes may be .stl, .obj or .dae")
+    content = file.read_bytes()
+    if ending == ".stl" and _is_text(content):
+        return _obj(_corners(content, file)), ".obj"
+    return content, ending
+
+
+def _is_text(content: bytes) -> bool:
+    """Whether an STL file is the kind in words; some binary ones begin with the same word."""
+    return content[:5].lower() == b"solid" and b"facet" in content[:1000] and len(content) != _binary_size(content)
+
+
+def _binary_size(content: bytes) -> int:
+    return 84 + 50 * int.from_bytes(content[80:84], "little")
+
+
+def _corners(content: bytes, file: Path) -> Float[Array, "corner 3"]:
+    words = (line.split() for line in content.decode("ascii", "replace").splitlines() if "vertex" in line)
+    try:
+        corners = np.array([[float(x) for x in line[1:4]] for line in words])
+    except ValueError as error:
+        raise SceneError(f"not an STL file: {error}", file=str(file)) from None
+    if corners.ndim != 2 or corners.shape[1] != 3 or len(corners) % 3:
+        raise SceneError("not an STL file: its facets do not have three corners", file=str(file))
+    return corners
+
+
+def _obj(corners: Float[Array, "corner 3"]) -> bytes:
+    """Return triangles as the text of an OBJ file."""
+    text = io.StringIO()
+    np.savetxt(text, corners, fmt="v %.9g %.9g %.9g")
+    np.savetxt(text, np.arange(1, len(corners) + 1).reshape(-1, 3), fmt="f %d %d %d")
+    return text.getvalue().encode()
+
+
+def _converted(file: Path) -> bytes:
+    try:
+        trimesh = importlib.import_module("trimesh")
+        importlib.import_module("collada")
+    except ImportError:
+        told = "COLLADA is read by trimesh and pycollada: pip install 'graceful-plan[urdf]'"
+        raise UnsupportedError(f"{file}: {told}") from None
+    try:
+        mesh = trimesh.load(file, force="mesh")
+    except Exception as error:  # whatever the library meets in a broken file
+        raise SceneError(f"not a COLLADA file that can be read: {error}", file=str(file)) from None
+    return _obj(np.asarray(mesh.triangles, dtype=float).reshape(-1, 3))

@@ -1,0 +1,201 @@
+"""From a URDF to a MjSpec that can be put into a world, and what MuJoCo leaves out of it.
+
+MuJoCo reads links, inertias, joints, their ranges and efforts. It has no place for velocity limits, and it looks for
+meshes by their bare names. Only collision geometry is taken.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+import mujoco
+import numpy as np
+
+from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
+from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content
+
+_MOST_BYTES = 10_000_000
+_MOVING = ("revolute", "continuous", "prismatic")
+_LEAST = {"boundmass": "1e-4", "boundinertia": "1e-7"}
+"""Of links without mass, such as frames for sensors, that a joint moves [kg, kg m^2]: MuJoCo asks for some."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class UrdfJoint:
+    """A joint as the URDF has it.
+
+    | field    | meaning                                              | unit           |
+    |----------|------------------------------------------------------|----------------|
+    | name     |                                                      |                |
+    | kind     | "revolute", "continuous", "prismatic", "fixed", ...  |                |
+    | parent   | link                                                 |                |
+    | child    | link                                                 |                |
+    | velocity | limit, infinite if there is none                     | rad/s or m/s   |
+    | mimic    | joint that it follows, factor and offset; None       |                |
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    velocity: float
+    mimic: tuple[str, float, float] | None
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UrdfRobot:
+    """A robot as the URDF has it: its name, its joints, and a MjSpec with bodies named like its links."""
+
+    name: str
+    joints: tuple[UrdfJoint, ...]
+    spec: mujoco.MjSpec
+
+    def chain(self, link: str) -> list[UrdfJoint]:
+        """Return the joints from the root to a link that move it, the root's first.
+
+        Raises:
+            UnknownNameError: If there is no such link.
+            UnsupportedError: If one of them follows another joint, or is of a kind that is not planned.
+        """
+        above = {joint.child: joint for joint in self.joints}
+        links = {joint.parent for joint in self.joints} | above.keys()
+        if link not in links:
+            raise UnknownNameError("link of the tool", link, links)
+        found: list[UrdfJoint] = []
+        while link in above:
+            joint = above[link]
+            if joint.kind not in (*_MOVING, "fixed") or joint.mimic is not None:
+                kind = joint.kind if joint.mimic is None else "mimic"
+                raise UnsupportedError(f"the {kind} joint {joint.name!r} is between the base and the tool")
+            found += [joint] * (joint.kind in _MOVING)
+            link = joint.parent
+        return found[::-1]
+
+
+def read_urdf(source: str | Path, packages: Sequence[str | Path] = ()) -> UrdfRobot:
+    """Read a URDF.
+
+    Args:
+        source: A file, or its text if it starts with "<".
+        packages: Folders that `package://` means: packages, or folders that have them in them.
+
+    Raises:
+        SceneError: If it is broken, hostile, or has nothing that can collide.
+        UnsupportedError: If it has meshes that cannot be read.
+    """
+    root, folder = parsed_robot(source)
+    meshes = {mesh.get("filename", "") for mesh in root.iterfind("link/collision/geometry/mesh")}
+    if root.find("link/collision/geometry") is None:
+        raise SceneError("no link has collision geometry", file=None if folder is None else str(source))
+    assets: dict[str, bytes] = {}
+    short: dict[str, str] = {}
+    places = [Path(package) for package in packages]
+    for k, name in enumerate(sorted(meshes)):
+        content, ending = mesh_content(found_mesh(name, folder, places))
+        short[name] = f"mesh{k}{ending}"
+        assets[short[name]] = content
+    for link in root.iterfind("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+        for mesh in link.iterfind("collision/geometry/mesh"):
+            mesh.set("filename", short[mesh.get("filename", "")])
+    _put_on_a_base(root)
+    try:
+        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"), assets=assets)
+    except (ValueError, RuntimeError) as error:
+        raise SceneError(" ".join(str(error).split()), file=None if folder is None else str(source)) from None
+    return UrdfRobot(name=root.get("name") or "robot", joints=tuple(map(_joint, root.iterfind("joint"))), spec=spec)
+
+
+def parsed_robot(source: str | Path) -> tuple[ET.Element, Path | None]:
+    """Read the XML of a robot from a file or from text; return its root, and the folder of the file.
+
+    Raises:
+        SceneError: If it is broken or hostile.
+    """
+    text, folder = _text(source)
+    return _parsed(text, source), folder
+
+
+def _text(source: str | Path) -> tuple[str, Path | None]:
+    if isinstance(source, str) and source.lstrip().startswith("<"):
+        return source, None
+    file = Path(source)
+    try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise SceneError(f"{file.stat().st_size} bytes, at most {_MOST_BYTES} are read", file=str(file))
+        return file.read_text(encoding="utf-8"), file.resolve().parent
+    except OSError as error:
+        raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+    except UnicodeDecodeError:
+        raise SceneError("not UTF-8 text", file=str(file)) from None
+
+
+def _parsed(text: str, source: str | Path) -> ET.Element:
+    file = None if text is source else str(source)
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise SceneError("document types and entities are not read", file=file)
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise SceneError(f"not XML: {error}", file=file, line=error.position[0]) from None
+    if root.tag != "robot":
+        raise SceneError(f"a URDF has the root <robot>, not <{root.tag}>", file=file)
+    if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
+        raise SceneError("this is a xacro file; run xacro first, and give the URDF that it prints", file=file)
+    return root
+
+
+def _put_on_a_base(root: ET.Element) -> None:
+    """Put the root link on another one: MuJoCo takes the root for the world, and it is to be a body of the robot."""
+    children = {child.get("link") for child in root.iterfind("joint/child")}
+    roots = [str(link.get("name")) for link in root.iterfind("link") if link.get("name") not in children]
+    if len(roots) != 1:
+        raise SceneError(f"a robot has one root link, not {roots or 'none'}")
+    for extension in root.findall("mujoco"):
+        root.remove(extension)
+    settings = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", strippath="false", **_LEAST)
+    settings.set("balanceinertia", "true")
+    ET.SubElement(root, "link", name=BASE)
+    joint = ET.SubElement(root, "joint", name=f"{BASE}_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=BASE)
+    ET.SubElement(joint, "child", link=roots[0])
+
+
+BASE = "graceful_plan_base"
+"""Name of a link below the root link."""
+
+
+def _joint(element: ET.Element) -> UrdfJoint:
+    name, kind = element.get("name", ""), element.get("type", "")
+    parent, child, limit, mimic = (element.find(tag) for tag in ("parent", "child", "limit", "mimic"))
+    if parent is None or child is None:
+        raise SceneError(f"the joint {name!r} has no parent or no child")
+    velocity = _number(limit, "velocity", np.inf, name)
+    follows = None
+    if mimic is not None:
+        follows = mimic.get("joint", ""), _number(mimic, "multiplier", 1.0, name), _number(mimic, "offset", 0.0, name)
+    return UrdfJoint(
+        name=name,
+        kind=kind,
+        parent=parent.get("link", ""),
+        child=child.get("link", ""),
+        velocity=velocity if velocity > 0.0 else np.inf,
+        mimic=follows,
+    )
+
+
+def _number(element: ET.Element | None, attribute: str, default: float, joint: str) -> float:
+    given = None if element is None else element.get(attribute)
+    if given is None:
+        return default
+    try:
+        return float(given)
+    except ValueError:
+        raise SceneError(f"joint {joint!r}: {attribute} is {given!r}, not a number") from None

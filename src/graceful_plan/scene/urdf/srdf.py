@@ -1,0 +1,62 @@
+"""What SRDF says of a robot: pairs of links that may touch, and configurations by name."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+from graceful_plan.exceptions import SceneError
+from graceful_plan.scene.elements import AllowedContact
+from graceful_plan.scene.urdf.reading import UrdfRobot, parsed_robot
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Srdf:
+    """What it says.
+
+    | field  | meaning                                                                  |
+    |--------|--------------------------------------------------------------------------|
+    | pairs  | links whose collisions are switched off                                  |
+    | states | joint positions by name of the state, then of the joint; later ones win  |
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+    states: dict[str, dict[str, float]]
+
+    def contacts(self, robot: UrdfRobot) -> tuple[AllowedContact, ...]:
+        """Return the pairs whose links the robot has."""
+        links = {link for joint in robot.joints for link in (joint.parent, joint.child)}
+        known = [pair for pair in self.pairs if links.issuperset(pair)]
+        return tuple(AllowedContact(f"{robot.name}/{a}", f"{robot.name}/{b}") for a, b in known)
+
+    def keyframes(self, joints: Sequence[str]) -> dict[str, list[float]]:
+        """Return the states that say where all of some joints are."""
+        whole = {name: state for name, state in self.states.items() if all(joint in state for joint in joints)}
+        return {name: [state[joint] for joint in joints] for name, state in whole.items()}
+
+
+def read_srdf(source: str | Path) -> Srdf:
+    """Read a SRDF, a file or its text.
+
+    Raises:
+        SceneError: If it is broken or hostile.
+    """
+    root, _ = parsed_robot(source)
+    pairs = [(pair.get("link1", ""), pair.get("link2", "")) for pair in root.iterfind("disable_collisions")]
+    states: dict[str, dict[str, float]] = {}
+    for state in root.iterfind("group_state"):
+        states.setdefault(state.get("name", ""), {}).update(_positions(state))
+    return Srdf(pairs=tuple(pairs), states=states)
+
+
+def _positions(state: ET.Element) -> dict[str, float]:
+    try:
+        # Joints of several degrees of freedom, such as floating bases, have several numbers and are left out.
+        values = {joint.get("name", ""): joint.get("value", "").split() for joint in state.iterfind("joint")}
+        return {name: float(value[0]) for name, value in values.items() if len(value) == 1}
+    except ValueError as error:
+        raise SceneError(f"group state {state.get('name')!r}: {error}") from None
