@@ -33,6 +33,7 @@ SUBJECTS = (
     "robots",
     "constraints",
     "motion_problems",
+    "own_costs",
     "planners",
     "best_known",
     "auto",

@@ -3,10 +3,10 @@
 import jaxtyping
 import numpy as np
 import pytest
-import shape_checks
 from beartype import beartype
 
 import graceful_plan as gp
+import shape_checks
 from graceful_plan.array_types import Float
 
 WRONG = jaxtyping.TypeCheckError

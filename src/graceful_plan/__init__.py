@@ -1,5 +1,6 @@
 """graceful_plan: motion planning that chooses paths along which a failure at any moment does little harm."""
 
+from graceful_plan import costs
 from graceful_plan._version import __version__
 from graceful_plan.analysis.certificate import certify
 from graceful_plan.analysis.checks import clearance, interaction_probability
@@ -14,6 +15,7 @@ from graceful_plan.constraints.distance import KeepDistance
 from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.standing import KeepStanding
 from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
+from graceful_plan.costs.blocks.clearance_cost import ClearanceCost
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.impact import ImpactCost
@@ -52,6 +54,7 @@ __all__ = [
     "BoxOverlap",
     "CHOMP",
     "CasADi",
+    "ClearanceCost",
     "Constraint",
     "Cost",
     "CostBreakdown",
@@ -100,6 +103,7 @@ __all__ = [
     "__version__",
     "certify",
     "clearance",
+    "costs",
     "evaluate",
     "explain",
     "impact_map",

@@ -30,7 +30,7 @@ from graceful_plan.query.arguments import (
     checked_verification,
     checked_wait,
 )
-from graceful_plan.query.cheaper import beginning_with, known_motions
+from graceful_plan.query.cheaper import beginning_with, is_enough, known_motions
 from graceful_plan.query.deadline.clock import Clock, paces_of
 from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
@@ -185,7 +185,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         )
         known = known_motions(request, problem, ends, budget, rng)
         asked = replace(request, planner=beginning_with(known, request.planner))
-        known_is_enough = bool(known) and request.preference is None and request.objective.descended() is not None
+        known_is_enough = bool(known) and request.preference is None and is_enough(request.objective)
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         judged = None

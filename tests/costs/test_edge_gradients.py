@@ -74,7 +74,7 @@ def test_without_derivatives_there_is_nothing():
     scene = gp.load_scene("tabletop").tasks["lift_to_goal"].scene
     q0, q1 = random_edges(scene, 3)
     assert gp.Objective(impact=gp.ImpactCost("aabb")).bind(scene).edge_gradients(q0, q1) is None
-    assert gp.Objective(exposure="waypoints").bind(scene).edge_gradients(q0, q1) is None
+    assert gp.Objective(impact=gp.ImpactCost("aabb"), exposure="waypoints").bind(scene).edge_gradients(q0, q1) is None
 
 
 def test_an_edge_without_length_has_no_slope():

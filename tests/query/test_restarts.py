@@ -90,7 +90,6 @@ def test_a_callback_ends_them_all(task: gp.Task) -> None:
     [
         {"planner": gp.RRTConnect()},
         {"objective": gp.Objective(w=0.0)},
-        {"objective": gp.Objective(impact=gp.ImpactCost(model="aabb"), exposure="length")},
     ],
 )
 def test_other_planners_and_objectives_are_searched_once(task: gp.Task, given: dict) -> None:

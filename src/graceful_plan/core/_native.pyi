@@ -4,6 +4,7 @@ Arrays of other types or layouts than those that stand here are copied; those th
 """
 
 from collections.abc import Callable, Sequence
+from enum import Enum
 from typing import final
 
 import numpy as np
@@ -141,6 +142,62 @@ class SumImpact(Impact):
     def __init__(self, first: Impact, second: Impact) -> None: ...
 
 @final
+class Measure(Enum):
+    time = ...
+    length = ...
+    points = ...
+
+@final
+class OwnCost(Impact):
+    def __init__(
+        self,
+        core: Core,
+        *,
+        measure: Measure,
+        speed: Reals,
+        states: Callable[[Reals], Reals],
+        slopes: Callable[[Reals, Reals], tuple[Reals, ...]],
+        edges: Callable[[Reals, Reals], Reals],
+        edge_slopes: Callable[[Reals, Reals, float], tuple[Reals, ...]] | None = None,
+        motion: Callable[[Reals, Reals], tuple[Reals, ...]] | None = None,
+    ) -> None: ...
+
+@final
+class ClearanceCost(Impact):
+    def __init__(self, core: Core, seen: Core, distance: float) -> None: ...
+
+@final
+class JointCost(Impact):
+    def __init__(self, core: Core, centre: Reals, scale: Reals) -> None: ...
+
+@final
+class EnergyCost(Impact):
+    def __init__(self, core: Core, inertia: Reals, limit: Reals) -> None: ...
+
+@final
+class PoseCost(Impact):
+    def __init__(
+        self,
+        core: Core,
+        *,
+        link: int,
+        tool: Reals,
+        position: Reals,
+        turn: Reals,
+        full: float,
+        distance: float,
+        angle: float,
+    ) -> None: ...
+
+@final
+class ManipulabilityCost(Impact):
+    def __init__(self, core: Core, *, link: int, tool: Reals, chain: Integers, least: float) -> None: ...
+
+@final
+class ScaledImpact(Impact):
+    def __init__(self, model: Impact, factor: float) -> None: ...
+
+@final
 class TimedImpact(Impact):
     def __init__(self, model: Impact, speed: Reals) -> None: ...
 
@@ -249,6 +306,8 @@ class MotionDescent:
         tight_start: float = 0.0,
         tight_end: float = 0.0,
         felt: Sequence[FeltLimit] = (),
+        fitted: bool = False,
+        points: float = 1.0,
     ) -> None: ...
     def run(self, steps: int, seconds: float) -> int: ...
     def harden(self) -> None: ...

@@ -221,6 +221,10 @@ class ImpactKernel:
         """Return both models of one scene added up."""
         return ImpactKernel(self.kernels, _native.SumImpact(self.native, other.native))
 
+    def scaled(self, factor: float) -> ImpactKernel:
+        """Return the same model, all that it says times a factor >= 0."""
+        return self if factor == 1.0 else ImpactKernel(self.kernels, _native.ScaledImpact(self.native, factor))
+
     def timed(self, speed: Float[Array, " nq"]) -> ImpactKernel:
         """Return the same model with edges that count by their time, the joints at these speeds [rad/s or m/s]."""
         return ImpactKernel(self.kernels, _native.TimedImpact(self.native, _reals(speed)))
@@ -229,6 +233,14 @@ class ImpactKernel:
         """Expected severity given a failure at q, at rest."""
         flat, batch = self.kernels.rows("q", q)
         return self.native.states(flat).reshape(batch)
+
+    def state_slopes(
+        self, q: ArrayLike, qd: ArrayLike
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
+        """Expected severity given a failure at q and qd, and its derivatives with respect to q and to qd."""
+        flat, batch = self.kernels.rows("q", q)
+        value, d_q, d_qd = self.native.state_slopes(flat, self.kernels.rows("qd", qd)[0])
+        return value.reshape(batch), d_q.reshape(*batch, self.kernels.nq), d_qd.reshape(*batch, self.kernels.nq)
 
     def edges(self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP) -> Float[Array, "*batch 2"]:
         """Length [rad] of each straight edge, and the integral of the impact over length or, if timed, over time [s].

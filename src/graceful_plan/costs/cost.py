@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar, final
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import CompiledScene, compile_scene
-from graceful_plan.exceptions import CostError, ShapeError
+from graceful_plan.exceptions import CostError, SettingError, ShapeError
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
@@ -140,7 +141,10 @@ class StateBatch:
 
 
 class Cost(Contract):
-    """Base of all costs: a frozen object with `state`, and `gradient` if it can."""
+    """Base of all costs: a frozen object with `state`, and `gradient` if it can.
+
+    Costs add up, with factors: `impact + 2.0 * clearance` is a cost.
+    """
 
     @abstractmethod
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
@@ -154,6 +158,52 @@ class Cost(Contract):
         """Return the derivative of `state` with respect to q, or None if the cost has none."""
         del batch
         return None
+
+    def __add__(self, other: Cost) -> SumCost:
+        """Return the sum of both."""
+        return SumCost((*_terms(self), *_terms(other))) if isinstance(other, Cost) else NotImplemented
+
+    def __mul__(self, factor: float) -> SumCost:
+        """Return the cost times a factor."""
+        return SumCost(((factor, self),))
+
+    __rmul__ = __mul__
+
+
+@final
+@dataclass(frozen=True)
+class SumCost(Cost):
+    """A sum of costs with factors; it runs in the core if all of them do, and has a gradient if all of them have.
+
+    Args:
+        terms: Factors, at least 0, and costs.
+
+    Raises:
+        SettingError: If a factor is not a finite number >= 0.
+    """
+
+    terms: tuple[tuple[float, Cost], ...]
+
+    def __post_init__(self) -> None:
+        flat = [(factor * inner, cost) for factor, term in self.terms for inner, cost in _terms(term)]
+        object.__setattr__(self, "terms", tuple(flat))
+        for factor, cost in flat:
+            if not 0.0 <= factor < np.inf:
+                raise SettingError("factor", factor, f"a finite number >= 0 before {type(cost).__name__}")
+
+    def state(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return the cost density at each state."""
+        return np.sum([factor * checked_state(cost, batch) for factor, cost in self.terms], axis=0)
+
+    def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
+        """Return the derivative of `state` with respect to q, or None if one of the costs has none."""
+        found = [(factor, cost.gradient(batch)) for factor, cost in self.terms]
+        known = [factor * np.asarray(gradient) for factor, gradient in found if gradient is not None]
+        return np.sum(known, axis=0) if len(known) == len(found) else None
+
+
+def _terms(cost: Cost) -> tuple[tuple[float, Cost], ...]:
+    return cost.terms if isinstance(cost, SumCost) else ((1.0, cost),)
 
 
 @final
@@ -178,3 +228,16 @@ def checked_state(cost: Cost, batch: StateBatch) -> Float[Array, " n"]:
         worst = int(np.argmin(value))
         raise CostError(cost, f"state() returned {value[worst]:.3g} < 0 at q = {np.round(batch.q[worst], 4).tolist()}")
     return value
+
+
+def moving_batch(
+    scene: Scene,
+    q: Float[Array, "n nq"],
+    qd: Float[Array, "n nq"] | None,
+    times: Float[Array, " n"] | None = None,
+) -> StateBatch:
+    """Return states with these joint velocities, at rest without any, at these times [s] if they are known."""
+    if qd is None:
+        return StateBatch(scene, q, time=times)
+    speed = np.linalg.norm(qd, axis=1)
+    return StateBatch(scene, q, qd / np.where(speed > 0, speed, 1.0)[:, None], speed, times)

@@ -20,9 +20,12 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import COST_STEP, ImpactKernel
-from graceful_plan.costs.cost import AHEAD, Cost, StateBatch, checked_state
+from graceful_plan.costs.blocks.native_cost import native_kernel
+from graceful_plan.costs.cost import AHEAD, Cost, StateBatch, checked_state, moving_batch
+from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
+from graceful_plan.costs.slopes import CostSlopes
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown
@@ -137,10 +140,10 @@ class SceneObjective:
     @cached_property
     def kernel(self) -> ImpactKernel | None:
         """The native kernel that computes the edge costs, None if there is none."""
-        impact, exposure = self.objective.impact, self.objective.exposure
-        if not (self.motion_is_length and isinstance(impact, ImpactCost)) or exposure == "waypoints":
+        exposure = self.objective.exposure
+        if not self.motion_is_length or exposure == "waypoints":
             return None
-        kernel = impact.kernel(self.scene, self.paces)
+        kernel = native_kernel(self.objective.impact, self.scene, self.paces)
         if kernel is None or exposure == "length":
             return kernel
         return kernel.timed(self.pace * self.scene.limits.velocity)
@@ -168,29 +171,80 @@ class SceneObjective:
     ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]] | None:
         """`edges`, and the derivatives of V + w S of each edge with respect to `q0` and `q1`; see `ImpactKernel`.
 
-        None without a native kernel that has derivatives. An edge without length has none; they are given as 0.
+        None without a native kernel that has derivatives, unless the costs have gradients of their own. An edge without
+        length has none; they are given as 0.
 
         Args:
             q0: Where the edges begin.
             q1: Where they end.
             step: Largest distance between samples [rad]; `edges` takes `COST_STEP`.
         """
-        found = None if self.kernel is None else self.kernel.edge_gradients(q0, q1, step)
+        if self.kernel is None and not (self.impact_slopes.has_gradient and self.motion_slopes.has_gradient):
+            return None
+        found = self.impact_gradients(q0, q1, step) if self.kernel is None else self.kernel.edge_gradients(q0, q1, step)
         if found is None:
             return None
         cost, d_q0, d_q1 = found
+        if not self.motion_is_length:
+            _, m_q0, m_q1 = self._motion_gradients(self.samples(q0, q1, step))
+            return cost, self.w * d_q0 + m_q0, self.w * d_q1 + m_q1
         length = cost[:, :1]
         along = np.divide(q1 - q0, length, out=np.zeros_like(d_q0), where=length > 0.0)
         return cost, self.w * d_q0 - along, self.w * d_q1 + along
 
+    def impact_gradients(
+        self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP
+    ) -> tuple[Float[Array, "n 2"], Float[Array, "n nq"], Float[Array, "n nq"]]:
+        """`edges`, and the derivatives of S alone, for costs without a kernel: slopes of all states in one batch."""
+        samples = self.samples(q0, q1, step)
+        motion = samples.length if self.motion_is_length else self._motion_gradients(samples)[0]
+        if self.objective.exposure == "waypoints":
+            value, d_q, _ = self.impact_slopes(q1, np.zeros_like(q1))
+            return np.stack([motion, value], axis=1), np.zeros_like(d_q), d_q
+        slopes = self.impact_slopes(samples.q, samples.direction * samples.speed[:, None])
+        value, d_q0, d_q1 = samples.integral_slopes(slopes, by_length=self.objective.exposure == "length")
+        return np.stack([motion, value], axis=1), d_q0, d_q1
+
+    def _motion_gradients(self, samples: EdgeSamples) -> tuple[Array, Array, Array]:
+        slopes = self.motion_slopes(samples.q, samples.direction * samples.speed[:, None])
+        return samples.integral_slopes(slopes, by_length=True)
+
+    def tangent_slopes(
+        self, q: Float[Array, "n nq"], tangent: Float[Array, "n nq"]
+    ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"]]:
+        """Return the motion cost of states along a path, with derivatives with respect to q and to the tangents.
+
+        They are travelled as edges are; see `EdgeSamples`.
+        """
+        length = np.linalg.norm(tangent, axis=1, keepdims=True)
+        at_limit = np.max(np.abs(tangent) / self.scene.limits.velocity, axis=1, keepdims=True)
+        rate = np.divide(self.pace, at_limit, out=np.zeros_like(at_limit), where=at_limit > 0.0)
+        value, d_q, d_qd = self.motion_slopes(q, rate * tangent)
+        # Along the tangent nothing changes: the speed is what the slowest joint allows.
+        along = np.divide(tangent, length, out=np.zeros_like(tangent), where=length > 0.0)
+        d_tangent = rate * d_qd
+        return value, d_q, d_tangent - np.sum(d_tangent * along, axis=1, keepdims=True) * along
+
+    @cached_property
+    def impact_slopes(self) -> CostSlopes:
+        """The impact of states, with derivatives."""
+        return CostSlopes(self.objective.impact, self.scene)
+
+    @cached_property
+    def motion_slopes(self) -> CostSlopes:
+        """The motion cost of states, with derivatives."""
+        return CostSlopes(self.objective.motion, self.scene)
+
     def descended(self) -> SceneObjective | None:
         """Return the objective in a form along which whole motions can descend; None if there is none.
 
-        It is itself where the impact is native and counts by time, and length alone where no impact counts.
+        It is itself, and length alone where no impact counts. Where something moves, only native impacts over time are
+        close enough without the times of a motion.
         """
         if self.w == 0.0 and self.motion_is_length:
             return Objective(impact=ImpactCost(model="aabb"), w=0.0).bind(self.scene, self.paces)
-        return self if self.kernel is not None and self.objective.exposure == "time" else None
+        native = self.kernel is not None and self.objective.exposure == "time"
+        return self if native or not self.scene.moving else None
 
     def widened(self, metres: float) -> SceneObjective | None:
         """Return the objective with hits smeared by so much more, None if its impact has no such form.
@@ -263,63 +317,6 @@ class SceneObjective:
             impact_by_entity=dict(zip(impact.hazards(self.scene), parts.sum(axis=0).tolist(), strict=True)),
             impact_by_component=dict(zip(self.scene.components, parts.sum(axis=1).tolist(), strict=True)),
         )
-
-
-@final
-class EdgeSamples:
-    """Evenly spaced samples of many edges in one batch, both ends of each included, with trapezoid weights.
-
-    Their speeds are by turns the first and the second of `paces`, times that of the slowest joint at its limit.
-    """
-
-    def __init__(
-        self,
-        q0: Float[Array, "n nq"],
-        q1: Float[Array, "n nq"],
-        velocity: Float[Array, " nq"],
-        paces: tuple[float, float],
-        step: float = COST_STEP,
-    ) -> None:
-        delta = q1 - q0
-        self.length = np.linalg.norm(delta, axis=1)
-        at_limit = np.max(np.abs(delta) / velocity, axis=1, initial=0.0)
-        self.duration = at_limit / (0.5 * sum(paces))
-        pieces = np.maximum(1, np.ceil(self.length / step)).astype(int)
-        self.first = np.cumsum(pieces + 1) - (pieces + 1)
-        self.edge = np.repeat(np.arange(len(q0)), pieces + 1)
-        self._piece = np.arange(len(self.edge)) - self.first[self.edge]
-        self._pieces = pieces
-        s = self._piece / pieces[self.edge]
-        self.place = self.edge + s
-        self.q = q0[self.edge] + s[:, None] * delta[self.edge]
-        safe = np.where(self.length > 0, self.length, 1.0)
-        self.direction = (delta / safe[:, None])[self.edge]
-        limit = np.where(at_limit > 0, self.length / np.where(at_limit > 0, at_limit, 1.0), 0.0)
-        self.speed = limit[self.edge] * np.array(paces)[self._piece % 2]
-
-    def weights(self, measure: Float[Array, " n"]) -> Float[Array, " m"]:
-        """Trapezoid weight of each sample when each edge measures `measure`."""
-        ends = (self._piece == 0) | (self._piece == self._pieces[self.edge])
-        return np.where(ends, 0.5, 1.0) * (measure / self._pieces)[self.edge]
-
-    def integral(self, values: Float[Array, " m"], measure: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Integral of sampled values over each edge."""
-        if len(self.first) == 0:
-            return np.zeros(0)
-        return np.add.reduceat(values * self.weights(measure), self.first)
-
-
-def moving_batch(
-    scene: Scene,
-    q: Float[Array, "n nq"],
-    qd: Float[Array, "n nq"] | None,
-    times: Float[Array, " n"] | None = None,
-) -> StateBatch:
-    """Return states with these joint velocities, at rest without any, at these times [s] if they are known."""
-    if qd is None:
-        return StateBatch(scene, q, time=times)
-    speed = np.linalg.norm(qd, axis=1)
-    return StateBatch(scene, q, qd / np.where(speed > 0, speed, 1.0)[:, None], speed, times)
 
 
 def trajectory_batch(

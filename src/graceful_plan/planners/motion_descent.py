@@ -20,7 +20,7 @@ from graceful_plan.core import _native
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
-from graceful_plan.timing.spline import Spline
+from graceful_plan.timing.spline import Spline, grid_points
 
 Array = np.ndarray
 
@@ -42,6 +42,8 @@ _GOES_ON = 4
 _LEAST = 4
 _COARSE_SHARE = 0.3
 """Of the time, for coarse descents."""
+_MIDDLE_SHARE = 0.5
+"""Of what is left then, at most for the next part; where evaluations are dear, nothing would land otherwise."""
 _UNTIMED_BENDS = 8
 """Wide bends where no clock limits them."""
 _MOST_BENDS = 5000
@@ -81,8 +83,15 @@ class Stage:
     rough: bool
     evaluations: int
 
+    @property
+    def work(self) -> int:
+        """States that all of its evaluations look at."""
+        return self.evaluations * (self.density * (self.controls - 3) + 1)
+
 
 COARSE, MIDDLE, FINE = Stage(12, 3, True, 40), Stage(16, 5, True, 60), Stage(24, 6, True, 160)
+LONG = Stage(12, 3, True, 200)
+"""Instead of the middle one where states are dear: these many evaluations cost less than half of what it does."""
 
 
 @final
@@ -94,12 +103,14 @@ class Effort:
     |---------|----------------------------------------------------------------------------------|
     | screens | whether starts descend coarsely first, and only the better ones go on            |
     | bends   | wide bends of starts that do so, too; as many as there is time for if None       |
+    | middle  | what the better ones go on with                                                  |
     | fine    | how many then descend finely, at least; with none, coarse curves are the result  |
     | hops    | how many hops at most; as many as there is time for if None                      |
     """
 
     screens: bool = True
     bends: int | None = None
+    middle: Stage = MIDDLE
     fine: int = 2
     hops: int | None = None
 
@@ -107,11 +118,15 @@ class Effort:
 @final
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A path to descend from, and the parts of its length at both ends that are tight for the spheres [rad]."""
+    """A path to descend from, and the parts of its length at both ends that are tight for the spheres [rad].
+
+    If it is that of a curve that has descended already, the curve.
+    """
 
     path: Path
     tight_start: float = 0.0
     tight_end: float = 0.0
+    curve: Spline | None = None
 
 
 @final
@@ -136,6 +151,7 @@ class MotionDescents:
         is_free: Whether nothing is hit along a curve that came from some start.
         effort: How much of what there is to do.
         felt: Limits on what is felt where something is carried.
+        counts_points: Whether the cost is summed over the samples of the motion.
         careful: Whether something full is carried.
     """
 
@@ -145,6 +161,7 @@ class MotionDescents:
     is_free: Callable[[Spline, Start], bool]
     effort: Effort = Effort()
     felt: Sequence[_native.FeltLimit] = ()
+    counts_points: bool = False
     careful: bool = False
 
     @property
@@ -174,7 +191,8 @@ class MotionDescents:
             return None
         descent = _native.MotionDescent(
             self.space,
-            path=np.ascontiguousarray(start.path.q),
+            path=np.ascontiguousarray(start.path.q if start.curve is None else _fitted(start.curve, stage.controls)),
+            fitted=start.curve is not None,
             velocity=self.velocity,
             acceleration=self.acceleration,
             controls=stage.controls,
@@ -184,6 +202,7 @@ class MotionDescents:
             tight_start=start.tight_start,
             tight_end=start.tight_end,
             felt=self.felt,
+            points=float(grid_points(stage.controls)) if self.counts_points else 1.0,
         )
         _go_on(descent, stage.evaluations, budget)
         return descent
@@ -214,16 +233,21 @@ class _Descending:
     pool: ThreadPoolExecutor
     raw: int
     """How many of the last starts wide bends begin with."""
+    began: float = field(init=False)
+    """Reading of the budget's clock [s]."""
     found: list[Landed] = field(default_factory=list)
     spare: list[Landed] = field(default_factory=list)
     """Free curves of coarse descents: their J is a guess, so that they count only where nothing has landed."""
+
+    def __post_init__(self) -> None:
+        self.began = self.budget.elapsed
 
     def run(self) -> list[Landed]:
         effort, jobs = self.descents.effort, [(0.0, start, k) for k, start in enumerate(self.starts)]
         fine = effort.fine
         if effort.screens:
             jobs = self._coarse()
-            jobs = self._descended(_plain(jobs[: max(_LEAST, len(jobs) // _GOES_ON)]), MIDDLE)
+            jobs = self._descended(_plain(jobs[: self._worth(len(jobs))]), effort.middle)
             fine = max(fine, len(jobs) // _GOES_ON) if fine else 0
         self._land(jobs[:fine])
         most = _MOST_HOPS if self._timed() else _UNTIMED_HOPS
@@ -232,6 +256,15 @@ class _Descending:
                 break
             self._hop()
         return sorted(self.found or self.spare, key=lambda one: one.value)
+
+    def _worth(self, coarse: int) -> int:
+        """How many of so many coarse descents go on: no more than leave time for some that descend finely."""
+        most = max(_LEAST, coarse // _GOES_ON)
+        if not self._timed() or coarse == 0:
+            return most
+        each = self.descents.effort.middle.work / COARSE.work * (self.budget.elapsed - self.began) / coarse
+        fits = _MIDDLE_SHARE * self.budget.remaining_seconds / max(each, 1e-9)
+        return int(np.clip(fits, min(_WORKERS, most), most))
 
     def _timed(self) -> bool:
         return bool(np.isfinite(self.budget.time_limit))
@@ -257,7 +290,7 @@ class _Descending:
             if descent is None:
                 continue
             curve = Spline(descent.controls)
-            ended.append((descent.value, Start(Path(_resampled(curve)), start.tight_start, start.tight_end), k))
+            ended.append((descent.value, replace(start, path=Path(_resampled(curve)), curve=curve), k))
             if self.descents.is_free(curve, start):
                 self.spare.append(Landed(curve, descent.value, k))
         return sorted(ended, key=lambda one: one[0])
@@ -272,7 +305,7 @@ class _Descending:
         best = elite[0].value
         chosen = [elite[0] if self.rng.uniform() < 0.5 else elite[-1] for _ in range(_WORKERS)]
         jobs = [(self._bent(_resampled(one.curve), one.start, _HOP), one.start) for one in chosen]
-        for stage, most in zip((COARSE, MIDDLE), _PROMISING, strict=True):
+        for stage, most in zip((COARSE, self.descents.effort.middle), _PROMISING, strict=True):
             kept = [one for one in self._descended(jobs, stage) if one[0] < most * best]
             jobs = [(start, k) for _, start, k in kept]
             if not jobs:
@@ -311,6 +344,15 @@ def _resampled(curve: Spline) -> Float[Array, "n nq"]:
     q = _native.spline(np.ascontiguousarray(curve.controls), u)[0]
     q[0], q[-1] = curve.controls[0], curve.controls[-1]
     return q
+
+
+def _fitted(curve: Spline, controls: int) -> Float[Array, "control nq"]:
+    """Return the control points of the same curve, or of one that meets it at all knots, with so many."""
+    if len(curve.controls) == controls:
+        return curve.controls
+    fitted = Spline.through(curve.at(np.linspace(0.0, curve.spans, controls - 2))).controls.copy()
+    fitted[0], fitted[-1] = curve.controls[0], curve.controls[-1]  # to the last bit
+    return fitted
 
 
 def _go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:

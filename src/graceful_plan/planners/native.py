@@ -20,20 +20,25 @@ Array = np.ndarray
 SLICE_SECONDS = 0.004
 """How long the core works between two looks at the budget [s]."""
 SLICE_ITERATIONS = 2000
+_MEASURES = {"time": _native.Measure.time, "length": _native.Measure.length, "waypoints": _native.Measure.points}
 _UNTIMED_ITERATIONS = 16
 """The same without a time limit: where a slice ends decides which paths are seen on the way, so no clock may."""
 
 
 def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
-    """Make the space that the core plans in: all native if it can be, else calling back for every edge."""
+    """Make the space that the core plans in.
+
+    In a scene, collision is native whatever the cost is, and Python is asked for costs alone, by batches; else it is
+    called back for every edge.
+    """
     lower, upper = (np.ascontiguousarray(limit, dtype=np.float64) for limit in (problem.lower, problem.upper))
     scene_objective = objective if isinstance(objective, SceneObjective) else None
     kernel = None if scene_objective is None else scene_objective.kernel
-    if isinstance(problem, SceneProblem) and kernel is not None:
+    if isinstance(problem, SceneProblem) and scene_objective is not None:
         custom = problem.custom
         return _native.SceneSpace(
             core=problem.kernels.core,
-            impact=kernel.native,
+            impact=_own_cost(scene_objective, problem.kernels.core) if kernel is None else kernel.native,
             lower=lower,
             upper=upper,
             w=objective.w,
@@ -51,10 +56,36 @@ def native_space(problem: Problem, objective: BoundObjective) -> _native.Space:
         lower=lower,
         upper=upper,
         w=objective.w,
-        motion_is_length=scene_objective is not None and scene_objective.motion_is_length,
+        motion_is_length=False,
         core=problem.kernels.core if isinstance(problem, SceneProblem) else None,
         margin=problem.margin if isinstance(problem, SceneProblem) else 0.0,
     )
+
+
+def _own_cost(objective: SceneObjective, core: _native.Core) -> _native.OwnCost:
+    """Return an objective without a kernel as the core takes it; it must not be kept with the objective, a circle."""
+    # A descent of a path adds vertices: not where they count.
+    descends = objective.motion_is_length and objective.objective.exposure != "waypoints"
+    return _native.OwnCost(
+        core,
+        measure=_MEASURES[objective.objective.exposure],
+        speed=np.ascontiguousarray(objective.pace * objective.scene.limits.velocity),
+        states=lambda q: objective.impact_slopes.states(q, np.zeros_like(q)),
+        slopes=lambda q, qd: _contiguous(objective.impact_slopes(q, qd if _moving(objective) else np.zeros_like(qd))),
+        edges=lambda q0, q1: np.ascontiguousarray(objective.edges(q0, q1)),
+        edge_slopes=(lambda q0, q1, step: _contiguous(objective.impact_gradients(q0, q1, step))) if descends else None,
+        motion=None
+        if objective.motion_is_length
+        else lambda q, tangent: _contiguous(objective.tangent_slopes(q, tangent)),
+    )
+
+
+def _moving(objective: SceneObjective) -> bool:
+    return objective.objective.exposure != "waypoints"
+
+
+def _contiguous(arrays: tuple[Array, ...]) -> tuple[Array, ...]:
+    return tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
 
 
 def _answer(asked: object, method: str, value: ArrayLike, shape: tuple[int, ...], dtype: type) -> Array:

@@ -47,9 +47,11 @@ class NativeDescents:
 
     @classmethod
     def of(cls, questions: Questions) -> NativeDescents | None:
-        """Return descents, or None if the core knows no gradient of the objective."""
+        """Return descents, or None if there is no gradient of the objective, or if it counts the vertices of a path."""
         problem, objective = questions.problem, questions.objective
         if not (isinstance(problem, SceneProblem) and isinstance(objective, SceneObjective) and objective.w > 0.0):
+            return None
+        if objective.objective.exposure == "waypoints":
             return None
         slopes = objective.edge_gradients(problem.start[None], problem.goals[:1])
         return None if slopes is None else cls(questions, native_space(problem, objective))

@@ -25,7 +25,7 @@ from graceful_plan.query.restarts import search_for_motions
 
 _SHARE = 0.65
 """Of the budget for motions of the cheaper objective."""
-_OWN_SHARE = 0.2
+_OWN_SHARE = 0.1
 """The same where the full objective has no descents, so that all else is up to its search."""
 _KEPT = 2
 """Of these motions; to charge one takes as long as many steps of a descent."""
@@ -48,6 +48,11 @@ def cheaper(objective: SceneObjective) -> SceneObjective | None:
     return None
 
 
+def is_enough(objective: SceneObjective) -> bool:
+    """Whether motions for the cheaper objective lie where good ones lie, and need but to descend along this one."""
+    return objective.descended() is not None and isinstance(objective.objective.impact, ImpactCost)
+
+
 def known_motions(
     request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator
 ) -> list[Motion]:
@@ -56,7 +61,7 @@ def known_motions(
     if objective is None:
         return []
     asked = replace(request, objective=objective, preference=None, callback=None)
-    share = _OWN_SHARE if request.objective.descended() is None else _SHARE
+    share = _SHARE if is_enough(request.objective) else _OWN_SHARE
     with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
         found = search_for_motions(asked, problem, part, rng)
         cheap = motions(found, asked, ends, problem, (part, rng))[0]

@@ -16,9 +16,10 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import Effort, Landed, MotionDescents, Start, time_price
+from graceful_plan.planners.motion_descent import LONG, Effort, Landed, MotionDescents, Start, time_price
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
@@ -220,8 +221,16 @@ def motion_descents(request: Request, problem: SceneProblem, effort: Effort) -> 
         is_free=is_free,
         felt=request.constraints.charged,
         careful=request.constraints.level,
-        effort=effort if objective.w > 0.0 or request.constraints.charged else replace(effort, bends=0, hops=0),
+        counts_points=objective.objective.exposure == "waypoints",
+        effort=_adapted(effort, request, objective),
     )
+
+
+def _adapted(effort: Effort, request: Request, objective: SceneObjective) -> Effort:
+    """Spare wide bends where nothing but length counts, and evaluations where Python answers for states."""
+    if objective.w == 0.0 and not request.constraints.charged:
+        effort = replace(effort, bends=0, hops=0)
+    return replace(effort, middle=LONG) if objective.kernel is None else effort
 
 
 def start_of(whole: Path, arrival: int, ends: Ends) -> Start:

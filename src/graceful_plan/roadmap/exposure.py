@@ -9,8 +9,9 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import COST_STEP
 from graceful_plan.costs.cost import StateBatch, checked_state
+from graceful_plan.costs.edge_samples import EdgeSamples
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import AT_LIMITS, EdgeSamples, Objective, search_paces
+from graceful_plan.costs.objective import AT_LIMITS, Objective, search_paces
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.roadmaps.edge_prices import EdgePrices
 from graceful_plan.result import CostBreakdown

@@ -53,8 +53,7 @@ class Spline:
     def grid(self, density: int) -> CurveGrid:
         """Sample it for timing; see `Curve`."""
         spans = self.spans
-        n = density * max(_INTERVALS, 4 * spans)
-        u = places(n, from_rest=True, to_rest=True) * spans
+        u = places(density * _intervals(spans), from_rest=True, to_rest=True) * spans
         u[-1] = spans
         q, slope, bend = _native.spline(np.ascontiguousarray(self.controls, dtype=np.float64), u)
         stop = np.zeros(len(u), dtype=bool)
@@ -62,6 +61,15 @@ class Spline:
         both = np.stack([slope[:-1], slope[1:]], axis=1), np.stack([bend[:-1], bend[1:]], axis=1)
         q[0], q[-1] = self.controls[0], self.controls[-1]
         return CurveGrid(u, q, *both, stop)
+
+
+def grid_points(controls: int) -> int:
+    """Return how many samples the coarsest grid of a curve with so many control points has."""
+    return len(places(_intervals(controls - 3), from_rest=True, to_rest=True))
+
+
+def _intervals(spans: int) -> int:
+    return max(_INTERVALS, 4 * spans)
 
 
 @lru_cache(maxsize=16)

@@ -8,9 +8,9 @@ from typing import final
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.costs.cost import Cost, checked_state
+from graceful_plan.costs.cost import Cost, checked_state, moving_batch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.objective import moving_batch
+from graceful_plan.costs.slopes import CostSlopes
 from graceful_plan.scene.scene import Scene
 from graceful_plan.transcription.spline_program import Charge, Charging
 from graceful_plan.transcription.symbolic import SymbolicRobot
@@ -40,6 +40,7 @@ class ImpactCharge:
 
     def __init__(self, impact: Cost, scene: Scene, w: float) -> None:
         self.impact, self.scene, self.w = impact, scene, w
+        self._own = CostSlopes(impact, scene)
 
     def value(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, " n"]:
         """Weighted impact."""
@@ -50,6 +51,8 @@ class ImpactCharge:
         exact = self.impact.gradients(moving_batch(self.scene, q, qd)) if isinstance(self.impact, ImpactCost) else None
         if exact is not None:
             return self.w * np.concatenate(exact, axis=1)
+        if self._own.has_gradient and not self._own.asks_for_velocity:
+            return self.w * np.concatenate(self._own(q, qd)[1:], axis=1)
         return _differences(lambda z: self.value(*np.split(z, 2, axis=1)), np.concatenate([q, qd], axis=1), _STEP)
 
     def __call__(self, states: Float[Array, "order n nq"], curved: bool) -> Charge:

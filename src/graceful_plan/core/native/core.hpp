@@ -4,6 +4,7 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -202,7 +203,7 @@ class Core {
     double* out;
     auto array = make<double>({rows(q)}, out);
     nb::gil_scoped_release release;
-    kernels().clearance(tables_, states(q), out, nullptr);
+    kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, nullptr);
     return array;
   }
   auto clearance_gradient(Reals q) const {
@@ -211,7 +212,7 @@ class Core {
     auto gradients = make<double>({q.shape(0), size_t(tables_.n_joint)}, gradient);
     {
       nb::gil_scoped_release release;
-      kernels().clearance(tables_, states(q), out, gradient);
+      kernels().clearance(tables_, states(q), std::numeric_limits<double>::infinity(), out, gradient);
     }
     return nb::make_tuple(values, gradients);
   }

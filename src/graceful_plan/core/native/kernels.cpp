@@ -123,14 +123,17 @@ static void clearance_gradients(const Tables& tables, const Nearest& pair, const
   });
 }
 
-static void clearance(const Tables& tables, const States& states, double* out, double* gradient) {
+static void clearance(const Tables& tables, const States& states, double far, double* out, double* gradient) {
   const size_t nq = size_t(tables.n_joint);
+  const float limit = far < 1e9 ? float(far) : 1e9f;
   for_each_block<F>(tables, states, [&](size_t first, int count, const Frame<F>* X_W) {
-    const Nearest pair = nearest(tables, X_W);
+    const Nearest pair = nearest(tables, X_W, limit);
     for (int i = 0; i < count; ++i)
       out[first + size_t(i)] = pair.a[i] == -1 ? __builtin_inf() : double(pair.distance[i]);
     const States block{states.q + first * nq, nullptr, size_t(count)};
-    if (gradient) clearance_gradients(tables, pair, block, gradient + first * nq);
+    if (!gradient) return;
+    if (any(pair.a != -1)) return clearance_gradients(tables, pair, block, gradient + first * nq);
+    for (size_t i = 0; i < block.n * nq; ++i) gradient[first * nq + i] = 0;
   });
 }
 

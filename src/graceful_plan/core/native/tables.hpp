@@ -247,7 +247,8 @@ struct Kernels {
   void (*link_poses)(const Tables&, const States&, double* X_WL);
   void (*free_states)(const Tables&, const States&, double margin, uint8_t* free);
   void (*free_edges)(const Tables&, const Edges&, double margin, uint8_t* free);
-  void (*clearance)(const Tables&, const States&, double* clearance, double* gradient);
+  // Infinite, without a gradient, where nothing is nearer than `far`.
+  void (*clearance)(const Tables&, const States&, double far, double* clearance, double* gradient);
   void (*interaction)(const Tables&, const States&, double* probability);
   void (*impact)(const Tables&, const double* severity, const States&, double* impact);
   void (*edge_costs)(const Tables&, const double* severity, const Edges&, double* cost);

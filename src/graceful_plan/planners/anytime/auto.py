@@ -11,6 +11,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.core import _native
+from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
 from graceful_plan.planners.anytime.anytime import Anytime
@@ -66,7 +67,8 @@ class Auto(Planner):
     ) -> Iterator[Path]:
         """Yield better and better paths."""
         space = native_space(problem, objective)
-        several = isinstance(space, _native.SceneSpace) and objective.w > 0.0
+        native = isinstance(objective, SceneObjective) and objective.kernel is not None
+        several = native and isinstance(space, _native.SceneSpace) and objective.w > 0.0
         cores = [self.search.search(space, problem, rng) for _ in range(self.workers if several else 1)]
         if self.initial is not None:
             yield from _begin(cores, joined_to_ends(self.initial, problem), problem)

@@ -7,6 +7,9 @@
 
 #include "bindings/bindings.hpp"
 #include "impact/body_impact.hpp"
+#include "impact/own/own_cost.hpp"
+#include "impact/own/posture_costs.hpp"
+#include "impact/own/state_cost.hpp"
 
 using namespace nb::literals;
 
@@ -67,6 +70,39 @@ void bind_impact(nb::module_& m) {
   nb::class_<SumImpact, Impact>(m, "SumImpact")
       .def(nb::init<const Impact&, const Impact&>(), "first"_a, "second"_a, nb::keep_alive<1, 2>(),
            nb::keep_alive<1, 3>());
+  nb::enum_<Measure>(m, "Measure")
+      .value("time", Measure::kTime)
+      .value("length", Measure::kLength)
+      .value("points", Measure::kPoints);
+  nb::class_<OwnCost, Impact>(m, "OwnCost")
+      .def(
+          "__init__",
+          [](OwnCost* self, const Core& core, Measure measure, Reals speed, nb::object states, nb::object slopes,
+             nb::object edges, nb::object edge_slopes, nb::object motion) {
+            new (self) OwnCost(core, {states, slopes, edges, edge_slopes, motion}, measure, speed);
+          },
+          "core"_a, nb::kw_only(), "measure"_a, "speed"_a, "states"_a, "slopes"_a, "edges"_a,
+          "edge_slopes"_a = nb::none(), "motion"_a = nb::none(), nb::keep_alive<1, 2>());
+  nb::class_<ClearanceCost, Impact>(m, "ClearanceCost")
+      .def(nb::init<const Core&, const Core&, double>(), "core"_a, "seen"_a, "distance"_a, nb::keep_alive<1, 2>(),
+           nb::keep_alive<1, 3>());
+  nb::class_<JointCost, Impact>(m, "JointCost")
+      .def(nb::init<const Core&, Reals, Reals>(), "core"_a, "centre"_a, "scale"_a, nb::keep_alive<1, 2>());
+  nb::class_<EnergyCost, Impact>(m, "EnergyCost")
+      .def(nb::init<const Core&, Reals, Reals>(), "core"_a, "inertia"_a, "limit"_a, nb::keep_alive<1, 2>());
+  nb::class_<PoseCost, Impact>(m, "PoseCost")
+      .def(
+          "__init__",
+          [](PoseCost* self, const Core& core, int link, Reals tool, Reals position, Reals turn, double full,
+             double distance,
+             double angle) { new (self) PoseCost(core, {link, tool, position, turn, full}, distance, angle); },
+          "core"_a, nb::kw_only(), "link"_a, "tool"_a, "position"_a, "turn"_a, "full"_a, "distance"_a, "angle"_a,
+          nb::keep_alive<1, 2>());
+  nb::class_<ManipulabilityCost, Impact>(m, "ManipulabilityCost")
+      .def(nb::init<const Core&, int, Reals, Integers, double>(), "core"_a, nb::kw_only(), "link"_a, "tool"_a,
+           "chain"_a, "least"_a, nb::keep_alive<1, 2>());
+  nb::class_<ScaledImpact, Impact>(m, "ScaledImpact")
+      .def(nb::init<const Impact&, double>(), "model"_a, "factor"_a, nb::keep_alive<1, 2>());
   nb::class_<TimedImpact, Impact>(m, "TimedImpact")
       .def(nb::init<const Impact&, Reals>(), "model"_a, "speed"_a, nb::keep_alive<1, 2>());
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")

@@ -64,9 +64,7 @@ class SceneSpace final : public Space {
     return true;
   }
   bool has_bounds() const override { return settings_.projects && core_.has_bounds(); }
-  bool project(double* q) override {
-    return core_.project(q, lower.data(), upper.data(), margin + kProjectionReserve);
-  }
+  bool project(double* q) override { return core_.project(q, lower.data(), upper.data(), margin + kProjectionReserve); }
   void ride(const Chain& of, int link, const double* point, Ride* out) override {
     require(link >= 0 && link < core_.tables().n_link, "link");
     core_.ride(of.points, size_t(of.n_edge) + 1, link, point, out);
@@ -76,6 +74,23 @@ class SceneSpace final : public Space {
   bool has_state_slopes() const override { return true; }
   void state_slopes(const MovingStates& of, const StateSlopes& out) override {
     impact_.state_slopes({of.q, of.qd, size_t(of.n)}, of.rough, {out.impact, out.by_q, out.by_qd});
+  }
+  Measure measure() const override { return impact_.measure(); }
+  bool motion_is_length() const override { return impact_.motion_is_length(); }
+  double motion(const double* a, const double* b) override {
+    if (motion_is_length()) return distance(a, b);
+    double cost[2];
+    impact_.edges({a, b, 1, settings_.cost_step}, cost);
+    return cost[0];
+  }
+  void motion_slopes(const MovingStates& of, const StateSlopes& out) override {
+    impact_.motion_slopes({of.q, of.qd, size_t(of.n)}, {out.impact, out.by_q, out.by_qd});
+  }
+  void costs(const Chain& of, double* out) override {
+    if (!impact_.in_python() || (w == 0 && motion_is_length())) return Space::costs(of, out);
+    Point cost(2 * size_t(of.n_edge));
+    impact_.edges({of.points, of.points + dim, size_t(of.n_edge), settings_.cost_step}, cost.data());
+    for (int e = 0; e < of.n_edge; ++e) out[e] = cost[2 * size_t(e)] + w * cost[2 * size_t(e) + 1];
   }
   bool has_slopes() const override { return impact_.has_gradients(); }
   void slopes(const Chain& chain, double step, bool rough, const ChainSlopes& out) override {
@@ -88,6 +103,8 @@ class SceneSpace final : public Space {
   }
 
  private:
+  static constexpr double kEverything = std::numeric_limits<double>::infinity();
+
   void native_clearances(const Probes& probes, double* out, double* gradient) const {
     const size_t n = size_t(probes.n), nq = size_t(dim);
     std::vector<uint8_t> free(n, 0);
@@ -99,7 +116,8 @@ class SceneSpace final : public Space {
       if (!free[k]) close.insert(close.end(), probes.q + k * nq, probes.q + (k + 1) * nq);
     if (close.empty()) return;
     Point value(close.size() / nq), slope(close.size());
-    core_.kernels().clearance(core_.tables(), {close.data(), nullptr, value.size()}, value.data(), slope.data());
+    core_.kernels().clearance(core_.tables(), {close.data(), nullptr, value.size()}, kEverything, value.data(),
+                              slope.data());
     for (size_t k = 0, i = 0; k < n; ++k) {
       if (free[k]) continue;
       out[k] = value[i];
@@ -452,14 +470,15 @@ void bind_search(nb::module_& m) {
           "__init__",
           [](MotionDescentRun* self, Space& space, Reals path, Reals velocity, Reals acceleration, size_t controls,
              size_t density, bool rough, double time_price, double push, double tolerance, double tight_start,
-             double tight_end, const std::vector<FeltLimit>& felt) {
+             double tight_end, const std::vector<FeltLimit>& felt, bool fitted, double points) {
             new (self) MotionDescentRun(space, path,
                                         {point(velocity), point(acceleration), controls, density, rough, time_price,
-                                         push, tolerance, tight_start, tight_end, felt});
+                                         push, tolerance, tight_start, tight_end, felt, fitted, points});
           },
           "space"_a, nb::kw_only(), "path"_a, "velocity"_a, "acceleration"_a, "controls"_a, "density"_a,
           "rough"_a = false, "time_price"_a, "push"_a = 1.0, "tolerance"_a = 1e-4, "tight_start"_a = 0.0,
-          "tight_end"_a = 0.0, "felt"_a = std::vector<FeltLimit>{}, nb::keep_alive<1, 2>())
+          "tight_end"_a = 0.0, "felt"_a = std::vector<FeltLimit>{}, "fitted"_a = false, "points"_a = 1.0,
+          nb::keep_alive<1, 2>())
       .def("run", &MotionDescentRun::run, "steps"_a, "seconds"_a)
       .def("harden", &MotionDescentRun::harden)
       .def_prop_ro("controls", &MotionDescentRun::controls, nb::rv_policy::move)

@@ -279,9 +279,10 @@ struct Nearest {
   }
 };
 
-static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W) {
+// Of those nearer than `far`, and nobody if there are none.
+static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W, float far) {
   Placed placed(tables, X_W);
-  Nearest best = {F{} + 1e9f, MaskF{} - 1, MaskF{}};
+  Nearest best = {F{} + far, MaskF{} - 1, MaskF{}};
   for_each_bound(tables, X_W, [&](int k, F clearance) { best.update(clearance, -2 - k, 0); });
   for (int p = 0; p < tables.n_pair; ++p) {
     const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];

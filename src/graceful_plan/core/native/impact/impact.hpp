@@ -37,6 +37,13 @@ class Impact {
     if (asks_for_velocity())
       for (size_t j = 0; j < nq; ++j) differ(rates, j, kNudge, out.d_qd);
   }
+  // What the impact of a motion is integrated over.
+  virtual Measure measure() const { return Measure::kLength; }
+  // Whether Python answers, so that one question for many is much cheaper than many.
+  virtual bool in_python() const { return false; }
+  // Whether edges() has the length as V; if not, the density of V over length at states whose qd is a tangent.
+  virtual bool motion_is_length() const { return true; }
+  virtual void motion_slopes(const States&, const Slopes&) const {}
   // What edges are integrated over.
   virtual double exposure(const double* a, const double* b) const {
     double d2 = 0;
@@ -413,6 +420,7 @@ class TimedImpact final : public Impact {
     require(speed_.size() == size_t(core_.tables().n_joint), "speed");
     for (double v : speed_) require(v > 0, "speed");
   }
+  Measure measure() const override { return Measure::kTime; }
   void states(const double* q, size_t n, double* impact) const override { model_.states(q, n, impact); }
   void rough_states(const double* q, size_t n, double* impact) const override { model_.rough_states(q, n, impact); }
   void moving_states(const States& states, double* impact) const override { model_.moving_states(states, impact); }

@@ -1,11 +1,11 @@
 // Local improvement of a whole motion by what it costs as it will be executed: control points of a smooth curve,
 // travelled as fast as the joints' velocities and accelerations allow, descend along the gradient of
 //
-//   J = V + w (integral of I dt) + (a price of time) T,
+//   J = V + w (integral of I) + (a price of time) T,
 //
-// to which violations of clearance are added. The speed profile is part of the gradient: a corner costs what it costs
-// in time. Quasi-Newton steps (BFGS) with a line search for functions that have kinks, as the profile has where another
-// limit becomes the tightest.
+// the integral over time, over length or over samples, to which violations of clearance are added. The speed profile is
+// part of the gradient: a corner costs what it costs in time. Quasi-Newton steps (BFGS) with a line search for
+// functions that have kinks, as the profile has where another limit becomes the tightest.
 //
 // References:
 //   A. Lewis and M. Overton, "Nonsmooth optimization via quasi-Newton methods", Mathematical Programming 141, 2013.
@@ -34,6 +34,8 @@ struct MotionSettings {
   // reaches places that are tight for the spheres.
   double tight_start = 0, tight_end = 0;
   std::vector<FeltLimit> felt;  // where something is carried
+  bool fitted = false;          // whether the path is the control points of a curve
+  double points = 1;            // samples of the motion where these are what the impact is summed over
 };
 
 class MotionDescent {
@@ -50,12 +52,12 @@ class MotionDescent {
     for (size_t k = 0; k <= basis_.spans() * settings.density; ++k)
       row_.push_back(basis_.at(double(k) / double(settings.density)));
     const size_t samples = row_.size();
-    q_.resize(samples * dim_), qd_ = impact_by_q_ = impact_by_qd_ = d_q_ = by_clearance_ = q_;
-    impact_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
+    q_.resize(samples * dim_), qd_ = impact_by_q_ = impact_by_qd_ = d_q_ = by_clearance_ = tangent_ = q_;
+    impact_.resize(samples), density_.resize(samples), clearance_.resize(samples), wanted_.resize(samples);
     step_.assign(samples - 1, 1.0 / double(settings.density)), stop_.assign(samples, 0),
         stop_.front() = stop_.back() = 1;
     slope_.resize(2 * dim_ * (samples - 1)), bend_ = d_slope_ = d_bend_ = slope_;
-    fit(path);
+    settings.fitted ? adopt(path) : fit(path);
     trial_ = x_;
     want();
     begin();
@@ -119,6 +121,14 @@ class MotionDescent {
 
   double clipped(size_t i, double value) const {
     return std::clamp(value, space_.lower[i % dim_], space_.upper[i % dim_]);
+  }
+
+  void adopt(const std::vector<Point>& controls) {
+    if (controls.size() != settings_.controls)
+      throw std::invalid_argument("other control points than those of a curve");
+    first_ = controls.front(), last_ = controls.back();
+    for (size_t c = 1; c + 1 < settings_.controls; ++c)
+      for (size_t j = 0; j < dim_; ++j) x_.push_back(clipped(j, controls[c][j]));
   }
 
   // Control points where they would lie on the path.
@@ -286,17 +296,20 @@ class MotionDescent {
 
     for (std::vector<double>* d : {&d_q_, &d_slope_, &d_bend_}) std::fill(d->begin(), d->end(), 0.0);
     std::vector<double> d_speed(samples, 0.0);
-    const double length = lengthen();
+    const double spread = lengthen();
+    double motion = length_;
+    if (!space_.motion_is_length()) motion = move();
     const double harm = space_.w > 0 ? fail(d_speed) : 0.0;
-    const double total = length_ + space_.w * harm + settings_.time_price * duration;
+    const double total = motion + space_.w * harm + settings_.time_price * duration;
     if (scale_ == 0) scale_ = total;
     const double weight = push_ * scale_ / double(samples);
+    const bool timed = space_.w > 0 && space_.measure() == Measure::kTime;
     const double slosh = weight * felt_.slosh(squared, pause_);
     std::vector<double> d_pause(samples - 1, 0.0), d_squared(samples, 0.0);
     felt_.back_slosh(squared, weight, d_squared, d_pause, d_q_);
     for (size_t k = 0; k + 1 < samples; ++k) {
       const double price =
-          settings_.time_price + d_pause[k] + 0.5 * space_.w * (space_.w > 0 ? impact_[k] + impact_[k + 1] : 0.0);
+          settings_.time_price + d_pause[k] + 0.5 * space_.w * (timed ? impact_[k] + impact_[k + 1] : 0.0);
       const double by_speed = -price * pause_[k] / std::max(speed_[k] + speed_[k + 1], kSlowest);
       d_speed[k] += by_speed, d_speed[k + 1] += by_speed;
     }
@@ -307,11 +320,11 @@ class MotionDescent {
     if (!felt_.empty()) felt_.back(d_q_);
     const double penalty = collide() + slosh;
     collect(gradient);
-    return {length + space_.w * harm + settings_.time_price * duration + penalty, total + penalty, duration};
+    return {total + spread + penalty, total + penalty, duration};
   }
 
-  // The length of the curve by its energy, which is least where samples are even: the length alone does not say where
-  // along the curve control points should be.
+  // The length of the curve, and by how much its energy exceeds it, which is nothing where samples are even: the length
+  // alone does not say where along the curve control points should be.
   double lengthen() {
     const size_t n = row_.size() - 1;
     double energy = 0;
@@ -326,23 +339,63 @@ class MotionDescent {
         const double d = factor * (q_[(k + 1) * dim_ + j] - q_[k * dim_ + j]);
         d_q_[k * dim_ + j] -= d, d_q_[(k + 1) * dim_ + j] += d;
       }
-    return value;
+    return value - length_;
   }
 
-  // The integral of the impact over time, and derivatives but for those of the times.
+  // V of a density over length, and its derivatives; lengthen() has charged the length.
+  double move() {
+    const size_t samples = row_.size();
+    for (size_t k = 0; k < samples; ++k) std::copy_n(slope_at(k), dim_, &tangent_[k * dim_]);
+    space_.motion_slopes({q_.data(), tangent_.data(), int(samples), settings_.rough},
+                         {density_.data(), impact_by_q_.data(), impact_by_qd_.data()});
+    const double sum = stretch(density_, 1.0, -1.0);
+    for (size_t k = 0; k < samples; ++k) {
+      double* d_slope = k + 1 < samples ? &d_slope_[2 * k * dim_] : &d_slope_[(2 * k - 1) * dim_];
+      for (size_t j = 0; j < dim_; ++j) {
+        d_q_[k * dim_ + j] += weight_[k] * impact_by_q_[k * dim_ + j];
+        d_slope[j] += weight_[k] * impact_by_qd_[k * dim_ + j];
+      }
+    }
+    return sum;
+  }
+
+  // The integral of a density over length. Derivatives for (factor density + offset) are added as far as lengths have
+  // them; how much each sample stands for is left in weight_.
+  double stretch(const Point& density, double factor, double offset) {
+    const size_t samples = row_.size();
+    double sum = 0;
+    weight_.assign(samples, 0.0);
+    for (size_t k = 0; k + 1 < samples; ++k) {
+      const double *a = &q_[k * dim_], *b = a + dim_, d = space_.distance(a, b),
+                   mean = 0.5 * (density[k] + density[k + 1]);
+      weight_[k] += 0.5 * d, weight_[k + 1] += 0.5 * d, sum += d * mean;
+      for (size_t j = 0; d > 0 && j < dim_; ++j) {
+        const double along = (factor * mean + offset) * (b[j] - a[j]) / d;
+        d_q_[k * dim_ + j] -= along, d_q_[(k + 1) * dim_ + j] += along;
+      }
+    }
+    return sum;
+  }
+
+  // The integral of the impact, and derivatives but for those of the times.
   double fail(std::vector<double>& d_speed) {
     const size_t samples = row_.size();
     space_.state_slopes({q_.data(), qd_.data(), int(samples), settings_.rough},
                         {impact_.data(), impact_by_q_.data(), impact_by_qd_.data()});
+    const Measure measure = space_.measure();
+    if (measure == Measure::kLength) stretch(impact_, space_.w, 0.0);
     double sum = 0;
     for (size_t k = 0; k < samples; ++k) {
-      const double seconds = 0.5 * ((k > 0 ? pause_[k - 1] : 0.0) + (k + 1 < samples ? pause_[k] : 0.0));
-      sum += seconds * impact_[k];
+      const double share = measure == Measure::kLength ? weight_[k]
+                           : measure == Measure::kPoints
+                               ? settings_.points / double(samples)
+                               : 0.5 * ((k > 0 ? pause_[k - 1] : 0.0) + (k + 1 < samples ? pause_[k] : 0.0));
+      sum += share * impact_[k];
       const double* slope = slope_at(k);
       double* d_slope = k + 1 < samples ? &d_slope_[2 * k * dim_] : &d_slope_[(2 * k - 1) * dim_];
       for (size_t j = 0; j < dim_; ++j) {
-        const double by_qd = space_.w * seconds * impact_by_qd_[k * dim_ + j];
-        d_q_[k * dim_ + j] += space_.w * seconds * impact_by_q_[k * dim_ + j];
+        const double by_qd = space_.w * share * impact_by_qd_[k * dim_ + j];
+        d_q_[k * dim_ + j] += space_.w * share * impact_by_q_[k * dim_ + j];
         d_slope[j] += by_qd * speed_[k], d_speed[k] += by_qd * slope[j];
       }
     }
@@ -397,6 +450,7 @@ class MotionDescent {
   FeltLimits felt_;
   double push_, scale_ = 0, length_ = 0;
   Point first_, last_, x_, trial_, gradient_, trial_gradient_, direction_, kept_x_, kept_gradient_, inverse_;
+  Point tangent_, density_, weight_;
   Point q_, qd_, impact_, impact_by_q_, impact_by_qd_, d_q_, clearance_, by_clearance_, wanted_;
   Point step_, slope_, bend_, d_slope_, d_bend_, speed_, pause_;
   std::vector<uint8_t> stop_;

@@ -38,6 +38,9 @@ struct StateSlopes {
   double *impact, *by_q, *by_qd;
 };
 
+// What a density of states is integrated over along a motion: its time, its length, or the plain sum over its samples.
+enum class Measure { kTime, kLength, kPoints };
+
 // Something that rides on a link: where a point of it is, how it is turned, and how both move with the joints.
 struct Ride {
   double p[3], R[9];
@@ -80,6 +83,10 @@ struct Space {
   // Of states that move.
   virtual bool has_state_slopes() const { return false; }
   virtual void state_slopes(const MovingStates&, const StateSlopes&) {}
+  // What the impact of a motion is integrated over.
+  virtual Measure measure() const { return Measure::kTime; }
+  // Where motion() is not the length: its density over length, at states whose `qd` is a tangent of the path.
+  virtual void motion_slopes(const MovingStates&, const StateSlopes&) {}
   // Signed clearances of configurations and their gradients where they are below `wanted`, which is seen much faster
   // than how far the rest is away; infinite elsewhere.
   virtual void clearances(const Probes&, double*, double*) {}
@@ -95,6 +102,10 @@ struct Space {
   double cost(const double* a, const double* b) {
     const double v = motion(a, b);
     return w > 0 ? v + w * impact(a, b) : v;
+  }
+  // The cost of each edge of a chain; one question where questions are dear.
+  virtual void costs(const Chain& of, double* out) {
+    for (int e = 0; e < of.n_edge; ++e) out[e] = cost(of.points + e * dim, of.points + (e + 1) * dim);
   }
   // The cost, or infinity as soon as it is known to reach `limit`: impact is never negative, and dear.
   double cost_below(const double* a, const double* b, double limit) {
@@ -175,11 +186,16 @@ struct Polyline {
 
   static Polyline of(Space& space, std::vector<Point> points) {
     Polyline path{std::move(points), {}, 0};
-    for (size_t i = 0; i + 1 < path.q.size(); ++i) {
-      path.edge.push_back(space.cost(path.q[i].data(), path.q[i + 1].data()));
-      path.total += path.edge.back();
-    }
+    path.price(space, 0, path.q.size() - 1);
     return path;
+  }
+  // Evaluate so many edges anew, from the one that begins at a vertex.
+  void price(Space& space, size_t first, size_t n) {
+    Point rows;
+    for (size_t k = first; k <= first + n; ++k) rows.insert(rows.end(), q[k].begin(), q[k].end());
+    edge.resize(q.size() - 1);
+    if (n > 0) space.costs({rows.data(), int(n)}, edge.data() + first);
+    sum();
   }
   void sum() {
     total = 0;

@@ -64,9 +64,7 @@ class Refiner {
   void subdivide(size_t i, const std::vector<Point>& points) {
     path_.q.insert(path_.q.begin() + long(i) + 1, points.begin(), points.end());
     path_.edge.insert(path_.edge.begin() + long(i) + 1, points.size(), 0.0);
-    for (size_t k = i; k <= i + points.size(); ++k)
-      path_.edge[k] = space_.cost(path_.q[k].data(), path_.q[k + 1].data());
-    path_.sum();
+    path_.price(space_, i, points.size() + 1);
   }
 
   // Replace the vertices strictly between `first` and `last`; keep it if J falls and the new edges are free.

@@ -1,0 +1,61 @@
+"""What the costs to compose have in common: they run in the core, alone and in sums."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import reduce
+from operator import add
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.core.kernels import ImpactKernel
+from graceful_plan.costs.cost import Cost, StateBatch, SumCost
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_MOST_KERNELS = 32
+"""Kept for a scene: who tries one distance after the other must not fill the memory."""
+
+
+class NativeCost(Cost):
+    """Base of costs of where the robot is, however it moves, that run in the core."""
+
+    @abstractmethod
+    def kernel(self, scene: Scene) -> ImpactKernel:
+        """Make what computes the cost in a scene."""
+
+    def state(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return the cost density at each state."""
+        return _kernel(batch.scene, self).states(batch.q)
+
+    def gradient(self, batch: StateBatch) -> Float[Array, "n nq"]:
+        """Return the derivative of `state` with respect to q."""
+        return _kernel(batch.scene, self).state_slopes(batch.q, np.zeros_like(batch.q))[1]
+
+
+@per_scene(most=_MOST_KERNELS)
+def _kernel(scene: Scene, cost: NativeCost) -> ImpactKernel:
+    return cost.kernel(scene)
+
+
+def native_kernel(cost: Cost, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
+    """Return what computes a cost in the core, None if Python has to.
+
+    Args:
+        cost: One of this library, or a sum of such.
+        scene: The scene.
+        paces: As of `NativeModel.kernel`.
+    """
+    if isinstance(cost, ImpactCost):
+        return cost.kernel(scene, paces)
+    if isinstance(cost, NativeCost):
+        return _kernel(scene, cost)
+    if not isinstance(cost, SumCost):
+        return None
+    kernels = [(factor, native_kernel(term, scene, paces)) for factor, term in cost.terms]
+    scaled = [kernel.scaled(factor) for factor, kernel in kernels if kernel is not None]
+    return reduce(add, scaled) if len(scaled) == len(kernels) else None
