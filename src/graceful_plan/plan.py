@@ -172,7 +172,7 @@ def _waived(held: SceneConstraints) -> list[str]:
 
 def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.random.Generator) -> PlanResult:
     """Search, time, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
-    found, refused, why_not = Search(), None, ""
+    found, refused, why_not, clock = Search(), None, "", request.clock
     stats: dict[str, float] = {}
     for margin, check_step in _CAUTION:
         problem = SceneProblem(
@@ -188,9 +188,10 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         known_is_enough = bool(known) and request.preference is None and is_enough(request.objective)
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        judged = None
-        if wants_it_soon(found):
-            judged = first_verified(quick_motions(found, request, ends, problem, budget), request)
+        soon, first = wants_it_soon(found), None
+        if found.paths and (soon or clock.can_insure):
+            first = first_verified(quick_motions(found, request, ends, problem, budget), request)
+        judged = first if soon else None
         if judged is None or not judged.verdict.passed:
             candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
             judged = first_verified(candidates, request) or judged
@@ -198,6 +199,8 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             if judged is None or not set(judged.verdict.failures) - _NOT_FOR_CORNERS:
                 break
             judged = first_verified(along(path, request, ends, swift=False), request) or judged
+        if first is not None and first.verdict.passed and (judged is None or not judged.verdict.passed):
+            judged = first
         if judged is not None and judged.verdict.passed:
             return replace(
                 _solved(judged, found, request, budget, stats), goal_index=ends.goal_index[judged.motion.arrival]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 import numpy as np
@@ -101,6 +102,23 @@ def test_a_machine_that_was_busy_for_a_moment_does_not_keep_calls_from_judging(t
         for _ in range(16):
             paces.took("judging", 0.01)
     assert result.status is PlanStatus.SOLVED, result.detail
+
+
+def test_a_first_motion_is_there_if_what_follows_comes_too_late(task, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine that stands still while motions are timed."""
+
+    def late(*args: object) -> tuple[list[object], str]:
+        time.sleep(1.0)
+        return [], ""
+
+    monkeypatch.setattr(sys.modules["graceful_plan.plan"], "motions", late)
+    paces = paces_of(task.scene)
+    for _ in range(16):
+        paces.took("judging", 0.01)
+        paces.took("timing", 0.01)
+    result = gp.plan(task.start, task.goal, task.scene, w=0.3, time_limit=1.0)
+    assert result.status is PlanStatus.SOLVED, result.detail
+    assert result.verdict.passed and gp.verify(result.trajectory, task.scene).passed
 
 
 def test_a_pose_that_cannot_be_looked_for_in_time_is_a_timeout(task) -> None:

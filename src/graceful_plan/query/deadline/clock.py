@@ -35,6 +35,8 @@ _SPARE, _SPARE_SHARE = 0.1, 0.08
 """At least so much is kept for the last steps [s], but no more than this share of a time limit: machines get busy."""
 _TIMED = 3
 """Motions that are to be timed within the time that is kept for the last steps."""
+_INSURANCE = 0.1
+"""Share of the time left that a motion may take which is there should those that follow come too late."""
 _MOST_KEPT = 0.7
 """Share of a time limit that is kept for them at most."""
 
@@ -128,6 +130,12 @@ class Clock:
         machine that was busy for a moment, the longest of the last runs says little of the next.
         """
         return self.has_room(*steps) or self.left >= sum(self.paces.typical(step) for step in steps)
+
+    @property
+    def can_insure(self) -> bool:
+        """Whether there is a deadline, and so much time before it that a first motion hardly counts."""
+        needed = self.paces.kept_for("timing") + self.paces.kept_for("judging")
+        return self.deadline < np.inf and _INSURANCE * self.left >= needed
 
     def has_plenty(self, *steps: Step) -> bool:
         """Whether there is room for more than what has to be done: these steps, as long as they ever took, twice."""
