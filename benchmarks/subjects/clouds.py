@@ -32,8 +32,8 @@ WANTED_SECONDS, WANTED_RATE = 0.1, 2e6
 MEASURED = f"""\
 Three cameras look at each scene, {SIZE[0]} x {SIZE[1]} pixels each, with noise of {NOISE * 1e3:g} mm (standard
 deviation) along the ray; the robot stands at the start of a task and hides what is behind it. Points on the robot
-and on what it carries are left out; a segmentation without errors gives every entity a cloud of its own with its
-class, the rest is one cloud. Cells of {RESOLUTION * 100:g} cm, inflation {INFLATION * 100:g} cm. Everything but the
+and on what it carries are left out; a segmentation without errors gives every thing a cloud of its own, with its
+class if it is an entity. Cells of {RESOLUTION * 100:g} cm, inflation {INFLATION * 100:g} cm. Everything but the
 robot is taken out of the scene, and the clouds are put in. "Points to boxes" makes the clouds, "edit" and "compile"
 make the scene and its tables; medians over tasks. "Free edges": configurations per second along free edges of
 {REACH:g} rad, a thread, the best of {ROUNDS} rounds; "modelled" the same in the scene as it is. "Solved": motions
@@ -88,10 +88,9 @@ def examine(name: str) -> CloudFigures:
     clouds = clouds_of(seen)
     boxes = sum(len(cloud.boxes[0]) for cloud in clouds)
     to_boxes = time.perf_counter() - started
-    bare = task.scene.edit(remove=_surroundings(task.scene))
-    compile_scene(bare)
+    compile_scene(task.scene)
     started = time.perf_counter()
-    scene = bare.edit(add=clouds)
+    scene = task.scene.edit(remove=_surroundings(task.scene), add=clouds)
     edited = time.perf_counter()
     kernels = compile_scene(scene).kernels
     compiled = time.perf_counter()
@@ -124,7 +123,7 @@ def clouds_of(seen: dict[str, Array]) -> list[gp.PointCloud]:
     """Make a cloud of each entity's points, and one of the others'."""
     return [
         gp.PointCloud(
-            name=f"seen {name}",
+            name=name.split(":")[0],
             points=points,
             resolution=RESOLUTION,
             inflation=INFLATION,
@@ -136,7 +135,7 @@ def clouds_of(seen: dict[str, Array]) -> list[gp.PointCloud]:
 
 @cache
 def _points(name: str) -> dict[str, Array]:
-    """Points that the cameras see [m], by "entity:class"."""
+    """Points that the cameras see [m], by "body:class", where bodies that are no entity have no class."""
     task = suite.task(name)
     scene, rng = task.scene, np.random.default_rng(0)
     model, data = scene.model, scene.data_at(task.start)
@@ -144,7 +143,9 @@ def _points(name: str) -> dict[str, Array]:
     tools = gp.StateBatch(scene, np.vstack([task.start, task.goal])).tool_poses[:, :3, 3]
     target = tools.mean(axis=0)
     owner = {g: f"{e}:{note.category}" for e, note in _classes(scene).items() for g in scene.entities[e].geoms}
-    own = {g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in _kept(scene)}
+    root = {g: model.body(model.body_rootid[model.geom_bodyid[g]]).name for g in range(model.ngeom)}
+    kept = {0, *_kept(scene)}  # what is fixed to the world itself stays as it is
+    own = {g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in kept}
     found: dict[str, list[Array]] = {}
     for view in VIEWS:
         eye = target + view
@@ -155,7 +156,7 @@ def _points(name: str) -> dict[str, Array]:
         for g in np.unique(geom[geom >= 0]).tolist():
             if g not in own:
                 mine = geom == g
-                found.setdefault(owner.get(g, "rest:"), []).append(eye + rays[mine] * distance[mine, None])
+                found.setdefault(owner.get(g, f"{root[g]}:"), []).append(eye + rays[mine] * distance[mine, None])
     return {key: np.concatenate(parts) for key, parts in found.items()}
 
 
