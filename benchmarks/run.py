@@ -30,6 +30,7 @@ SUBJECTS = (
     "inverse_kinematics",
     "straight_tool",
     "clouds",
+    "robots",
     "constraints",
     "motion_problems",
     "own_costs",

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.analysis.certified_clearance import certified_clearance
 from graceful_plan.array_types import Float
 from graceful_plan.core.arrays import RobotArrays
+from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.objective import Objective, SceneObjective
 from graceful_plan.exceptions import SettingError
@@ -55,7 +56,7 @@ def certify(
     else:
         moved = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
         length = moved.length if isinstance(moved, Path) else moved.path.length
-    clear = certified_clearance(moved, bound.kernels)
+    clear = certified_clearance(moved, compile_scene(bound.scene).proof)
     least = lower_bound(moved.q[0], moved.q[-1:] if goal is None else goal, bound)
     return Certificate(
         clearance=clear.bound,

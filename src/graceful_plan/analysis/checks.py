@@ -29,7 +29,7 @@ def clearance(scene: Scene, q: ArrayLike) -> Float[Array, "*batch"]:
         ShapeError: If the last axis of q is not the number of joints.
         NonFiniteError: If q holds a NaN or an infinity.
     """
-    return compile_scene(scene).kernels.clearance(q)
+    return compile_scene(scene).proof.clearance(q)
 
 
 def interaction_probability(

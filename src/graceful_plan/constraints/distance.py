@@ -74,5 +74,5 @@ def distance_kernels(scene: Scene, entity: str) -> Kernels:
         triangles=np.concatenate([np.zeros((0, 3, 3)), *triangles]),
         geom=world.geom[mine],
     )
-    robot = replace(compiled.robot, self_pair=compiled.robot.self_pair[:0])
+    robot = replace(compiled.robot, self_pair=compiled.robot.self_pair[:0], self_slack=np.zeros(0))
     return Kernels(robot, only, compiled.hazards)

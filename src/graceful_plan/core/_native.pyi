@@ -36,6 +36,7 @@ class Core:
         sphere: Reals,
         bound: Reals,
         self_pair: Integers,
+        self_slack: Reals,
         obstacle_kind: Integers,
         obstacle_pose: Reals,
         obstacle_size: Reals,

@@ -39,6 +39,7 @@ class RobotArrays:
     | sphere        | centre in the link frame, radius                               | m     | sphere 4       |
     | bound         | bounding sphere of each link, radius -1 if it has no spheres   | m     | link 4         |
     | self_pair     | pairs of links that may touch each other                       |       | pair 2         |
+    | self_slack    | clearance of their spheres at which they touch, 0 or less      | m     | pair           |
     | protrusion    | how far the spheres stick out of the geoms, at most            | m     |                |
     """
 
@@ -54,6 +55,7 @@ class RobotArrays:
     sphere: Float[Array, "sphere 4"]
     bound: Float[Array, "link 4"]
     self_pair: Int[Array, "pair 2"]
+    self_slack: Float[Array, " pair"]
     protrusion: float
 
 
@@ -81,6 +83,21 @@ class WorldArrays:
     hull_start: Int[Array, " obstacle_end"]
     triangles: Float[Array, "triangle 3 3"]
     geom: Int[Array, " obstacle"]
+
+    @classmethod
+    def nothing(cls) -> WorldArrays:
+        """Return surroundings in which nothing stands."""
+        none = np.zeros(0, dtype=int)
+        return cls(
+            kind=none,
+            pose=np.zeros((0, 12)),
+            size=np.zeros((0, 3)),
+            bound=np.zeros((0, 4)),
+            ignores=none,
+            hull_start=np.zeros(1, dtype=int),
+            triangles=np.zeros((0, 3, 3)),
+            geom=none,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -21,6 +22,7 @@ from graceful_plan.array_types import Float, Int
 from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
 from graceful_plan.core.covers import GEOM_KINDS, geom_name, group_cover, hull_triangles
 from graceful_plan.core.kernels import CAPACITY, Kernels
+from graceful_plan.core.slack import self_slack
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
@@ -41,6 +43,14 @@ class CompiledScene:
     hazards: HazardArrays
     kernels: Kernels
 
+    @cached_property
+    def proof(self) -> Kernels:
+        """Kernels that are never optimistic, of pairs of links neither: those without slack."""
+        if not self.robot.self_slack.any():
+            return self.kernels
+        strict = replace(self.robot, self_slack=np.zeros_like(self.robot.self_slack))
+        return Kernels(strict, self.world, self.hazards)
+
 
 @per_scene
 def compile_scene(scene: Scene) -> CompiledScene:
@@ -52,10 +62,13 @@ def compile_scene(scene: Scene) -> CompiledScene:
     data, parts = _reference_data(scene), _robot_parts(scene)
     frames, groups = parts.frames, parts.groups
     overlapping = _overlapping(scene.model, data)
-    robot = replace(parts.arrays, self_pair=_self_pairs(groups, len(frames.parent), overlapping))
+    pairs = _self_pairs(groups, len(frames.parent), overlapping)
     world = _world_arrays(scene, data, groups)
     hazards = _hazard_arrays(scene, data, frames)
+    robot = replace(parts.arrays, self_pair=pairs, self_slack=np.zeros(len(pairs)))
     _check_capacity(scene.model, groups, robot, hazards)
+    touchable = [_touchable(groups, pair - len(frames.parent)) for pair in pairs]
+    robot = replace(robot, self_slack=self_slack(scene, robot, touchable, hazards))
     return CompiledScene(robot=robot, world=world, hazards=hazards, kernels=Kernels(robot, world, hazards))
 
 
@@ -254,6 +267,7 @@ def _robot_arrays(
         sphere=np.concatenate(spheres) if spheres else np.zeros((0, 4)),
         bound=np.stack([bound.get(link, np.array([0.0, 0.0, 0.0, -1.0])) for link in range(len(parent))]),
         self_pair=np.zeros((0, 2), dtype=int),
+        self_slack=np.zeros(0),
         protrusion=protrusion,
     )
     return arrays
@@ -284,6 +298,12 @@ def _self_pairs(groups: list[_Group], n_frame: int, overlapping: frozenset[tuple
         if group.frame == 0 and _overlap(group, group.partners - moving, overlapping)
     ]
     return np.array(pairs, dtype=int).reshape(-1, 2)
+
+
+def _touchable(groups: list[_Group], pair: Int[Array, " 2"]) -> list[tuple[int, int]]:
+    """Return the geoms of two groups that may touch."""
+    first, second = (groups[k] for k in pair.tolist())
+    return [(a, b) for a in first.geoms for b in second.geoms if b in first.partners]
 
 
 def _overlap(group: _Group, others: Iterable[int], overlapping: frozenset[tuple[int, int]]) -> bool:

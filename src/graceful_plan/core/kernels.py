@@ -82,6 +82,7 @@ class Kernels:
             sphere=_reals(robot.sphere),
             bound=_reals(robot.bound),
             self_pair=_integers(robot.self_pair),
+            self_slack=_reals(robot.self_slack),
             obstacle_kind=_integers(world.kind),
             obstacle_pose=_reals(world.pose),
             obstacle_size=_reals(world.size),

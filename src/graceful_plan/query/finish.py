@@ -66,5 +66,5 @@ def verdict_of(
         exposure=exposure,
         constraints=constraints.constraints,
         step=looks.step,
-        clearance=None if looks.everywhere else compile_scene(scene).kernels.clearance,
+        clearance=None if looks.everywhere else compile_scene(scene).proof.clearance,
     )

@@ -189,9 +189,7 @@ class Scene(SceneFacts):
             severity=severity,
             fingers=held_still(robot, chain, fingers) if isinstance(fingers, int | float) else fingers,
             velocity=velocities(chain) if velocity is None else velocity,
-            acceleration=np.broadcast_to(np.asarray(acceleration, dtype=float), len(chain)).tolist()
-            if np.ndim(acceleration) == 0
-            else acceleration,
+            acceleration=[acceleration] * len(chain) if isinstance(acceleration, int | float) else acceleration,
             keyframes={**states, **(keyframes or {})},
             allowed_contacts=(*touching(spec, prefix, chain), *disabled, *allowed_contacts),
             name=robot.name,

@@ -81,6 +81,7 @@ struct RobotArrays {
   Integers sphere_link;
   Reals sphere, bound;
   Integers self_pair;
+  Reals self_slack;
   int tool_link;
   Reals tool_position;
 };
@@ -117,13 +118,17 @@ class Core {
       : isa_(choose(isa)), tool_link_(robot.tool_link) {
     const Reals& tool_position = robot.tool_position;
     const Integers& self_pair = robot.self_pair;
+    require(robot.self_slack.size() == self_pair.shape(0), "a slack of each pair of links");
     require(tool_link_ >= 0 && size_t(tool_link_) < robot.parent.shape(0) && tool_position.size() == 3, "tool");
     std::copy(tool_position.data(), tool_position.data() + 3, tool_position_);
     add_links(robot);
     add_groups(robot.sphere_link, robot.sphere, robot.bound);
     for (size_t p = 0; p < self_pair.shape(0); ++p) {
       const int a = group_of_[size_t(self_pair.data()[2 * p])], b = group_of_[size_t(self_pair.data()[2 * p + 1])];
-      if (a >= 0 && b >= 0) pair_.insert(pair_.end(), {a, b});
+      if (a < 0 || b < 0) continue;
+      require(robot.self_slack.data()[p] <= 0, "slack of a pair of links");
+      pair_.insert(pair_.end(), {a, b});
+      slack_.push_back(float(robot.self_slack.data()[p]));
     }
     add_triangles(world.triangles);
     add_obstacles(world);
@@ -133,7 +138,7 @@ class Core {
     tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
     tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data();
     tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
-    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.part = part_.data(),
+    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.slack = slack_.data(), tables_.part = part_.data(),
     tables_.target = target_.data();
     tables_.harmed = harmed_.data();
     Cells cells(obstacle_);
@@ -584,6 +589,7 @@ class Core {
   std::vector<int32_t> order_;
   std::vector<Triangle> triangle_;
   std::vector<int32_t> pair_;
+  std::vector<float> slack_;
   std::vector<Part> part_;
   std::vector<Target> target_;
   std::vector<Harmed> harmed_;

@@ -98,6 +98,7 @@ struct Tables {
   const int32_t* order;  // obstacles without bounds, then those of the leaves
   const Triangle* triangle;
   const int32_t* pair;  // pairs of groups
+  const float* slack;   // per pair: the clearance of their spheres at which they touch [m]; 0 or less
   const Part* part;
   const Target* target;
   const Harmed* harmed;  // per entity; without targets first == last

@@ -20,8 +20,17 @@ from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content
 
 _MOST_BYTES = 10_000_000
 _MOVING = ("revolute", "continuous", "prismatic")
-_LEAST = {"boundmass": "1e-4", "boundinertia": "1e-7"}
-"""Of links without mass, such as frames for sensors, that a joint moves [kg, kg m^2]: MuJoCo asks for some."""
+_LEAST_INERTIA = 1e-7
+"""Of links, about any axis [kg m^2]: MuJoCo asks for some, and frames for sensors often have none, or less."""
+_SETTINGS = {
+    "fusestatic": "false",
+    "strippath": "false",
+    "balanceinertia": "true",
+    "boundmass": "1e-4",
+    "boundinertia": str(_LEAST_INERTIA),
+}
+"""Of MuJoCo's compiler."""
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 @final
@@ -105,6 +114,8 @@ def read_urdf(source: str | Path, packages: Sequence[str | Path] = ()) -> UrdfRo
             link.remove(visual)
         for mesh in link.iterfind("collision/geometry/mesh"):
             mesh.set("filename", short[mesh.get("filename", "")])
+    for inertia in root.iterfind("link/inertial/inertia"):
+        _make_possible(inertia)
     _put_on_a_base(root)
     try:
         spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"), assets=assets)
@@ -152,6 +163,19 @@ def _parsed(text: str, source: str | Path) -> ET.Element:
     return root
 
 
+def _make_possible(inertia: ET.Element) -> None:
+    """Raise principal moments that no body can have, such as zeros."""
+    xx, yy, zz, xy, xz, yz = (_number(inertia, name, 0.0, "inertia") for name in _MOMENTS)
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not np.isfinite(matrix).all():
+        raise SceneError("an inertia is not finite")
+    moments, axes = np.linalg.eigh(matrix)
+    if moments.min() < _LEAST_INERTIA:
+        matrix = axes @ np.diag(np.maximum(moments, _LEAST_INERTIA)) @ axes.T
+        for name, value in zip(_MOMENTS, (*np.diag(matrix), matrix[0, 1], matrix[0, 2], matrix[1, 2]), strict=True):
+            inertia.set(name, repr(float(value)))
+
+
 def _put_on_a_base(root: ET.Element) -> None:
     """Put the root link on another one: MuJoCo takes the root for the world, and it is to be a body of the robot."""
     children = {child.get("link") for child in root.iterfind("joint/child")}
@@ -160,8 +184,7 @@ def _put_on_a_base(root: ET.Element) -> None:
         raise SceneError(f"a robot has one root link, not {roots or 'none'}")
     for extension in root.findall("mujoco"):
         root.remove(extension)
-    settings = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", strippath="false", **_LEAST)
-    settings.set("balanceinertia", "true")
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", _SETTINGS)
     ET.SubElement(root, "link", name=BASE)
     joint = ET.SubElement(root, "joint", name=f"{BASE}_joint", type="fixed")
     ET.SubElement(joint, "parent", link=BASE)

@@ -244,19 +244,19 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
   for (int p = 0; p < tables.n_pair; ++p) {
     const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
     const Group &ga = tables.group[a], &gb = tables.group[b];
-    const float reach = ga.bound[3] + gb.bound[3] + margin;
+    const float kept = margin + tables.slack[p], reach = relu(ga.bound[3] + gb.bound[3] + kept);
     if (!any(squared_distance(placed.bound[a], placed.bound[b]) < reach * reach)) continue;
     const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
     for (int k = ga.first; k < ga.first + ga.count; ++k) {
-      const float ra = tables.sphere[4 * k + 3] + margin, rb = ra + gb.bound[3];
+      const float ra = tables.sphere[4 * k + 3] + kept, rb = relu(ra + gb.bound[3]);
       if (!any(squared_distance(sa[k], placed.bound[b]) < rb * rb)) continue;
       for (int c = gb.first_cluster; c < gb.first_cluster + gb.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
-        const float rc = ra + cluster.bound[3];
+        const float rc = relu(ra + cluster.bound[3]);
         if (gb.n_cluster > 1 && !any(squared_distance(sa[k], transform(X_W[gb.frame], cluster.bound)) < rc * rc))
           continue;
         for (int m = cluster.first; m < cluster.first + cluster.count; ++m) {
-          const float r = ra + tables.sphere[4 * m + 3];
+          const float r = relu(ra + tables.sphere[4 * m + 3]);
           hit |= squared_distance(sa[k], sb[m]) < r * r;
         }
       }
@@ -287,12 +287,13 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W, float f
   for (int p = 0; p < tables.n_pair; ++p) {
     const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
     const Group &ga = tables.group[a], &gb = tables.group[b];
-    F gap = square_root(squared_distance(placed.bound[a], placed.bound[b])) - (ga.bound[3] + gb.bound[3]);
+    const float slack = tables.slack[p];
+    F gap = square_root(squared_distance(placed.bound[a], placed.bound[b])) - (ga.bound[3] + gb.bound[3] + slack);
     if (!any(gap < best.distance)) continue;
     const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
     // Whether a sphere and a bound may be nearer than what was found so far, in any lane.
     const auto near = [&](const Vec<F>& p, const Vec<F>& q, float radii) {
-      const F within = relu(best.distance + radii);
+      const F within = relu(best.distance + (radii + slack));
       return any(squared_distance(p, q) < within * within);
     };
     for (int c = ga.first_cluster; c < ga.first_cluster + ga.n_cluster; ++c) {
@@ -307,7 +308,8 @@ static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W, float f
           const float radius = tables.sphere[4 * k + 3];
           if (mine.count > 1 && !near(sa[k], facing, radius + other.bound[3])) continue;
           for (int m = other.first; m < other.first + other.count; ++m)
-            best.update(square_root(squared_distance(sa[k], sb[m])) - (radius + tables.sphere[4 * m + 3]), k, -1 - m);
+            best.update(square_root(squared_distance(sa[k], sb[m])) - (radius + tables.sphere[4 * m + 3] + slack), k,
+                        -1 - m);
         }
       }
     }

@@ -1,0 +1,74 @@
+"""Links whose spheres always overlap are free where exact geometry says so, and hardly anywhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.judge.exact import Judge
+
+ARM = """<mujoco><compiler angle="radian"/><worldbody><body name="r/base">
+  <geom type="box" size="0.06 0.06 0.1" pos="0 0 -0.1"/>
+  <body name="r/short"><joint name="r/a" axis="0 0 1" range="-3 3"/>
+    <geom type="sphere" size="0.01" mass="1"/>
+    <body name="r/long" pos="0 0 {gap}"><joint name="r/b" axis="0 1 0" range="{range}"/>
+      <geom type="box" size="0.06 0.06 0.1" pos="0 0 0.1" mass="1"/><site name="r/tool" pos="0 0 0.2"/>
+</body></body></body></worldbody></mujoco>"""
+
+
+def _scene(gap: float, limits: str) -> gp.Scene:
+    return gp.Scene.from_mjcf(
+        ARM.format(gap=gap, range=limits),
+        robot="r/",
+        tool="r/tool",
+        velocity=[1.0, 1.0],
+        acceleration=[1.0, 1.0],
+        allowed_contacts=[gp.AllowedContact("r/base", "r/short")],
+    )
+
+
+def _drawn(scene: gp.Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations, and which of them exact geometry calls free."""
+    q = np.random.default_rng(7).uniform(*scene.limits.position.T, (500, 2))
+    judge = Judge(scene)
+    touched = {touch.sample for touch in judge.touches(q) if judge.is_violation(touch, at_end=False)}
+    return q, np.array([k not in touched for k in range(len(q))])
+
+
+def test_links_that_never_touch_are_free() -> None:
+    scene = _scene(0.006, "-0.01 0.01")
+    q, free = _drawn(scene)
+    assert free.all()
+    compiled = compile_scene(scene)
+    assert compiled.robot.self_slack.min() < 0.0
+    assert compiled.kernels.free(q).all()
+    assert not compiled.proof.free(q).any()  # what the judge rests on is a bound all the same
+
+
+@pytest.mark.parametrize("gap", [0.012, 0.02])
+def test_links_that_sometimes_touch_are_free_where_they_do_not(gap: float) -> None:
+    scene = _scene(gap, "-0.5 0.5")
+    q, free = _drawn(scene)
+    assert 0.1 < free.mean() < 0.9
+    compiled = compile_scene(scene)
+    said = compiled.kernels.free(q)
+    assert np.mean(said[free]) > 0.75 > np.mean(compiled.proof.free(q[free]))
+    assert np.mean(said[~free]) < 0.01
+    assert not compiled.proof.free(q[~free]).any()
+    clear = compiled.kernels.clearance(q)
+    np.testing.assert_array_equal(clear > 0.0, said)
+
+
+def test_every_motion_is_judged_exactly() -> None:
+    scene = _scene(0.012, "-0.5 0.5")
+    result = gp.plan([-1.0, 0.0], [1.0, 0.05], scene, w=0.0, iterations=200)
+    assert result.status is gp.PlanStatus.SOLVED, result.detail
+    assert gp.verify(result.trajectory, scene).passed
+
+
+def test_bundled_robots_need_none() -> None:
+    for name in ("desk", "tabletop"):
+        task = next(iter(gp.load_scene(name).tasks.values()))
+        assert not compile_scene(task.scene).robot.self_slack.any()
