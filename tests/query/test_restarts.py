@@ -42,7 +42,6 @@ def searched(
         objective=bound,
         constraints=SceneConstraints(task.scene, ()),
         preference=None,
-        pose=None,
         speed=1.0,
         max_wait=0.0,
         callback=callback,

@@ -69,7 +69,9 @@ def _seeing(scene: Scene, to: str) -> Kernels:
         return Kernels(robot, _some(world, np.zeros(0, dtype=int)), compiled.hazards)
     if to != SURROUNDINGS:
         world = _some(world, np.flatnonzero(np.isin(world.geom, scene.entities[to].geoms)))
-    return Kernels(replace(robot, self_pair=robot.self_pair[:0]), world, compiled.hazards)
+    return Kernels(
+        replace(robot, self_pair=robot.self_pair[:0], self_slack=robot.self_slack[:0]), world, compiled.hazards
+    )
 
 
 def _some(world: WorldArrays, rows: Int[Array, " row"]) -> WorldArrays:
