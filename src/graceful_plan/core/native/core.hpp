@@ -138,8 +138,8 @@ class Core {
     tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
     tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data();
     tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
-    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.slack = slack_.data(), tables_.part = part_.data(),
-    tables_.target = target_.data();
+    tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.slack = slack_.data(),
+    tables_.part = part_.data(), tables_.target = target_.data();
     tables_.harmed = harmed_.data();
     Cells cells(obstacle_);
     cell_ = std::move(cells.cell), order_ = std::move(cells.order);
