@@ -82,6 +82,9 @@ def test_a_collision_names_the_pair_and_its_depth(scene: Scene, colliding: np.nd
     resolved = resolve_start(colliding, scene)
     contact = state_contacts(colliding, scene)[0]
     assert len(resolved.q) == 0
+    names = [name.partition("#")[0] for name in (contact.first, contact.second)]
+    assert f"AllowedContact({names[0]!r}, {names[1]!r})" in resolved.detail
+    scene.geoms_named(names[0]), scene.geoms_named(names[1])  # these are names that it takes
     assert f"start: {contact.first} is {1e3 * contact.depth:.3g} mm in {contact.second}" in resolved.detail
 
 

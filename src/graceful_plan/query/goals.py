@@ -207,7 +207,9 @@ def _collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
         return ""
     deepest = contacts[0]
     more = f" and {len(contacts) - 1} more" if len(contacts) > 1 else ""
-    return f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
+    pair = ", ".join(repr(name.partition("#")[0]) for name in deepest[:2])  # of unnamed geoms their body
+    told = f"{word}: {deepest.first} is {1e3 * deepest.depth:.3g} mm in {deepest.second}{more}"
+    return f"{told}; if they may touch, say AllowedContact({pair})"
 
 
 def _pose(
