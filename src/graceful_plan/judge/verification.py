@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.exact import Judge, Touch, motion_violations
 from graceful_plan.judge.motion_samples import ClearanceBound, MotionSamples, motion_samples
@@ -116,12 +116,14 @@ def verify(
     rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
     checks |= rule_checks(motion, scene, rules)
     if start is not None:
-        checks["start"] = _end_point(motion.q[0], finite_array("start", start, ndim=1, last=nq)[None], samples.at[0])
+        checks["start"] = _end_point(
+            motion.q[0], finite_array("start", start, ndim=1, last=nq)[None], scene, samples.at[0]
+        )
     if isinstance(goal, PoseGoal):
         checks["goal"] = _pose(goal, motion.q[-1], scene, float(samples.at[-1]))
     elif goal is not None:
         goals = np.atleast_2d(finite_array("goal", goal, last=nq))
-        checks["goal"] = _end_point(motion.q[-1], goals, samples.at[-1])
+        checks["goal"] = _end_point(motion.q[-1], goals, scene, samples.at[-1])
     if cost is not None:
         checks["cost"] = _cost(cost, motion if cost_path is None else cost_path, scene, components, exposure)
     if second_opinion:
@@ -219,8 +221,11 @@ def _limit_check(
     return Check(passed=worst <= limit, worst=worst, limit=limit, first=first, detail=detail)
 
 
-def _end_point(q: Float[Array, " nq"], wanted: Float[Array, "goal nq"], at: float) -> Check:
-    error = float(np.abs(wanted - q).max(axis=1).min())
+def _end_point(q: Float[Array, " nq"], wanted: Float[Array, "goal nq"], scene: Scene, at: float) -> Check:
+    away = wanted - q
+    # Whole turns of joints without limits make no difference.
+    away = np.where(scene.endless, np.remainder(away + np.pi, 2.0 * np.pi) - np.pi, away)
+    error = float(np.abs(away).max(axis=1).min())
     passed = error <= LIMIT_TOLERANCE
     detail = "largest joint error [rad or m]"
     return Check(passed=passed, worst=error, limit=LIMIT_TOLERANCE, first=None if passed else float(at), detail=detail)

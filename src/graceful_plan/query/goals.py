@@ -96,6 +96,7 @@ def resolve_goal(
     if several:
         return _several(several, scene, start, seed, cancelled)
     configurations = _configurations(cast("Configuration | Sequence[Configuration]", goal), scene)
+    configurations = [_the_short_way(q, np.asarray(start, dtype=float), scene) for q in configurations]
     words = ["goal"] if len(configurations) == 1 else [f"goal {i}" for i in range(len(configurations))]
     return _usable(list(zip(words, configurations, strict=True)), scene)
 
@@ -152,6 +153,17 @@ def _several(
         notes += [text.replace("goal", f"goal {k}", 1) for text in found.notes]
         problems += [text.replace("goal", f"goal {k}", 1) for text in found.problems]
     return Resolved(np.concatenate(q), tuple(index), tuple(notes), tuple(problems))
+
+
+def _the_short_way(q: Float[Array, " nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, " nq"]:
+    """Return a goal whose joints without limits are turned as near to the start as the range that is planned lets them.
+
+    A configuration outside of the range stays as it is, and is refused as ever.
+    """
+    lower, upper = scene.limits.position.T
+    turned = q - 2.0 * np.pi * np.round((q - start) / (2.0 * np.pi))
+    turned = turned + 2.0 * np.pi * ((turned < lower).astype(float) - (turned > upper))
+    return np.where(scene.endless & (q >= lower) & (q <= upper), turned, q)
 
 
 def _configurations(goal: Configuration | Sequence[Configuration], scene: Scene) -> list[Float[Array, " nq"]]:

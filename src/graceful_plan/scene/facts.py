@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float, Int
+from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import allowed_pairs, geoms_named, tested_pairs, without
@@ -112,6 +112,14 @@ class SceneFacts:
     def layout(self) -> Layout:
         """Stands for this scene and those that were made of it by moving obstacles; see `per_layout`."""
         return Layout()
+
+    @cached_property
+    def endless(self) -> Bool[Array, " nq"]:
+        """Which planned joints are hinges without limits: a turn of them leads back to where they were."""
+        model = self.model
+        joints = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in self.qpos_adr]
+        hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        return np.asarray(hinge & (model.jnt_limited[joints] == 0), dtype=bool)
 
     # --- questions ----------------------------------------------------------------------------------------------------
 
