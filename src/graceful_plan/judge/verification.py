@@ -116,14 +116,13 @@ def verify(
     rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
     checks |= rule_checks(motion, scene, rules)
     if start is not None:
-        checks["start"] = _end_point(
-            motion.q[0], finite_array("start", start, ndim=1, last=nq)[None], scene, samples.at[0]
-        )
+        starts = finite_array("start", start, ndim=1, last=nq)[None]
+        checks["start"] = _end_point(motion.q[0], starts, samples.at[0])
     if isinstance(goal, PoseGoal):
         checks["goal"] = _pose(goal, motion.q[-1], scene, float(samples.at[-1]))
     elif goal is not None:
         goals = np.atleast_2d(finite_array("goal", goal, last=nq))
-        checks["goal"] = _end_point(motion.q[-1], goals, scene, samples.at[-1])
+        checks["goal"] = _end_point(motion.q[-1], goals, samples.at[-1], scene.endless)
     if cost is not None:
         checks["cost"] = _cost(cost, motion if cost_path is None else cost_path, scene, components, exposure)
     if second_opinion:
@@ -221,10 +220,13 @@ def _limit_check(
     return Check(passed=worst <= limit, worst=worst, limit=limit, first=first, detail=detail)
 
 
-def _end_point(q: Float[Array, " nq"], wanted: Float[Array, "goal nq"], scene: Scene, at: float) -> Check:
+def _end_point(
+    q: Float[Array, " nq"], wanted: Float[Array, "end nq"], at: float, endless: Bool[Array, " nq"] | None = None
+) -> Check:
+    """Check that a motion is at one of some configurations; whole turns of endless joints make no difference."""
     away = wanted - q
-    # Whole turns of joints without limits make no difference.
-    away = np.where(scene.endless, np.remainder(away + np.pi, 2.0 * np.pi) - np.pi, away)
+    if endless is not None:
+        away = np.where(endless, np.remainder(away + np.pi, 2.0 * np.pi) - np.pi, away)
     error = float(np.abs(away).max(axis=1).min())
     passed = error <= LIMIT_TOLERANCE
     detail = "largest joint error [rad or m]"
