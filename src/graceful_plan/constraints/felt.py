@@ -38,6 +38,10 @@ _HARDEST = 1.7
 in FailBench, and what fingers hold swings: planned with up to 1.84, the glass of bedside/bring_water felt more."""
 _MILDEST = 1.2
 """The same along the axis of a wide cone: at rest gravity has to be within it."""
+_LIGHTEST, _OF_REST = 0.5, 0.7
+"""Of gravity, what is felt along the axis at least; no more than a share of what the cone leaves at rest. Near free
+fall the direction is up to any small error of the robot: one in four fast motions with a wine glass poured half of it.
+"""
 _SELDOM_FELT = 40.0
 """More than this is hardly felt where something is carried [m/s^2]: to hold such facets is left to timing, for descents
 take time for each."""
@@ -79,12 +83,14 @@ class FeltCone:
         turn = 2.0 * np.pi * np.arange(FACETS) / FACETS
         around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(self.axis, first))
         pyramid = around - np.tan(self.angle) * np.cos(np.pi / FACETS) * self.axis
-        return np.vstack([pyramid, self.axis])
+        return np.vstack([pyramid, self.axis, -self.axis])
 
     @property
     def room(self) -> Float[Array, " facet"]:
-        """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, so much along its axis."""
-        return np.append(np.zeros(FACETS), max(_HARDEST * np.cos(self.angle), _MILDEST) * self.gravity)
+        """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, most and least along its axis."""
+        most = max(_HARDEST * np.cos(self.angle), _MILDEST)
+        least = min(_LIGHTEST, _OF_REST * float(np.cos(self.angle)))
+        return np.append(np.zeros(FACETS), [most * self.gravity, -least * self.gravity])
 
     @property
     def native(self) -> _native.FeltLimit:
