@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
+from graceful_plan.constraints import felt
 from graceful_plan.constraints.distance import distance_kernels
 from graceful_plan.constraints.felt import FACETS, FeltCone, curve_of_point, felt_limits
 from graceful_plan.constraints.scene_constraints import SceneConstraints
@@ -85,6 +86,29 @@ def test_timed_motions_feel_what_they_may(coffee: gp.Task) -> None:
     free = timed(spline, scene.limits, scene.joints)
     assert trajectory.duration > 1.1 * free.duration
     assert felt_angle(trajectory, cone, coffee) < 0.26 < felt_angle(free, cone, coffee)
+
+
+def test_what_is_carried_is_never_near_free_fall(coffee: gp.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Down and up again, and more has to be felt than this arm leaves: near free fall the direction means nothing."""
+    assert cone_of(coffee, 0.6).room[-1] == pytest.approx(-0.5 * cone_of(coffee, 0.6).gravity)
+    monkeypatch.setattr(felt, "_LIGHTEST", 0.75)
+    monkeypatch.setattr(felt, "_OF_REST", 1.0)
+    scene, kernels = coffee.scene, compile_scene(coffee.scene).kernels
+    cone = cone_of(coffee, 0.6)
+    down = np.array([0.0, 0.35, 0.0, 0.0, 0.0, 0.35, 0.0])
+    spline = Spline.through(np.array([coffee.start + share * down for share in (0.0, 0.5, 1.0, 0.5, 0.0)]))
+    held = timed(spline, scene.limits, scene.joints, restraint=lambda grid: felt_limits([cone], kernels, grid))
+    free = timed(spline, scene.limits, scene.joints)
+    least = -cone.room[-1]
+    assert felt_along(free, cone, coffee).min() < 0.95 * least < 0.99 * least <= felt_along(held, cone, coffee).min()
+
+
+def felt_along(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> np.ndarray:
+    dt = 0.002
+    X = compile_scene(task.scene).kernels.link_poses(trajectory.sample(dt).q[:-1])[:, cone.link]
+    p = X[:, :3, 3] + X[:, :3, :3] @ cone.point
+    felt = np.diff(p, 2, axis=0) / dt**2 + [0.0, 0.0, cone.gravity]
+    return (felt * (X[:, :3, :3] @ cone.axis)[1:-1]).sum(axis=1)
 
 
 def felt_angle(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> float:

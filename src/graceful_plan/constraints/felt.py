@@ -87,7 +87,7 @@ class FeltCone:
 
     @property
     def room(self) -> Float[Array, " facet"]:
-        """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, most and least along its axis."""
+        """What v times what is felt may be at most [m/s^2]: nothing across the pyramid, a range along its axis."""
         most = max(_HARDEST * np.cos(self.angle), _MILDEST)
         least = min(_LIGHTEST, _OF_REST * float(np.cos(self.angle)))
         return np.append(np.zeros(FACETS), [most * self.gravity, -least * self.gravity])
