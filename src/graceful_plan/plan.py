@@ -153,8 +153,7 @@ def plan(
     clock = Clock(started + limit, paces_of(scene), limit)
     poses = poses_of(goal, ends.goal_index)
     request = replace(request, constraints=ends.constraints, poses=poses, clock=clock)
-    reserve = clock.reserve(limit) + (min(_TIMING_RESERVE, limit / 4.0) if scene.moving else 0.0)
-    budget = Budget(limit - (reserve if np.isfinite(limit) else 0.0), iterations, stop, started)
+    budget = Budget(_until_last_steps(request), iterations, stop, started)
     try:
         result = _search_and_finish(request, ends, budget, rng)
     except NonFiniteCostError as error:
@@ -162,6 +161,15 @@ def plan(
     notes = [*ends.notes, *_waived(held)]
     detail = "; ".join([*notes, *([result.detail] if result.detail else [])])
     return replace(result, detail=detail, stats={**result.stats, "total_time": time.perf_counter() - started})
+
+
+def _until_last_steps(request: Request) -> float:
+    """Return how much of its time a call may spend before it has to time and to judge what was found [s]."""
+    limit = request.clock.limit
+    if not np.isfinite(limit):
+        return limit
+    departing = min(_TIMING_RESERVE, limit / 4.0) if request.objective.scene.moving else 0.0
+    return limit - request.clock.reserve(limit) - departing
 
 
 def _waived(held: SceneConstraints) -> list[str]:
@@ -191,6 +199,8 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         soon, first = wants_it_soon(found), None
         if found.paths and (soon or clock.can_insure):
             first = first_verified(quick_motions(found, request, ends, problem, budget), request)
+            # Now it is known what timing and judging take here.
+            budget.time_limit = min(budget.time_limit, _until_last_steps(request))
         judged = first if soon else None
         if judged is None or not judged.verdict.passed:
             candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)

@@ -23,7 +23,7 @@ from graceful_plan.exceptions import RetimingError
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.scene.rules.vessel import Vessel, find_vessel
-from graceful_plan.timing.retiming import timed
+from graceful_plan.timing.retiming import slowed, timed
 from graceful_plan.timing.spline import Spline
 
 Array = np.ndarray
@@ -101,6 +101,33 @@ def test_what_is_carried_is_never_near_free_fall(coffee: gp.Task, monkeypatch: p
     free = timed(spline, scene.limits, scene.joints)
     least = -cone.room[-1]
     assert felt_along(free, cone, coffee).min() < 0.95 * least < 0.99 * least <= felt_along(held, cone, coffee).min()
+
+
+def test_what_is_nearly_full_is_hardly_heaved(coffee: gp.Task) -> None:
+    """What a robot gives it across, of what it gives it along its axis, has to stay in as well; at rest all is well."""
+    assert coffee.object_name is not None and coffee.scene.contents is not None
+    vessel, heaves = find_vessel(coffee.scene), []
+    assert vessel is not None
+    whole = 1e3 * np.pi * vessel.radius**2 * vessel.height
+    for fill in (0.5, 0.9, 0.98, 0.999):
+        filled = replace(coffee.scene.contents, volume=fill * whole)
+        scene = coffee.world.attach(coffee.object_name, support=coffee.support, contents=filled)
+        cone = gp.KeepContents().felt(scene)
+        heaves.append(cone.heave)
+        assert -cone.room[-1] < cone.gravity * np.cos(cone.angle) <= cone.gravity < cone.room[-2]
+        assert cone.room[-2] <= (1.0 + cone.heave + 1e-9) * cone.gravity
+    assert all(fuller < emptier for emptier, fuller in pairwise(heaves[:-1])) and heaves[-1] == pytest.approx(0.1)
+
+
+def test_a_slower_motion_swings_as_it_does_if_it_is_slowed_down_first(coffee: gp.Task) -> None:
+    scene, keeper = coffee.scene, gp.KeepContents()
+    swift = timed(curve(coffee, 0.5), scene.limits, scene.joints)
+    answers = [
+        (keeper.stays_below(swift, scene)(factor), keeper.stays_below(slowed(swift, factor), scene)(1.0))
+        for factor in np.linspace(1.0, 3.0, 12)
+    ]
+    assert {a for a, _ in answers} == {False, True}
+    assert sum(a != b for a, b in answers) <= 1  # samples lie elsewhere
 
 
 def felt_along(trajectory: gp.Trajectory, cone: FeltCone, task: gp.Task) -> np.ndarray:

@@ -35,8 +35,10 @@ from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
-_DT = 0.002
-"""Between two samples of a trajectory [s]."""
+_DT = (0.002, 0.004)
+"""Between two samples of a trajectory [s], of short ones and of long ones: the fastest surfaces swing with 5 Hz."""
+_SHORT = 1000
+"""Intervals of a trajectory above which it is long."""
 _SPACING = 0.004
 """Between two configurations of a path [rad]."""
 _STRIDE = 8
@@ -49,7 +51,7 @@ _UPSIDE = 0.5 * np.pi - 1e-6
 """Beyond any slope on which something stands [rad]."""
 _SETTLES = 0.5
 """How long a liquid is followed after the end [s]."""
-_SWING = 0.0005
+_SWING = 0.001
 """Step of the pendulum [s]."""
 
 
@@ -67,7 +69,8 @@ class FrameMotion:
     def along(cls, motion: Path | Trajectory, scene: Scene) -> FrameMotion:
         """Sample a motion evenly."""
         if isinstance(motion, Trajectory):
-            t = np.linspace(motion.t[0], motion.t[-1], max(2, int(np.ceil(motion.duration / _DT)) + 1))
+            dt = float(np.clip(motion.duration / _SHORT, *_DT))
+            t = np.linspace(motion.t[0], motion.t[-1], max(2, int(np.ceil(motion.duration / dt)) + 1))
             return cls(scene, motion.at(t).q, t, timed=True)
         done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.q, axis=0), axis=1))])
         at = np.linspace(0.0, done[-1], max(2, int(np.ceil(done[-1] / _SPACING)) + 1))

@@ -18,8 +18,9 @@ from graceful_plan.query.request import Request
 from graceful_plan.query.search import ALL, Callback, Search, search
 from graceful_plan.result import TracePoint
 
-_SHARE = 0.15
-"""Of the time, for searching; the rest is for descents of what was found as motions."""
+_SHARE, _NARROW_SHARE = 0.15, 0.4
+"""Of the time, for searching, elsewhere and where constraints are narrow; the rest is for descents of what was found as
+motions."""
 _SECONDS, _ITERATIONS = 0.03, 60
 """How long the searches last: n of them n times as long, each."""
 _MOST = 12
@@ -32,13 +33,14 @@ def search_for_motions(request: Request, problem: SceneProblem, budget: Budget, 
     Of its paths the best is at the end; `others` are the best of each other search, the best first.
     """
     objective, planner, callback = request.objective, request.planner, request.callback
+    asked = _NARROW_SHARE if request.constraints.narrow else _SHARE
     if objective.descended() is None:
         return search(planner, problem, objective, budget, rng, callback, kept=ALL)
     if not isinstance(planner, Auto) or planner.initial is not None or objective.w == 0.0:
-        return search(planner, problem, objective, budget, rng, callback, kept=ALL, share=_SHARE)
+        return search(planner, problem, objective, budget, rng, callback, kept=ALL, share=asked)
     told = _Told(callback)
-    n = _number(_SHARE * budget.remaining_seconds, budget.remaining_iterations)
-    until = budget.elapsed + _SHARE * budget.remaining_seconds
+    n = _number(asked * budget.remaining_seconds, budget.remaining_iterations)
+    until = budget.elapsed + asked * budget.remaining_seconds
     runs: list[Search] = []
     for left in range(n, 0, -1):
         ends = budget.elapsed + (until - budget.elapsed) / left

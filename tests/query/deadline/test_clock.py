@@ -121,6 +121,26 @@ def test_a_first_motion_is_there_if_what_follows_comes_too_late(task, monkeypatc
     assert result.verdict.passed and gp.verify(result.trajectory, task.scene).passed
 
 
+def test_time_is_kept_to_judge_what_is_better_than_a_first_motion(task, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where judging takes longer than anybody knew, and the first motion is the first to be judged."""
+    judged: list[float] = []
+    verify = finish.verify
+
+    def slow(motion: gp.Trajectory, *args: object, **kwargs: object) -> object:
+        judged.append(motion.duration)
+        time.sleep(0.3)
+        return verify(motion, *args, **kwargs)
+
+    monkeypatch.setattr(finish, "verify", slow)
+    paces = Paces()
+    for _ in range(16):
+        paces.took("judging", 0.01)
+        paces.took("timing", 0.01)
+    monkeypatch.setattr(sys.modules["graceful_plan.plan"], "paces_of", lambda _: paces)
+    result = gp.plan(task.start, task.goal, task.scene, w=0.3, time_limit=3.0)
+    assert len(judged) == 2 and result.unwrap().duration == judged[1]
+
+
 def test_a_pose_that_cannot_be_looked_for_in_time_is_a_timeout(task) -> None:
     away = PoseGoal.at([3.0, 0.0, 0.5])
     found = find_ends(task.start, away, _nothing_held(task), np.random.default_rng(0), late=lambda _: True)
