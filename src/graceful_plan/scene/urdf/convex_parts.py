@@ -66,7 +66,8 @@ def convex_parts(triangles: Float[Array, "triangle 3 3"], name: str, *, needed: 
     sticks_out = float(spatial.KDTree(surface).query(_surface(_facets(hull)))[0].max())
     if sticks_out < _STICKS_OUT:
         return []
-    digest = hashlib.sha256(repr((_METHOD, _CONCAVITY)).encode() + triangles.tobytes()).hexdigest()
+    method = repr((_METHOD, _CONCAVITY, _MOST_PARTS, _LARGE, sorted(_SWIFT.items())))
+    digest = hashlib.sha256(method.encode() + triangles.tobytes()).hexdigest()
     found = kept.read(digest)
     if found is not None and found.ndim == 2 and found.shape[1] == 4 and np.isfinite(found).all():
         return _unpacked(found)
@@ -100,13 +101,16 @@ def _all_inside(parts: Sequence[Float[Array, "_ 3"]], points: Float[Array, "n 3"
     outside = np.stack([_outside(part, points) for part in parts])
     nearest, left = outside.argmin(axis=0), outside.min(axis=0) > _OUTSIDE
     grown = [np.vstack([part, points[left & (nearest == k)]]) for k, part in enumerate(parts)]
-    solid = [part if _hull(part) is not None else _thickened(part) for part in grown]
-    return [part[_hull(part).vertices] for part in solid]
+    return [part[_hull(part).vertices] for part in map(_solid, grown)]
 
 
-def _thickened(part: Float[Array, "_ 3"]) -> Float[Array, "_ 3"]:
-    """Return a flat part with some thickness: MuJoCo refuses others."""
-    return np.vstack([part, *(part + _THICKNESS * axis for axis in np.eye(3))])
+def _solid(part: Float[Array, "_ 3"]) -> Float[Array, "_ 3"]:
+    """Return a part, thickened if it is so flat that it has no hull: MuJoCo refuses such."""
+    thickness, grown = _THICKNESS, part
+    while _hull(grown) is None:
+        grown = np.vstack([part, *(part + thickness * axis for axis in np.eye(3))])
+        thickness *= 2.0
+    return grown
 
 
 def part_triangles(part: Float[Array, "_ 3"]) -> Float[Array, "triangle 3 3"]:
