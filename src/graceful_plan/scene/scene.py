@@ -361,12 +361,17 @@ class Scene(SceneFacts):
         given = {entity.name: entity for entity in entities}
         if len(given) < len(entities):
             raise SceneError(f"two of these moving entities have one name: {', '.join(e.name for e in entities)}")
-        notes = replace(self.notes, moving=MappingProxyType({**self.notes.moving, **given}))
-        return Scene.build(self.spec, notes, self.model)
+        return self._among({**self.notes.moving, **given})
 
     def without_moving(self) -> Scene:
         """Return this scene without entities that move."""
-        return Scene.build(self.spec, replace(self.notes, moving=MappingProxyType({})), self.model)
+        return self._among({})
+
+    def _among(self, moving: Mapping[str, MovingEntity]) -> Scene:
+        scene = Scene.build(self.spec, replace(self.notes, moving=MappingProxyType(moving)), self.model)
+        # Nothing collides with them: predictions come anew with every call, and these stay.
+        vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
+        return scene
 
     def with_constraints(self, *constraints: object) -> Scene:
         """Return this scene with constraints that hold along motions in it unless a call says otherwise.
