@@ -74,6 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
         quick=args.quick,
         processes=args.processes,
         seconds=args.seconds,
+        calls=args.calls,
         tasks=tuple(args.tasks or ("*",)),
         phase=args.phase,
         drops=args.drops,
@@ -119,6 +120,7 @@ def _parser() -> argparse.ArgumentParser:
         "--processes", type=int, default=max(1, (os.cpu_count() or 1)), help="for planning jobs (default: one a core)"
     )
     parser.add_argument("--seconds", type=float, help="time limit of a run, for best_known, planners and optima")
+    parser.add_argument("--calls", type=int, metavar="N", help="calls of each time limit, for first_motion")
     own = parser.add_argument_group("of prevention")
     own.add_argument("--tasks", action="append", metavar="PATTERN", help="of scene/task; may be given again")
     own.add_argument("--phase", choices=("headline", "curves"), help="do only that one (default: both)")

@@ -34,6 +34,8 @@ class Options:
     """Processes for planning jobs; never more than there are cores, or times mean nothing."""
     seconds: float | None = None
     """Time limit of a run [s], where the subject lets it be chosen."""
+    calls: int | None = None
+    """Calls of each time limit of `first_motion`; its own numbers if None."""
     tasks: tuple[str, ...] = ("*",)
     """Patterns of "scene/task" with * and ?: those of `prevention`, as are all below."""
     phase: str | None = None

@@ -1,5 +1,6 @@
 """plan() from outside: statuses, contracts, unhappy paths."""
 
+import sys
 import time
 from dataclasses import dataclass
 
@@ -40,6 +41,15 @@ def test_a_solved_plan_is_what_it_says(task):
     assert result.verdict.passed and {"collision", "goal", "rest"} <= set(result.verdict.checks)
     assert result.cost == gp.evaluate(trajectory, task.scene, gp.Objective(w=1.0))
     assert trajectory.joints == task.scene.joints
+
+
+def test_compiling_is_told_of_where_it_takes_much_of_the_time(task, monkeypatch):
+    # The bundled scenes compile within milliseconds.
+    monkeypatch.setattr(sys.modules["graceful_plan.plan"], "_COMPILED_SOON", 0.0)
+    told = gp.plan(task.start, task.goal, task.scene.edit(move={}), time_limit=1e-6)
+    assert told.status is gp.PlanStatus.TIMEOUT
+    assert told.detail.startswith("compiled for ")
+    assert "compiled" not in _quick(task).detail
 
 
 def test_a_verdict_recomputes_the_cost_of_the_published_model_only(task):

@@ -24,8 +24,10 @@ Array = np.ndarray
 
 TITLE = "First motion: plan(w=0) from the call to a verified motion, changes of a scene, limits of time"
 SEED = 7
-LIMITS = (0.02, 0.05, 0.3)
+LIMITS = (0.02, 0.05, 0.3, 1.0)
 """Time limits that are to be kept [s]."""
+CALLS = 1000
+"""Calls of each limit, unless `--calls` says otherwise: of .3 s a quarter of them, of 1 s a tenth."""
 MEASURED = """\
 One process, scenes compiled unless it says otherwise. "Call" is `plan(w=0)` on own problems of the MotionBenchMaker
 kinds whose callback ends the search at the first path: both ends checked by exact geometry, search, a motion, its
@@ -33,7 +35,7 @@ verdict. "Search" is RRT-Connect alone on the same problem with the same margin,
 the call is what all else has to fit into. "Verified" is the verdict on the same motion, as the call has it and with
 exact geometry everywhere. CPU times are of the process. "Mesh" is an arm whose links are two hulls each
 (`benchmarks/mesh_arm.py`), beside its twin of capsules. Overruns are of calls that have the time limit alone, by wall
-clock: a call that ends early has a negative one.
+clock: a call that ends early has a negative one. "Somebody walks by" are table tasks with a moving entity.
 """
 
 
@@ -59,7 +61,7 @@ def run(options: suite.Options) -> str:
     repeats = options.pick(5, quick=2)
     calls = [_call(problem, repeats) for problem in problems]
     changes = _changes(problems[0].scene, options.pick(15, quick=3))
-    overruns = list(_overruns(problems, options.pick(200, quick=6)))
+    overruns = list(_overruns(problems, options.calls, options.pick(CALLS, quick=24)))
     return "\n".join(
         [
             MEASURED,
@@ -272,8 +274,9 @@ class Overruns:
         return (self.name, f"{1e3 * self.limit:g}", str(len(self.over)), *told, str(solved), str(timeout), str(other))
 
 
-def _overruns(problems: list[ProblemFile], count: int) -> Iterator[Overruns]:
+def _overruns(problems: list[ProblemFile], calls: int | None, most: int = CALLS) -> Iterator[Overruns]:
     tasks = [suite.task(name) for name in suite.task_names() if suite.is_tabletop(name)]
+    walked_by = {one.scene: one.scene.with_moving(_walker()) for one in tasks}
     away = gp.PoseGoal.at([3.0, 0.0, 0.5])
 
     def files(k: int, limit: float) -> gp.PlanResult:
@@ -288,17 +291,35 @@ def _overruns(problems: list[ProblemFile], count: int) -> Iterator[Overruns]:
         one = problems[k % len(problems)]
         return gp.plan(one.start, away, one.scene, w=0.0, time_limit=limit, seed=k)
 
-    for name, call in (("files, w = 0", files), ("table tasks", household), ("unreachable pose", unreachable)):
-        for k in range(min(count, 25)):
+    def walked(k: int, limit: float) -> gp.PlanResult:
+        one = tasks[k % len(tasks)]
+        return gp.plan(one.start, one.goal, walked_by[one.scene], time_limit=limit, seed=k)
+
+    kinds = {
+        "files, w = 0": files,
+        "table tasks": household,
+        "unreachable pose": unreachable,
+        "somebody walks by": walked,
+    }
+    for name, call in kinds.items():
+        for k in range(min(most, 25)):
             call(k, 0.3)
         for limit in LIMITS:
             over, statuses = [], []
-            for k in range(count if limit < 0.1 else max(3, count // 4)):
+            share = 1.0 if limit < 0.1 else 0.25 if limit < 1.0 else 0.1
+            count = round(share * most) if calls is None else calls
+            for k in range(max(3, count // len(kinds))):
                 began = time.perf_counter()
                 result = call(k, limit)
                 over.append(time.perf_counter() - began - limit)
                 statuses.append(result.status.name)
             yield Overruns(name=name, limit=limit, over=np.array(over), statuses=statuses)
+
+
+def _walker() -> gp.MovingEntity:
+    """Return somebody who passes the table."""
+    position = [[-0.5, -2.0, 0.85], [-0.5, 2.2, 0.85]]
+    return gp.MovingEntity("person", "adult", size=[0.2, 0.85], t=[0.0, 3.0], position=position, spread=0.03)
 
 
 def _overrun_targets(overruns: list[Overruns]) -> Iterator[report.Target]:

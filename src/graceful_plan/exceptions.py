@@ -73,6 +73,23 @@ class UnsupportedError(SceneError):
     """A model feature that the planner cannot represent."""
 
 
+class TooLargeError(SceneError, MemoryError):
+    """A scene that needs more memory than there is.
+
+    Args:
+        what: What takes it.
+        reason: What was said when it was asked for.
+    """
+
+    def __init__(self, what: str, reason: str = "") -> None:
+        self.what, self.reason = what, reason
+        said = f" ({reason})" if reason else ""
+        super().__init__(
+            f"{what} needs more memory than there is{said}; fewer bodies do: the geoms of what stands still may share"
+            " one, and what a sensor saw may be a PointCloud or a HeightMap"
+        )
+
+
 class FormatError(GracefulPlanError, ValueError):
     """A file or text that is not what it should be."""
 

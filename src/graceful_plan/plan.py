@@ -54,6 +54,8 @@ _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 _TIMING_RESERVE = RESERVE + 0.2
 """Seconds kept besides to time candidates and to evaluate the chosen one if something moves, at most a quarter of all.
 """
+_COMPILED_SOON = 0.1
+"""Compiling is not worth a word if it took less [s]: several times what bundled scenes take."""
 _UNVERIFIED = "a path was found, but there was no time to judge a motion along it: it is NOT verified"
 
 
@@ -122,6 +124,7 @@ def plan(
     share, measure = checked_speed(speed), checked_risk(risk)
     bound = checked_objective(objective, w).bind(scene, search_paces(share))  # compiles the scene
     held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
+    compiled = time.perf_counter() - started
     request = Request(
         planner=checked_planner(planner),
         objective=bound,
@@ -148,8 +151,9 @@ def plan(
         cancelled=stop,
         late=lambda part: time.perf_counter() > started + part * limit,
     )
+    said = _compiled(compiled, limit)
     if isinstance(ends, PlanResult):
-        return ends
+        return _with_notes(ends, said)
     clock = Clock(started + limit, paces_of(scene), limit)
     poses = poses_of(goal, ends.goal_index)
     request = replace(request, constraints=ends.constraints, poses=poses, clock=clock)
@@ -158,9 +162,18 @@ def plan(
         result = _search_and_finish(request, ends, budget, rng)
     except NonFiniteCostError as error:
         return PlanResult(status=PlanStatus.NONFINITE, detail=str(error))
-    notes = [*ends.notes, *_waived(held)]
-    detail = "; ".join([*notes, *([result.detail] if result.detail else [])])
-    return replace(result, detail=detail, stats={**result.stats, "total_time": time.perf_counter() - started})
+    result = _with_notes(result, [*said, *ends.notes, *_waived(held)])
+    return replace(result, stats={**result.stats, "total_time": time.perf_counter() - started})
+
+
+def _compiled(seconds: float, limit: float) -> list[str]:
+    """Say how long compiling took, if it is what a call was late for or had little time left after."""
+    took_long = seconds > max(_COMPILED_SOON, min(limit / 10.0, 1.0))
+    return [f"compiled for {seconds:.1f} s"] if took_long else []
+
+
+def _with_notes(result: PlanResult, notes: Sequence[str]) -> PlanResult:
+    return replace(result, detail="; ".join([*notes, *([result.detail] if result.detail else [])]))
 
 
 def _until_last_steps(request: Request) -> float:

@@ -101,6 +101,25 @@ def test_kinematics_of_another_arm_are_those_of_its_model() -> None:
     np.testing.assert_allclose(data.site("six/tip").xmat.reshape(3, 3)[:, 2], [1.0, 0.0, 0.0], atol=1e-12)
 
 
+def test_the_tool_may_be_named_by_a_body() -> None:
+    scene, by_site = _workshop(tool="six/a", velocity=[1.0], acceleration=[5.0], keyframes={}), _workshop()
+    assert scene.tool == "six/a" and scene.joints == by_site.joints[: len(scene.joints)]
+    data = scene.data_at(np.full(len(scene.joints), 0.3))
+    np.testing.assert_allclose(data.site("six/a").xpos, data.body("six/a").xpos, atol=1e-12)
+    np.testing.assert_allclose(data.site("six/a").xmat, data.body("six/a").xmat, atol=1e-12)
+    assert scene.add_box("crate", [0.1] * 3, [2.0, 2.0, 2.0]).tool == "six/a"
+
+
+def test_limits_replace_those_of_the_model_everywhere() -> None:
+    given = {"six/j1": (-0.5, 0.7), "six/j4": (-1.0, 1.0), "six/jaw": (0.0, 0.2)}
+    scene = _workshop(limits=given, fingers=0.1)
+    np.testing.assert_allclose(scene.limits.position[[0, 3]], [[-0.5, 0.7], [-1.0, 1.0]])
+    assert _workshop().endless[3] and not scene.endless[3]
+    later = scene.add_box("crate", [0.1] * 3, [2.0, 2.0, 2.0]).edit(move={"crate": [2.0, 2.0, 1.0]})
+    np.testing.assert_array_equal(later.limits.position, scene.limits.position)
+    assert tuple(later.model.joint("six/j1").range) == (-0.5, 0.7)
+
+
 def test_a_robot_may_be_named_by_its_root_body() -> None:
     by_prefix, by_root = _workshop(), _workshop(robot="six/pedestal")
     assert by_root.robot_bodies == by_prefix.robot_bodies
@@ -112,7 +131,13 @@ def test_a_robot_may_be_named_by_its_root_body() -> None:
     [
         ({"robot": "seven/"}, UnknownNameError, r"unknown robot prefix or root body 'seven/'; valid: bench, .*six/"),
         ({"robot": ""}, UnknownNameError, "unknown robot prefix or root body ''"),
-        ({"tool": "six/tap"}, UnknownNameError, "unknown tool site 'six/tap'; valid: six/tip"),
+        (
+            {"tool": "six/tap"},
+            UnknownNameError,
+            r"unknown tool \(site or body\) 'six/tap'; valid: six/a, .*six/pedestal, six/tip",
+        ),
+        ({"limits": {"six/j9": (0.0, 1.0)}}, UnknownNameError, "unknown joint 'six/j9'; valid: six/j1, .*six/jaw"),
+        ({"limits": {"six/j1": (1.0, 0.0)}}, SettingError, r"limits of six/j1 = \(1.0, 0.0\), expected two finite"),
         ({"entities": {"spoon": "robust"}}, UnknownNameError, r"unknown entity \(body\) 'spoon'; valid: .*cup"),
         ({"entities": {"cup": "china"}}, UnknownNameError, "unknown entity class 'china'; valid: adult, .*glass"),
         ({"entities": {"six/b": "robust"}}, SceneError, "the entity 'six/b' is part of the robot"),

@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import LIBRARY
 
-from graceful_plan.exceptions import GracefulPlanError, SceneError
+from graceful_plan.exceptions import GracefulPlanError, SceneError, TooLargeError
 from graceful_plan.scene.model_parts import check_numbers, check_supported
-from graceful_plan.scene.screening import compile_spec, load_spec
+from graceful_plan.scene.screening import compile_spec, load_spec, within_memory
 
 _SCENES = LIBRARY / "scene" / "scenes"
 _BOX = '<geom type="box" size="1 1 1"/>'
@@ -238,6 +238,38 @@ def test_what_cannot_be_compiled_is_a_scene_error() -> None:
     spec = load_spec('<mujoco><worldbody><body><freejoint/><geom size="-1"/></body></worldbody></mujoco>')
     with pytest.raises(SceneError, match="size"):
         compile_spec(spec)
+
+
+def _pile(bodies: int) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="ball").add_joint()
+    spec.body("ball").add_geom(size=[0.1, 0.0, 0.0])
+    for k in range(bodies):
+        spec.worldbody.add_body(pos=[0.0, 0.0, 0.01 * k]).add_geom(size=[0.02, 0.0, 0.0])
+    return spec
+
+
+def _contacts(model: mujoco.MjModel) -> int:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    return data.ncon
+
+
+def test_there_is_memory_for_thousands_of_bodies() -> None:
+    assert _contacts(compile_spec(_pile(2000))) == 13
+
+
+def test_what_takes_more_memory_than_there_is_says_so() -> None:
+    model = _pile(2000).compile()  # with MuJoCo's default
+    with pytest.raises(TooLargeError, match=r"a pile needs more memory than there is .*overflow.*fewer bodies"):
+        with within_memory("a pile"):
+            _contacts(model)
+    with pytest.raises(TooLargeError) as caught, within_memory("numpy"):
+        raise MemoryError
+    assert caught.value.what == "numpy"
+    assert isinstance(caught.value, GracefulPlanError) and isinstance(caught.value, MemoryError)
 
 
 def test_numbers_that_only_the_compiled_model_shows() -> None:

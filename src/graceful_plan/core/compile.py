@@ -27,6 +27,7 @@ from graceful_plan.core.sphere_cover import MAX_PROTRUSION
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.screening import within_memory
 
 Array = np.ndarray
 
@@ -61,7 +62,13 @@ def compile_scene(scene: Scene) -> CompiledScene:
 
     Raises:
         UnsupportedError: If the kernels cannot represent it; names the geom.
+        TooLargeError: If it needs more memory than there is.
     """
+    with within_memory(f"compiling scene {scene.name!r} with {scene.model.ngeom} geoms"):
+        return _compiled(scene)
+
+
+def _compiled(scene: Scene) -> CompiledScene:
     data, parts = _reference_data(scene), _robot_parts(scene)
     frames, groups = parts.frames, parts.groups
     overlapping = _overlapping(scene.model, data)

@@ -21,6 +21,7 @@ from graceful_plan.judge.preparation import prepare
 from graceful_plan.path import Path
 from graceful_plan.scene.model_parts import geom_label
 from graceful_plan.scene.scene import Scene
+from graceful_plan.scene.screening import within_memory
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -82,7 +83,8 @@ class Judge:
         model = self._placement.model
         for sample, configuration in enumerate(q, start):
             data = self._placement.place(configuration)
-            mujoco.mj_collision(model, data)
+            with within_memory("looking for contacts"):
+                mujoco.mj_collision(model, data)
             if data.ncon:
                 contact = data.contact
                 pairs, distances = contact.geom, contact.dist

@@ -27,6 +27,8 @@ from graceful_plan.query.ends import Ends
 from graceful_plan.query.request import Request
 from graceful_plan.query.search import ALL, Search, is_solution, search, thinned
 from graceful_plan.result import CostBreakdown
+from graceful_plan.scene.per_scene import per_scene
+from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -91,7 +93,7 @@ def search_among_moving(
     The trace and what the callback is told are of the search as if nobody moved. The best path is at the end.
     """
     planner, objective, callback = request.planner, request.objective, request.callback
-    still = SceneObjective(objective.objective, objective.scene.without_moving(), objective.paces)
+    still = SceneObjective(objective.objective, _as_if_nobody_moved(objective.scene), objective.paces)
     held = request.constraints.on(still.scene)
     with budget.share(_STILL * budget.remaining_seconds, _STILL * budget.remaining_iterations) as part:
         among_still = replace(problem, kernels=held.kernels, constraints=held)
@@ -101,9 +103,16 @@ def search_among_moving(
         better = Shortcut().improve(paths[-1], Questions(problem, objective, budget), budget, rng)
         paths += [path for path in better if is_solution(path, problem)]
     choice = _Choice(ends, objective, request.speed, request.max_wait)
-    deadline = -np.inf if budget.cancelled() else budget.started + budget.time_limit + RESERVE
+    latest = min(budget.started + budget.time_limit + RESERVE, request.clock.last_steps)
+    deadline = -np.inf if budget.cancelled() else latest
     found.paths = choice.ordered(paths, len(found.paths) - 1, deadline)
     return found
+
+
+@per_scene
+def _as_if_nobody_moved(scene: Scene) -> Scene:
+    """Return a scene without those who move, the same one in every call: to compile it takes as long as a short call."""
+    return scene.without_moving()
 
 
 @dataclass(frozen=True)

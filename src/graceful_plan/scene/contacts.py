@@ -26,41 +26,46 @@ def tested_pairs(model: mujoco.MjModel, moving: Collection[int]) -> Int[Array, "
     The first geom of a pair is one of those. If both are, one that is not welded to the world comes first, then the
     one of lower id.
     """
-    n = model.ngeom
     body = np.asarray(model.geom_bodyid)
     weld = np.asarray(model.body_weldid)[body]
-    tested = _affine(model) & ~_related(model, weld) & ~_excluded(model, body)
-    tested &= weld[:, None] != weld[None, :]
-    tested[model.pair_geom1, model.pair_geom2] = tested[model.pair_geom2, model.pair_geom1] = True
     mine = np.isin(body, list(moving))
-    tested &= mine[:, None]
+    # Rows of these geoms alone: there may be thousands of others.
+    rows = np.flatnonzero(mine)
+    tested = _affine(model, rows) & ~_related(model, weld, rows) & ~_excluded(model, body, rows)
+    tested &= weld[rows, None] != weld[None, :]
+    row = np.full(model.ngeom, -1)
+    row[rows] = np.arange(len(rows))
+    for first, second in ((model.pair_geom1, model.pair_geom2), (model.pair_geom2, model.pair_geom1)):
+        listed = row[first] >= 0
+        tested[row[first[listed]], second[listed]] = True
     # One of (a, b) and (b, a): prefer a first geom that moves.
-    both = mine[:, None] & mine[None, :]
-    rank = np.arange(n) + n * (weld == 0)
-    tested &= ~both | (rank[:, None] < rank[None, :])
-    return np.argwhere(tested)
+    rank = np.arange(model.ngeom) + model.ngeom * (weld == 0)
+    tested &= ~mine[None, :] | (rank[rows, None] < rank[None, :])
+    first, second = np.nonzero(tested)
+    return np.stack([rows[first], second], axis=1)
 
 
-def _affine(model: mujoco.MjModel) -> Bool[Array, "geom geom"]:
+def _affine(model: mujoco.MjModel, rows: Int[Array, " row"]) -> Bool[Array, "row geom"]:
     contype, conaffinity = np.asarray(model.geom_contype), np.asarray(model.geom_conaffinity)
-    one_way = (contype[:, None] & conaffinity[None, :]) != 0
-    return one_way | one_way.T
+    there = (contype[rows, None] & conaffinity[None, :]) != 0
+    return there | ((conaffinity[rows, None] & contype[None, :]) != 0)
 
 
-def _related(model: mujoco.MjModel, weld: Int[Array, " geom"]) -> Bool[Array, "geom geom"]:
+def _related(model: mujoco.MjModel, weld: Int[Array, " geom"], rows: Int[Array, " row"]) -> Bool[Array, "row geom"]:
     if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
-        return np.zeros((len(weld), len(weld)), dtype=bool)
+        return np.zeros((len(rows), len(weld)), dtype=bool)
     parent = np.asarray(model.body_weldid)[np.asarray(model.body_parentid)[weld]]
-    child_of = (weld[:, None] == parent[None, :]) & (weld[:, None] != 0) & (weld[None, :] != 0)
-    return child_of | child_of.T
+    child_of = (weld[rows, None] == parent[None, :]) | (parent[rows, None] == weld[None, :])
+    return child_of & (weld[rows, None] != 0) & (weld[None, :] != 0)
 
 
-def _excluded(model: mujoco.MjModel, body: Int[Array, " geom"]) -> Bool[Array, "geom geom"]:
-    excluded = np.zeros((model.nbody, model.nbody), dtype=bool)
+def _excluded(model: mujoco.MjModel, body: Int[Array, " geom"], rows: Int[Array, " row"]) -> Bool[Array, "row geom"]:
+    excluded = np.zeros((len(rows), len(body)), dtype=bool)
     for signature in np.asarray(model.exclude_signature):
-        first, second = int(signature) >> 16, int(signature) & 0xFFFF
-        excluded[first, second] = excluded[second, first] = True
-    return excluded[body[:, None], body[None, :]]
+        bodies = int(signature) >> 16, int(signature) & 0xFFFF
+        for first, second in (bodies, bodies[::-1]):
+            excluded |= (body[rows, None] == first) & (body[None, :] == second)
+    return excluded
 
 
 def declared_contacts(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tuple[AllowedContact, ...]:
@@ -112,7 +117,7 @@ def without(pairs: Int[Array, "pair 2"], allowed: Collection[tuple[int, int]]) -
     """Return the pairs that are not allowed, as an array that cannot be written to."""
     kept = pairs
     if allowed:
-        keep = [(min(a, b), max(a, b)) not in allowed for a, b in pairs.tolist()]
+        keep = [pair not in allowed for pair in map(tuple, np.sort(pairs, axis=1).tolist())]
         kept = pairs[np.array(keep, dtype=bool)]
     kept.flags.writeable = False
     return kept

@@ -185,6 +185,8 @@ class Notes:
     tool: str
     body_class: str = "arm_collapse"
     fingers: float | Mapping[str, float] | None = None
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    """Lower and upper limits that replace the model's, by joint."""
     velocity: tuple[float, ...] | None = None
     acceleration: tuple[float, ...] | None = None
     torque: tuple[float, ...] | None = None

@@ -158,6 +158,46 @@ def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
     return found
 
 
+def add_tool(spec: mujoco.MjSpec, tool: str) -> None:
+    """Put a site into the frame of a body if the tool is named by a body; the site gets its name."""
+    body = spec.body(tool)
+    if body is not None and spec.site(tool) is None:
+        body.add_site(name=tool)
+
+
+def tool_body(model: mujoco.MjModel, tool: str, robot: Collection[int]) -> int:
+    """Return the body that the site of the tool is on.
+
+    Raises:
+        UnknownNameError: If there is no such site; names the sites and the bodies of the robot.
+    """
+    site = mujoco.mj_name2id(model, _OBJ.mjOBJ_SITE, tool)
+    if site < 0:
+        valid = {*names(model, _OBJ.mjOBJ_SITE, range(model.nsite)), *names(model, _OBJ.mjOBJ_BODY, robot)}
+        raise UnknownNameError("tool (site or body)", tool, (name for name in valid if not name.startswith("#")))
+    return int(model.site_bodyid[site])
+
+
+def set_limits(model: mujoco.MjModel, robot: Collection[int], limits: Mapping[str, tuple[float, float]]) -> None:
+    """Replace the limits of joints of the robot, for planner, inverse kinematics and judge alike.
+
+    Raises:
+        UnknownNameError: If there is no such hinge or slide.
+        SettingError: If a lower limit is not below the upper one.
+    """
+    joints = {model.joint(j).name: j for j in range(model.njnt) if _is_scalar(model, j, robot)}
+    for name, (lower, upper) in limits.items():
+        if name not in joints:
+            raise UnknownNameError("joint", name, joints)
+        if not (np.isfinite([lower, upper]).all() and lower < upper):
+            raise SettingError(f"limits of {name}", (lower, upper), "two finite numbers, the lower one first")
+        model.jnt_range[joints[name]], model.jnt_limited[joints[name]] = (lower, upper), 1
+
+
+def _is_scalar(model: mujoco.MjModel, joint: int, robot: Collection[int]) -> bool:
+    return int(model.jnt_bodyid[joint]) in robot and int(model.jnt_type[joint]) in _SCALAR_JOINTS
+
+
 def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]) -> tuple[int, ...]:
     """Return the hinges and slides on the way from the world to the tool, base first.
 
@@ -273,7 +313,7 @@ def finger_positions(
     held = {
         model.joint(j).name: j
         for j in range(model.njnt)
-        if int(model.jnt_bodyid[j]) in robot and j not in planned and int(model.jnt_type[j]) in _SCALAR_JOINTS
+        if j not in planned and _is_scalar(model, j, robot)
     }
     fingers = notes.fingers
     if notes.held is not None and notes.held.fingers is not None:

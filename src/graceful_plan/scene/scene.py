@@ -27,13 +27,15 @@ from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, N
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
 from graceful_plan.scene.model_parts import (
+    add_tool,
     checked_model,
-    find,
     finger_positions,
     joint_limits,
     names,
     planned_joints,
     robot_bodies,
+    set_limits,
+    tool_body,
 )
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.screening import load_spec
@@ -70,6 +72,7 @@ class Scene(SceneFacts):
         entities: Mapping[str, str | EntityNote] | None = None,
         severity: SeverityTable | Mapping[str, Any] | str | Path | None = None,
         fingers: float | Mapping[str, float] | None = None,
+        limits: Mapping[str, tuple[float, float]] | None = None,
         velocity: Sequence[float] | None = None,
         acceleration: Sequence[float] | None = None,
         torque: Sequence[float] | None = None,
@@ -84,7 +87,8 @@ class Scene(SceneFacts):
             source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
                 name other files only in the same folder and below; a MjSpec is trusted.
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
-            tool: Name of the site that stands for the tool. The hinges and slides between the world and it are planned.
+            tool: Name of the site that stands for the tool, or of a body, whose frame it then is. The hinges and slides
+                between the world and it are planned.
             carried: Body in the gripper, if any; `X_TO` and `contents` as in `attach`.
             X_TO: Pose of the carried body in the tool frame.
             contents: What is inside of it.
@@ -93,6 +97,7 @@ class Scene(SceneFacts):
                 obstacles only.
             severity: A table, a file with one, or replacements as for `with_severity`.
             fingers: Position of the joints behind the tool's body, or positions by joint name.
+            limits: Lower and upper limit by joint, where they are not to be the model's [rad or m].
             velocity: Limit of each planned joint [rad/s or m/s]. Default: the model's custom numeric
                 "<robot>velocity_limit".
             acceleration: The same for accelerations [rad/s2 or m/s2], custom numeric "<robot>acceleration_limit".
@@ -108,6 +113,7 @@ class Scene(SceneFacts):
             UnknownNameError: If a body, site, joint or class does not exist.
         """
         spec = load_spec(source)
+        add_tool(spec, tool)
         table, overrides = given_severity(severity)
         notes = Notes(
             name=name or spec.modelname,
@@ -115,6 +121,7 @@ class Scene(SceneFacts):
             tool=tool,
             body_class=body_class,
             fingers=fingers,
+            limits=dict(limits or {}),
             velocity=None if velocity is None else tuple(velocity),
             acceleration=None if acceleration is None else tuple(acceleration),
             torque=None if torque is None else tuple(torque),
@@ -144,6 +151,7 @@ class Scene(SceneFacts):
         velocity: Sequence[float] | None = None,
         fingers: float | Mapping[str, float] | None = None,
         decompose: bool | None = None,
+        limits: Mapping[str, tuple[float, float]] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         keyframes: Mapping[str, ArrayLike] | None = None,
         entities: Mapping[str, str | EntityNote] | None = None,
@@ -169,6 +177,7 @@ class Scene(SceneFacts):
                 positions by joint name.
             decompose: Whether meshes are divided; if None, where links touch in many configurations and the library
                 `coacd` is there, with a warning if it is not.
+            limits: As in `from_mjcf`.
             allowed_contacts: What may touch besides.
             keyframes: Configurations by name.
             entities: As in `from_mjcf`.
@@ -196,6 +205,7 @@ class Scene(SceneFacts):
             entities=entities,
             severity=severity,
             fingers=held_still(robot, chain, fingers) if isinstance(fingers, int | float) else fingers,
+            limits=limits,
             velocity=velocities(chain) if velocity is None else velocity,
             acceleration=[acceleration] * len(chain) if isinstance(acceleration, int | float) else acceleration,
             keyframes={**states, **(keyframes or {})},
@@ -210,14 +220,16 @@ class Scene(SceneFacts):
             model = checked_model(spec) if compiled is None else compiled
         with notes.about("robot"):
             robot = robot_bodies(model, notes.robot)
+            if compiled is None:
+                set_limits(model, robot, notes.limits)
         with notes.about("tool"):
-            tool_body = int(model.site_bodyid[find(model, _OBJ.mjOBJ_SITE, "tool site", notes.tool)])
-            joints = planned_joints(model, tool_body, robot)
+            hand = tool_body(model, notes.tool, robot)
+            joints = planned_joints(model, hand, robot)
         with notes.about("robot"):
             limits = joint_limits(model, joints, notes)
             components = roles.find_components(model, notes, robot)
         with notes.about("fingers"):
-            held_still = finger_positions(model, robot, joints, tool_body, notes)
+            held_still = finger_positions(model, robot, joints, hand, notes)
         qpos_adr = model.jnt_qposadr[list(joints)].astype(int)
         home = model.qpos0.copy()
         home[list(held_still)] = list(held_still.values())
@@ -240,7 +252,7 @@ class Scene(SceneFacts):
             own_severity=roles.own_severity(notes, components),
             unlabelled=roles.unlabelled_bodies(model, notes, robot),
             keyframes=find_keyframes(notes, len(joints)),
-            allowed_contacts=declared_contacts(model, notes, tool_body),
+            allowed_contacts=declared_contacts(model, notes, hand),
             notes=notes,
             robot_bodies=robot,
             spec=spec,
@@ -357,12 +369,17 @@ class Scene(SceneFacts):
         given = {entity.name: entity for entity in entities}
         if len(given) < len(entities):
             raise SceneError(f"two of these moving entities have one name: {', '.join(e.name for e in entities)}")
-        notes = replace(self.notes, moving=MappingProxyType({**self.notes.moving, **given}))
-        return Scene.build(self.spec, notes, self.model)
+        return self._among({**self.notes.moving, **given})
 
     def without_moving(self) -> Scene:
         """Return this scene without entities that move."""
-        return Scene.build(self.spec, replace(self.notes, moving=MappingProxyType({})), self.model)
+        return self._among({})
+
+    def _among(self, moving: Mapping[str, MovingEntity]) -> Scene:
+        scene = Scene.build(self.spec, replace(self.notes, moving=MappingProxyType(moving)), self.model)
+        # Nothing collides with them: predictions come anew with every call, and these stay.
+        vars(scene).update(_collision_pairs=self._collision_pairs, layout=self.layout)
+        return scene
 
     def with_constraints(self, *constraints: object) -> Scene:
         """Return this scene with constraints that hold along motions in it unless a call says otherwise.

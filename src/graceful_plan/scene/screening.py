@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -16,7 +17,7 @@ from xml.parsers import expat
 
 import mujoco
 
-from graceful_plan.exceptions import SceneError
+from graceful_plan.exceptions import SceneError, TooLargeError
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
@@ -26,6 +27,10 @@ MAX_ELEMENTS = 50_000
 MAX_FILES = 64
 MAX_COUNT = 4096
 """Greatest value of an attribute that says how many of something there are."""
+_BYTES_ANYHOW = 2**24
+"""What MuJoCo's own default is about, of the memory for contacts and scratch."""
+_BYTES_OF_PAIR = 4
+"""Collision detection reserves two lists of all pairs of bodies, with two indices of 2 bytes each: 4 n^2 in all."""
 
 _REFUSED = {
     "plugin": "plugins are not supported",
@@ -65,15 +70,34 @@ def load_spec(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a model.
+    """Compile a model, with memory for collision detection among all of its bodies.
 
     Raises:
         SceneError: With MuJoCo's own words, if it cannot be compiled.
+        TooLargeError: If it needs more memory than there is.
     """
+    bodies = len(spec.bodies)
+    pairs = _BYTES_OF_PAIR * bodies**2
+    if pairs > _BYTES_ANYHOW // 4:
+        spec.memory = max(spec.memory, _BYTES_ANYHOW + pairs)
     try:
-        return spec.compile()
+        with within_memory(f"a model with {bodies} bodies"):
+            return spec.compile()
     except (ValueError, RuntimeError) as error:
         raise _translated(error, None) from None
+
+
+@contextmanager
+def within_memory(what: str) -> Generator[None]:
+    """Raise `TooLargeError` where MuJoCo or numpy run out of memory.
+
+    Args:
+        what: What takes it.
+    """
+    try:
+        yield
+    except (MemoryError, mujoco.FatalError) as error:
+        raise TooLargeError(what, " ".join(str(error).split())) from error
 
 
 def _parsed(text: str | None, file: Path | None) -> mujoco.MjSpec:

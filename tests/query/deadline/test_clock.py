@@ -38,10 +38,20 @@ def test_somebody_has_to_try() -> None:
     assert 0.01 < _clock(1.0).reserve(1.0) < 0.2
 
 
-def test_a_single_long_run_is_forgotten() -> None:
-    clock = _clock(1.0, judging=[5.0])
-    tries = next(k for k in range(1000) if clock.has_room("judging"))
-    assert 5 < tries < 100
+def test_a_single_long_run_is_forgotten_sooner_than_what_runs_mostly_take() -> None:
+    def tries(clock: Clock) -> int:
+        return next(k for k in range(1000) if clock.has_room("judging"))
+
+    single, always = _clock(1.0, judging=[0.1, 0.1, 5.0]), _clock(1.0, judging=[5.0])
+    assert 5 < tries(single) < 100 < tries(always)
+    always.paces.took("judging", 5.0)  # it was too late, and is not tried again so soon
+    assert tries(always) > 100
+
+
+def test_predictions_of_those_who_move_keep_what_was_learnt(task) -> None:
+    person = gp.MovingEntity("person", "adult", size=[0.2, 0.85], t=[0.0], position=[[9.0, 9.0, 0.85]])
+    crossing = task.scene.with_moving(person)
+    assert paces_of(crossing) is paces_of(task.scene) is paces_of(crossing.without_moving())
 
 
 def test_what_a_call_needs_is_tried_if_it_mostly_fits() -> None:

@@ -27,8 +27,10 @@ _FIRST: dict[Step, float] = {"ending": 0.005, "timing": 0.01, "judging": 0.04}
 """What is kept before there are any runs [s]: what they take where contents are carried."""
 _LATELY = 16
 """Runs of a step that count."""
-_FORGOTTEN = 0.95
-"""What is left of these times whenever a step is not begun for their sake: a single long run is forgotten some day."""
+_FORGOTTEN, _TYPICAL_FORGOTTEN = 0.95, 0.995
+"""What is left of the longest of these times, and of their median, whenever a step is not begun for their sake: a
+single long run is forgotten soon, what a step mostly takes so slowly that one call in a hundred is late for it. The
+next run recalls both."""
 _LATE, _LATE_SHARE = 0.003, 0.01
 """By how much a call may be late if a step takes as long as it ever did lately [s], or by which share of its limit."""
 _SPARE, _SPARE_SHARE = 0.1, 0.08
@@ -47,14 +49,15 @@ class Paces:
 
     def __init__(self) -> None:
         self._lately: dict[Step, deque[float]] = {step: deque(maxlen=_LATELY) for step in _FIRST}
+        self._doubts: dict[Step, int] = dict.fromkeys(_FIRST, 0)
 
     def longest(self, step: Step) -> float:
         """Return the longest of the last runs [s]; 0 before there are any."""
-        return max(self._lately[step], default=0.0)
+        return max(_FORGOTTEN ** self._doubts[step] * max(self._lately[step], default=0.0), self.typical(step))
 
     def typical(self, step: Step) -> float:
         """Return the median of the last runs [s]; 0 before there are any."""
-        return statistics.median(self._lately[step] or (0.0,))
+        return _TYPICAL_FORGOTTEN ** self._doubts[step] * statistics.median(self._lately[step] or (0.0,))
 
     def knows(self, step: Step) -> bool:
         """Whether there were any runs."""
@@ -67,10 +70,11 @@ class Paces:
     def took(self, step: Step, seconds: float) -> None:
         """Take note of a run."""
         self._lately[step].append(seconds)
+        self._doubts[step] = 0
 
     def doubt(self, step: Step) -> None:
         """Forget a little of how long the last runs took."""
-        self._lately[step] = deque((_FORGOTTEN * seconds for seconds in tuple(self._lately[step])), maxlen=_LATELY)
+        self._doubts[step] += 1
 
 
 @per_layout
@@ -99,6 +103,11 @@ class Clock:
     def left(self) -> float:
         """Seconds until the deadline, negative after it."""
         return self.deadline - time.perf_counter()
+
+    @property
+    def last_steps(self) -> float:
+        """Reading of the clock from which on there is time for the last steps only [s]; infinite without a limit."""
+        return self.deadline - self.reserve(self.limit) if np.isfinite(self.deadline) else self.deadline
 
     def reserve(self, limit: float) -> float:
         """Return what to keep of a time limit for the last steps [s]."""

@@ -11,7 +11,8 @@ robot:
   quaternion: [1, 0, 0, 0]       # wxyz
   body_class: arm_collapse       # how it fails: arm_collapse, arm_braked or base_coast
   velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
-tool: panda/tool                 # site; default "<prefix>tool"
+  limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
+tool: panda/tool                 # site, or body; default "<prefix>tool"
 fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
 entities:                        # what can be harmed: each body with its subtree
   mug: glass                     # its class
@@ -61,6 +62,7 @@ from graceful_plan.scene import roles, screening
 from graceful_plan.scene.elements import AllowedContact, Contents, Dry, EntityNote, Liquid, Notes, ObjectNote, TaskNote
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.robot_models import robot_file, robots
+from graceful_plan.scene.model_parts import add_tool
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.tasks import check_keyframes
@@ -72,7 +74,8 @@ _KEYS = (
     "version", "name", "description", "world", "robot", "tool", "fingers", "entities", "severity", "objects", "moving",
     "keyframes", "tasks", "allowed_contacts",
 )  # fmt: skip
-_ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque")
+_ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque",
+                "limits")  # fmt: skip
 _MOVING_KEYS = ("class", "size", "t", "position", "yaw", "spread", "growth", "severity")
 
 
@@ -87,7 +90,9 @@ def read_scene(file: Path) -> Scene:
     root.only(*_KEYS)
     root.check_version("scene files")
     notes = _notes(root, file)
-    scene = Scene.build(_spec(root, file, notes.robot), notes)
+    spec = _spec(root, file, notes.robot)
+    add_tool(spec, notes.tool)
+    scene = Scene.build(spec, notes)
     _check_promises(scene)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))
 
@@ -138,6 +143,7 @@ def _notes(root: Block, file: Path) -> Notes:
         tool=tool.string() if tool else f"{prefix}tool",
         body_class=body_class.string() if body_class else "arm_collapse",
         fingers=_fingers(root.get("fingers")),
+        limits=_limits(robot.get("limits")),
         velocity=_optional_numbers(robot.get("velocity")),
         acceleration=_optional_numbers(robot.get("acceleration")),
         torque=_optional_numbers(robot.get("torque")),
@@ -152,6 +158,11 @@ def _notes(root: Block, file: Path) -> Notes:
         file=str(file),
         lines=lines.at,
     )
+
+
+def _limits(block: Block | None) -> dict[str, tuple[float, float]]:
+    found = {name: pair.numbers(2) for name, pair in block.items()} if block else {}
+    return {name: (pair[0], pair[1]) for name, pair in found.items()}
 
 
 def _prefix(robot: Block) -> str:
