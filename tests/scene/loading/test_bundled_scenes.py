@@ -22,7 +22,9 @@ _OBSTACLES = {
     "dining_table": {"pedestal", "chair", "person_legs", "floor_under_table"},
     "desk": {"pedestal", "floor_under_desk"},
     "kitchen_counter": {"pedestal", "wall", "floor_under_trolley"},
-    **dict.fromkeys(("tabletop", "tabletop_l1", "tabletop_l3"), {"world"}),
+    "tabletop": {"world"},
+    "tabletop_l1": {"world"},
+    "tabletop_l3": {"world"},
 }
 """Bodies that collide and are no entities: what is touched there counts nowhere, so that each needs a reason."""
 _COVERED = {"person_legs", "floor_under_table", "floor_under_desk", "floor_under_trolley"}
@@ -134,7 +136,7 @@ def test_entities_cover_what_is_none_because_it_is_covered(name: str) -> None:
     solid = np.flatnonzero(collides(model)).tolist()
     entities = [g for entity in scene.entities.values() for g in entity.geoms if g in solid]
     for body in _COVERED & _OBSTACLES[name]:
-        for geom in np.flatnonzero(model.geom_bodyid == model.body(body).id):
+        for geom in np.flatnonzero(model.geom_bodyid == model.body(body).id).tolist():
             R, (centre, half) = data.geom_xmat[geom].reshape(3, 3), model.geom_aabb[geom].reshape(2, 3)
             low, high = (data.geom_xpos[geom] + R @ centre + sign * np.abs(R) @ half for sign in (-1.0, 1.0))
             sides = [np.arange(a + 1e-3, b, _RAY_STEP) for a, b in zip(low[:2], high[:2], strict=True)]
