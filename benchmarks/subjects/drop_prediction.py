@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,8 @@ RRT-Connect, planned by the default planner with w = 0.1, 0.3 and 1 ("optimised"
 otherwise by a weld. An event is a drop and an entity: did the object touch it within one second (what entities do to
 each other is not counted)? "Skill": Brier skill over the base rate of the same events. "ECE": 20 bins of equal counts.
 "Ratio": predicted hits over observed ones. Intervals are 95 %, whole motions drawn with replacement. "Aimed": Algorithm
-1 with the object moved to where ballistics takes it at the height of each entity.
+1 with the object moved to where ballistics takes it at the height of each entity. "Unseen": the scenes of
+`benchmarks/unseen`, with furniture and objects of their own.
 """
 SEED = 2026
 LEAST = {"brier_skill": 0.65, "auc": 0.96}
@@ -37,8 +39,11 @@ RATIO = (0.9, 1.1)
 RATIO_OPTIMISED = (0.8, 1.25)
 """On optimised motions, for each of `HIT`: what is least there is what the model may underrate."""
 DROPS, SCENES = 1000, 6
+DROPS_UNSEEN = 30
+"""Along each motion."""
 HIT = ("things", "furniture", "floor")
 """What is hit, by the class of the entity; people and animals are things, too."""
+VARIANTS, UNSEEN = "variants", "unseen"
 _SURFACES = {"table": "furniture", "floor": "floor"}
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "reliability.png"
 
@@ -61,6 +66,8 @@ def run(options: suite.Options) -> str:
     resamples = options.pick(1000, quick=20)
     drops, refused = drop_all(options)
     events = events_of(drops)
+    others, others_refused = drop_unseen(options)
+    unseen = events_of(others, {"footprint": MODELS["footprint"]}, suite.scene)
     if not options.quick:
         draw(events, PICTURE, resamples)
     dropped = {name: sum(len(x) for x in drops if x.scene == name) for name in dict.fromkeys(x.scene for x in drops)}
@@ -72,13 +79,14 @@ def run(options: suite.Options) -> str:
         MEASURED,
         f"{sum(dropped.values())} drops ({grasps}; {lost} diverged) along {len(drops)} motions:"
         f" {len(events.happened)} events.\n",
-        *(f"No drops: {reason}.\n" for reason in refused),
-        report.targets(_targets(events, dropped, resamples)),
+        f"In `benchmarks/unseen`: {sum(len(x) for x in others)} drops along {len(others)} motions.\n",
+        *(f"No drops: {reason}.\n" for reason in (*refused, *others_refused)),
+        report.targets(_targets(events, unseen, dropped, resamples)),
         report.table(_HEADER, _rows(events, dropped)),
         "By severity of the touch, all scenes:\n",
         report.table(_HEADER, _severity_rows(events)),
-        "`footprint` by motion and by what is hit, all scenes:\n",
-        report.table(("motions", "what is hit", *FIGURES), _hit_rows(events)),
+        "`footprint` by motion and by what is hit:\n",
+        report.table(("scenes", "motions", "what is hit", *FIGURES), _hit_rows({VARIANTS: events, UNSEEN: unseen})),
         "![](../docs/images/reliability.png)\n\nReliability of `footprint`, bins of equally many predicted hits:\n",
         report.table(("predicted", "observed", "95 %", "events"), _curve_rows(events, resamples)),
     ]
@@ -97,9 +105,26 @@ def drop_all(options: suite.Options) -> tuple[list[Failures], list[str]]:
     return failures.fail(jobs, options)
 
 
-def events_of(drops: Sequence[Failures], models: Mapping[str, Callable[..., Array]] = MODELS) -> Events:
+def drop_unseen(options: suite.Options) -> tuple[list[Failures], list[str]]:
+    """Drop things in scenes with furniture and objects of their own, as `drop_all` does."""
+    scenes = options.pick(suite.unseen_scenes(), quick=suite.unseen_scenes()[:1])
+    kinds = options.pick(KINDS, quick=KINDS[1:2])
+    n = options.pick(DROPS_UNSEEN, quick=2)
+    jobs = [
+        job
+        for k, name in enumerate(scenes)
+        for job in failure_jobs(suite.scene, [name], n=n, seed=SEED + 100 + k, kinds=kinds)
+    ]
+    return failures.fail(jobs, options)
+
+
+def events_of(
+    drops: Sequence[Failures],
+    models: Mapping[str, Callable[..., Array]] = MODELS,
+    load: Callable[[str], gp.Scene] = variants.load,
+) -> Events:
     """Predict the events of drops with every model."""
-    scenes = scenes_of(drops, variants.load)
+    scenes = scenes_of(drops, load)
     columns: dict[str, list[Array]] = {name: [] for name in ("scene", "motion", "severity", "happened")}
     labels: dict[str, list[Array]] = {"made": [], "hit": []}
     predicted: dict[str, list[Array]] = {name: [] for name in models}
@@ -134,7 +159,7 @@ def _carried(scene: gp.Scene, probability: Array) -> Array:
 _HEADER = ("", "model", "drops", *FIGURES)
 
 
-def _targets(events: Events, dropped: Mapping[str, int], resamples: int) -> list[report.Target]:
+def _targets(events: Events, unseen: Events, dropped: Mapping[str, int], resamples: int) -> list[report.Target]:
     def estimate(statistic: Callable[[Array, Array], float], some: Events = events) -> skill.Estimate:
         p, y = some.predicted["footprint"], some.happened
         return skill.bootstrap(statistic, p, y, some.motion, resamples=min(200, resamples))
@@ -147,9 +172,13 @@ def _targets(events: Events, dropped: Mapping[str, int], resamples: int) -> list
         "ECE": (estimate(lambda a, b: skill.calibration_error(a, b, BINS)), f"<= {MOST_ECE}", 0.0, MOST_ECE),
         "predicted over observed hits": (estimate(skill.predicted_ratio), f"{RATIO[0]} to {RATIO[1]}", *RATIO),
     }
-    optimised = {what: _part(events, "optimised", what) for what in HIT}
+    optimised = {
+        f"{scenes}, optimised motions, {what or 'all'}": _part(some, "optimised", what)
+        for scenes, some in ((VARIANTS, events), (UNSEEN, unseen))
+        for what in ("", *HIT)
+    }
     found |= {
-        f"optimised motions, {what}: predicted over observed hits": (
+        f"{what}: predicted over observed hits": (
             estimate(skill.predicted_ratio, some),
             f"{RATIO_OPTIMISED[0]} to {RATIO_OPTIMISED[1]}",
             *RATIO_OPTIMISED,
@@ -186,9 +215,13 @@ def _severity_rows(events: Events) -> list[Sequence[object]]:
     return rows
 
 
-def _hit_rows(events: Events) -> list[Sequence[object]]:
-    parts = {(made, what): _part(events, made, what) for made in ("optimised", "others") for what in ("", *HIT)}
-    return [(made, what or "all", *x.figures("footprint")) for (made, what), x in parts.items() if len(x.happened)]
+def _hit_rows(events: Mapping[str, Events]) -> list[Sequence[object]]:
+    rows: list[Sequence[object]] = []
+    for scenes, made, what in product(events, ("optimised", "others"), ("", *HIT)):
+        part = _part(events[scenes], made, what)
+        if len(part.happened):
+            rows.append((scenes, made, what or "all", *part.figures("footprint")))
+    return rows
 
 
 def _part(events: Events, made: str, what: str = "") -> Events:
