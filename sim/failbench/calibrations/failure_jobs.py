@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -226,7 +226,8 @@ class FailureSettings:
         repeats: Motions of each kind for each task.
         seed: Of everything random. What comes out depends on it alone, not on `processes`.
         processes: How many to work in.
-        variation: How what is carried differs from what the scenes say.
+        variation: How what is carried differs from what the scenes say, along every second motion: what the scenes say
+            counts, too.
     """
 
     n: int = 30
@@ -261,15 +262,8 @@ def generate(
         What happened, and why some motions have none.
     """
     settings = FailureSettings() if settings is None else settings
-    jobs = failure_jobs(
-        load,
-        scenes,
-        faults,
-        n=settings.n,
-        seed=settings.seed,
-        repeats=settings.repeats,
-        variation=settings.variation,
-    )
+    jobs = failure_jobs(load, scenes, faults, n=settings.n, seed=settings.seed, repeats=settings.repeats)
+    jobs = [replace(job, variation=settings.variation if i % 2 else None) for i, job in enumerate(jobs)]
     found: list[Failures] = []
     refused: list[str] = []
 
@@ -321,4 +315,5 @@ def fetch(
     failures, refused = generate(scenes, faults(), settings, progress=progress)
     if kept is not None:
         write_failures(kept, failures)
-    return failures, {"motions_without": refused}
+    varied = {} if settings.variation is None else {"every_second_motion_varied": asdict(settings.variation)}
+    return failures, {"motions_without": refused, **varied}

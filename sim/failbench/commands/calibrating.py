@@ -12,6 +12,7 @@ import graceful_plan as gp
 from failbench.calibrations import body_fit, drop_fit, effects_fit, spill_fit
 from failbench.calibrations.calibrate import Recipe, calibrate, write
 from failbench.calibrations.failure_jobs import FailureSettings
+from failbench.calibrations.varied import VARIED
 from failbench.commands.options import add_command
 from failbench.commands.output import Answer, Bar
 
@@ -32,13 +33,24 @@ def add(commands: Any) -> None:
     fit.add_argument("-n", type=int, default=30, help="drops along each motion (default 30)")
     fit.add_argument("--repeats", type=int, default=2, help="motions of each kind for each task (default 2)")
     fit.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
+    fit.add_argument(
+        "--varied",
+        action="store_true",
+        help="along every second motion, things bounce up to 0.6 and turn when let go",
+    )
     fit.add_argument("--drops", type=FilePath, metavar="FILE", help="keep the drops here, or take them if it is there")
     fit.add_argument("--workers", type=int, default=0, help="processes (default: one for each core)")
 
 
 def _calibrate(args: argparse.Namespace) -> Answer:
     workers = args.workers or os.cpu_count() or 1
-    settings = FailureSettings(n=args.n, repeats=args.repeats, seed=args.seed, processes=workers)
+    settings = FailureSettings(
+        n=args.n,
+        repeats=args.repeats,
+        seed=args.seed,
+        processes=workers,
+        variation=VARIED if args.varied else None,
+    )
     with Bar(args, "motions") as bar:
         found = calibrate(
             _RECIPES[args.model], args.scenes or gp.scenes(), settings, kept=args.drops, progress=bar.show

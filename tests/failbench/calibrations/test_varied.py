@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from failbench.calibrations.failure_jobs import MotionKind, make_motion
-from failbench.calibrations.failures import fail_along
+from failbench.calibrations import failure_jobs
+from failbench.calibrations.failure_jobs import FailureJob, MotionKind, make_motion
+from failbench.calibrations.failures import DROP, fail_along
 from failbench.calibrations.varied import VARIED, Variation, bounce, spun
 from failbench.rollouts.execution import execute
 from failbench.simulated.world import SimSettings, build_world
@@ -87,6 +88,21 @@ def test_things_that_vary_end_elsewhere_and_come_out_alike(task: gp.Task) -> Non
     assert np.array_equal(plain.q, first.q)
     assert not np.array_equal(plain.hit, first.hit)
     assert np.array_equal(first.hit, second.hit)
+
+
+def test_every_second_motion_of_a_calibration_varies(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Variation | None] = []
+
+    def not_done(job: FailureJob) -> str:
+        asked.append(job.variation)
+        return "not done"
+
+    monkeypatch.setattr(failure_jobs, "do_job", not_done)
+    for variation in (None, VARIED):
+        asked.clear()
+        _, about = failure_jobs.fetch(["desk"], lambda: DROP, failure_jobs.FailureSettings(n=2, variation=variation))
+        assert set(asked[::2]) == {None} and set(asked[1::2]) == {variation}
+        assert ("every_second_motion_varied" in about) is (variation is not None)
 
 
 @pytest.mark.parametrize("wrong", [{"restitution": (0.6, 0.1)}, {"restitution": (0.1, 0.9)}, {"spin": -1.0}])
