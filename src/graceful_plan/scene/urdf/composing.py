@@ -67,9 +67,10 @@ def touching(spec: mujoco.MjSpec, prefix: str, chain: Sequence[UrdfJoint]) -> tu
         for body in robot
         if model.body_jntnum[body] and (parent := int(model.body_parentid[body])) in robot
     }
-    pairs |= _always(model, group, [model.joint(prefix + joint.name).id for joint in chain])
-    names = sorted((model.body(a).name, model.body(b).name) for a, b in pairs)
-    return tuple(AllowedContact(a, b) for a, b in names)
+    reasons = dict.fromkeys(_always(model, group, [model.joint(prefix + joint.name).id for joint in chain]), "overlap")
+    reasons |= dict.fromkeys(pairs, "adjacent")
+    named = sorted((model.body(a).name, model.body(b).name, reason) for (a, b), reason in reasons.items())
+    return tuple(AllowedContact(a, b, reason=reason) for a, b, reason in named)
 
 
 def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:
