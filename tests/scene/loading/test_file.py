@@ -197,7 +197,7 @@ _BROKEN = {  # what to replace, by what, where the complaint points, its words
         "{panda/joint1: 0.03",
         "unknown finger joint 'panda/joint1'",
     ),
-    "no such tool": ("fingers: 0.04", "tool: panda/tap", "unknown tool .site or body. .panda/tap.; valid: panda/flange"),
+    "no such tool": ("fingers: 0.04", "tool: panda/tap", "unknown tool .site or body. .panda/tap.; valid: "),
     "base that coasts": ("  model: panda", "  model: panda\n  body_class: fall", "class of component 'body' 'fall'"),
     "too few limits": ("  model: panda", "  model: panda\n  velocity: [1]", r"velocity limits = \[1.0\]"),
     "object without body": ("    body: cup", "    body: cop", "unknown body 'cop'"),
