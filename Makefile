@@ -13,13 +13,14 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long lint bench wheel lock clean
+.PHONY: help demo picture sheet test test-long test-robots lint bench wheel lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
 	@echo "make test   run the tests, less than 4 minutes"
 	@echo "make test-long  run further cases, and tests that take longer"
+	@echo "make test-robots  run tests with robots from packages, which are 130 MB"
 	@echo "make lint   check style and types"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build a wheel into dist/"
@@ -47,6 +48,9 @@ test: $(VENV)/.package $(VENV)/.dev
 test-long: $(VENV)/.package $(VENV)/.dev
 	$(PYTEST) -m long $(ARGS)
 
+test-robots: $(VENV)/.package $(VENV)/.robots
+	$(PYTEST) tests/scene/urdf $(ARGS)
+
 lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -58,6 +62,11 @@ bench: $(VENV)/.package
 
 wheel: $(VENV)/.build
 	$(PIP) wheel -q --no-deps --no-build-isolation --wheel-dir dist .
+
+# Of what the data's wheel asks for besides, nothing is needed.
+$(VENV)/.robots: requirements/robots.txt $(VENV)/.dev
+	$(PINNED) --no-deps -r $<
+	@touch $@
 
 lock: $(VENV)/.python
 	$(PIP) install -q pip-tools

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class Events:
     | happened  | whether it came to a contact                        |
     | predicted | probability of a contact, by model                  |
     | severity  | of the contact, where it is asked for               |
+    | labels    | what else they are told apart by, by name           |
     """
 
     scene: Array
@@ -38,6 +40,7 @@ class Events:
     happened: Array
     predicted: Mapping[str, Array]
     severity: Array = field(default_factory=lambda: np.zeros(0))
+    labels: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
 
     def only(self, chosen: Array) -> Events:
         """Return some of them."""
@@ -49,6 +52,7 @@ class Events:
             happened=self.happened[chosen],
             predicted=predicted,
             severity=severity,
+            labels={name: values[chosen] for name, values in self.labels.items()},
         )
 
     def figures(self, model: str) -> Sequence[object]:

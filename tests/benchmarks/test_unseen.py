@@ -15,6 +15,18 @@ _ROOM = 0.02
 """Clearance [m] that the ends of tasks have."""
 _STILL = 0.003
 """How far [m] things at rest may creep in a second."""
+_OBSTACLES = {
+    "bathroom": {"pedestal", "wall", "tap"},
+    "bedside": {"pedestal"},
+    "breakfast_bar": {"pedestal", "stool"},
+    "lab_bench": {"gantry"},
+    "play_table": set(),
+    "reading_corner": {"pedestal", "bookcase"},
+    "workbench": {"pedestal", "wall", "rack"},
+    "buffet": {"pedestal"},
+    "stove": {"pedestal", "shelf"},
+}
+"""Bodies that collide and are no entities, so that nobody counts what hits them."""
 
 
 def test_there_are_enough_of_them():
@@ -49,6 +61,15 @@ def test_what_can_move_is_worth_something_and_stays_where_it_is(name):
     assert world.movable.keys() <= scene.entities.keys()
     for thing, body in world.movable.items():
         assert np.linalg.norm(data.xpos[body] - before[body]) < _STILL, thing
+
+
+@pytest.mark.parametrize("name", (*SCENES, *suite.vessel_scenes()))
+def test_what_collides_is_an_entity_or_known_to_be_none(name):
+    scene = suite.scene(name)
+    model, listed = scene.model, {g for entity in scene.entities.values() for g in entity.geoms}
+    solid = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    rest = [g for g in solid if model.geom_bodyid[g] not in scene.robot_bodies and g not in listed]
+    assert {model.body(model.geom_bodyid[g]).name for g in rest} == _OBSTACLES[name]
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -6,6 +6,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.exceptions import UnsupportedError
 
 
@@ -118,12 +119,30 @@ def test_fingers_that_never_move_apart_do_not_block_everything():
     assert result.status is gp.PlanStatus.SOLVED, result.detail
 
 
-def test_a_robot_too_large_for_the_kernels_is_refused_by_name():
-    text = """<mujoco><compiler angle="radian" autolimits="true"/>
+def door(size: float) -> gp.Scene:
+    text = f"""<mujoco><compiler angle="radian" autolimits="true"/>
     <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
     <worldbody><geom name="wall" type="box" size="0.1 0.1 0.1" pos="9 0 0"/>
       <body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/>
-        <geom name="door" type="box" size="1 0.02 1"/><site name="t"/></body>
+        <geom name="door" type="box" size="{size} 0.02 {size}"/><site name="t"/></body>
     </worldbody></mujoco>"""
+    return gp.Scene.from_mjcf(text, robot="r/", tool="t")
+
+
+def test_a_robot_too_large_for_the_kernels_is_refused_by_name():
     with pytest.raises(UnsupportedError, match=r"spheres, the kernels hold .*'door'"):
-        compile_scene(gp.Scene.from_mjcf(text, robot="r/", tool="t"))
+        compile_scene(door(5.0))
+
+
+def test_spheres_stick_out_farther_where_there_would_be_too_many():
+    scene = door(1.0)
+    compiled = compile_scene(scene)
+    robot, X_WL = compiled.robot, compiled.kernels.link_poses([0.0])
+    assert 0.01 < robot.protrusion < 0.03 and len(robot.sphere) <= CAPACITY["spheres"]
+    X = X_WL[robot.sphere_link]
+    centres = np.einsum("sij,sj->si", X[:, :3, :3], robot.sphere[:, :3]) + X[:, :3, 3]
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (4000, 3)) * [1.0, 0.02, 1.0]
+    points[:8] = [[x, 0.02 * y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+    outside = np.linalg.norm((points + [0.0, 0.0, 1.0])[:, None] - centres, axis=-1) - robot.sphere[:, 3]
+    assert outside.min(axis=1).max() <= 1e-6
+    assert compile_scene(door(0.3)).robot.protrusion < 0.01

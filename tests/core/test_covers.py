@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from graceful_plan.core import covers, kept, sphere_cover
+from graceful_plan import kept
+from graceful_plan.core import covers, sphere_cover
 from graceful_plan.core.covers import group_cover, hull_triangles
 
 _MESHES = """

@@ -13,6 +13,7 @@ import numpy as np
 import graceful_plan as gp
 from failbench.basics.errors import ExecutionRefused
 from failbench.calibrations.failures import DROP, Failures, fail_along, read_failures, write_failures
+from failbench.calibrations.varied import Variation
 from failbench.fault.fault import Fault
 from failbench.rollouts.sampling import MOST, check_whole
 from graceful_plan import GracefulPlanError, Path, Scene, Task, Trajectory
@@ -131,6 +132,7 @@ class FailureJob:
         n: Number of failures.
         seed: Of everything random.
         horizon: How long is simulated after each onset [s].
+        variation: How what is carried differs from what the scene says.
     """
 
     load: Callable[[str], Scene]
@@ -141,6 +143,7 @@ class FailureJob:
     n: int
     seed: int
     horizon: float = 1.0
+    variation: Variation | None = None
 
 
 def failure_jobs(
@@ -153,6 +156,7 @@ def failure_jobs(
     kinds: Sequence[MotionKind] = KINDS,
     repeats: int = 1,
     horizon: float = 1.0,
+    variation: Variation | None = None,
 ) -> list[FailureJob]:
     """Return jobs for every kind of motion on every task of some scenes that carries something.
 
@@ -165,6 +169,7 @@ def failure_jobs(
         kinds: Of motions.
         repeats: Motions of each kind.
         horizon: How long is simulated after each onset [s].
+        variation: How what is carried differs from what the scenes say.
     """
     tasks = [
         (scene, name) for scene in scenes for name, task in load(scene).tasks.items() if task.object_name is not None
@@ -173,7 +178,15 @@ def failure_jobs(
     seeds = np.random.default_rng(seed).integers(2**31, size=len(todo))
     return [
         FailureJob(
-            load=load, scene=scene, task=task, kind=kind, faults=tuple(faults), n=n, seed=int(s), horizon=horizon
+            load=load,
+            scene=scene,
+            task=task,
+            kind=kind,
+            faults=tuple(faults),
+            n=n,
+            seed=int(s),
+            horizon=horizon,
+            variation=variation,
         )
         for (scene, task, kind), s in zip(todo, seeds, strict=True)
     ]
@@ -187,7 +200,14 @@ def do_job(job: FailureJob) -> Failures | str:
         return f"{about}: no motion"
     try:
         failures = fail_along(
-            motion, task.scene, job.faults, n=job.n, seed=job.seed, task=job.task, horizon=job.horizon
+            motion,
+            task.scene,
+            job.faults,
+            n=job.n,
+            seed=job.seed,
+            task=job.task,
+            horizon=job.horizon,
+            variation=job.variation,
         )
     except ExecutionRefused as error:
         return f"{about}: {error}"
@@ -206,12 +226,14 @@ class FailureSettings:
         repeats: Motions of each kind for each task.
         seed: Of everything random. What comes out depends on it alone, not on `processes`.
         processes: How many to work in.
+        variation: How what is carried differs from what the scenes say.
     """
 
     n: int = 30
     repeats: int = 2
     seed: int = 0
     processes: int = 1
+    variation: Variation | None = None
 
     def __post_init__(self) -> None:
         check_whole("n", self.n, 1, MOST)
@@ -239,7 +261,15 @@ def generate(
         What happened, and why some motions have none.
     """
     settings = FailureSettings() if settings is None else settings
-    jobs = failure_jobs(load, scenes, faults, n=settings.n, seed=settings.seed, repeats=settings.repeats)
+    jobs = failure_jobs(
+        load,
+        scenes,
+        faults,
+        n=settings.n,
+        seed=settings.seed,
+        repeats=settings.repeats,
+        variation=settings.variation,
+    )
     found: list[Failures] = []
     refused: list[str] = []
 

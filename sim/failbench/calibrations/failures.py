@@ -17,6 +17,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from failbench.basics.errors import ExecutionRefused
+from failbench.calibrations.varied import Variation, bounce, spun
 from failbench.fault.end_effector import GripperFailure
 from failbench.fault.fault import Fault
 from failbench.recording.records import Rollout
@@ -118,6 +119,7 @@ def fail_along(
     task: str = "",
     horizon: float = 1.0,
     threads: int = 1,
+    variation: Variation | None = None,
 ) -> Failures:
     """Let a robot fail many times along a motion, and tell what is hit.
 
@@ -132,6 +134,7 @@ def fail_along(
         task: Name of the task, for the record.
         horizon: How long is simulated after the onset [s].
         threads: Of the simulation; the result does not depend on it.
+        variation: How the carried object differs from what the scene says; not at all if None.
 
     Raises:
         ExecutionRefused: If the healthy robot cannot carry the motion out in either way.
@@ -139,7 +142,7 @@ def fail_along(
     """
     if scene.carried is None and all(fault.NAME == GripperFailure.NAME for fault in faults):
         raise SettingError("scene", scene.name, "one with an object in the gripper, such as task.scene")
-    execution = _held(motion, scene)
+    execution = _held(motion, scene, variation, seed)
     jobs = make_jobs(faults, execution.duration, n=n, seed=seed)
     rollouts = run(execution, jobs, horizon=horizon, threads=threads)
     completed = [rollout for rollout in rollouts if rollout.status == "completed"]
@@ -171,11 +174,18 @@ def fail_along(
     )
 
 
-def _held(motion: Trajectory, scene: Scene) -> Execution:
+def _held(motion: Trajectory, scene: Scene, variation: Variation | None, seed: int) -> Execution:
+    def held_by(grasp: str) -> Execution:
+        world = build_world(scene, SimSettings(grasp=grasp))
+        if variation is None:
+            return execute(motion, world)
+        bounce(world, variation, seed)
+        return spun(execute(motion, world), variation, seed)
+
     try:
-        return execute(motion, build_world(scene, SimSettings(grasp="fingers")))
+        return held_by("fingers")
     except ExecutionRefused:
-        return execute(motion, build_world(scene, SimSettings(grasp="weld")))
+        return held_by("weld")
 
 
 def _hits(

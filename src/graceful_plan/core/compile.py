@@ -20,9 +20,10 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.arrays import OBSTACLE_TYPES, HazardArrays, RobotArrays, WorldArrays
-from graceful_plan.core.covers import GEOM_KINDS, geom_name, group_cover, hull_triangles
+from graceful_plan.core.covers import GEOM_KINDS, GroupCover, geom_name, group_cover, hull_triangles
 from graceful_plan.core.kernels import CAPACITY, Kernels
 from graceful_plan.core.slack import self_slack
+from graceful_plan.core.sphere_cover import MAX_PROTRUSION
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.per_scene import per_layout, per_scene
 from graceful_plan.scene.scene import Scene
@@ -31,6 +32,8 @@ from graceful_plan.scene.screening import within_memory
 Array = np.ndarray
 
 _GEOM = mujoco.mjtGeom
+_PROTRUSIONS = tuple(factor * MAX_PROTRUSION for factor in (1.0, 1.5, 2.0, 3.0))
+"""How far spheres may stick out [m], one after the other until the kernels hold them all."""
 PLANE_EXTENT = 50.0
 """Half side of the box that stands for an infinite plane in Algorithm 1 [m]."""
 
@@ -246,15 +249,12 @@ def _robot_arrays(
         X_PL.append(X @ _joint_motion(-frames.reference[frame - 1], bool(slide[frame])))
     spheres, links, bound = [], [], {}
     protrusion = 0.0
-    for group in groups:
+    for group, cover in zip(groups, _covers(scene.model, data, frames, groups), strict=True):
         link = len(parent)
         parent.append(group.frame)
         joint.append(-1)
         slide.append(0)
         X_PL.append(np.eye(4))
-        X_LW = np.linalg.inv(frames.X_W[group.frame])
-        X_LG = [X_LW @ _pose(data.geom_xmat[geom], data.geom_xpos[geom]) for geom in group.geoms]
-        cover = group_cover(scene.model, group.geoms, np.stack(X_LG), base=group.frame == 0)
         protrusion = max(protrusion, cover.protrusion)
         spheres.append(cover.spheres)
         links += [link] * len(cover.spheres)
@@ -278,6 +278,28 @@ def _robot_arrays(
         protrusion=protrusion,
     )
     return arrays
+
+
+def _covers(model: mujoco.MjModel, data: mujoco.MjData, frames: _Frames, groups: list[_Group]) -> list[GroupCover]:
+    """Cover all links by spheres that stick out as little as there is room for."""
+    X_LG = [
+        np.stack(
+            [
+                np.linalg.inv(frames.X_W[group.frame]) @ _pose(data.geom_xmat[geom], data.geom_xpos[geom])
+                for geom in group.geoms
+            ]
+        )
+        for group in groups
+    ]
+    covers: list[GroupCover] = []
+    for protrusion in _PROTRUSIONS:
+        covers = [
+            group_cover(model, group.geoms, X, base=group.frame == 0, protrusion=protrusion)
+            for group, X in zip(groups, X_LG, strict=True)
+        ]
+        if sum(len(cover.spheres) for cover in covers) <= CAPACITY["spheres"]:
+            break
+    return covers
 
 
 def _joint_motion(amount: float, slide: bool) -> Float[Array, "4 4"]:

@@ -15,8 +15,9 @@ from threading import Lock
 import mujoco
 import numpy as np
 
+from graceful_plan import kept
 from graceful_plan.array_types import Float
-from graceful_plan.core import kept, sphere_cover
+from graceful_plan.core import sphere_cover
 from graceful_plan.core.kernels import CAPACITY
 from graceful_plan.exceptions import UnsupportedError
 
@@ -63,7 +64,12 @@ _covers_lock = Lock()
 
 
 def group_cover(
-    model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], *, base: bool
+    model: mujoco.MjModel,
+    geoms: tuple[int, ...],
+    X_LG: Float[Array, "geom 4 4"],
+    *,
+    base: bool,
+    protrusion: float = sphere_cover.MAX_PROTRUSION,
 ) -> GroupCover:
     """Return spheres that contain some geoms of one link.
 
@@ -72,11 +78,12 @@ def group_cover(
         geoms: The geoms.
         X_LG: Where they are on the link.
         base: Whether the link is the base.
+        protrusion: How far spheres may stick out [m]; those of a base of many may do so by `BASE_PROTRUSION`.
 
     Raises:
         UnsupportedError: If a geom cannot be covered; names it.
     """
-    key = hashlib.sha256(X_LG.tobytes() + bytes([base]))
+    key = hashlib.sha256(X_LG.tobytes() + bytes([base]) + repr(protrusion).encode())
     for geom in geoms:
         key.update(_shape(model, geom))
     digest = key.digest()
@@ -84,7 +91,7 @@ def group_cover(
         if digest in _covers:
             _covers.move_to_end(digest)
             return _covers[digest]
-    cover = _group_cover(model, geoms, X_LG, base=base)
+    cover = _group_cover(model, geoms, X_LG, base=base, protrusion=protrusion)
     with _covers_lock:
         _covers[digest] = cover
         if len(_covers) > _MOST_KEPT:
@@ -113,17 +120,17 @@ def _mesh_bytes(model: mujoco.MjModel, mesh: int) -> bytes:
 
 
 def _group_cover(
-    model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], *, base: bool
+    model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], *, base: bool, protrusion: float
 ) -> GroupCover:
+    covers = [_geom_cover(model, geom, protrusion) for geom in geoms]
+    if base and sum(len(radii) for _, radii in covers) > _MANY:
+        covers = [_geom_cover(model, geom, max(BASE_PROTRUSION, protrusion)) for geom in geoms]
     centres, radii, sticks_out = [], [], 0.0
-    for geom, X in zip(geoms, X_LG, strict=True):
-        c, r = _geom_cover(model, geom)
-        if base and len(r) > _MANY:
-            c, r = _geom_cover(model, geom, BASE_PROTRUSION)
+    for geom, X, (c, r) in zip(geoms, X_LG, covers, strict=True):
         centres.append(c @ X[:3, :3].T + X[:3, 3])
         radii.append(r)
         if not base and model.geom_type[geom] != _GEOM.mjGEOM_SPHERE:
-            sticks_out = sphere_cover.MAX_PROTRUSION
+            sticks_out = protrusion
     all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
     if len(all_radii) <= CAPACITY["spheres"]:  # more will be refused; no need to compare them all
         keep = _not_inside_others(all_centres, all_radii)

@@ -43,7 +43,7 @@ from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
-from graceful_plan.scene.urdf.composing import TOOL, composed, held_still, touching, velocities
+from graceful_plan.scene.urdf.composing import OFTEN, TOOL, composed, held_still, touching, velocities
 from graceful_plan.scene.urdf.reading import read_urdf
 from graceful_plan.scene.urdf.srdf import read_srdf
 
@@ -150,6 +150,7 @@ class Scene(SceneFacts):
         pose: ArrayLike | None = None,
         velocity: Sequence[float] | None = None,
         fingers: float | Mapping[str, float] | None = None,
+        decompose: bool | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         keyframes: Mapping[str, ArrayLike] | None = None,
@@ -159,7 +160,8 @@ class Scene(SceneFacts):
         """Make a scene of a robot from URDF, in a world or alone. Names get the robot's name and "/" before them.
 
         Links that a joint lies between may touch, and those that overlap nearly wherever the joints are: hulls of
-        meshes overlap where the meshes do not. Only collision geometry counts.
+        meshes overlap where the meshes do not. Only collision geometry counts. Where hulls touch each other in many
+        configurations, meshes that they do not fit are divided into convex parts: ten seconds each, the first time.
 
         Args:
             source: URDF file, or its text.
@@ -173,6 +175,8 @@ class Scene(SceneFacts):
             velocity: Limit of each planned joint [rad/s or m/s]; those of the URDF by default.
             fingers: Position of the joints that hang on the last planned joint; those that mimic one follow it. Or
                 positions by joint name.
+            decompose: Whether meshes are divided; if None, where links touch in many configurations and the library
+                `coacd` is there, with a warning if it is not.
             limits: As in `from_mjcf`.
             allowed_contacts: What may touch besides.
             keyframes: Configurations by name.
@@ -181,15 +185,19 @@ class Scene(SceneFacts):
 
         Raises:
             SceneError: If a file is broken, hostile or not there.
-            UnsupportedError: If it has features that cannot be represented.
+            UnsupportedError: If it has features that cannot be represented, or meshes are to be divided without that.
             UnknownNameError: If there is no such link.
         """
-        robot = read_urdf(source, packages)
+        robot = read_urdf(source, packages, decompose=decompose or False)
         chain, prefix = robot.chain(tool), f"{robot.name}/"
-        spec = composed(robot, tool, world, pose)
         told = None if srdf is None else read_srdf(srdf)
         states = {} if told is None else told.keyframes([joint.name for joint in chain])
         disabled = () if told is None else told.contacts(robot)
+        spec = composed(robot, tool, world, pose)
+        touches = touching(spec, prefix, chain, (*disabled, *allowed_contacts))
+        if decompose is None and touches.often > OFTEN:
+            spec = composed(read_urdf(source, packages, decompose=None), tool, world, pose)
+            touches = touching(spec, prefix, chain, (*disabled, *allowed_contacts))
         return cls.from_mjcf(
             spec,
             robot=prefix,
@@ -201,7 +209,7 @@ class Scene(SceneFacts):
             velocity=velocities(chain) if velocity is None else velocity,
             acceleration=[acceleration] * len(chain) if isinstance(acceleration, int | float) else acceleration,
             keyframes={**states, **(keyframes or {})},
-            allowed_contacts=(*touching(spec, prefix, chain), *disabled, *allowed_contacts),
+            allowed_contacts=(*touches.contacts, *disabled, *allowed_contacts),
             name=robot.name,
         )
 

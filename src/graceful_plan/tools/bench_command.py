@@ -22,9 +22,10 @@ def add_to(commands: Any) -> None:
         "--planner",
         action="append",
         default=[],
-        metavar="MODULE:CLASS",
-        help="planner of your own, by the class's name, as package.module:Class or package.module:Class:setting=value; "
-        "repeat for more. Its module is imported, also from the current directory",
+        metavar="MODULE:NAME",
+        help="planner of your own, by the name of its class, as package.module:Class or "
+        "package.module:Class:setting=value, or of a function that asks another library; repeat for more. Its module "
+        "is imported, also from the current directory",
     )
     bench.add_argument("--seeds", metavar="N|S,S", help="number of seeds, or seeds with commas (default: the suite's)")
     bench.add_argument("--seconds", type=float, metavar="S", help="time limit of every call (default: the suite's)")

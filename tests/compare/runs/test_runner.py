@@ -144,6 +144,50 @@ def test_exceptions_are_outcomes(here):
         assert (found.status, found.detail, found.total) == ("RAISED", "ZeroDivisionError: oops", math.inf)
 
 
+ADAPTER = """
+import numpy as np
+
+def asks(problem):
+    assert len(problem.joints) in (0, len(problem.start))
+    assert (len(problem.mjcf) > 0) == (len(problem.joints) > 0) and 0.0 < problem.seconds <= 2.0
+    s = np.linspace(0.0, 1.0, 50)[:, None]
+    q = problem.start + s * (problem.goals[0] - problem.start)
+    assert problem.states_free(q).shape == (50,)
+    ACT
+    return q
+"""
+
+
+@pytest.mark.parametrize(
+    ("act", "status", "detail"),
+    [
+        ("pass", "SOLVED", ""),
+        ("return None", "INFEASIBLE", ""),
+        ("raise KeyError('cuda')", "RAISED", "KeyError: 'cuda'"),
+        ("return q[:, :1]", "RAISED", "ShapeError: what asks returns"),
+        ("return q * np.nan", "RAISED", "what asks returns"),
+        ("return 'up'", "RAISED", "what asks returns"),
+    ],
+)
+def test_a_function_is_a_planner(here, act, status, detail):
+    (here / "library.py").write_text(ADAPTER.replace("ACT", act))
+    found = [run(job) for job in jobs(here, "library:asks", suite="free_space")]
+    assert {one.status for one in found} == {status}, found[0].detail
+    assert all(detail in one.detail for one in found)
+
+
+def test_what_a_function_finds_is_judged(here):
+    """A straight line through the boxes that lie between start and goal."""
+    (here / "library.py").write_text(ADAPTER.replace("ACT", "pass"))
+    (job,) = jobs(here, "library:asks", suite="free_space")
+    task = gp.load_scene("tabletop_l3").tasks["green_to_blue"]
+    through = np.linspace(task.start, np.atleast_2d(task.goal)[0], 50)
+    assert not gp.verify(gp.Path(through), task.scene).passed
+    note = dataclasses.replace(job.problem, name="green", kind="task", source="tabletop_l3", item="green_to_blue")
+    found = run(dataclasses.replace(job, problem=note))
+    assert found.status != "SOLVED" and not math.isfinite(found.total)
+
+
 def test_messages_can_be_written_whatever_is_in_them(here):
     word = own_planner(here, "raise ValueError('\\udcff' + 'x' * 10_000)", "babbles")
     (found,) = [run(job) for job in jobs(here, word)]

@@ -18,6 +18,20 @@ _ROOM = 0.02
 _MILD = 5.0
 """Severity of what may lie below the object at the ends of a task: no more than moderate."""
 
+_OBSTACLES = {
+    "dining_table": {"pedestal", "chair", "person_legs", "floor_under_table"},
+    "desk": {"pedestal", "floor_under_desk"},
+    "kitchen_counter": {"pedestal", "wall", "floor_under_trolley"},
+    "tabletop": {"world"},
+    "tabletop_l1": {"world"},
+    "tabletop_l3": {"world"},
+}
+"""Bodies that collide and are no entities: what is touched there counts nowhere, so that each needs a reason."""
+_COVERED = {"person_legs", "floor_under_table", "floor_under_desk", "floor_under_trolley"}
+"""Those of them whose reason is that entities cover them."""
+_RAY_STEP = 0.03
+"""Distance of the rays that look for what is not covered [m]."""
+
 
 @cache
 def household(name: str) -> gp.Scene:
@@ -99,6 +113,47 @@ def test_the_floor_has_no_part_below_the_furniture(name: str) -> None:
                 distance = np.abs(data.geom_xpos[floor, :2] - data.geom_xpos[top, :2])
                 if scene.model.geom_type[top] == mujoco.mjtGeom.mjGEOM_BOX:
                     assert np.any(distance >= half.sum(axis=0) - 1e-9)
+
+
+def collides(model: mujoco.MjModel) -> np.ndarray:
+    return (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+
+
+@pytest.mark.parametrize("name", gp.scenes())
+def test_what_collides_is_an_entity_or_known_to_be_none(name: str) -> None:
+    """A new thing that nobody lists would be free to be hit."""
+    scene = household(name)
+    model, listed = scene.model, {g for entity in scene.entities.values() for g in entity.geoms}
+    rest = [g for g in np.flatnonzero(collides(model)) if model.geom_bodyid[g] not in scene.robot_bodies]
+    assert {model.body(model.geom_bodyid[g]).name for g in rest if g not in listed} == _OBSTACLES[name]
+
+
+@pytest.mark.parametrize("name", HOUSEHOLD)
+def test_entities_cover_what_is_none_because_it_is_covered(name: str) -> None:
+    """Straight from above, that is; what gets there in other ways has touched an entity before."""
+    scene = household(name)
+    model, data = scene.model, scene.data_at(scene.keyframes["ready"])
+    solid = np.flatnonzero(collides(model)).tolist()
+    entities = [g for entity in scene.entities.values() for g in entity.geoms if g in solid]
+    for body in _COVERED & _OBSTACLES[name]:
+        for geom in np.flatnonzero(model.geom_bodyid == model.body(body).id).tolist():
+            R, (centre, half) = data.geom_xmat[geom].reshape(3, 3), model.geom_aabb[geom].reshape(2, 3)
+            low, high = (data.geom_xpos[geom] + R @ centre + sign * np.abs(R) @ half for sign in (-1.0, 1.0))
+            sides = [np.arange(a + 1e-3, b, _RAY_STEP) for a, b in zip(low[:2], high[:2], strict=True)]
+            for x, y in np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2):
+                own = depth_below(model, data, (x, y), geom)
+                assert any(depth_below(model, data, (x, y), g) <= own for g in entities) or own == np.inf, (body, x, y)
+
+
+def depth_below(model: mujoco.MjModel, data: mujoco.MjData, xy: tuple[float, float], geom: int) -> float:
+    """Return how far below 3 m a geom is [m]; infinite where it is not."""
+    at, down = np.array([*xy, 3.0]), np.array([0.0, 0.0, -1.0])
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        depth = mujoco.mj_rayMesh(model, data, geom, at, down)
+    else:
+        pose = data.geom_xpos[geom], data.geom_xmat[geom]
+        depth = mujoco.mju_rayGeom(*pose, model.geom_size[geom], at, down, model.geom_type[geom])
+    return depth if depth >= 0.0 else np.inf
 
 
 # --- what is known about them -----------------------------------------------------------------------------------------

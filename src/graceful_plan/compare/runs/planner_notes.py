@@ -1,7 +1,8 @@
 """Which planners are compared: names with settings, of the library's planners and of classes that are imported.
 
-A planner is written `name` or `name:setting=value,setting=value`, where the name is one of `PLANNERS` or the class of
-one's own as `package.module:Class`. Importing that module runs it, in this process and in every worker.
+A planner is written `name` or `name:setting=value,setting=value`, where the name is one of `PLANNERS`, the class of
+one's own as `package.module:Class`, or a function as `package.module:function` (see `PlainProblem`). Importing that
+module runs it, in this process and in every worker.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import yaml
 
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
 from graceful_plan.planners import PLANNERS, Planner
+from graceful_plan.planners.external import adapted
 
 
 @final
@@ -161,10 +163,11 @@ def _number(text: str) -> float | str:
 
 
 def imported_planner(name: str) -> type[Planner]:
-    """Import a planner's class.
+    """Import a planner's class, or make one of a function.
 
     Args:
-        name: "package.module:Class", found as Python finds modules, and in the current directory.
+        name: "package.module:Class" or "package.module:function", found as Python finds modules, and in the current
+            directory.
 
     Raises:
         PlannerImportError: If there is no such module, it cannot be imported, or the class is no planner.
@@ -186,11 +189,13 @@ def imported_planner(name: str) -> type[Planner]:
             name, f"importing {module_name} raised {type(error).__name__}: {error}{_line_of(error)}"
         ) from error
     planner = getattr(module, cls_name, None)
+    if inspect.isfunction(planner):
+        planner = adapted(planner)
     if planner is None:
         valid = [key for key, value in vars(module).items() if _is_planner(value) and not inspect.isabstract(value)]
         raise UnknownNameError(f"planner of {module_name}", cls_name, valid)
     if not _is_planner(planner):
-        raise PlannerImportError(name, "is no class derived from graceful_plan.Planner")
+        raise PlannerImportError(name, "is no class derived from graceful_plan.Planner, and no function")
     if inspect.isabstract(planner):
         raise PlannerImportError(name, f"lacks {', '.join(sorted(planner.__abstractmethods__))}")
     _with_defaults(name, planner)

@@ -39,7 +39,7 @@ _SPARE, _SPARE_SHARE = 0.1, 0.08
 """At least so much is kept for the last steps [s], but no more than this share of a time limit: machines get busy."""
 _TIMED = 3
 """Motions that are to be timed within the time that is kept for the last steps."""
-_INSURANCE = 0.1
+_INSURANCE = 0.2
 """Share of the time left that a motion may take which is there should those that follow come too late."""
 _MOST_KEPT = 0.7
 """Share of a time limit that is kept for them at most."""

@@ -75,6 +75,48 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
     return content, ending
 
 
+def mesh_triangles(content: bytes, ending: str, name: str) -> Float[Array, "triangle 3 3"]:
+    """Return the triangles of what `mesh_content` returned [m, before any scale].
+
+    Raises:
+        SceneError: If it is broken.
+    """
+    triangles = _binary_triangles(content) if ending == ".stl" else _obj_triangles(content)
+    if triangles is None or not len(triangles) or not np.isfinite(triangles).all():
+        raise SceneError(f"the mesh {name!r} has no triangles that can be read")
+    return triangles
+
+
+def _binary_triangles(content: bytes) -> Float[Array, "triangle 3 3"] | None:
+    count = int.from_bytes(content[80:84], "little")
+    if len(content) < _binary_size(content):
+        return None
+    records = np.frombuffer(content, dtype=np.dtype((np.void, 50)), count=count, offset=84)
+    floats = np.frombuffer(records.tobytes(), dtype=np.uint8).reshape(count, 50)[:, 12:48]
+    return np.ascontiguousarray(floats).view("<f4").reshape(count, 3, 3).astype(float)
+
+
+def _obj_triangles(content: bytes) -> Float[Array, "triangle 3 3"] | None:
+    corners, faces = [], []
+    try:
+        for line in content.decode("utf-8", "replace").splitlines():
+            kind, *rest = line.split() or [""]
+            if kind == "v":
+                corners.append([float(x) for x in rest[:3]])
+            elif kind == "f":
+                index = [int(word.split("/")[0]) for word in rest]
+                at = [k - 1 if k > 0 else len(corners) + k for k in index]
+                faces += [(at[0], at[k], at[k + 1]) for k in range(1, len(at) - 1)]
+        return np.array(corners, dtype=float).reshape(-1, 3)[np.array(faces, dtype=int).reshape(-1, 3)]
+    except (ValueError, IndexError):
+        return None
+
+
+def obj_content(triangles: Float[Array, "triangle 3 3"]) -> bytes:
+    """Return triangles as the text of an OBJ file."""
+    return _obj(triangles.reshape(-1, 3))
+
+
 def _is_text(content: bytes) -> bool:
     """Whether an STL file is the kind in words; some binary ones begin with the same word."""
     return content[:5].lower() == b"solid" and b"facet" in content[:1000] and len(content) != _binary_size(content)

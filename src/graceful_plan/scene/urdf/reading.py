@@ -6,8 +6,9 @@ meshes by their bare names. Only collision geometry is taken.
 
 from __future__ import annotations
 
+import copy
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
@@ -16,7 +17,8 @@ import mujoco
 import numpy as np
 
 from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
-from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content
+from graceful_plan.scene.urdf.convex_parts import convex_parts, part_triangles
+from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content, mesh_triangles, obj_content
 
 _MOST_BYTES = 10_000_000
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -87,12 +89,13 @@ class UrdfRobot:
         return found[::-1]
 
 
-def read_urdf(source: str | Path, packages: Sequence[str | Path] = ()) -> UrdfRobot:
+def read_urdf(source: str | Path, packages: Sequence[str | Path] = (), *, decompose: bool | None = False) -> UrdfRobot:
     """Read a URDF.
 
     Args:
         source: A file, or its text if it starts with "<".
         packages: Folders that `package://` means: packages, or folders that have them in them.
+        decompose: Whether meshes that their hulls do not fit are divided into parts; where the library is, if None.
 
     Raises:
         SceneError: If it is broken, hostile, or has nothing that can collide.
@@ -103,17 +106,17 @@ def read_urdf(source: str | Path, packages: Sequence[str | Path] = ()) -> UrdfRo
     if root.find("link/collision/geometry") is None:
         raise SceneError("no link has collision geometry", file=None if folder is None else str(source))
     assets: dict[str, bytes] = {}
-    short: dict[str, str] = {}
+    parts: dict[str, list[str]] = {}
     places = [Path(package) for package in packages]
     for k, name in enumerate(sorted(meshes)):
-        content, ending = mesh_content(found_mesh(name, folder, places))
-        short[name] = f"mesh{k}{ending}"
-        assets[short[name]] = content
+        found = _in_parts(*mesh_content(found_mesh(name, folder, places)), name, decompose)
+        parts[name] = [f"mesh{k}_{i}{ending}" for i, (_, ending) in enumerate(found)]
+        assets |= zip(parts[name], (content for content, _ in found), strict=True)
     for link in root.iterfind("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
-        for mesh in link.iterfind("collision/geometry/mesh"):
-            mesh.set("filename", short[mesh.get("filename", "")])
+        for collision in link.findall("collision"):
+            _name_parts(link, collision, parts)
     for inertia in root.iterfind("link/inertial/inertia"):
         _make_possible(inertia)
     _put_on_a_base(root)
@@ -161,6 +164,31 @@ def _parsed(text: str, source: str | Path) -> ET.Element:
     if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
         raise SceneError("this is a xacro file; run xacro first, and give the URDF that it prints", file=file)
     return root
+
+
+def _in_parts(content: bytes, ending: str, name: str, decompose: bool | None) -> list[tuple[bytes, str]]:
+    """Return the contents and endings of mesh files that stand for one."""
+    if decompose is False:
+        return [(content, ending)]
+    parts = convex_parts(mesh_triangles(content, ending, name), Path(name).name, needed=bool(decompose))
+    return [(obj_content(part_triangles(part)), ".obj") for part in parts] or [(content, ending)]
+
+
+def _name_parts(link: ET.Element, collision: ET.Element, parts: Mapping[str, Sequence[str]]) -> None:
+    """Put the meshes that stand for one in its place, each in a collision element of its own."""
+    mesh = collision.find("geometry/mesh")
+    if mesh is None:
+        return
+    first, *others = parts[mesh.get("filename", "")]
+    mesh.set("filename", first)
+    for k, other in enumerate(others):
+        twin = copy.deepcopy(collision)
+        if "name" in twin.attrib:
+            twin.set("name", f"{twin.get('name')}_part{k + 1}")
+        twin_mesh = twin.find("geometry/mesh")
+        assert twin_mesh is not None
+        twin_mesh.set("filename", other)
+        link.append(twin)
 
 
 def _make_possible(inertia: ET.Element) -> None:

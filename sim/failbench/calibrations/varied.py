@@ -1,0 +1,76 @@
+"""Drops of things that bounce more, or less, than the scenes' materials say, and that turn when they are let go.
+
+Only what is simulated varies: neither planners nor models know of it, as nobody knows of a real thing before it falls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from failbench.rollouts.execution import Execution
+from failbench.simulated.world import World
+from graceful_plan.exceptions import SettingError
+
+_RESTITUTION = (0.017, 0.193, 0.266, 0.351, 0.460, 0.529, 0.611, 0.694)
+"""Of a sphere that falls 0.3 m, measured by `benchmarks/materials.py: restitution` at ..."""
+_DAMPING = (0.8, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15)
+"""... these damping ratios, MuJoCo's time constant 0.02 s."""
+_ALONE = 1e3
+"""Share of the carried object's contact parameters in those of a contact, over that of what it touches."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variation:
+    """How what is dropped differs from what a scene says.
+
+    Args:
+        restitution: Least and greatest coefficient of restitution, drawn for each motion; None if as in the scene.
+        spin: Angular velocity that is added to the object's when the gripper fails [rad/s], standard deviation about
+            each axis. Fingers that still touch the object take some of it away. One of two fingers that opens 20 ms
+            late holds half the weight at half the width (3 cm) of a thing with a radius of gyration of 5 cm: 1.2 rad/s.
+    """
+
+    restitution: tuple[float, float] | None = None
+    spin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.restitution is not None:
+            low, high = self.restitution
+            if not _RESTITUTION[0] <= low <= high <= _RESTITUTION[-1]:
+                raise SettingError(
+                    "restitution", self.restitution, f"{_RESTITUTION[0]} to {_RESTITUTION[-1]}, in order"
+                )
+        if not 0.0 <= self.spin < np.inf:
+            raise SettingError("spin", self.spin, "finite, at least 0 rad/s")
+
+
+VARIED = Variation(restitution=(0.1, 0.6), spin=1.2)
+"""From cartons to hard balls (docs/failbench.md), let go by fingers that do not open together."""
+
+
+def bounce(world: World, variation: Variation, seed: int) -> None:
+    """Give the carried object of a world its restitution, against everything but the fingers."""
+    if variation.restitution is None:
+        return
+    e = np.random.default_rng(seed).uniform(*variation.restitution)
+    model = world.model
+    carried = np.isin(model.geom_bodyid, world.striker_bodies["carried"])
+    model.geom_solref[carried, 1] = np.interp(e, _RESTITUTION, _DAMPING)
+    model.geom_solmix[carried] = _ALONE
+
+
+def spun(execution: Execution, variation: Variation, seed: int) -> Execution:
+    """Return an execution in which the carried object turns wherever a rollout may begin."""
+    if variation.spin == 0.0:
+        return execution
+    model, states = execution.world.model, execution.states.copy()
+    joint = int(model.body_jntadr[execution.world.carried_body])
+    before = mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS
+    first = mujoco.mj_stateSize(model, int(before)) + int(model.jnt_dofadr[joint]) + 3  # what is linear comes first
+    rng = np.random.default_rng((seed, 1))
+    states[:, first : first + 3] += rng.normal(scale=variation.spin, size=(len(states), 3))
+    states.flags.writeable = False
+    return replace(execution, states=states)
