@@ -131,3 +131,41 @@ def test_a_gripper_whose_bodies_nobody_named_can_hold():
     assert (finger, block) in scene.allowed_pairs("always")
     with pytest.raises(UnknownNameError):
         geoms_named(scene.model, "#99")
+
+
+_CHAIN = """<mujoco><worldbody><geom name="ground" type="plane" size="1 1 1" pos="0 0 -5"/>
+<body name="r/foot"><geom size=".1"/><body name="r/a" pos="0 0 1"><joint range="-1 1"/><geom size=".1"/>
+<body name="r/b" pos="0 0 1"><joint range="-1 1"/><geom size=".1"/>
+<body name="r/c" pos="0 0 1"><joint range="-1 1"/><geom size=".1"/><site name="r/tip"/></body></body></body></body>
+</worldbody><contact><exclude body1="r/a" body2="r/c"/></contact></mujoco>"""
+
+
+def _chain(*allowed: AllowedContact) -> gp.Scene:
+    return gp.Scene.from_mjcf(
+        _CHAIN, robot="r/", tool="r/tip", velocity=[1.0] * 3, acceleration=[1.0] * 3, allowed_contacts=allowed
+    )
+
+
+def test_links_that_may_touch_are_told_with_the_reason() -> None:
+    scene = _chain(AllowedContact("r/foot", "r/c", reason="SRDF"))
+    count, unchecked = contacts.unchecked_links(
+        scene.model, scene.robot_bodies, scene.collision_pairs(), scene.allowed_contacts
+    )
+    assert unchecked == {
+        "SRDF": [("r/foot", "r/c")],
+        "adjacent": [("r/a", "r/b"), ("r/b", "r/c")],
+        "filters of the model": [("r/a", "r/c")],
+    }
+    # The parent of r/a does not move: MuJoCo tests it.
+    assert count == 2
+    assert "links that may not touch: 2 pairs; that may:\n  SRDF: r/foot - r/c\n  adjacent: " in scene.describe()
+
+
+def test_more_contacts_may_be_allowed_later() -> None:
+    scene = _chain()
+    later = scene.with_allowed_contacts(AllowedContact("r/foot", "r/a"))
+    assert len(later.collision_pairs()) == len(scene.collision_pairs()) - 1
+    assert "  allowed: r/foot - r/a" in later.describe() and "  r/foot - r/a (always)" in later.describe()
+    assert len(later.add_box("crate", [0.1] * 3, [2.0, 0.0, 0.0]).allowed_contacts) == 1
+    with pytest.raises(UnknownNameError, match="'r/nose'"):
+        scene.with_allowed_contacts(AllowedContact("r/foot", "r/nose"))

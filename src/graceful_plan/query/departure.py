@@ -111,7 +111,7 @@ def search_among_moving(
 
 @per_scene
 def _as_if_nobody_moved(scene: Scene) -> Scene:
-    """Return a scene without those who move, the same in every call: compiling takes as long as a short call."""
+    """Return a scene without those who move, the same in every call: compiling it takes as long as a short call."""
     return scene.without_moving()
 
 

@@ -6,7 +6,7 @@ together, parent and child (unless the parent is welded to the world), excluded 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -121,3 +121,46 @@ def without(pairs: Int[Array, "pair 2"], allowed: Collection[tuple[int, int]]) -
         kept = pairs[np.array(keep, dtype=bool)]
     kept.flags.writeable = False
     return kept
+
+
+def unchecked_links(
+    model: mujoco.MjModel,
+    robot: Collection[int],
+    checked: Int[Array, "pair 2"],
+    contacts: Iterable[AllowedContact],
+) -> tuple[int, Mapping[str, Sequence[tuple[str, str]]]]:
+    """Return how many pairs of links may not touch, and the names of all others by the reason why.
+
+    A link is a group of the robot's bodies without a joint in between, by the name of the first; only those with geoms
+    that collide count. Reasons are those of `AllowedContact`s, "allowed" if they give none; "adjacent" for parent and
+    child; "filters of the model" for masks and excluded pairs.
+
+    Args:
+        model: The model.
+        robot: Bodies of the robot.
+        checked: Pairs of geoms that may not touch.
+        contacts: What may touch.
+    """
+    weld = np.asarray(model.body_weldid)
+    of_geom = weld[np.asarray(model.geom_bodyid)]
+    mine = colliding_geoms(model, robot)
+    links = sorted({int(of_geom[geom]) for geom in mine})
+    first_body = {link: min(body for body in robot if weld[body] == link) for link in links}
+    kept = {(int(a), int(b)) for a, b in np.sort(of_geom[checked[np.isin(checked, mine).all(axis=1)]], axis=1)}
+    reasons: dict[tuple[int, int], str] = {}
+    for contact in contacts:
+        if contact.when == "always":
+            ends = [
+                {int(of_geom[geom]) for geom in geoms_named(model, name)} for name in (contact.first, contact.second)
+            ]
+            reasons |= {(min(a, b), max(a, b)): contact.reason or "allowed" for a in ends[0] for b in ends[1]}
+    unchecked: dict[str, list[tuple[str, str]]] = {}
+    for k, first in enumerate(links):
+        for second in links[k + 1 :]:
+            if (first, second) in kept:
+                continue
+            adjacent = first == weld[model.body_parentid[second]]
+            reason = reasons.get((first, second), "adjacent" if adjacent else "filters of the model")
+            pair = tuple(names(model, _OBJ.mjOBJ_BODY, (first_body[first], first_body[second])))
+            unchecked.setdefault(reason, []).append((pair[0], pair[1]))
+    return len(kept), unchecked

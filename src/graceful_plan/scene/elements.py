@@ -133,12 +133,13 @@ class AllowedContact:
     """Two geoms or bodies, by name, that may touch.
 
     "always": along the whole path. "ends": only in one unbroken stretch at the beginning of a path and one at its end,
-    such as an object that stands on its support until it is lifted.
+    such as an object that stands on its support until it is lifted. `reason` says why, for people.
     """
 
     first: str
     second: str
     when: str = "always"
+    reason: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if self.when not in ("always", "ends"):

@@ -310,11 +310,7 @@ def finger_positions(
         UnknownNameError: If a joint is not among those that are held still.
         SettingError: If a position is outside of its joint's range.
     """
-    held = {
-        model.joint(j).name: j
-        for j in range(model.njnt)
-        if j not in planned and _is_scalar(model, j, robot)
-    }
+    held = {model.joint(j).name: j for j in range(model.njnt) if j not in planned and _is_scalar(model, j, robot)}
     fingers = notes.fingers
     if notes.held is not None and notes.held.fingers is not None:
         fingers = notes.held.fingers

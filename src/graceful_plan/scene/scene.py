@@ -278,7 +278,7 @@ class Scene(SceneFacts):
         return MappingProxyType(tasks)
 
     def describe(self) -> str:
-        """Return a readable summary: robot, components, entities with severities, what may touch."""
+        """Return a readable summary: robot, components, entities with severities, what may touch and why."""
         return summary(self, {name: task.description for name, task in self.tasks.items()})
 
     # --- new scenes ---------------------------------------------------------------------------------------------------
@@ -394,6 +394,15 @@ class Scene(SceneFacts):
             if not callable(getattr(constraint, "rule", None)):
                 raise SettingError("constraints", constraint, "graceful_plan.Constraint objects, such as Upright()")
         return Scene.build(self.spec, replace(self.notes, constraints=constraints), self.model)
+
+    def with_allowed_contacts(self, *contacts: AllowedContact) -> Scene:
+        """Return this scene with more that may touch, such as two links of the robot; `describe` lists them.
+
+        Raises:
+            UnknownNameError: If a name is neither a body nor a geom.
+        """
+        notes = replace(self.notes, allowed=(*self.notes.allowed, *contacts))
+        return Scene.build(self.spec, notes, self.model)
 
     def add_box(self, name: str, half_size: ArrayLike, pose: ArrayLike, entity: str | None = None) -> Scene:
         """Return this scene with a box that does not move.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from graceful_plan.scene.contacts import unchecked_links
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.model_parts import geom_label
 
@@ -30,12 +31,20 @@ def summary(scene: SceneFacts, tasks: Mapping[str, str]) -> str:
         ),
         "obstacles only: " + (", ".join(scene.unlabelled) or "none"),
         "may touch:",
-        *(f"  {a.first} - {a.second} ({a.when})" for a in scene.allowed_contacts),
+        *(f"  {a.first} - {a.second} ({a.when})" for a in scene.allowed_contacts if not a.reason),
+        *_links(scene),
         "keyframes: " + (", ".join(scene.keyframes) or "none"),
         "tasks:",
         *(f"  {name:<20} {told}" for name, told in tasks.items()),
     ]
     return "\n".join(lines)
+
+
+def _links(scene: SceneFacts) -> list[str]:
+    """Say which links of the robot may touch each other, by the reason why."""
+    count, unchecked = unchecked_links(scene.model, scene.robot_bodies, scene.collision_pairs(), scene.allowed_contacts)
+    pairs = {reason: ", ".join(f"{a} - {b}" for a, b in found) for reason, found in sorted(unchecked.items())}
+    return [f"links that may not touch: {count} pairs; that may:", *(f"  {k}: {told}" for k, told in pairs.items())]
 
 
 def _geoms(scene: SceneFacts, geoms: tuple[int, ...]) -> str:

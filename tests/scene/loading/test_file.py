@@ -86,6 +86,15 @@ def test_everything_in_a_file_arrives(shelf: Scene) -> None:
     np.testing.assert_allclose(base.xmat.reshape(3, 3), np.diag([-1, -1, 1]), atol=1e-12)
 
 
+def test_limits_and_a_tool_by_its_body(tmp_path: Path) -> None:
+    text = _SCENE.replace("  quaternion: [0, 0, 0, 1]", "  limits: {panda/joint1: [-1, 1.5]}\ntool: panda/hand")
+    scene = read_scene(_write(tmp_path, text))
+    assert tuple(scene.limits.position[0]) == (-1.0, 1.5) and scene.tool == "panda/hand"
+    np.testing.assert_allclose(scene.tasks["serve"].scene.limits.position, scene.limits.position)
+    with pytest.raises(SceneError, match=r"shelf.yaml:4: robot: limits of panda/joint1"):
+        read_scene(_write(tmp_path, text.replace("[-1, 1.5]", "[2, 1]")))
+
+
 def test_what_moves(shelf: Scene) -> None:
     cat, ball = shelf.moving["cat"], shelf.moving["ball"]
     assert (cat.category, cat.is_round, cat.growth, ball.is_round, ball.spread) == ("pet", False, 0.1, True, 0.2)
@@ -188,7 +197,7 @@ _BROKEN = {  # what to replace, by what, where the complaint points, its words
         "{panda/joint1: 0.03",
         "unknown finger joint 'panda/joint1'",
     ),
-    "no such tool": ("fingers: 0.04", "tool: panda/tap", "unknown tool site .panda/tap.; valid: panda/flange"),
+    "no such tool": ("fingers: 0.04", "tool: panda/tap", "unknown tool .site or body. .panda/tap.; valid: "),
     "base that coasts": ("  model: panda", "  model: panda\n  body_class: fall", "class of component 'body' 'fall'"),
     "too few limits": ("  model: panda", "  model: panda\n  velocity: [1]", r"velocity limits = \[1.0\]"),
     "object without body": ("    body: cup", "    body: cop", "unknown body 'cop'"),

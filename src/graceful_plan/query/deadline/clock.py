@@ -27,10 +27,12 @@ _FIRST: dict[Step, float] = {"ending": 0.005, "timing": 0.01, "judging": 0.04}
 """What is kept before there are any runs [s]: what they take where contents are carried."""
 _LATELY = 16
 """Runs of a step that count."""
-_FORGOTTEN, _TYPICAL_FORGOTTEN = 0.95, 0.995
-"""What is left of the longest of these times, and of their median, whenever a step is not begun for their sake: a
-single long run is forgotten soon, what a step mostly takes so slowly that one call in a hundred is late for it. The
-next run recalls both."""
+_FORGOTTEN, _SLOWLY_FORGOTTEN = 0.95, 0.995
+"""What is left of these times whenever a step is not begun for their sake, until the next run: a single long run is
+forgotten soon. So are a few milliseconds of what a step mostly takes; the rest of it slowly, since whoever tries it
+then is late by as much."""
+_SOON_FORGOTTEN = 0.008
+"""Of what a step mostly takes [s]: 99 of 100 calls are to be late by 10 ms at most."""
 _LATE, _LATE_SHARE = 0.003, 0.01
 """By how much a call may be late if a step takes as long as it ever did lately [s], or by which share of its limit."""
 _SPARE, _SPARE_SHARE = 0.1, 0.08
@@ -57,7 +59,9 @@ class Paces:
 
     def typical(self, step: Step) -> float:
         """Return the median of the last runs [s]; 0 before there are any."""
-        return _TYPICAL_FORGOTTEN ** self._doubts[step] * statistics.median(self._lately[step] or (0.0,))
+        median, doubts = statistics.median(self._lately[step] or (0.0,)), self._doubts[step]
+        slowly = min(_SLOWLY_FORGOTTEN**doubts * median, median - _SOON_FORGOTTEN)
+        return max(_FORGOTTEN**doubts * median, slowly)
 
     def knows(self, step: Step) -> bool:
         """Whether there were any runs."""

@@ -92,13 +92,14 @@ def touching(
     }
     touched = _touched(model, group, [model.joint(prefix + joint.name).id for joint in chain])
     count = Counter(pair for found in touched for pair in found)
-    pairs |= {pair for pair, found in count.items() if found >= _ALWAYS * _SAMPLES}
-    names = sorted((model.body(a).name, model.body(b).name) for a, b in pairs)
+    reasons = dict.fromkeys((pair for pair, found in count.items() if found >= _ALWAYS * _SAMPLES), "overlap")
+    reasons |= dict.fromkeys(pairs, "adjacent")
+    named = sorted((model.body(a).name, model.body(b).name, reason) for (a, b), reason in reasons.items())
     body = {model.body(k).name: k for k in robot}
     may = {(group[body[c.first]], group[body[c.second]]) for c in allowed if c.first in body and c.second in body}
-    free = pairs | may | {pair[::-1] for pair in may}
+    free = set(reasons) | may | {pair[::-1] for pair in may}
     often = sum(bool(found - free) for found in touched) / _SAMPLES
-    return Touching(tuple(AllowedContact(a, b) for a, b in names), often)
+    return Touching(tuple(AllowedContact(a, b, reason=reason) for a, b, reason in named), often)
 
 
 def _rigid_root(model: mujoco.MjModel, body: int, robot: frozenset[int]) -> int:

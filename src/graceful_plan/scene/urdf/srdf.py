@@ -31,7 +31,7 @@ class Srdf:
         """Return the pairs whose links the robot has."""
         links = {link for joint in robot.joints for link in (joint.parent, joint.child)}
         known = [pair for pair in self.pairs if links.issuperset(pair)]
-        return tuple(AllowedContact(f"{robot.name}/{a}", f"{robot.name}/{b}") for a, b in known)
+        return tuple(AllowedContact(f"{robot.name}/{a}", f"{robot.name}/{b}", reason="SRDF") for a, b in known)
 
     def keyframes(self, joints: Sequence[str]) -> dict[str, list[float]]:
         """Return the states that say where all of some joints are."""
