@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import mujoco
-import re
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
