@@ -114,6 +114,26 @@ def test_trees_leave_a_narrow_slot(backwards: bool) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_samples_near_trees_keep_limits_and_seeds(seed: int) -> None:
+    """Both ends sit in corners, so that much of what is drawn around them would lie outside."""
+    problem = FunctionProblem(
+        start=np.array([-1.0, -2.0]),
+        goals=np.array([[3.0, 2.0]]),
+        lower=np.array([-1.0, -2.0]),
+        upper=np.array([3.0, 2.0]),
+        free=lambda q: (np.abs(q[:, 0] - 1.0) > 0.2) | (q[:, 1] > 1.7) | (q[:, 1] < -1.7),
+        step=0.02,
+    )
+    objective = DensityObjective(density=lambda q: np.zeros(len(q)), w=0.0)
+    one, other = (
+        next(iter(RRTConnect(shortcut=None).solve(problem, objective, Budget(iterations=3000), rng)))
+        for rng in (np.random.default_rng(seed), np.random.default_rng(seed))
+    )
+    assert np.array_equal(one.q, other.q)
+    assert np.all((one.q >= problem.lower) & (one.q <= problem.upper))
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_more_samples_never_make_a_roadmap_worse(seed: int) -> None:
     instance = two_media()
     planner = PRMStar(shortcut=False, informed=False)

@@ -95,8 +95,9 @@ def test_a_cost_without_gradient_is_lowered_too(task):
 
 
 def test_begins_with_a_free_path_and_improves_it(task):
+    """A first path is free at the fine step, too, which shortcuts are not asked for."""
     problem, objective = bound(task)
-    given = solved(gp.RRTConnect(), problem, objective)[0][-1]
+    given = solved(gp.RRTConnect(shortcut=None), problem, objective)[0][-1]
     paths, _ = solved(gp.Auto(initial=given), problem, objective)
     np.testing.assert_array_equal(paths[0].q, given.without_duplicates().q)
     assert path_total(objective, paths[-1]) < path_total(objective, given)
