@@ -113,13 +113,23 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
 
 @pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
-    given = {"objective": objective, "iterations": 300, "seed": 0}
-    plain = gp.plan(task.start, task.goal, task.scene, **given)
-    chosen, again = (gp.plan(task.start, task.goal, task.scene, risk=kind, **given) for _ in range(2))
-    assert chosen.status is gp.PlanStatus.SOLVED and chosen.verdict.passed
-    np.testing.assert_array_equal(chosen.path.q, again.path.q)
+    """Over several seeds: which valley a plan ends in is chance, with the measure and without."""
     preference = Preference(gp.RiskMeasure(kind), objective.bind(task.scene))
-    assert preference.total(chosen.trajectory) <= 1.02 * preference.total(plain.trajectory)  # it decides late
+    plain, chosen = [], []
+    for seed in range(5):
+        given = {"objective": objective, "iterations": 300, "seed": seed}
+        result = gp.plan(task.start, task.goal, task.scene, risk=kind, **given)
+        assert result.status is gp.PlanStatus.SOLVED and result.verdict.passed
+        chosen.append(preference.total(result.trajectory))
+        plain.append(preference.total(gp.plan(task.start, task.goal, task.scene, **given).trajectory))
+    assert np.mean(chosen) <= np.mean(plain)
+
+
+def test_plans_by_a_measure_are_the_same_again(task: gp.Task, objective: gp.Objective) -> None:
+    once, again = (
+        gp.plan(task.start, task.goal, task.scene, risk="cvar", objective=objective, iterations=300) for _ in range(2)
+    )
+    np.testing.assert_array_equal(once.path.q, again.path.q)
 
 
 def test_expectation_is_the_default(task: gp.Task) -> None:
