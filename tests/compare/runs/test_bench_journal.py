@@ -71,8 +71,8 @@ def test_damage_elsewhere_is_refused_with_its_line(tmp_path):
         (b"my notes, without an end", "no journal of a comparison"),
         (b'{"schema": "graceful_plan.bench", oops\n', ":1: damaged"),
         (b"{}\n", "no journal of a comparison"),
-        (b'{"schema": "graceful_plan.bench", "version": 99}\n', "version 99; this version reads 2"),
-        (b'{"schema": "graceful_plan.bench", "version": 2}\n', "damaged: no begun"),
+        (b'{"schema": "graceful_plan.bench", "version": 99}\n', "version 99; this version reads 3"),
+        (b'{"schema": "graceful_plan.bench", "version": 3}\n', "damaged: no begun"),
     ],
 )
 def test_other_files_are_refused(tmp_path, head, message):

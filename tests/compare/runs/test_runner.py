@@ -13,6 +13,7 @@ from graceful_plan import compare as bench
 from graceful_plan.compare.runs import runner, workers
 from graceful_plan.compare.runs.comparison import settle
 from graceful_plan.compare.runs.measures import FARTHEST, JERK_STEP, exact_clearance, jerk
+from graceful_plan.compare.runs.records import EARLY
 from graceful_plan.compare.runs.runner import run
 from graceful_plan.judge.exact import state_contacts
 from sizes import first_quick
@@ -120,6 +121,9 @@ def test_a_task_is_planned_and_measured(tmp_path):
     assert 0.0 < found.clearance < 1.0
     assert found.certified <= min(found.clearance, found.self_clearance) + 1e-6
     assert found.duration > 0.0 and found.iterations > 0
+    assert 0.0 < found.first <= found.motion_wall and found.motion_cpu > 0.0
+    # Nothing is there sooner than the first path.
+    assert [early < math.inf for early in found.early] == [found.first <= at for at in EARLY]
 
 
 def test_the_straight_line_is_optimal_where_nothing_is_in_the_way(here):

@@ -53,6 +53,7 @@ class ProblemNote:
         kind: "task" or "motion" of a scene, "analytic" or "file".
         source: Bundled scene, or path of the scene or problem file; nothing if it is analytic.
         item: Task, analytic problem, or name in the problem file.
+        group: Problems of one kind: a scene, or a group of a problem file.
         start: Start of a motion.
         goal: Goal of a motion.
         digest: Checksum of the source, if that is a file.
@@ -62,6 +63,7 @@ class ProblemNote:
     kind: str
     source: str = ""
     item: str = ""
+    group: str = ""
     start: End | None = None
     goal: End | None = None
     digest: str = ""
@@ -70,9 +72,8 @@ class ProblemNote:
         """Return what makes this problem what it is; not where its file lies."""
         source = Path(self.source).name if self.digest else self.source
         ends = [list(end) if isinstance(end, tuple) else end for end in (self.start, self.goal)]
-        return {"name": self.name, "kind": self.kind, "source": source, "item": self.item, "ends": ends} | (
-            {"digest": self.digest} if self.digest else {}
-        )
+        named = {"name": self.name, "kind": self.kind, "source": source, "item": self.item, "group": self.group}
+        return {**named, "ends": ends, **({"digest": self.digest} if self.digest else {})}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,7 +240,7 @@ def _of_scene(block: Block, folder: Path) -> Iterator[ProblemNote]:
     named = block.get("name")
     words = [end if isinstance(end, str) else "q" for end in ends]
     name = f"{label}/{words[0]}_to_{words[1]}" if named is None else named.string()
-    yield ProblemNote(name=name, kind="motion", source=source, start=ends[0], goal=ends[1], digest=digest)
+    yield ProblemNote(name=name, kind="motion", source=source, group=label, start=ends[0], goal=ends[1], digest=digest)
 
 
 def _end(block: Block) -> End:
@@ -259,7 +260,7 @@ def _tasks(label: str, source: str, digest: str, wanted: Block | None) -> Iterat
     else:
         chosen = known[: _whole(wanted, 1)]
     for name in chosen:
-        yield ProblemNote(name=f"{label}/{name}", kind="task", source=source, item=name, digest=digest)
+        yield ProblemNote(name=f"{label}/{name}", kind="task", source=source, item=name, group=label, digest=digest)
 
 
 def _analytic(block: Block) -> Iterator[ProblemNote]:
@@ -268,7 +269,7 @@ def _analytic(block: Block) -> Iterator[ProblemNote]:
     for name in chosen:
         if name not in known:
             raise block.error(str(UnknownNameError("analytic problem", name, known)))
-        yield ProblemNote(name=f"analytic/{name}", kind="analytic", item=name)
+        yield ProblemNote(name=f"analytic/{name}", kind="analytic", item=name, group="analytic")
 
 
 def _of_problem_file(
@@ -276,7 +277,14 @@ def _of_problem_file(
 ) -> Iterator[ProblemNote]:
     digest = _digest(path)
     for problem in load_problems(path, groups=groups)[:limit]:
-        yield ProblemNote(name=problem.name, kind="file", source=str(path.resolve()), item=problem.name, digest=digest)
+        yield ProblemNote(
+            name=problem.name,
+            kind="file",
+            source=str(path.resolve()),
+            item=problem.name,
+            group=problem.group,
+            digest=digest,
+        )
 
 
 def _digest(path: Path) -> str:

@@ -7,10 +7,12 @@ from pathlib import Path
 
 from graceful_plan import documents
 from graceful_plan.compare.reports.arena import write_arena
+from graceful_plan.compare.reports.calls import CallSummary
 from graceful_plan.compare.reports.report import number, p_value, percent, write_report
 from graceful_plan.compare.reports.summary import Summary
 from graceful_plan.compare.reports.tables import check_arrow, write_csv, write_parquet
 from graceful_plan.compare.runs.known import write_known
+from graceful_plan.compare.runs.records import EARLY
 from graceful_plan.exceptions import UnknownNameError
 
 EXPORTS: Mapping[str, Callable[[Summary, Path], tuple[Path, ...]]] = {
@@ -73,4 +75,16 @@ def text(summary: Summary) -> str:
             ]
         )
     header = ["planner", "solved", "first [ms]", *(f"gap {time} s" for time in at), "gap", "win/tie/loss", "ratio", "p"]
-    return documents.table(header, rows)
+    calls = ["", _calls(summary.calls)] if summary.calls else []
+    return "\n".join([documents.table(header, rows), *calls])
+
+
+def _calls(calls: Sequence[CallSummary]) -> str:
+    header = ["kind", "planner", "solved", "refused", "first [ms]", "motion [ms]", "CPU [ms]", "over p99 [ms]"]
+    rows = [
+        [row.group, row.planner, f"{row.solved}/{row.runs}", str(row.refused)]
+        + [number(1e3 * t) for t in (row.search, row.motion_wall, row.motion_cpu, max(row.over, 0.0))]
+        + [number(value) for value in row.early]
+        for row in calls
+    ]
+    return documents.table([*header, *(f"path {1e3 * at:g} ms" for at in EARLY if calls[0].early)], rows)

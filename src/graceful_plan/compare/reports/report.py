@@ -8,8 +8,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from graceful_plan.compare.reports import figures
+from graceful_plan.compare.reports.calls import CallSummary
 from graceful_plan.compare.reports.statistics import CONFIDENCE, TIE, Paired
 from graceful_plan.compare.reports.summary import PlannerSummary, Summary, gap, median
+from graceful_plan.compare.runs.records import EARLY
 
 NAME = "report.html"
 _SIGNIFICANT = 0.05
@@ -35,6 +37,12 @@ _SPREAD_NOTE = (
     "Solved runs, a dot each unless they are many; bars from quartile to quartile, with the median. Jerk: third "
     "difference of positions every 20 ms of the timed trajectory. Clearance: least exact distance of the robot "
     "and what it carries to the surroundings, but for what a carried object stands on at the ends."
+)
+_CALLS_NOTE = (
+    "First path: from the call to the first path of its search. Motion, CPU, 95 %: another call, which ends with its "
+    "first path, until the verified motion is there, by the clock, and in processor time of all threads. Over: how "
+    "long after its time limit a call returned. Path at: motion cost of the best path by then, as a search charges "
+    "it. Refused: calls whose start or goal is invalid."
 )
 _PAIRS_NOTE = (
     "Of each problem, the median over its seeds of the total cost of the result, infinite if most seeds were not "
@@ -114,6 +122,7 @@ def _warnings(summary: Summary) -> Iterator[str]:
 def _sections(summary: Summary) -> Iterator[str]:
     yield "<h2>Overview</h2>"
     yield from _overview(summary)
+    yield from _calls(summary.calls)
     yield "<h2>Success and time to first path</h2>"
     yield _figure(
         figures.solved_figure(summary),
@@ -185,6 +194,28 @@ def _overview(summary: Summary) -> Iterator[str]:
         rows.append([_cell(_swatch(i) + _text(planner.planner)), *marked, *(_cell(number(value)) for value in rest)])
     yield _table(header, rows)
     yield _note(_OVERVIEW_NOTE)
+
+
+def _calls(calls: Sequence[CallSummary]) -> Iterator[str]:
+    if not calls:
+        return
+    header = ["kind", "planner", "solved", "refused", "first path [ms]", "motion [ms]", "CPU [ms]", "95 % [ms]"]
+    header += ["over p99 [ms]", "over most [ms]", *(f"path at {1e3 * at:g} ms" for at in EARLY)]
+    rows = [
+        [
+            _cell(_text(row.group)),
+            _cell(_text(row.planner), "text"),
+            _cell(f"{row.solved} / {row.runs}"),
+            _cell(str(row.refused) if row.refused else "–"),
+            *(_cell(number(1e3 * t)) for t in (row.search, row.motion_wall, row.motion_cpu, row.slow)),
+            *(_cell(number(1e3 * max(t, 0.0))) for t in (row.over, row.most_over)),
+            *(_cell(number(value)) for value in row.early or [math.nan] * len(EARLY)),
+        ]
+        for row in calls
+    ]
+    yield "<h2>Calls by kind of problem</h2>"
+    yield _table(header, rows)
+    yield _note(_CALLS_NOTE)
 
 
 def _pairs(pairs: Sequence[Paired]) -> Iterator[str]:

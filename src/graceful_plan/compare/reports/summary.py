@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.compare.reports.calls import CallSummary, call_summaries
 from graceful_plan.compare.reports.statistics import Paired, compare_all
 from graceful_plan.compare.runs.comparison import Comparison
 from graceful_plan.compare.runs.records import Run
@@ -78,12 +79,14 @@ class Summary:
         best: Least total cost known of each problem; infinite if nothing solved it.
         planners: By planner, in the order of the comparison.
         pairs: Every pair of planners, those with the reference first.
+        calls: What calls are like, by kind of problem.
     """
 
     comparison: Comparison
     best: Mapping[str, float]
     planners: tuple[PlannerSummary, ...]
     pairs: tuple[Paired, ...]
+    calls: tuple[CallSummary, ...] = ()
 
     def to_document(self) -> dict[str, Any]:
         """Return it as a document of plain values."""
@@ -101,6 +104,7 @@ class Summary:
             "best_known": dict(self.best),
             "planners": [asdict(planner) for planner in self.planners],
             "pairs": [asdict(pair) for pair in self.pairs],
+            "calls": [asdict(row) for row in self.calls],
         }
 
 
@@ -112,6 +116,7 @@ def summarise(comparison: Comparison) -> Summary:
         best=best,
         planners=tuple(_of_planner(comparison, planner, best) for planner in comparison.planners),
         pairs=compare_all(comparison.planners, problem_costs(comparison)),
+        calls=call_summaries(comparison),
     )
 
 

@@ -18,6 +18,8 @@ from graceful_plan.exceptions import GracefulPlanError
 UNITS: Mapping[str, str] = {
     "seconds": "s",
     "first": "s",
+    "motion_wall": "s",
+    "motion_cpu": "s",
     "time": "s",
     "jerk_peak": "rad/s^3",
     "jerk_rms": "rad/s^3",
@@ -27,7 +29,7 @@ UNITS: Mapping[str, str] = {
     "self_clearance": "m",
     "certified": "m",
 }
-_LONG = ("trace", "path", "times", "velocities")
+_LONG = ("early", "trace", "path", "times", "velocities")
 RUN_COLUMNS = (*(item.name for item in fields(Run) if item.name not in _LONG), "best_known", "gap")
 TRACE_COLUMNS = ("problem", "planner", "seed", "time", "total", "motion", "impact", "gap")
 _INTEGERS, _TEXTS = ("seed",), ("problem", "planner", "status", "detail")

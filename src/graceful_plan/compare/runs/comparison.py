@@ -103,6 +103,7 @@ class Comparison:
     | begun      | when, in UTC                                                           |
     | runs       | the runs that are done, in the order of problems, planners and seeds   |
     | known      | least total costs known from elsewhere, by problem                     |
+    | groups     | the kind of every problem, by its name                                 |
     | settings   | everything that figures depend on, as a document                       |
     """
 
@@ -116,6 +117,7 @@ class Comparison:
     begun: str
     runs: tuple[Run, ...]
     known: Mapping[str, float] = field(default_factory=dict)
+    groups: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -252,5 +254,6 @@ def _comparison(head: Mapping[str, Any], runs: Sequence[Run], known: Mapping[str
         begun=head["begun"],
         runs=tuple(sorted((run for run in runs if run.key in place), key=lambda run: place[run.key])),
         known=known_costs(head["known"], known or {}),
+        groups={problem["name"]: problem["group"] for problem in document["problems"]},
         settings=document,
     )

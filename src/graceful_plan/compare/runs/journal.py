@@ -20,7 +20,7 @@ from graceful_plan.compare.runs.records import Run
 from graceful_plan.exceptions import FormatError, GracefulPlanError
 
 NAME = "journal.jsonl"
-_SCHEMA = {"schema": "graceful_plan.bench", "version": 2}
+_SCHEMA = {"schema": "graceful_plan.bench", "version": 3}
 
 
 class OtherSettings(GracefulPlanError, ValueError):

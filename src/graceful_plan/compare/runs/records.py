@@ -21,6 +21,8 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 SOLVED = "SOLVED"
+EARLY = (0.01, 0.1)
+"""When a call's paths are looked at before it ends [s]."""
 RAISED, CRASHED, HUNG = "RAISED", "CRASHED", "HUNG"
 """Outcomes besides those of `PlanStatus`: an exception, the end of the process, and no end at all."""
 
@@ -38,6 +40,8 @@ class Run:
     | detail     | what the status means here                                                                       |
     | seconds    | the whole call: when the verified result was there [s]                                           |
     | first      | when the first path was there [s]; infinite if the call was not solved in the end                |
+    | motion_wall | a call that ends with its first path, until its verified motion was there [s]; none: infinite   |
+    | motion_cpu | processor time of the same call, of all threads [s]                                              |
     | total      | least total cost J reached, of the verified result                                               |
     | motion     | its motion cost                                                                                  |
     | impact     | its impact                                                                                       |
@@ -49,6 +53,7 @@ class Run:
     | self_clearance | the same to each other [m]                                                                   |
     | certified  | clearance that is proven between samples, self-collision included [m]; see `Certificate`         |
     | iterations | of the planner                                                                                   |
+    | early      | motion cost of the best path, as a search charges it, by the times `EARLY`; infinite: none      |
     | trace      | improvements: time [s], total, motion, impact; paths as a search charges them, last the result   |
     | path       | configurations of the result; of a motion, its samples                                           |
     | times      | times of these [s]; none in the plane, where nothing is timed                                    |
@@ -62,6 +67,8 @@ class Run:
     detail: str = ""
     seconds: float = math.nan
     first: float = math.inf
+    motion_wall: float = math.nan
+    motion_cpu: float = math.nan
     total: float = math.inf
     motion: float = math.inf
     impact: float = math.inf
@@ -73,6 +80,7 @@ class Run:
     self_clearance: float = math.nan
     certified: float = math.nan
     iterations: float = math.nan
+    early: tuple[float, ...] = ()
     trace: tuple[TracePoint, ...] = ()
     path: tuple[tuple[float, ...], ...] = ()
     times: tuple[float, ...] = ()
@@ -130,6 +138,7 @@ class Run:
                 for t, total, motion, impact in document["trace"]
             )
             given |= {key: tuple(tuple(float(x) for x in q) for q in document[key]) for key in ("path", "velocities")}
+            given["early"] = tuple(math.inf if x is None else float(x) for x in document["early"])
             given["times"] = tuple(float(t) for t in document["times"])
             given |= {key: float(given[key]) for key, default in defaults.items() if isinstance(default, float)}
             texts = all(isinstance(given[key], str) for key in ("problem", "planner", "status", "detail"))

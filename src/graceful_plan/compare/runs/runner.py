@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,7 +18,7 @@ from graceful_plan.compare.problems.problem_files import ProblemFile, load_probl
 from graceful_plan.compare.problems.suite import ProblemNote
 from graceful_plan.compare.runs.measures import exact_clearance, jerk
 from graceful_plan.compare.runs.planner_notes import PlannerNote
-from graceful_plan.compare.runs.records import RAISED, SOLVED, Run
+from graceful_plan.compare.runs.records import EARLY, RAISED, SOLVED, Run
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
@@ -170,6 +171,7 @@ def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
     record = replace(
         job.outcome(result.status.name, result.detail),
         seconds=seconds,
+        early=tuple(_best_by(at, seen) for at in EARLY),
         iterations=result.stats.get("iterations", math.nan),
     )
     if result.status is not PlanStatus.SOLVED or result.trajectory is None:
@@ -179,8 +181,16 @@ def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
         peak, rms = jerk(trajectory)
         clearance, own = exact_clearance(trajectory, problem.scene)
         certified = certified_clearance(trajectory, compile_scene(problem.scene).kernels).bound
+        wall, cpu = _first_motion(job, problem, planner)
         record = replace(
-            record, jerk_peak=peak, jerk_rms=rms, clearance=clearance, self_clearance=own, certified=certified
+            record,
+            motion_wall=wall,
+            motion_cpu=cpu,
+            jerk_peak=peak,
+            jerk_rms=rms,
+            clearance=clearance,
+            self_clearance=own,
+            certified=certified,
         )
     return replace(
         record,
@@ -195,6 +205,29 @@ def _run_scene(job: PlannerJob, problem: SceneQuery, planner: Planner) -> Run:
         times=tuple(trajectory.t.tolist()),
         velocities=tuple(map(tuple, trajectory.qd.tolist())),
     )
+
+
+def _best_by(seconds: float, seen: Sequence[TracePoint]) -> float:
+    """Return the motion cost of the path of the least total that was there by then; infinite if none was."""
+    there = [(point.total, point.motion) for point in seen if point.time <= seconds]
+    return min(there, default=(math.inf, math.inf))[1]
+
+
+def _first_motion(job: PlannerJob, problem: SceneQuery, planner: Planner) -> tuple[float, float]:
+    """Return wall and processor seconds of a call that ends with its first path; infinite if it was not solved."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = plan(
+        problem.start,
+        problem.goal,
+        problem.scene,
+        w=job.w,
+        planner=planner,
+        time_limit=job.seconds,
+        seed=job.seed,
+        callback=lambda _: True,
+    )
+    taken = time.perf_counter() - wall, time.process_time() - cpu
+    return taken if result.status is PlanStatus.SOLVED else (math.inf, math.inf)
 
 
 def _run_analytic(job: PlannerJob, instance: AnalyticProblem, planner: Planner) -> Run:
