@@ -28,9 +28,9 @@ AUDITED = 64
 """One in so many configurations that are proved free is looked at all the same."""
 _STRETCH = 0.05
 """How far any point moves at most on the stretches that a motion is cut into first [m]."""
-_NEIGHBOURHOOD = 0.1
-"""How far it moves between the centres of neighbourhoods in each of which one bound on levers is used [m]: with 0.1
-instead of 0.06 they take two thirds of the time, and there are 4 % more samples."""
+_NEIGHBOURHOOD = 0.3
+"""How far it moves between the centres of neighbourhoods in each of which one bound on levers is used [m]: with 0.3
+instead of 0.1 a motion is sampled in two thirds of the time, and there are 14 % more samples."""
 _FARTHEST = 0.5 * (_NEIGHBOURHOOD + _STRETCH)
 
 
@@ -110,7 +110,7 @@ def at_places(motion: Path | Trajectory, place: Float[Array, " sample"]) -> Moti
     """Evaluate a motion at fractional piece numbers."""
     if isinstance(motion, Trajectory):
         t = np.interp(place, np.arange(len(motion)), motion.t)
-        return MotionSamples.of(motion.at(t).q, t)
+        return MotionSamples.of(motion.positions(t), t)
     index = np.minimum(place.astype(int), len(motion) - 2)
     share = (place - index)[:, None]
     along = np.concatenate([[0.0], np.cumsum(motion.segment_lengths)])
@@ -126,14 +126,14 @@ def _levers_near(q: Float[Array, "n nq"], scene: Scene) -> Float[Array, "n nq"]:
     model, placement = scene.model, own_placement(scene)
     joints, geoms, carries = _carried_geoms(scene)
     slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
-    centre = np.empty((len(q), 1, len(geoms), 3))
-    anchor, axis = np.empty((2, len(q), len(joints), 1, 3))
+    centre = np.empty((len(q), len(geoms), 3))
+    anchor, axis = np.empty((2, len(q), len(joints), 3))
     for i, configuration in enumerate(q):
         data = placement.place(configuration)
-        centre[i, 0], anchor[i, :, 0], axis[i, :, 0] = data.geom_xpos[geoms], data.xanchor[joints], data.xaxis[joints]
+        centre[i], anchor[i], axis[i] = data.geom_xpos[geoms], data.xanchor[joints], data.xaxis[joints]
     # |axis x r|^2 = |r|^2 - (axis . r)^2
-    r = centre - anchor
-    squared = np.einsum("njgi,njgi->njg", r, r) - np.einsum("njgi,njgi->njg", r, np.broadcast_to(axis, r.shape)) ** 2
+    r = centre[:, None] - anchor[:, :, None]
+    squared = (r * r).sum(axis=3) - np.matmul(r, axis[..., None])[..., 0] ** 2
     levers = np.where(carries, np.sqrt(np.maximum(squared, 0.0)) + model.geom_rbound[geoms], 0.0).max(axis=2)
     return np.where(slides, 1.0, np.minimum(levers + _FARTHEST, reach(scene)))
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError
 from graceful_plan.path import Path, finite_array
 
@@ -107,16 +107,27 @@ class Trajectory:
         parts[1][outside] = parts[2][outside] = 0.0
         return State(*(x.reshape(*times.shape, -1) for x in parts))
 
+    def positions(self, t: Float[Array, " n"]) -> Float[Array, "n nq"]:
+        """Evaluate the positions alone at finite times on the clock of `self.t` [rad or m]."""
+        if len(self) == 1:
+            return np.repeat(self.q, len(t), axis=0)
+        i, u, v0, a0, jerk = self._pieces_at(np.clip(t, self.t[0], self.t[-1]))
+        return self.q[i] + u * (v0 + u * (0.5 * a0 + u * (jerk / 6.0)))
+
     def _cubic(self, t: Float[Array, " n"]) -> list[Float[Array, "n nq"]]:
-        i = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self) - 2)
-        u = (t - self.t[i])[:, None]
-        a0, a1 = self.piece_accelerations
-        v0, a0, jerk = self.qd[i], a0[i], ((a1 - a0) / np.diff(self.t)[:, None])[i]
+        i, u, v0, a0, jerk = self._pieces_at(t)
         return [
             self.q[i] + u * (v0 + u * (a0 / 2.0 + u * jerk / 6.0)),
             v0 + u * (a0 + u * jerk / 2.0),
             a0 + u * jerk,
         ]
+
+    def _pieces_at(self, t: Float[Array, " n"]) -> tuple[Int[Array, " n"], Array, Array, Array, Array]:
+        """Return the piece at each time, the time since it began, and its first velocity, acceleration and jerk."""
+        i = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self) - 2)
+        a0, a1 = self.piece_accelerations
+        jerk = (a1 - a0) / np.diff(self.t)[:, None]
+        return i, (t - self.t[i])[:, None], self.qd[i], a0[i], jerk[i]
 
     @cached_property
     def piece_accelerations(self) -> tuple[Float[Array, "piece nq"], Float[Array, "piece nq"]]:
