@@ -109,7 +109,7 @@ def test_they_go_on_while_it_falls():
 def test_the_less_is_known_of_a_place_the_less_likely_is_it_hit(scene):
     over = [0.3, 0.0, 0.0, 0.0]
     P = [probability(scene, walker(spread=spread), over, time=0.0)[0] for spread in (0.0, 0.05, 0.1, 0.2, 0.5, 2.0)]
-    assert P[0] > 0.95
+    assert P[0] > 0.9
     assert np.all(np.diff(P) < 0.0)
     assert P[-1] < 0.02
     beside = [0.75, 0.0, 0.0, 0.0]
