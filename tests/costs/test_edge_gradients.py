@@ -5,7 +5,7 @@ import pytest
 
 import graceful_plan as gp
 
-STEP = 1e-6
+STEP = 1e-7
 
 
 def random_edges(scene, n, seed=0):

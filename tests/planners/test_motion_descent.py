@@ -148,7 +148,7 @@ def test_gradients_of_edges_that_count_by_time() -> None:
     q1 = q0 + 0.2 * rng.normal(size=(6, 7))
     found = objective.edge_gradients(q0, q1)
     assert found is not None
-    step = 1e-6
+    step = 1e-7
     for j in range(7):
         e = np.eye(7)[j] * step
         for k, (a, b) in enumerate((((q0 - e, q1), (q0 + e, q1)), ((q0, q1 - e), (q0, q1 + e)))):

@@ -135,7 +135,7 @@ def test_what_is_higher_catches_it():
     table = {"table": (0.0, 0.0, 0.3, 'type="box" size="0.6 0.6 0.02"')}
     under, open_ = (probability(gantry(t), walker(0.0, 0.0), np.zeros(4), time=0.0)[0] for t in (table, {}))
     assert under < 0.05
-    assert open_ > 0.95
+    assert open_ > 0.9
 
 
 def test_a_tall_one_is_hit_from_the_side_on_the_way_down():
