@@ -29,6 +29,7 @@ from graceful_plan.judge.verification import Verification, verify
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
 from graceful_plan.planners import CHOMP, PLANNERS, STOMP, Anytime, Auto, CasADi, Planner, PRMStar, RRTConnect, RRTStar
+from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.query.cartesian.straight import straight_motion
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult, PlanStatus, Verdict
 from graceful_plan.roadmap import Roadmap
@@ -36,6 +37,8 @@ from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.bundled import load_scene, scenes
+from graceful_plan.scene.mobile.base_pose import BasePose
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene, Task
@@ -51,6 +54,7 @@ __all__ = [
     "Anytime",
     "Auto",
     "AxisWithin",
+    "BasePose",
     "BoxOverlap",
     "CHOMP",
     "CasADi",
@@ -58,6 +62,8 @@ __all__ = [
     "Constraint",
     "Cost",
     "CostBreakdown",
+    "DiffDrive",
+    "DriveLattice",
     "Dry",
     "EntityNote",
     "FaultPrior",

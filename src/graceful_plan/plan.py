@@ -29,11 +29,13 @@ from graceful_plan.query.arguments import (
     checked_time_limit,
     checked_verification,
     checked_wait,
+    driving_planner,
 )
 from graceful_plan.query.cheaper import beginning_with, is_enough, known_motions
 from graceful_plan.query.deadline.clock import Clock, paces_of
 from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
+from graceful_plan.query.driving.drives import driven, stops
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
 from graceful_plan.query.goals import Configuration, Goal, poses_of
@@ -41,7 +43,7 @@ from graceful_plan.query.motions import along, motions
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
 from graceful_plan.query.restarts import search_for_motions
-from graceful_plan.query.search import KEPT, Callback, Search
+from graceful_plan.query.search import KEPT, Callback, Search, search
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
@@ -54,6 +56,8 @@ _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 _TIMING_RESERVE = RESERVE + 0.2
 """Seconds kept besides to time candidates and to evaluate the chosen one if something moves, at most a quarter of all.
 """
+_DRIVE_SHARE = 0.5
+"""Of the time, for the search of a base's path; the rest is for curves near it."""
 _COMPILED_SOON = 0.1
 """Compiling is not worth a word if it took less [s]: several times what bundled scenes take."""
 _UNVERIFIED = "a path was found, but there was no time to judge a motion along it: it is NOT verified"
@@ -126,7 +130,7 @@ def plan(
     held = SceneConstraints(scene, default_constraints(scene) if constraints is None else constraints)
     compiled = time.perf_counter() - started
     request = Request(
-        planner=checked_planner(planner),
+        planner=driving_planner(checked_planner(planner), scene),
         objective=bound,
         constraints=held,
         preference=None if measure.kind == "expectation" else Preference(measure, bound),
@@ -204,22 +208,29 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             check_step=check_step,
             constraints=request.constraints,
         )
-        known = known_motions(request, problem, ends, budget, rng)
+        drives = request.objective.scene.base is not None
+        known = [] if drives else known_motions(request, problem, ends, budget, rng)
         asked = replace(request, planner=beginning_with(known, request.planner))
         known_is_enough = bool(known) and request.preference is None and is_enough(request.objective)
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         soon, first = wants_it_soon(found), None
         if found.paths and (soon or clock.can_insure):
-            first = first_verified(quick_motions(found, request, ends, problem, budget), request)
+            quick = stops(found, request, ends) if drives else quick_motions(found, request, ends, problem, budget)
+            first = first_verified(quick, request)
             # Now it is known what timing and judging take here.
             budget.time_limit = min(budget.time_limit, _until_last_steps(request))
         judged = first if soon else None
         if judged is None or not judged.verdict.passed:
-            candidates, why_not = motions(found, request, ends, problem, (budget, rng), known)
+            means = budget, rng
+            candidates, why_not = (
+                driven(found, request, ends, problem, budget)
+                if drives
+                else motions(found, request, ends, problem, means, known)
+            )
             judged = first_verified(candidates, request) or judged
         for path in reversed(found.paths[-KEPT:]):
-            if judged is None or not set(judged.verdict.failures) - _NOT_FOR_CORNERS:
+            if drives or judged is None or not set(judged.verdict.failures) - _NOT_FOR_CORNERS:
                 break
             judged = first_verified(along(path, request, ends, swift=False), request) or judged
         if first is not None and first.verdict.passed and (judged is None or not judged.verdict.passed):
@@ -236,6 +247,8 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
 
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
     """Search by J; by a measure of risk or at the times of what moves where these decide."""
+    if request.objective.scene.base is not None:
+        return search(request.planner, problem, request.objective, budget, rng, request.callback, share=_DRIVE_SHARE)
     if request.preference is not None:
         return request.preference.search(request.planner, problem, budget, rng, request.callback)
     if request.objective.scene.moving:

@@ -24,6 +24,7 @@ from graceful_plan.scene.rules.rules import CustomRule, SpeedRule
 from graceful_plan.scene.rules.vessel import find_vessel
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.blend import CurveGrid
+from graceful_plan.timing.drive_curve import drive_limits
 from graceful_plan.timing.retiming import slowed
 from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory
@@ -137,8 +138,10 @@ class SceneConstraints:
         return self._limits(self.felt, grid)
 
     def _limits(self, felt: Sequence[Felt], grid: CurveGrid) -> Float[Array, "interval limit 3"]:
-        limits = felt_limits(felt, self.kernels, grid)
-        return np.concatenate([limits, speed_limits(self._speeds, self.scene, grid)], axis=1)
+        limits = [felt_limits(felt, self.kernels, grid), speed_limits(self._speeds, self.scene, grid)]
+        if self.scene.base is not None:
+            limits.append(drive_limits(self.scene.base, grid))
+        return np.concatenate(limits, axis=1)
 
     def timed(self, timing: Callable[[Restraint], Trajectory]) -> Trajectory:
         """Time a curve so that all limits hold along it and what sloshes in what is carried stays in.

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.judge.drive_checks import drive_checks
 from graceful_plan.judge.exact import Judge, Touch, motion_violations
 from graceful_plan.judge.motion_samples import ClearanceBound, MotionSamples, motion_samples
 from graceful_plan.judge.preparation import own_placement
@@ -113,6 +114,8 @@ def verify(
     checks = {"collision": _collision(violations, samples, scene), "position_limits": _position(samples, motion, scene)}
     if isinstance(motion, Trajectory):
         checks |= _dynamics(motion, scene)
+    if scene.base is not None:
+        checks |= drive_checks(motion, scene.base)
     rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
     checks |= rule_checks(motion, scene, rules)
     if start is not None:

@@ -12,7 +12,8 @@ from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.judge.verification import Verification
-from graceful_plan.planners import PLANNERS, Planner
+from graceful_plan.planners import PLANNERS, Auto, Planner
+from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.scene.scene import Scene
 
 DEFAULT_TIME_LIMIT = 1.0
@@ -30,6 +31,21 @@ def checked_planner(planner: object) -> Planner:
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
     return PLANNERS[planner]()
+
+
+def driving_planner(planner: Planner, scene: Scene) -> Planner:
+    """Return the planner for a robot that drives: the default one gives way to one that knows how a base rolls.
+
+    Raises:
+        SettingError: If it is one that does not, or one for bases and the robot has none.
+    """
+    if isinstance(planner, DriveLattice) and scene.base is None:
+        raise SettingError("planner", planner.name, "a planner for arms: this robot has no DiffDrive")
+    if scene.base is None or isinstance(planner, DriveLattice):
+        return planner
+    if planner != Auto():
+        raise SettingError("planner", planner.name, "'auto' or a DriveLattice: this one does not know how a base rolls")
+    return DriveLattice()
 
 
 def checked_speed(speed: object) -> float:

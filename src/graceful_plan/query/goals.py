@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.exceptions import ShapeError, UnknownNameError
+from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import Judge, state_contacts
 from graceful_plan.path import finite_array
 from graceful_plan.query.ik import solve_ik
+from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.scene import Scene
@@ -25,12 +26,14 @@ from graceful_plan.scene.scene import Scene
 Array = np.ndarray
 Configuration = ArrayLike | str
 """A configuration [nq] or the name of a keyframe."""
-Goal = Configuration | PoseGoal | Sequence[Configuration | PoseGoal]
+Goal = Configuration | PoseGoal | BasePose | Sequence[Configuration | PoseGoal | BasePose]
 
 _LEVER = 0.25
 """What a radian counts as distance where poses are sorted by how far they are [m/rad]."""
 _ENOUGH, _OF_EACH = 8, 2
 """Configurations that are enough for several poses, and for one of them."""
+_HEADINGS = 16
+"""Of a base where any heading will do."""
 CLAMPED = 1e-6
 """How far outside of a position limit [rad or m] a configuration is moved onto it instead of being refused."""
 
@@ -79,7 +82,7 @@ def resolve_goal(
     enough configurations for them.
 
     Args:
-        goal: A configuration, a keyframe by name, a pose, or several of these.
+        goal: A configuration, a keyframe by name, a pose of tool or base, or several of these.
         scene: Where.
         start: Where the motion begins; poses are solved near to it.
         seed: Of the random numbers of inverse kinematics.
@@ -92,6 +95,8 @@ def resolve_goal(
     """
     if isinstance(goal, PoseGoal):
         return _pose(goal, scene, start, seed, cancelled)
+    if isinstance(goal, BasePose):
+        return _standing(goal, scene, np.asarray(start, dtype=float))
     several = _poses_among(goal)
     if several:
         return _several(several, scene, start, seed, cancelled)
@@ -106,11 +111,30 @@ def has_poses(goal: Goal) -> bool:
     return isinstance(goal, PoseGoal) or bool(_poses_among(goal))
 
 
-def _poses_among(goal: Goal) -> Sequence[Configuration | PoseGoal]:
+def _poses_among(goal: Goal) -> Sequence[Configuration | PoseGoal | BasePose]:
     """Return several goals if one of them is a pose; else nothing."""
-    if isinstance(goal, Sequence) and any(isinstance(one, PoseGoal) for one in goal):
-        return cast("Sequence[Configuration | PoseGoal]", goal)
+    if isinstance(goal, Sequence) and any(isinstance(one, PoseGoal | BasePose) for one in goal):
+        return cast("Sequence[Configuration | PoseGoal | BasePose]", goal)
     return ()
+
+
+def _standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resolved:
+    """Return configurations with the base at a pose and the arm as it is at the start, the nearest heading first.
+
+    Raises:
+        SettingError: If the robot has no base that drives.
+    """
+    if scene.base is None:
+        raise SettingError("goal", goal, "a goal of the arm: this robot has no DiffDrive")
+    towards = np.arctan2(goal.y - start[1], goal.x - start[0])
+    turns = np.arange(_HEADINGS) * 2.0 * np.pi / _HEADINGS
+    q = np.tile(start, (1 if goal.yaw is not None else _HEADINGS, 1))
+    q[:, 0], q[:, 1], q[:, 2] = goal.x, goal.y, towards + turns if goal.yaw is None else goal.yaw
+    q = np.stack([_the_short_way(one, start, scene) for one in q])
+    q = q[np.argsort(np.abs(q[:, 2] - towards), kind="stable")]
+    found = _usable([("goal", one) for one in q], scene)
+    # Of many headings one that will do is enough.
+    return Resolved(found.q, (0,) * len(found.q), found.notes, () if len(found.q) else found.problems[:1])
 
 
 def poses_of(goal: Goal, index: Sequence[int]) -> tuple[PoseGoal | None, ...]:
@@ -123,7 +147,7 @@ def poses_of(goal: Goal, index: Sequence[int]) -> tuple[PoseGoal | None, ...]:
 
 
 def _several(
-    goals: Sequence[Configuration | PoseGoal],
+    goals: Sequence[Configuration | PoseGoal | BasePose],
     scene: Scene,
     start: ArrayLike,
     seed: int,

@@ -270,8 +270,8 @@ def timed_curve(landed: Landed, arrival: int, request: Request) -> Motion | None
         )
     except RetimingError:
         return None
-    estimate = landed.value - _time_price(request) * trajectory.duration
-    return replace(_charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
+    estimate = landed.value - price_of_time(request) * trajectory.duration
+    return replace(charged(trajectory.path, trajectory, arrival, request), estimate=estimate)
 
 
 def _is_time_for_another(found: Sequence[Motion], request: Request) -> bool:
@@ -295,7 +295,7 @@ def _cut(whole: Path, deviation: float | Float[Array, " corner"], arrival: int, 
             whole, scene.limits, scene.joints, deviation=deviation, speed=request.speed, restraint=limits
         )
     )
-    return _charged(whole, trajectory, arrival, request)
+    return charged(whole, trajectory, arrival, request)
 
 
 def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
@@ -315,10 +315,11 @@ def _free_deviations(whole: Path, request: Request) -> Float[Array, " corner"]:
 
 def recharged(motion: Motion, request: Request) -> Motion:
     """Return a motion as it was, charged for what was asked."""
-    return _charged(motion.path, motion.trajectory, motion.arrival, request)
+    return charged(motion.path, motion.trajectory, motion.arrival, request)
 
 
-def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
+def charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request) -> Motion:
+    """Return a timed motion with what it costs; where something moves, it waits for the best moment to go."""
     objective = request.objective
     if objective.scene.moving:
         trajectory, cost = best_departure(trajectory, objective, request.max_wait)
@@ -330,11 +331,12 @@ def _charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request
         trajectory=trajectory,
         cost=cost,
         arrival=arrival,
-        ranking=total + _time_price(request) * trajectory.duration,
+        ranking=total + price_of_time(request) * trajectory.duration,
     )
 
 
-def _time_price(request: Request) -> float:
+def price_of_time(request: Request) -> float:
+    """Return what a second of a motion counts when motions are compared."""
     return time_price(careful=request.constraints.level)
 
 

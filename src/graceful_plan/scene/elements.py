@@ -18,6 +18,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene.harm.severity import SeverityTable
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -191,6 +192,8 @@ class Notes:
     velocity: tuple[float, ...] | None = None
     acceleration: tuple[float, ...] | None = None
     torque: tuple[float, ...] | None = None
+    base: DiffDrive | None = None
+    """How the robot drives, if its first planned joints are those of a base."""
     entities: Mapping[str, EntityNote] = field(default_factory=lambda: MappingProxyType({}))
     severity: SeverityTable
     overrides: Mapping[str, float | Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))

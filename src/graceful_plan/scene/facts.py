@@ -19,6 +19,7 @@ from graceful_plan.path import finite_array
 from graceful_plan.scene import roles
 from graceful_plan.scene.contacts import allowed_pairs, geoms_named, tested_pairs, without
 from graceful_plan.scene.elements import AllowedContact, Carried, Component, Contents, Entity, Limits, Notes
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -97,6 +98,11 @@ class SceneFacts:
     def contents(self) -> Contents | None:
         """What is inside of the object in the gripper, if anything."""
         return None if self.notes.held is None else self.notes.held.contents
+
+    @property
+    def base(self) -> DiffDrive | None:
+        """How the robot drives; None if it stands still, or if its base moves in all directions."""
+        return self.notes.base
 
     @property
     def moving(self) -> Mapping[str, MovingEntity]:

@@ -13,6 +13,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.elements import Limits, Notes
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.screening import compile_spec
 
 Array = np.ndarray
@@ -22,6 +23,9 @@ _GEOM = mujoco.mjtGeom
 _JOINT = mujoco.mjtJoint
 _NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _SCALAR_JOINTS = (int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE))
+
+_BASE_JOINTS = 3
+"""Of a base: along x, along y, heading."""
 
 SUPPORTED_GEOMS = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CAPSULE, _GEOM.mjGEOM_ELLIPSOID,
                    _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_BOX, _GEOM.mjGEOM_MESH)  # fmt: skip
@@ -222,24 +226,54 @@ def planned_joints(model: mujoco.MjModel, tool_body: int, robot: Collection[int]
     return tuple(chain)
 
 
+def check_base(model: mujoco.MjModel, joints: tuple[int, ...], base: DiffDrive) -> None:
+    """Check that a base's joints are the first planned ones: slides along x and y, then a hinge about z.
+
+    Raises:
+        UnknownNameError: If one of them is not planned.
+        SceneError: If they are others, or in another order.
+    """
+    known = names(model, mujoco.mjtObj.mjOBJ_JOINT, joints)
+    for name in base.joints:
+        if name not in known:
+            raise UnknownNameError("planned joint of the base", name, known)
+    if tuple(known[:3]) != base.joints:
+        raise SceneError(f"the base's joints {base.joints} have to be the first planned ones, which are {known[:3]}")
+    kinds = [int(_JOINT.mjJNT_SLIDE), int(_JOINT.mjJNT_SLIDE), int(_JOINT.mjJNT_HINGE)]
+    for joint, kind, axis in zip(joints, kinds, np.eye(3)[[0, 1, 2]], strict=False):
+        upright = np.allclose(model.body_quat[model.jnt_bodyid[joint]], [1.0, 0.0, 0.0, 0.0])
+        if model.jnt_type[joint] != kind or not np.allclose(model.jnt_axis[joint], axis) or not upright:
+            what = "slides along x and y and a hinge about z, in bodies that are not turned"
+            raise SceneError(f"the base's joint {model.joint(joint).name!r}: expected {what}")
+
+
 def joint_limits(model: mujoco.MjModel, joints: tuple[int, ...], notes: Notes) -> Limits:
     """Collect limits: positions and torques from the model, the rest from the notes or custom numbers.
 
-    A hinge without limits gets one turn to each side. Torque comes from the notes, actuatorfrcrange or the
-    forcerange of the actuators on the joint; infinite if none of them is there.
+    A hinge without limits gets one turn to each side, the heading of a base two. What a base can do is said by its
+    `DiffDrive`; speeds and accelerations given otherwise are those of the joints behind it. Torque comes from the
+    notes, actuatorfrcrange or the forcerange of the actuators on the joint; infinite if none of them is there.
 
     Raises:
         SceneError: If a slide has no limits, or speeds or accelerations are given nowhere.
     """
-    torque = _limit(model, joints, notes, "torque", notes.torque)
+    base = notes.base
+    behind = joints if base is None else joints[_BASE_JOINTS:]
+    torque = _limit(model, behind, notes, "torque", notes.torque)
     if torque is None:
-        torque = np.array([_torque(model, j) for j in joints])
-    limits = Limits(
-        position=np.array([_range(model, j) for j in joints]),
-        velocity=_needed_limit(model, joints, notes, "velocity", notes.velocity),
-        acceleration=_needed_limit(model, joints, notes, "acceleration", notes.acceleration),
-        torque=torque,
+        torque = np.array([_torque(model, j) for j in behind])
+    velocity, acceleration = (
+        _needed_limit(model, behind, notes, name, given) if behind else np.zeros(0)
+        for name, given in (("velocity", notes.velocity), ("acceleration", notes.acceleration))
     )
+    position = np.array([_range(model, j) for j in joints])
+    if base is not None:
+        fastest, hardest = base.joint_limits
+        velocity, acceleration = np.concatenate([fastest, velocity]), np.concatenate([hardest, acceleration])
+        torque = np.concatenate([np.full(_BASE_JOINTS, np.inf), torque])
+        if not model.jnt_limited[joints[2]]:
+            position[2] *= 2.0
+    limits = Limits(position=position, velocity=velocity, acceleration=acceleration, torque=torque)
     for values in (limits.position, limits.velocity, limits.acceleration, limits.torque):
         values.flags.writeable = False
     return limits

@@ -26,8 +26,10 @@ from graceful_plan.scene.edit import Solid, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.model_parts import (
     add_tool,
+    check_base,
     checked_model,
     finger_positions,
     joint_limits,
@@ -79,6 +81,7 @@ class Scene(SceneFacts):
         keyframes: Mapping[str, ArrayLike] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
         body_class: str = "arm_collapse",
+        base: DiffDrive | None = None,
         name: str | None = None,
     ) -> Scene:
         """Make a scene from any MJCF model with an arm in it.
@@ -105,6 +108,7 @@ class Scene(SceneFacts):
             keyframes: Configurations by name, besides the model's own keyframes.
             allowed_contacts: What may touch, besides gripper and carried object.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
+            base: How the robot drives. Without it planar joints move in all directions.
             name: What to call the scene; the model's name by default.
 
         Raises:
@@ -125,6 +129,7 @@ class Scene(SceneFacts):
             velocity=None if velocity is None else tuple(velocity),
             acceleration=None if acceleration is None else tuple(acceleration),
             torque=None if torque is None else tuple(torque),
+            base=base,
             entities={
                 k: v if isinstance(v, EntityNote) else EntityNote(category=v) for k, v in (entities or {}).items()
             },
@@ -226,6 +231,8 @@ class Scene(SceneFacts):
             hand = tool_body(model, notes.tool, robot)
             joints = planned_joints(model, hand, robot)
         with notes.about("robot"):
+            if notes.base is not None:
+                check_base(model, joints, notes.base)
             limits = joint_limits(model, joints, notes)
             components = roles.find_components(model, notes, robot)
         with notes.about("fingers"):

@@ -12,6 +12,9 @@ robot:
   body_class: arm_collapse       # how it fails: arm_collapse, arm_braked or base_coast
   velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
   limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
+base:                            # how the robot drives, if it does: the fields of DiffDrive
+  joints: [jackal/base_x, jackal/base_y, jackal/base_yaw]
+  radius: 0.098                  # and track, v_max, omega_max, a_max, alpha_max; slip, lateral_max, wheel_max, reverse
 tool: panda/tool                 # site, or body; default "<prefix>tool"
 fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
 entities:                        # what can be harmed: each body with its subtree
@@ -50,18 +53,19 @@ allowed_contacts:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
 
-from graceful_plan.exceptions import GracefulPlanError, SceneError
+from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
 from graceful_plan.scene import roles, screening
 from graceful_plan.scene.elements import AllowedContact, Contents, Dry, EntityNote, Liquid, Notes, ObjectNote, TaskNote
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.robot_models import robot_file, robots
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.model_parts import add_tool
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
@@ -71,8 +75,8 @@ from graceful_plan.yaml_file import Block, read_yaml
 T = TypeVar("T")
 
 _KEYS = (
-    "version", "name", "description", "world", "robot", "tool", "fingers", "entities", "severity", "objects", "moving",
-    "keyframes", "tasks", "allowed_contacts",
+    "version", "name", "description", "world", "robot", "base", "tool", "fingers", "entities", "severity", "objects",
+    "moving", "keyframes", "tasks", "allowed_contacts",
 )  # fmt: skip
 _ROBOT_KEYS = ("model", "prefix", "position", "quaternion", "body_class", "velocity", "acceleration", "torque",
                 "limits")  # fmt: skip
@@ -147,6 +151,7 @@ def _notes(root: Block, file: Path) -> Notes:
         velocity=_optional_numbers(robot.get("velocity")),
         acceleration=_optional_numbers(robot.get("acceleration")),
         torque=_optional_numbers(robot.get("torque")),
+        base=_base(root.get("base")),
         entities=lines.table(root, "entities", _entity),
         severity=SeverityTable.shipped(),
         overrides=lines.table(root, "severity", lambda _, block: _number_or_numbers(block)),
@@ -158,6 +163,33 @@ def _notes(root: Block, file: Path) -> Notes:
         file=str(file),
         lines=lines.at,
     )
+
+
+def _base(block: Block | None) -> DiffDrive | None:
+    if block is None:
+        return None
+    block.only(*(item.name for item in fields(DiffDrive)))
+    given: dict[str, Any] = {}
+    for name, child in block.items():
+        if name in ("joints", "wheels"):
+            given[name] = child.strings()
+        elif name == "reverse":
+            given[name] = _flag(child)
+        else:
+            given[name] = child.number()
+    missing = [i.name for i in fields(DiffDrive) if i.default is MISSING and i.name not in given]
+    if missing:
+        raise block.error(f"base needs {', '.join(missing)}")
+    try:
+        return DiffDrive(**given)
+    except SettingError as error:
+        raise block.error(str(error)) from None
+
+
+def _flag(block: Block) -> bool:
+    if block.value not in ("true", "false"):
+        raise block.error(f"{block.name} is neither true nor false")
+    return block.value == "true"
 
 
 def _limits(block: Block | None) -> dict[str, tuple[float, float]]:

@@ -9,6 +9,7 @@
 #include "search/anytime.hpp"
 #include "search/connect.hpp"
 #include "search/descent.hpp"
+#include "search/drive.hpp"
 #include "search/motion_descent.hpp"
 #include "timing/pendulum.hpp"
 #include "timing/speed_profile.hpp"
@@ -258,6 +259,43 @@ class ConnectPlanner {
   bool solved_ = false;
 };
 
+class DriveRun {
+ public:
+  DriveRun(Space& space, Reals start, Reals goals, double cell, bool reverse, int max_nodes)
+      : space_(space),
+        drive_(checked(space, start, goals), point(start), points(goals), {cell, reverse, 1, max_nodes}) {
+    require(std::isfinite(cell) && cell > 0 && max_nodes > 0, "settings of a lattice");
+  }
+  void begin(double weight) {
+    require(std::isfinite(weight) && weight >= 1, "weight of the heuristic");
+    drive_.begin(weight);
+    solved_ = false;
+  }
+  nb::tuple run(int64_t iterations, double seconds) {
+    Slice slice(iterations, seconds);
+    {
+      nb::gil_scoped_release release;
+      while (!solved_ && !drive_.over() && slice.next()) solved_ = drive_.step();
+    }
+    return nb::make_tuple(solved_, slice.used());
+  }
+  bool over() const { return drive_.over(); }
+  Out<double> path() const { return as_array(drive_.path(), space_.dim); }
+
+ private:
+  static Space& checked(Space& space, const Reals& start, const Reals& goals) {
+    const size_t dim = size_t(space.dim);
+    require(dim >= 3, "x, y and heading are the first joints");
+    require(start.ndim() == 1 && start.size() == dim, "a start is [nq]");
+    require(goals.ndim() == 2 && goals.shape(0) > 0 && goals.shape(1) == dim, "goals are [n > 0, nq]");
+    return space;
+  }
+
+  Space& space_;
+  Drive drive_;
+  bool solved_ = false;
+};
+
 class DescentRun {
  public:
   DescentRun(Space& space, Reals path, int pieces, double step)
@@ -437,6 +475,13 @@ void bind_search(nb::module_& m) {
            "range"_a, "max_nodes"_a, "seed"_a, nb::keep_alive<1, 2>())
       .def("run", &ConnectPlanner::run, "iterations"_a, "seconds"_a)
       .def_prop_ro("path", &ConnectPlanner::path, nb::rv_policy::move);
+  nb::class_<DriveRun>(m, "Drive")
+      .def(nb::init<Space&, Reals, Reals, double, bool, int>(), "space"_a, nb::kw_only(), "start"_a, "goals"_a,
+           "cell"_a, "reverse"_a, "max_nodes"_a, nb::keep_alive<1, 2>())
+      .def("begin", &DriveRun::begin, "weight"_a)
+      .def("run", &DriveRun::run, "iterations"_a, "seconds"_a)
+      .def_prop_ro("over", &DriveRun::over)
+      .def_prop_ro("path", &DriveRun::path, nb::rv_policy::move);
   nb::class_<DescentRun>(m, "Descent")
       .def(nb::init<Space&, Reals, int, double>(), "space"_a, "path"_a, "pieces"_a, "step"_a, nb::keep_alive<1, 2>())
       .def("run", &DescentRun::run, "steps"_a)

@@ -1,0 +1,1 @@
+"""Planners for a base that rolls along its heading and turns in place."""

@@ -1,0 +1,1 @@
+"""From paths of a base to smooth, timed drives."""

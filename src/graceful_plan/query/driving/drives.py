@@ -1,0 +1,168 @@
+"""Motions of a base near paths of straight stretches and turns in place: smooth where that is free, timed, charged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import RetimingError
+from graceful_plan.path import Path
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.resampling import evenly
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.driving.smoothing import Smoother
+from graceful_plan.query.driving.stages import DriveStage, Move, stages
+from graceful_plan.query.ends import Ends
+from graceful_plan.query.motions import Motion, charged, price_of_time
+from graceful_plan.query.request import Request
+from graceful_plan.query.search import KEPT, Search
+from graceful_plan.timing.bspline import DEGREE
+from graceful_plan.timing.drive_curve import Drive, Roll, Straight, Stretch, connected
+from graceful_plan.timing.retiming import retime, timed
+
+Array = np.ndarray
+
+_SPACINGS = (0.8, 0.4, 0.2, 0.1)
+"""Between control points [m], tried until a curve is free: the wider, the smoother."""
+_FEWEST, _MOST = DEGREE + 3, 60
+"""Control points."""
+_JOINED = 0.45 * np.pi
+"""Turns at either end up to which a curve may turn instead [rad]."""
+
+
+def driven(
+    searched: Search, request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+) -> tuple[list[Motion], str]:
+    """Return motions near paths, the best first, and why there is none if so.
+
+    The last is the best path itself, with a stop at each of its corners: what a search found can be driven.
+
+    Args:
+        searched: The paths that were found, the best at the end.
+        request: What they were found for.
+        ends: Both ends.
+        problem: What was searched in.
+        budget: Time for descents.
+    """
+    found: list[Motion] = []
+    why_not = ""
+    smoother = _smoother(request, problem)
+    for path in reversed(searched.paths[-KEPT:]):
+        whole, arrival = ends.joined(path)
+        if whole.length == 0.0 or (found and not request.clock.has_plenty("timing", "judging")):
+            continue
+        for parts in _joined_ends(stages(whole)):
+            with budget.share(0.5 * budget.remaining_seconds) as part:
+                drive = connected([one for stage in parts for one in _smooth(stage, smoother, problem, part)])
+            found += _timed(drive, whole, arrival, request)
+    return [*sorted(found, key=lambda motion: motion.ranking), *stops(searched, request, ends)], why_not
+
+
+def stops(searched: Search, request: Request, ends: Ends) -> list[Motion]:
+    """Return the motion along the best path itself, with a stop at each of its corners; none if it leads nowhere."""
+    if not searched.paths:
+        return []
+    whole, arrival = ends.joined(searched.paths[-1])
+    if whole.length == 0.0:
+        scene = request.objective.scene
+        return [charged(whole, retime(whole, scene.limits, scene.joints), arrival, request)]
+    return _timed(connected(list(_stopping(whole.q))), whole, arrival, request)
+
+
+def _smoother(request: Request, problem: SceneProblem) -> Smoother:
+    base = request.objective.scene.base
+    assert base is not None
+    return Smoother(
+        objective=request.objective,
+        base=base,
+        clearance=lambda q: problem.clearance_gradient(q)[0],
+        time_price=price_of_time(request),
+        speed=request.speed,
+    )
+
+
+def _timed(drive: Drive, whole: Path, arrival: int, request: Request) -> list[Motion]:
+    if not drive.stretches:
+        return []
+    with request.clock.measured("timing"):
+        try:
+            return [_motion(drive, whole, arrival, request)]
+        except RetimingError:
+            return []
+
+
+def _motion(drive: Drive, whole: Path, arrival: int, request: Request) -> Motion:
+    scene = request.objective.scene
+    trajectory = request.constraints.timed(
+        lambda limits: timed(drive, scene.limits, scene.joints, speed=request.speed, restraint=limits)
+    )
+    return charged(whole, trajectory, arrival, request)
+
+
+def _joined_ends(parts: Sequence[DriveStage]) -> Iterator[list[DriveStage]]:
+    """Yield the stages with small turns at both ends left to the curves beside them, then as they are."""
+    joined = list(parts)
+    if len(joined) > 1 and joined[0].kind is Move.TURN and _rolls(joined[1]) and _turn(joined[0]) < _JOINED:
+        joined[:2] = [replace(joined[1], q=np.concatenate([joined[0].q[:1], joined[1].q[1:]]))]
+    if len(joined) > 1 and joined[-1].kind is Move.TURN and _rolls(joined[-2]) and _turn(joined[-1]) < _JOINED:
+        joined[-2:] = [replace(joined[-2], q=np.concatenate([joined[-2].q[:-1], joined[-1].q[-1:]]))]
+    if len(joined) < len(parts):
+        yield joined
+    yield list(parts)
+
+
+def _rolls(stage: DriveStage) -> bool:
+    return stage.kind in (Move.FORWARD, Move.BACKWARD)
+
+
+def _turn(stage: DriveStage) -> float:
+    return float(np.abs(np.diff(stage.q[:, 2])).sum())
+
+
+def _smooth(stage: DriveStage, smoother: Smoother, problem: SceneProblem, budget: Budget) -> Iterator[Stretch]:
+    """Yield what replaces a stage: one smooth curve if one is free, else its edges with rests between them."""
+    if not _rolls(stage):
+        yield from _stopping(stage.q)
+        return
+    for spacing in _SPACINGS:
+        roll = _fitted(stage, spacing)
+        for curve in (smoother.descended(roll, budget), roll):
+            if problem.states_free(curve.samples(2)[1][0]).all():
+                yield curve
+                return
+    yield from _stopping(stage.q)
+
+
+def _stopping(q: Float[Array, "vertex nq"]) -> Iterator[Stretch]:
+    """Yield the edges of a path; what is drawn on the way is straight, moves that go on are one."""
+    for stage in stages(Path(q)):
+        if not _rolls(stage):
+            yield from (Straight(a, b) for a, b in zip(stage.q[:-1], stage.q[1:], strict=True))
+            continue
+        forward, corner = stage.kind is Move.FORWARD, 0
+        moves = np.abs(np.diff(stage.q[:, :2], axis=0)).max(axis=1) > 0.0
+        for k in range(1, len(stage.q)):
+            if k == len(stage.q) - 1 or moves[k] != moves[k - 1]:
+                a, b = stage.q[corner], stage.q[k]
+                if moves[k - 1]:
+                    line = a[:2] + np.linspace(0.0, 1.0, DEGREE + 1)[:, None] * (b[:2] - a[:2])
+                    yield Roll(line, a, b, forward)
+                else:
+                    yield Straight(a, b)
+                corner = k
+
+
+def _fitted(stage: DriveStage, spacing: float) -> Roll:
+    """Return the spline whose control points lie evenly along a stage, with the headings that it has at both ends."""
+    corners = Path(stage.q[:, :2]).without_duplicates()
+    n = int(np.clip(np.ceil(corners.length / spacing) + 1, _FEWEST, _MOST))
+    controls = evenly(corners.q, n)
+    forward = stage.kind is Move.FORWARD
+    step = corners.length / (n - 1) * (1.0 if forward else -1.0)
+    for end, beside, away in ((0, 1, step), (-1, -2, -step)):
+        heading = stage.q[end, 2]
+        controls[beside] = controls[end] + away * np.array([np.cos(heading), np.sin(heading)])
+    return Roll(controls, stage.q[0], stage.q[-1], forward)

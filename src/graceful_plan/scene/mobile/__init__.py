@@ -1,0 +1,1 @@
+"""Bases that drive: how they do it, and goals for them."""

@@ -1,0 +1,86 @@
+"""A base on two driven sides, of wheels or tracks: it rolls along its heading and turns in place, never sideways."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from graceful_plan.exceptions import SettingError
+
+GRAVITY_SHARE = 2.0
+"""Default of what friction and the load stand across the heading [m/s^2]: a fifth of gravity, which nothing aboard tips
+or slides at that stands on 1/5 of its height."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiffDrive:
+    """How a planar base drives; its joints are those of the model that is planned with.
+
+    | field       | meaning                                                                          | unit    |
+    |-------------|----------------------------------------------------------------------------------|---------|
+    | joints      | slide along x of the world, slide along y, hinge about z whose 0 looks along x   |         |
+    | radius      | of the driven wheels                                                             | m       |
+    | track       | between the middles of left and right wheels                                     | m       |
+    | slip        | effective track over track: 1 for two wheels, about 1.5 for a skid-steer         |         |
+    | v_max       | greatest speed along the heading                                                 | m/s     |
+    | omega_max   | greatest rate of turning                                                         | rad/s   |
+    | a_max       | greatest acceleration along the heading                                          | m/s^2   |
+    | alpha_max   | greatest acceleration of turning                                                 | rad/s^2 |
+    | lateral_max | greatest acceleration across the heading, speed times rate of turning            | m/s^2   |
+    | wheel_max   | greatest rate of a wheel; default: that of `v_max` on the straight               | rad/s   |
+    | reverse     | whether it may drive backwards                                                   |         |
+    | wheels      | joints of the wheels where these turn, left ones first                           |         |
+
+    Wheel rates are (v -+ omega slip track / 2) / radius, left with minus. For a skid-steer see A. Mandow et al.,
+    "Experimental kinematics for wheeled skid-steer mobile robots", IROS 2007.
+
+    Raises:
+        SettingError: If a number is not finite and above 0, or the joints are not three different names.
+    """
+
+    joints: tuple[str, str, str]
+    radius: float
+    track: float
+    slip: float = 1.0
+    v_max: float
+    omega_max: float
+    a_max: float
+    alpha_max: float
+    lateral_max: float = GRAVITY_SHARE
+    wheel_max: float | None = None
+    reverse: bool = True
+    wheels: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("joints", "wheels"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if len(set(self.joints)) != 3 or not all(isinstance(name, str) for name in self.joints):
+            raise SettingError("DiffDrive.joints", self.joints, "three names: slide x, slide y and hinge yaw")
+        if self.wheel_max is None:
+            object.__setattr__(self, "wheel_max", self.v_max / self.radius if self.radius else math.nan)
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name in ("joints", "wheels", "reverse"):
+                continue
+            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0.0):
+                raise SettingError(f"DiffDrive.{item.name}", value, "a finite number above 0")
+        if self.slip < 1.0:
+            raise SettingError("DiffDrive.slip", self.slip, "at least 1, the share of wheels that do not slip")
+        if not isinstance(self.reverse, bool):
+            raise SettingError("DiffDrive.reverse", self.reverse, "True or False")
+
+    @property
+    def lever(self) -> float:
+        """Half the effective track [m]: what one radian of turning moves a wheel."""
+        return 0.5 * self.slip * self.track
+
+    @property
+    def joint_limits(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Bounds of the speeds and accelerations of the three joints: what holds in all headings."""
+        hardest = math.hypot(self.a_max, self.lateral_max)
+        return (self.v_max, self.v_max, self.omega_max), (hardest, hardest, self.alpha_max)
+
+    @property
+    def rim_max(self) -> float:
+        """Greatest speed of a wheel's rim [m/s]."""
+        return float(self.wheel_max or 0.0) * self.radius
