@@ -241,9 +241,11 @@ def check_base(model: mujoco.MjModel, joints: tuple[int, ...], base: DiffDrive) 
         raise SceneError(f"the base's joints {base.joints} have to be the first planned ones, which are {known[:3]}")
     kinds = [int(_JOINT.mjJNT_SLIDE), int(_JOINT.mjJNT_SLIDE), int(_JOINT.mjJNT_HINGE)]
     for joint, kind, axis in zip(joints, kinds, np.eye(3)[[0, 1, 2]], strict=False):
-        upright = np.allclose(model.body_quat[model.jnt_bodyid[joint]], [1.0, 0.0, 0.0, 0.0])
-        if model.jnt_type[joint] != kind or not np.allclose(model.jnt_axis[joint], axis) or not upright:
-            what = "slides along x and y and a hinge about z, in bodies that are not turned"
+        body = model.jnt_bodyid[joint]
+        upright = np.allclose(model.body_quat[body], [1.0, 0.0, 0.0, 0.0])
+        centred = np.allclose(model.body_pos[body, :2] + model.jnt_pos[joint, :2], 0.0)
+        if model.jnt_type[joint] != kind or not np.allclose(model.jnt_axis[joint], axis) or not upright or not centred:
+            what = "slides along x and y and a hinge about z, in bodies that are neither turned nor moved along x and y"
             raise SceneError(f"the base's joint {model.joint(joint).name!r}: expected {what}")
 
 

@@ -12,7 +12,7 @@ robot:
   body_class: arm_collapse       # how it fails: arm_collapse, arm_braked or base_coast
   velocity: [...]                # limits of the planned joints, likewise acceleration, torque; default: the model's
   limits: {panda/joint1: [-2, 2]}    # lower and upper limit of joints; default: the model's
-base:                            # how the robot drives, if it does: the fields of DiffDrive
+base:                            # how the robot drives, if it does: the fields of DiffDrive; default: the model's
   joints: [jackal/base_x, jackal/base_y, jackal/base_yaw]
   radius: 0.098                  # and track, v_max, omega_max, a_max, alpha_max; slip, lateral_max, wheel_max, reverse
 tool: panda/tool                 # site, or body; default "<prefix>tool"
@@ -66,6 +66,7 @@ from graceful_plan.scene.elements import AllowedContact, Contents, Dry, EntityNo
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.robot_models import robot_file, robots
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.mobile.versions import plan_on_plane
 from graceful_plan.scene.model_parts import add_tool
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
@@ -96,6 +97,8 @@ def read_scene(file: Path) -> Scene:
     notes = _notes(root, file)
     spec = _spec(root, file, notes.robot)
     add_tool(spec, notes.tool)
+    with notes.about("base"):
+        notes = replace(notes, base=plan_on_plane(spec, notes.robot, notes.base))
     scene = Scene.build(spec, notes)
     _check_promises(scene)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))
