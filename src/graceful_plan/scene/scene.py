@@ -27,7 +27,7 @@ from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, N
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.mobile.versions import plan_on_plane
+from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import (
     add_tool,
     check_base,
@@ -110,7 +110,7 @@ class Scene(SceneFacts):
             allowed_contacts: What may touch, besides gripper and carried object.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
             base: How the robot drives. Default: the model's custom numerics and texts "<robot>drive/FIELD". Without it
-                planar joints move in all directions; with it the joints of the base replace a free joint of the robot.
+                planar joints move in all directions.
             name: What to call the scene; the model's name by default.
 
         Raises:
@@ -120,7 +120,7 @@ class Scene(SceneFacts):
         """
         spec = load_spec(source)
         add_tool(spec, tool)
-        base = plan_on_plane(spec, robot, base)
+        base = base or described_drive(spec, robot)
         table, overrides = given_severity(severity)
         notes = Notes(
             name=name or spec.modelname,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.scene.loading.robot_models import robot_file
-from graceful_plan.scene.mobile.versions import rolling_qpos, rolling_spec
+from graceful_plan.scene.mobile.wheels import rolling_qpos, rolling_spec
 
 _TOLERANCE = 1e-9
 """Both sides are chains of exact transforms in double precision."""
@@ -31,11 +31,11 @@ FETCH_CHAIN = [  # joint, origin in its parent, axis, range, velocity, accelerat
 TUCKED = (0.35, 1.32, 1.4, -0.2, 1.72, 0.0, 1.66, 0.0)
 _AXES = {"x": 0, "y": 1, "z": 2}
 _WHEEL_INERTIA = {"jackal": 0.0024, "fetch": 0.005}
-_STANDS = {"jackal": 0.0635, "fetch": 0.004675}
+_TOOLS = {"jackal": "deck", "fetch": "tool"}
 
 
-def ground(robot: str, tilt: float = 0.0) -> mujoco.MjSpec:
-    """Return a robot on a floor, with gravity of a ramp along x if it is tilted [rad]."""
+def ground(robot: str) -> mujoco.MjSpec:
+    """Return a robot on a floor."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
     spec.attach(
@@ -46,33 +46,27 @@ def ground(robot: str, tilt: float = 0.0) -> mujoco.MjSpec:
     spec.option.timestep, spec.option.impratio = 0.002, 10.0
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     return spec
 
 
 @cache
 def scene_of(robot: str) -> gp.Scene:
-    rolls = [f"{robot}/base", *_wheel_names(robot)]
     return gp.Scene.from_mjcf(
         ground(robot),
         robot=f"{robot}/",
-        tool=f"{robot}/tool",
+        tool=f"{robot}/{_TOOLS[robot]}",
         body_class="base_coast",
-        allowed_contacts=[gp.AllowedContact(name, "floor") for name in rolls],
+        allowed_contacts=[gp.AllowedContact(f"{robot}/base", "floor")],
     )
 
 
-def _wheel_names(robot: str) -> list[str]:
-    one_side = {"jackal": ["front_{}_wheel", "rear_{}_wheel"], "fetch": ["{}_wheel"]}[robot]
-    return [f"{robot}/{name.format(side)}" for side in ("left", "right") for name in one_side]
-
-
 class Rolling:
-    """A simulated robot, driven at a speed and a rate of turning."""
+    """A simulated robot, driven at a speed and a rate of turning, on a ramp along x if it is tilted [rad]."""
 
     def __init__(self, robot: str, tilt: float = 0.0) -> None:
         self.base = scene_of(robot).base
-        self.model = ground(robot, tilt).compile()
+        self.model = rolling_spec(scene_of(robot)).compile()
+        self.model.opt.gravity[:] = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
         self.data = mujoco.MjData(self.model)
         self.robot = robot
         self.dofs = [int(self.model.joint(w).dofadr[0]) for w in self.base.wheels]
@@ -111,16 +105,16 @@ class Rolling:
 def test_a_jackal_has_the_published_masses_and_wheels():
     model = ground("jackal").compile()
     assert model.body_mass.sum() == pytest.approx(18.43, abs=0.005)
-    chassis, wheel = model.body("jackal/base"), model.body("jackal/front_left_wheel")
+    chassis, wheel = model.body("jackal/base"), model.body("jackal/front_left")
     assert chassis.mass[0] == pytest.approx(16.523) and wheel.mass[0] == pytest.approx(0.477)
-    np.testing.assert_allclose(chassis.ipos, [0.012, 0.002, 0.067])
+    np.testing.assert_allclose(chassis.ipos, [0.012, 0.002, 0.0635 + 0.067])
     np.testing.assert_allclose(
         _inertia(model, "jackal/base"), [[0.3136, 0, 0.0164], [0, 0.3922, 0], [0.0164, 0, 0.4485]]
     )
-    np.testing.assert_allclose(np.diag(_inertia(model, "jackal/front_left_wheel")), [0.0013, 0.0024, 0.0013])
-    places = {tuple(np.round(model.body(name).pos, 4)) for name in _wheel_names("jackal")}
-    assert places == {(x, y, 0.0345) for x in (-0.131, 0.131) for y in (-0.1878, 0.1878)}
-    assert model.geom("jackal/front_left_wheel").size[:2] == pytest.approx([0.098, 0.02])
+    np.testing.assert_allclose(np.diag(_inertia(model, "jackal/front_left")), [0.0013, 0.0024, 0.0013])
+    places = {tuple(np.round(model.body(name).pos, 4)) for name in scene_of("jackal").base.wheels}
+    assert places == {(x, y, 0.098) for x in (-0.131, 0.131) for y in (-0.1878, 0.1878)}
+    assert model.geom("jackal/front_left").size[:2] == pytest.approx([0.098, 0.02])
     np.testing.assert_allclose(2 * model.geom("jackal/chassis").size, [0.42, 0.31, 0.184])
 
 
@@ -128,7 +122,7 @@ def test_a_fetch_has_the_published_masses_and_wheels():
     model = ground("fetch").compile()
     mass = {model.body(b).name.removeprefix("fetch/"): float(model.body_mass[b]) for b in range(1, model.nbody)}
     arm = sum(mass[name] for name, *_ in FETCH_CHAIN[1:])
-    assert [mass["base"], mass["torso_fixed"], mass["left_wheel"]] == pytest.approx([70.1294, 13.2775, 4.3542])
+    assert [mass["base_link"], mass["torso_fixed"], mass["left_wheel"]] == pytest.approx([70.1294, 13.2775, 4.3542])
     assert mass["torso_lift"] == pytest.approx(10.7796 + 2 * 0.169374, abs=1e-4)  # with its bellows
     assert mass["head_pan"] + mass["head_tilt"] == pytest.approx(3.16, abs=0.01)
     assert arm == pytest.approx(13.20, abs=0.01)
@@ -178,7 +172,7 @@ def test_kinematics_of_a_fetch_follow_the_published_table(fractions, x, y, yaw):
     upper = np.array([(bounds or (-np.pi, np.pi))[1] for *_, bounds, _, _, _ in FETCH_CHAIN])
     q = lower + np.array(fractions) * (upper - lower)
     X = _turned("z", yaw)
-    X[:3, 3] = x, y, _STANDS["fetch"]
+    X[:3, 3] = x, y, 0.004675
     for (name, _, axis, *_), value in zip(FETCH_CHAIN, q, strict=True):
         step = np.eye(4)
         step[:3, 3] = model.body(f"fetch/{name}").pos  # compared with the table above
@@ -211,18 +205,16 @@ def test_a_tucked_fetch_touches_nothing():
 
 
 @pytest.mark.parametrize("robot", ["jackal", "fetch"])
-def test_versions_differ_by_their_root_alone(robot):
+def test_versions_differ_by_their_root_and_wheels_alone(robot):
     scene = scene_of(robot)
-    rolling = rolling_spec(scene).compile()
-    planned, source = scene.model, ground(robot).compile()
-    assert rolling.nq == source.nq == planned.nq + 4
-    assert {rolling.joint(j).name for j in range(1, rolling.njnt)} == {
-        planned.joint(j).name for j in range(3, planned.njnt)
-    }
-    for model in (planned, rolling):
-        np.testing.assert_allclose(model.body_mass, source.body_mass)
-        np.testing.assert_allclose(model.geom_size, source.geom_size)
-        assert model.nu == source.nu
+    rolling, planned = rolling_spec(scene).compile(), scene.model
+    wheels = set(scene.base.wheels)
+    assert rolling.njnt == planned.njnt - 2 + len(wheels) and rolling.nu == planned.nu + len(wheels)
+    others = {planned.joint(j).name for j in range(3, planned.njnt)}
+    assert {rolling.joint(j).name for j in range(1, rolling.njnt)} == others | wheels
+    assert rolling.joint(0).name == f"{robot}/rolling"
+    for name in ("body_mass", "body_inertia", "body_pos", "geom_size", "geom_pos"):
+        np.testing.assert_allclose(getattr(rolling, name), getattr(planned, name))
 
 
 @pytest.mark.parametrize("robot", ["jackal", "fetch"])
@@ -249,17 +241,17 @@ def test_models_that_say_half_of_how_they_drive_are_refused():
     spec = ground("jackal")
     spec.delete(next(n for n in spec.numerics if n.name == "jackal/drive/track"))
     with pytest.raises(SceneError, match="needs track"):
-        gp.Scene.from_mjcf(spec, robot="jackal/", tool="jackal/tool")
+        gp.Scene.from_mjcf(spec, robot="jackal/", tool="jackal/deck")
     spec.add_numeric(name="jackal/drive/colour", data=[1.0])
     with pytest.raises(SceneError, match="colour"):
-        gp.Scene.from_mjcf(spec, robot="jackal/", tool="jackal/tool")
+        gp.Scene.from_mjcf(spec, robot="jackal/", tool="jackal/deck")
 
 
 def test_joints_of_a_base_are_those_of_the_world():
     spec = mujoco.MjSpec.from_file(str(robot_file("jackal")))
-    spec.body("base").pos = [1.0, 0.0, 0.0635]
+    spec.body("base").pos = [1.0, 0.0, 0.0]
     with pytest.raises(SceneError, match="neither turned nor moved"):
-        gp.Scene.from_mjcf(spec, robot="base", tool="tool")
+        gp.Scene.from_mjcf(spec, robot="base", tool="deck")
 
 
 # --- how they roll ----------------------------------------------------------------------------------------------------
@@ -269,7 +261,7 @@ def test_joints_of_a_base_are_those_of_the_world():
 def test_wheels_do_not_sink(robot):
     sim = Rolling(robot)
     sim.run(1.0)
-    assert sim.data.qpos[2] == pytest.approx(_STANDS[robot], abs=3e-4)
+    assert sim.data.qpos[2] == pytest.approx(0.0, abs=3e-4)
     assert abs(sim.data.qvel).max() < 1e-3
 
 

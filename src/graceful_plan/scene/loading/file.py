@@ -66,7 +66,7 @@ from graceful_plan.scene.elements import AllowedContact, Contents, Dry, EntityNo
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.loading.robot_models import robot_file, robots
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.mobile.versions import plan_on_plane
+from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import add_tool
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
@@ -98,7 +98,7 @@ def read_scene(file: Path) -> Scene:
     spec = _spec(root, file, notes.robot)
     add_tool(spec, notes.tool)
     with notes.about("base"):
-        notes = replace(notes, base=plan_on_plane(spec, notes.robot, notes.base))
+        notes = replace(notes, base=notes.base or described_drive(spec, notes.robot))
     scene = Scene.build(spec, notes)
     _check_promises(scene)
     return replace(scene, notes=replace(scene.notes, file=None, lines={}))

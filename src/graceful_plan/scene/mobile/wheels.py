@@ -1,0 +1,126 @@
+"""What a model says of how its robot drives, and the same robot on wheels that turn, to be simulated.
+
+To plan with, a base has three joints in a plane, and wheels that do not turn. To simulate, it has a free joint instead,
+and hinges and motors at its wheels. All else is the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SceneError, SettingError
+from graceful_plan.scene.facts import SceneFacts
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+
+Array = np.ndarray
+
+KEEP_OUT = "keep_out"
+"""Geoms whose names begin so are there for planning only: over stairs going down, where a base must not drive."""
+_FREE = "rolling"
+"""Name of the free joint, behind the robot's prefix."""
+_WHEEL = "wheel"
+"""Class of the defaults of hinges and motors of wheels, behind the robot's prefix."""
+
+
+def described_drive(spec: mujoco.MjSpec, robot: str) -> DiffDrive | None:
+    """Read how a robot drives from its model: texts and numerics "<robot>drive/FIELD", with the fields of DiffDrive.
+
+    Names of joints and wheels are without the prefix, divided by spaces.
+
+    Args:
+        spec: The model.
+        robot: Prefix of the names of its bodies, or its root body.
+
+    Returns:
+        How it drives; None if the model does not say so.
+
+    Raises:
+        SceneError: If the model says only a part of it.
+    """
+    prefix = robot[: robot.rfind("/") + 1] if spec.body(robot) is not None else robot
+    start = f"{prefix}drive/"
+    told: dict[str, object] = {}
+    for text in spec.texts:
+        if text.name.startswith(start):
+            told[text.name.removeprefix(start)] = tuple(prefix + name for name in text.data.split())
+    for number in spec.numerics:
+        if number.name.startswith(start):
+            told[number.name.removeprefix(start)] = float(np.array(number.data)[0])
+    if not told:
+        return None
+    known = {item.name: item.default is MISSING for item in fields(DiffDrive)}
+    wrong = sorted(set(told) - set(known))
+    missing = [name for name, needed in known.items() if needed and name not in told]
+    if wrong or missing:
+        what = f"does not know {', '.join(wrong)}" if wrong else f"needs {', '.join(missing)}"
+        raise SceneError(f"the drive of {robot!r} in its model {what}; its fields are {', '.join(known)}")
+    if "reverse" in told:
+        told["reverse"] = bool(told["reverse"])
+    return DiffDrive(**told)  # pyright: ignore[reportArgumentType]  checked there
+
+
+def rolling_spec(scene: SceneFacts) -> mujoco.MjSpec:
+    """Return the model of a scene in which its robot stands on wheels that turn, to be simulated.
+
+    Hinges and velocity motors of the wheels have the wheels' names, and the defaults of the robot's class "wheel" if
+    its model has one. Give the options a timestep of at most 2 ms, an elliptic cone and an impratio of 10 or more:
+    what is said of the bundled robots is measured with these.
+
+    Raises:
+        SettingError: If its robot does not drive or nobody says which its wheels are.
+    """
+    base = scene.base
+    if base is None or not base.wheels:
+        raise SettingError("scene", scene.name, "a scene with a robot that drives: give it a DiffDrive with wheels")
+    spec = scene.spec.copy()
+    for key in list(spec.keys):  # of another number of joints
+        spec.delete(key)
+    joints = [spec.joint(name) for name in base.joints]
+    root = joints[0].parent
+    for joint in joints:
+        spec.delete(joint)
+    root.add_freejoint(name=_prefix(base) + _FREE)
+    defaults = spec.find_default(_prefix(base) + _WHEEL)
+    for name in base.wheels:
+        hinge, motor = spec.body(name).add_joint(defaults, name=name), spec.add_actuator(defaults, name=name)
+        hinge.type, hinge.axis = mujoco.mjtJoint.mjJNT_HINGE, [0.0, 1.0, 0.0]
+        motor.trntype, motor.target = mujoco.mjtTrn.mjTRN_JOINT, name
+    for geom in spec.geoms:
+        if geom.name.startswith(KEEP_OUT):
+            geom.contype = geom.conaffinity = 0
+    return spec
+
+
+def rolling_qpos(scene: SceneFacts, model: mujoco.MjModel, q: ArrayLike) -> Float[Array, " qpos"]:
+    """Return the state of the compiled `rolling_spec` in which everything is where it is planned to be at q.
+
+    Args:
+        scene: The scene that it was made of.
+        model: The compiled model.
+        q: Configuration [m, m, rad, ...].
+    """
+    base = scene.base
+    if base is None:
+        raise SettingError("scene", scene.name, "a scene with a robot that drives: give it a DiffDrive")
+    planned, qpos = scene.data_at(q), model.qpos0.copy()
+    widths = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
+    for j in range(scene.model.njnt):
+        name, adr = scene.model.joint(j).name, int(scene.model.jnt_qposadr[j])
+        there = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if there >= 0:
+            width = widths.get(int(model.jnt_type[there]), 1)
+            to = int(model.jnt_qposadr[there])
+            qpos[to : to + width] = planned.qpos[adr : adr + width]
+    x, y, yaw = np.asarray(q, dtype=float)[:3]
+    adr = int(model.joint(_prefix(base) + _FREE).qposadr[0])
+    qpos[adr : adr + 7] = [x, y, qpos[adr + 2], np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]
+    return qpos
+
+
+def _prefix(base: DiffDrive) -> str:
+    return base.joints[0][: base.joints[0].rfind("/") + 1]
