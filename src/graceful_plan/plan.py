@@ -36,6 +36,7 @@ from graceful_plan.query.deadline.clock import Clock, paces_of
 from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.driving.drives import driven, stops
+from graceful_plan.query.driving.tight import rolling_ends
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
 from graceful_plan.query.goals import Configuration, Goal, poses_of
@@ -155,6 +156,8 @@ def plan(
         cancelled=stop,
         late=lambda part: time.perf_counter() > started + part * limit,
     )
+    if scene.base is not None and isinstance(ends, Ends):
+        ends = rolling_ends(ends)
     said = _compiled(compiled, limit)
     if isinstance(ends, PlanResult):
         return _with_notes(ends, said)

@@ -202,6 +202,24 @@ class TimedImpact(Impact):
     def __init__(self, model: Impact, speed: Reals) -> None: ...
 
 @final
+class CoastImpact(Impact):
+    def __init__(
+        self,
+        core: Core,
+        *,
+        disc: Reals,
+        entity: Integers,
+        shape: Reals,
+        stops: Reals,
+        constants: Reals,
+        severity: Reals,
+        speed: Reals,
+        slow: float,
+        fast: float,
+    ) -> None: ...
+    def moving_states(self, q: Reals, qd: Reals) -> Reals: ...
+
+@final
 class BodyImpact(Impact):
     def __init__(self, model: BodyModel, weight: Reals, severity: Reals, slow: float, fast: float) -> None: ...
 

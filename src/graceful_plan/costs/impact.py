@@ -95,11 +95,23 @@ class ImpactCost(Cost):
 
     def severity(self, scene: Scene) -> Float[Array, "component entity"]:
         """S of each of the scene's components against each entity, zero for components that do not count."""
+        counted = self.counted(scene)
         rows = [
-            [entity.severity[name] if name in self.components else 0.0 for entity in scene.entities.values()]
+            [entity.severity[name] if name in counted else 0.0 for entity in scene.entities.values()]
             for name in scene.components
         ]
         return np.array(rows, dtype=np.float64).reshape(len(scene.components), len(scene.entities))
+
+    def counted(self, scene: Scene) -> tuple[str, ...]:
+        """Components that count in a scene: those asked for; if they are the default ones, the body of what drives."""
+        drives = scene.base is not None and "body" in scene.components and "body" not in self.components
+        return (*self.components, "body") if drives and self._default else self.components
+
+    @property
+    def _default(self) -> bool:
+        """Whether the components are those of a model that knows how a base fails."""
+        model = self.interaction
+        return isinstance(model, Footprint) and self.components == model.components
 
     def counts_own_loss(self, scene: Scene) -> bool:
         """Whether the loss of the carried object itself is one of the hazards."""
@@ -114,8 +126,9 @@ class ImpactCost(Cost):
 
     def hazard_severity(self, scene: Scene) -> Float[Array, "component hazard"]:
         """S of each component against each of `hazards`; the object itself is harmed by the component "carried"."""
+        counted = self.components  # the base of a robot is feared by who stands still
         moving = [
-            [severity[name] if name in self.components else 0.0 for severity in scene.moving_severity.values()]
+            [severity[name] if name in counted else 0.0 for severity in scene.moving_severity.values()]
             for name in scene.components
         ]
         shape = len(scene.components), len(scene.moving)

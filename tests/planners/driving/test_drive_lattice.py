@@ -3,13 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hall import BASE, hall
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SettingError
 from graceful_plan.planners.planner import Budget, path_total
 from graceful_plan.planners.scene_problem import SceneProblem
+from hall import BASE, hall
 
 MOVES = [(1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)]
 MOVES += [(-x, -y) for x, y in MOVES]
@@ -73,6 +73,7 @@ def test_paths_roll_and_get_better():
         np.testing.assert_allclose(path.q[[0, -1]], [[-4, 0, 0], [4, 0, 0]], atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_path_is_at_least_as_good_as_the_best_of_its_lattice():
     walls = '<body name="block" pos="1 0 .5"><geom type="box" size=".1 .8 .5"/></body>'
     scene = hall(walls=walls)

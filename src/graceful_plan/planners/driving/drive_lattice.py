@@ -73,10 +73,13 @@ class DriveLattice(Planner):
         base = objective.scene.base if isinstance(objective, SceneObjective) else None
         if base is None:
             raise SettingError("planner", self.name, "a planner for arms: this robot has no DiffDrive")
-        best = np.inf
-        for cell in self.cells:
+        assert isinstance(objective, SceneObjective)
+        best, short = np.inf, objective.objective.with_weight(0.0).bind(objective.scene, objective.paces)
+        # A shortest path first: where impact decides, a search that looks at it everywhere takes its time.
+        searches = [(self.cells[0], short), *((cell, objective) for cell in self.cells)]
+        for cell, charged in searches if objective.w > 0.0 else searches[1:]:
             for begin in _postures(problem):
-                for path in self._searched(begin, cell, base, (problem, objective, budget)):
+                for path in self._searched(begin, cell, base, (problem, charged, budget)):
                     if (total := path_total(objective, path)) < best:
                         best = total
                         yield path

@@ -13,15 +13,19 @@ from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.driving.slowing import slower_where_it_pays
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.query.driving.stages import DriveStage, Move, stages
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.motions import Motion, charged, price_of_time
 from graceful_plan.query.request import Request
 from graceful_plan.query.search import KEPT, Search
+from graceful_plan.timing.blend import CurveGrid
 from graceful_plan.timing.bspline import DEGREE
 from graceful_plan.timing.drive_curve import Drive, Roll, Straight, Stretch, connected
 from graceful_plan.timing.retiming import retime, timed
+from graceful_plan.timing.topp import Restraint
+from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
@@ -89,17 +93,23 @@ def _timed(drive: Drive, whole: Path, arrival: int, request: Request) -> list[Mo
         return []
     with request.clock.measured("timing"):
         try:
-            return [_motion(drive, whole, arrival, request)]
+            fast = _motion(drive, whole, arrival, request)
+            slower = slower_where_it_pays(drive, fast.trajectory, request.objective, price_of_time(request))
+            return [fast, *([_motion(drive, whole, arrival, request, slower)] if slower is not None else [])]
         except RetimingError:
             return []
 
 
-def _motion(drive: Drive, whole: Path, arrival: int, request: Request) -> Motion:
+def _motion(drive: Drive, whole: Path, arrival: int, request: Request, slower: Restraint | None = None) -> Motion:
     scene = request.objective.scene
-    trajectory = request.constraints.timed(
-        lambda limits: timed(drive, scene.limits, scene.joints, speed=request.speed, restraint=limits)
-    )
-    return charged(whole, trajectory, arrival, request)
+
+    def timing(limits: Restraint) -> Trajectory:
+        def both(grid: CurveGrid) -> Array:
+            return limits(grid) if slower is None else np.concatenate([limits(grid), slower(grid)], axis=1)
+
+        return timed(drive, scene.limits, scene.joints, speed=request.speed, restraint=both)
+
+    return charged(whole, request.constraints.timed(timing), arrival, request)
 
 
 def _joined_ends(parts: Sequence[DriveStage]) -> Iterator[list[DriveStage]]:

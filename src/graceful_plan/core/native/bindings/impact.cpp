@@ -7,6 +7,7 @@
 
 #include "bindings/bindings.hpp"
 #include "impact/body_impact.hpp"
+#include "impact/coast.hpp"
 #include "impact/own/own_cost.hpp"
 #include "impact/own/posture_costs.hpp"
 #include "impact/own/state_cost.hpp"
@@ -105,6 +106,23 @@ void bind_impact(nb::module_& m) {
       .def(nb::init<const Impact&, double>(), "model"_a, "factor"_a, nb::keep_alive<1, 2>());
   nb::class_<TimedImpact, Impact>(m, "TimedImpact")
       .def(nb::init<const Impact&, Reals>(), "model"_a, "speed"_a, nb::keep_alive<1, 2>());
+  nb::class_<CoastImpact, Impact>(m, "CoastImpact")
+      .def(
+          "__init__",
+          [](CoastImpact* self, const Core& core, Reals disc, Integers entity, Reals shape, Reals stops,
+             Reals constants, Reals severity, Reals speed, double slow, double fast) {
+            new (self) CoastImpact(core, {disc, entity, shape, stops, constants, speed}, severity, slow, fast);
+          },
+          "core"_a, nb::kw_only(), "disc"_a, "entity"_a, "shape"_a, "stops"_a, "constants"_a, "severity"_a, "speed"_a,
+          "slow"_a, "fast"_a, nb::keep_alive<1, 2>())
+      .def("moving_states", [](const CoastImpact& self, Reals q, Reals qd) {
+        double* out;
+        auto array = make<double>({self.core().rows(q)}, out);
+        const States states = self.core().states(q, qd);
+        nb::gil_scoped_release release;
+        self.moving_states(states, out);
+        return array;
+      });
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")
       .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a,
            "fast"_a, nb::keep_alive<1, 2>());

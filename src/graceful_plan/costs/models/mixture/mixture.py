@@ -21,6 +21,8 @@ from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.body.body import BodyModel
 from graceful_plan.costs.models.body.constants import GENERATORS, BodySettings
 from graceful_plan.costs.models.body.tables import ROWS as HOLDING
+from graceful_plan.costs.models.coast.coast import Coast
+from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.moving.model import MovingModel
@@ -51,6 +53,8 @@ class Footprint(NativeModel):
         spill: Constants of the spill model; the shipped ones by default.
         body: Constants of the body model; the shipped ones by default.
         stop: How hard the robot stops by itself, and what contents make of it; the shipped constants by default.
+        base: How a base that drives goes on when it fails, and how often it is what fails; the shipped constants by
+            default. Of no account for robots without one.
 
     Raises:
         UnknownNameError: If there is no such preset.
@@ -61,6 +65,7 @@ class Footprint(NativeModel):
     spill: SpillSettings = field(default_factory=SpillSettings.shipped)
     body: BodySettings = field(default_factory=BodySettings.shipped)
     stop: StopSettings = field(default_factory=StopSettings.shipped)
+    base: CoastSettings = field(default_factory=CoastSettings.shipped)
 
     def __post_init__(self) -> None:
         if not isinstance(self.faults, str | FaultPrior):
@@ -84,7 +89,12 @@ class Footprint(NativeModel):
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
         """Return the same by generator, those that have a weight."""
-        return {**self._gripper_sources(batch), **self._arm_sources(batch)}
+        aboard = self._aboard(batch.scene)
+        found = {**self._gripper_sources(batch), **self._arm_sources(batch)}
+        if aboard == 1.0:
+            return found
+        coast = self.base.share * Coast(self.base).probability(batch)
+        return {**{name: aboard * P for name, P in found.items()}, "coast": coast}
 
     @property
     def knows_own_loss(self) -> bool:
@@ -96,7 +106,8 @@ class Footprint(NativeModel):
         if batch.scene.carried is None or not self.knows_own_loss or not len(batch):
             return {"drop": np.zeros(len(batch))}
         kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop)
-        return {"drop": self.prior.weights()["drop"] * kernel.own_loss(batch.q, batch.qd)}
+        weight = self._aboard(batch.scene) * self.prior.weights()["drop"]
+        return {"drop": weight * kernel.own_loss(batch.q, batch.qd)}
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources, and how much they weigh."""
@@ -116,7 +127,11 @@ class Footprint(NativeModel):
     ) -> ImpactKernel:
         """Return the native kernel; where arms may fail, its derivatives along edges are close rather than exact."""
         parts: list[ImpactKernel] = []
-        rows, loss = self._severities(scene, severity), self._own_severity(own)
+        if scene.base is not None:
+            coast = Coast(self.base).kernel(scene, self.base.share * severity, paces)
+            parts += [coast] if coast is not None else []
+            severity = self._aboard(scene) * severity
+        rows, loss = self._severities(scene, severity), self._aboard(scene) * self._own_severity(own)
         if scene.carried is not None and (rows.any() or loss):
             parts.append(self._drop_kernel(scene, own).with_severity(rows, paces, own=loss))
         weights = self._arm_weights()
@@ -140,15 +155,23 @@ class Footprint(NativeModel):
         """
         if self._arm_weights().any():
             return None
-        if batch.scene.carried is None:
-            return np.zeros_like(batch.q), np.zeros_like(batch.q)
-        kernel, rows = self._drop_kernel(batch.scene, own), self._severities(batch.scene, severity)
-        return kernel.gradient(batch.q, rows, batch.qd, own=self._own_severity(own))[1:]
+        scene, aboard, found = batch.scene, self._aboard(batch.scene), (np.zeros_like(batch.q), np.zeros_like(batch.q))
+        if scene.base is not None:
+            found = Coast(self.base).gradients(batch, self.base.share * severity) or found
+        if scene.carried is None:
+            return found
+        kernel, rows = self._drop_kernel(scene, own), self._severities(scene, aboard * severity)
+        of_drop = kernel.gradient(batch.q, rows, batch.qd, own=aboard * self._own_severity(own))[1:]
+        return found[0] + of_drop[0], found[1] + of_drop[1]
 
     def widened(self, metres: float) -> Footprint:
         """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
         wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
         return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
+
+    def _aboard(self, scene: Scene) -> float:
+        """Share of failures that are not the base's."""
+        return 1.0 if scene.base is None else 1.0 - self.base.share
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of drops, of spills and of stops."""

@@ -1,0 +1,157 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import graceful_plan as gp
+from graceful_plan.costs.cost import moving_batch
+from graceful_plan.costs.models.coast.coast import Coast
+from graceful_plan.costs.models.coast.constants import CoastSettings, Way
+from graceful_plan.costs.models.coast.tables import coast_tables
+from graceful_plan.exceptions import SettingError
+from hall import BASE, hall
+
+SCENE = hall()
+SHIPPED = CoastSettings.shipped()
+
+
+def only(**way):
+    given = {"weight": 1.0, "deceleration": (1.0,), "drag": 0.0, "delay": (0.0,)} | way
+    return replace(SHIPPED, ways={"only": Way(**given)}, position_spread=1e-3, drift=0.0)
+
+
+def hit(x, v, *, y=0.8, yaw=0.0, omega=0.0, scene=SCENE, settings=SHIPPED):
+    """P that the base, driving at x, hits the person, who stands at (2, 0.8) with a radius of 0.25 m."""
+    q = np.array([[x, y, yaw]])
+    qd = np.array([[v * np.cos(yaw), v * np.sin(yaw), omega]])
+    return Coast(settings).probability(moving_batch(scene, q, qd))[0, 0, 0]
+
+
+def states(n=400, seed=0):
+    rng = np.random.default_rng(seed)
+    q = np.column_stack([rng.uniform(-4, 4, n), rng.uniform(-1.5, 1.5, n), rng.uniform(-3, 3, n)])
+    v, omega = rng.uniform(-2, 2, n), rng.uniform(-2, 2, n)
+    return q, np.column_stack([v * np.cos(q[:, 2]), v * np.sin(q[:, 2]), omega])
+
+
+def test_the_core_says_the_same():
+    q, qd = states()
+    cost = gp.ImpactCost(model=Coast())
+    kernel = Coast().kernel(SCENE, cost.severity(SCENE), (1.0, 1.0))
+    expected = cost.state(moving_batch(SCENE, q, qd))
+    assert (expected > 0.1).sum() > 20
+    np.testing.assert_allclose(kernel.native.moving_states(q, qd), expected, atol=1e-12)
+    value, by_q, _ = kernel.state_slopes(q, qd)
+    np.testing.assert_allclose(value, expected, atol=1e-12)
+    assert np.isfinite(by_q).all()
+
+
+def test_discs_cover_the_base_and_shapes_are_what_stands_at_its_height():
+    tables = coast_tables(SCENE)
+    for corner in ([0.21, 0.155], [-0.21, 0.155], [0.21, -0.155]):
+        assert (np.linalg.norm(tables.disc[:, :2] - corner, axis=1) - tables.disc[:, 2]).min() < 0.005
+    assert len(tables.entity) == 4 and (tables.entity >= 0).sum() == 1  # walls, pillar, person; no floor
+
+
+@pytest.mark.parametrize("v", [0.5, 1.0, 2.0])
+def test_it_goes_as_far_as_the_closed_form_says(v):
+    settings = only(deceleration=(1.0,), delay=(0.2,))
+    far = 0.2 * v + v**2 / 2.0
+    front = 0.229  # of the foremost disc, wheels included
+    gap = 2.0 - 0.25 - front
+    assert hit(gap - 0.85 * far, v, settings=settings) > 0.0
+    assert hit(gap - 1.05 * far, v, settings=settings) < 1e-12
+
+
+def test_drag_shortens_the_way():
+    without, much = only(deceleration=(0.5,)), only(deceleration=(0.5,), drag=1.0)
+    v, a, k = 2.0, 0.5, 1.0
+    far = v / k - a / k**2 * np.log1p(k * v / a)
+    x = 2.0 - 0.25 - 0.229 - 1.2 * far
+    assert hit(x, v, settings=much) < 1e-12 < hit(x, v, settings=without)
+
+
+def test_harm_grows_with_the_square_of_the_speed_up_to_that_of_the_table():
+    settings = only(deceleration=(0.002,))
+    slow, twice, fast = (hit(1.2, v, settings=settings) for v in (0.2, 0.4, 2.0))
+    assert slow == pytest.approx(0.04, rel=0.25) and twice == pytest.approx(4 * 0.04, rel=0.25)
+    assert fast == pytest.approx(1.0, abs=0.01)
+
+
+@given(st.floats(-4, 4), st.floats(-1.4, 1.4), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
+def test_probabilities_are_probabilities_and_standing_is_safe(x, y, yaw, v, omega):
+    assert 0.0 <= hit(x, v, y=y, yaw=yaw, omega=omega) <= 1.0
+    assert hit(x, 0.0, y=y, yaw=yaw, omega=omega) == 0.0
+
+
+def test_reversing_is_driving_the_other_way():
+    ahead = hit(0.0, 1.5)
+    assert ahead > 0.05 and hit(0.0, 1.5, yaw=np.pi) < 1e-12
+    assert hit(0.0, -1.5, yaw=np.pi) == pytest.approx(ahead, rel=1e-6)
+
+
+def test_arcs_lead_where_they_lead():
+    settings = only(deceleration=(0.5,))
+    # From (1, -0.2), heading to +y on an arc of 1 m to the right, it comes to the person at (2, 0.8).
+    assert hit(1.0, 1.5, y=-0.2, yaw=np.pi / 2, omega=-1.5, settings=settings) > 0.3
+    assert hit(1.0, 1.5, y=-0.2, yaw=np.pi / 2, omega=1.5, settings=settings) < 1e-12
+
+
+def test_walls_stop_it():
+    shield = '<body name="shield" pos="1 .8 .5"><geom type="box" size=".05 .6 .5"/></body>'
+    assert hit(0.0, 2.0) > 0.1
+    assert hit(0.0, 2.0, scene=hall(extra=shield)) < 1e-4
+
+
+def test_by_default_a_base_is_feared_as_much_as_what_it_carries():
+    q, qd = states()
+    batch = moving_batch(SCENE, q, qd)
+    coast = gp.ImpactCost(model=Coast()).state(batch)
+    np.testing.assert_allclose(gp.ImpactCost().state(batch), SHIPPED.share * coast, atol=1e-12)
+    sources = gp.ImpactCost().sources(batch)
+    assert set(sources) == {"drop", "spill", "stop", "coast"} or "coast" in sources
+    kernel = gp.Objective(w=1.0).bind(SCENE).kernel
+    edge = kernel.edges(q[:50], q[:50] + 0.1 * qd[:50])
+    assert (edge[:, 1] >= 0.0).all() and edge[:, 1].max() > 0.0
+
+
+def test_a_robot_that_stands_still_has_no_base_to_fear():
+    scene = hall(None)
+    batch = moving_batch(scene, *states())
+    assert not Coast().probability(batch).any()
+    assert gp.ImpactCost().counted(scene) == ("carried", "contents")
+    assert not gp.ImpactCost(model=Coast()).state(batch).any()
+
+
+def test_gradients_are_those_of_differences():
+    q, qd = states(60, seed=3)
+    severity = gp.ImpactCost(model=Coast()).severity(SCENE)
+    by_q, by_qd = Coast().gradients(moving_batch(SCENE, q, qd), severity)
+    value = Coast().kernel(SCENE, severity, (1.0, 1.0)).native.moving_states
+    for j in range(3):
+        e = 1e-4 * np.eye(3)[j]
+        np.testing.assert_allclose(by_q[:, j], (value(q + e, qd) - value(q, qd)) / 1e-4, atol=1e-6)
+        np.testing.assert_allclose(by_qd[:, j], (value(q, qd + e) - value(q, qd)) / 1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"share": 1.5}, {"reference_speed": 0.0}, {"position_spread": np.nan}, {"drift": -1.0}, {"ways": {}}],
+)
+def test_settings_are_checked(change):
+    with pytest.raises(SettingError):
+        replace(SHIPPED, **change)
+    for way in ({"weight": -1.0}, {"deceleration": ()}, {"delay": (-1.0,)}, {"drag": np.inf}):
+        with pytest.raises(SettingError):
+            only(**way)
+
+
+def test_slow_near_people():
+    assert BASE.v_max == 2.0
+    fast, careful = (gp.plan("west", [4.0, 0.8, 0.0], SCENE, w=w, iterations=4000) for w in (0.0, 0.3))
+    objective = gp.Objective(w=1.0)
+    harm = [gp.evaluate(result.trajectory, SCENE, objective).impact for result in (fast, careful)]
+    assert harm[1] < 0.5 * harm[0]
+    assert careful.trajectory.duration < 1.4 * fast.trajectory.duration
