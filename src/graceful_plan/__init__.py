@@ -36,7 +36,7 @@ from graceful_plan.roadmap import Roadmap
 from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.elements import AllowedContact, Dry, EntityNote, Liquid
 from graceful_plan.scene.harm.severity import SeverityTable
-from graceful_plan.scene.loading.bundled import load_scene, scenes
+from graceful_plan.scene.loading.bundled import load_scene, mobile_scenes, scenes
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
@@ -116,6 +116,7 @@ __all__ = [
     "interaction_probability",
     "load_problems",
     "load_scene",
+    "mobile_scenes",
     "optimise_trajectory",
     "pareto",
     "plan",

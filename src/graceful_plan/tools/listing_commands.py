@@ -19,7 +19,7 @@ def add_to(commands: Any) -> None:
 
 
 def _scenes(args: argparse.Namespace) -> int:
-    scenes = {name: gp.load_scene(name) for name in gp.scenes()}
+    scenes = {name: gp.load_scene(name) for name in (*gp.scenes(), *gp.mobile_scenes())}
     document = {
         name: {
             "joints": list(scene.joints),

@@ -1,4 +1,4 @@
-"""Bundled scenes: pairs of a scene file and its MJCF world in this folder."""
+"""Bundled scenes: pairs of a scene file and its MJCF world, those with robots that drive in a folder of their own."""
 
 from __future__ import annotations
 
@@ -9,11 +9,21 @@ from graceful_plan.scene.loading.file import read_scene
 from graceful_plan.scene.scene import Scene
 
 _FOLDER = Path(__file__).parents[1] / "scenes"
+_MOBILE = _FOLDER / "mobile"
 
 
 def scenes() -> tuple[str, ...]:
-    """Names of the bundled scenes. Reads none of them."""
-    return tuple(sorted(file.stem for file in _FOLDER.glob("*.yaml")))
+    """Names of the bundled scenes with arms that stand still. Reads none of them."""
+    return _names(_FOLDER)
+
+
+def mobile_scenes() -> tuple[str, ...]:
+    """Names of the bundled scenes with robots that drive. Reads none of them."""
+    return _names(_MOBILE)
+
+
+def _names(folder: Path) -> tuple[str, ...]:
+    return tuple(sorted(file.stem for file in folder.glob("*.yaml")))
 
 
 def load_scene(name_or_path: str | Path) -> Scene:
@@ -27,6 +37,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
     path = Path(name_or_path)
     if path.suffix in (".yaml", ".yml"):
         return read_scene(path)
-    if str(name_or_path) not in scenes():
-        raise UnknownNameError("scene", str(name_or_path), scenes())
-    return read_scene(_FOLDER / f"{name_or_path}.yaml")
+    for folder in (_FOLDER, _MOBILE):
+        if str(name_or_path) in _names(folder):
+            return read_scene(folder / f"{name_or_path}.yaml")
+    raise UnknownNameError("scene", str(name_or_path), (*scenes(), *mobile_scenes()))
