@@ -218,7 +218,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         soon, first = wants_it_soon(found), None
-        if found.paths and (soon or clock.can_insure):
+        if found.paths and (soon or drives or clock.can_insure):
             quick = stops(found, request, ends) if drives else quick_motions(found, request, ends, problem, budget)
             first = first_verified(quick, request)
             # Now it is known what timing and judging take here.
