@@ -54,6 +54,7 @@ SUBJECTS = (
     "stops",
     "transcription",
     "moving_entities",
+    "driving",
     "tuning",
     "failbench_speed",
     "failbench_soak",

@@ -53,7 +53,7 @@ FLOORS = (
 """From the bottom up: a room uses rooms of lower floors, not its neighbours. "graceful_plan" is the package itself."""
 HARNESS_FLOORS = (
     {"basics"},
-    {"simulated"},
+    {"simulated", "wheels"},
     {"fault"},
     {"recording"},
     {"rollouts"},

@@ -40,7 +40,7 @@ from graceful_plan.query.driving.tight import rolling_ends
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
 from graceful_plan.query.goals import Configuration, Goal, poses_of
-from graceful_plan.query.motions import along, motions
+from graceful_plan.query.motions import Motion, along, motions
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
 from graceful_plan.query.restarts import search_for_motions
@@ -218,19 +218,13 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         soon, first = wants_it_soon(found), None
-        if found.paths and (soon or clock.can_insure):
-            quick = stops(found, request, ends) if drives else quick_motions(found, request, ends, problem, budget)
-            first = first_verified(quick, request)
+        if found.paths and (soon or drives or clock.can_insure):
+            first = first_verified(_quick_motions(found, request, ends, problem, budget), request)
             # Now it is known what timing and judging take here.
             budget.time_limit = min(budget.time_limit, _until_last_steps(request))
         judged = first if soon else None
         if judged is None or not judged.verdict.passed:
-            means = budget, rng
-            candidates, why_not = (
-                driven(found, request, ends, problem, budget)
-                if drives
-                else motions(found, request, ends, problem, means, known)
-            )
+            candidates, why_not = _motions(found, request, ends, problem, (budget, rng), known)
             judged = first_verified(candidates, request) or judged
         for path in reversed(found.paths[-KEPT:]):
             if drives or judged is None or not set(judged.verdict.failures) - _NOT_FOR_CORNERS:
@@ -246,6 +240,28 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         if budget.exhausted or found.stopped or not (found.paths or found.refused or known):
             break
     return _failed((found, ends), refused, why_not, budget, stats)
+
+
+def _quick_motions(
+    found: Search, request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+) -> Iterable[Motion]:
+    """Return motions that take little time to make."""
+    drives = request.objective.scene.base is not None
+    return stops(found, request, ends) if drives else quick_motions(found, request, ends, problem, budget)
+
+
+def _motions(
+    found: Search,
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
+    known: Sequence[Motion],
+) -> tuple[list[Motion], str]:
+    """Return motions along or near the paths, the best first, and why there is none if so."""
+    if request.objective.scene.base is not None:
+        return driven(found, request, ends, problem, means[0])
+    return motions(found, request, ends, problem, means, known)
 
 
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:

@@ -202,7 +202,7 @@ class TimedImpact(Impact):
     def __init__(self, model: Impact, speed: Reals) -> None: ...
 
 @final
-class CoastImpact(Impact):
+class CoastModel:
     def __init__(
         self,
         core: Core,
@@ -210,14 +210,15 @@ class CoastImpact(Impact):
         disc: Reals,
         entity: Integers,
         shape: Reals,
+        n_entity: int,
         stops: Reals,
         constants: Reals,
-        severity: Reals,
-        speed: Reals,
-        slow: float,
-        fast: float,
     ) -> None: ...
-    def moving_states(self, q: Reals, qd: Reals) -> Reals: ...
+    def probability(self, q: Reals, qd: Reals) -> Reals: ...
+
+@final
+class CoastImpact(Impact):
+    def __init__(self, model: CoastModel, severity: Reals, speed: Reals, slow: float, fast: float) -> None: ...
 
 @final
 class BodyImpact(Impact):

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import graceful_plan as gp
+from coast_twin import hits
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.costs.models.coast.constants import CoastSettings, Way
@@ -40,11 +41,14 @@ def test_the_core_says_the_same():
     q, qd = states()
     cost = gp.ImpactCost(model=Coast())
     kernel = Coast().kernel(SCENE, cost.severity(SCENE), (1.0, 1.0))
-    expected = cost.state(moving_batch(SCENE, q, qd))
+    batch = moving_batch(SCENE, q, qd)
+    P = hits(batch, coast_tables(SCENE), SHIPPED, SHIPPED.straightens)
+    np.testing.assert_allclose(Coast().probability(batch)[:, 0], P, atol=1e-9)
+    expected = P @ cost.severity(SCENE)[0]
     assert (expected > 0.1).sum() > 20
-    np.testing.assert_allclose(kernel.native.moving_states(q, qd), expected, atol=1e-12)
+    np.testing.assert_allclose(cost.state(batch), expected, atol=1e-7)
     value, by_q, _ = kernel.state_slopes(q, qd)
-    np.testing.assert_allclose(value, expected, atol=1e-12)
+    np.testing.assert_allclose(value, expected, atol=1e-7)
     assert np.isfinite(by_q).all()
 
 
@@ -99,6 +103,14 @@ def test_arcs_lead_where_they_lead():
     assert hit(1.0, 1.5, y=-0.2, yaw=np.pi / 2, omega=1.5, settings=settings) < 1e-12
 
 
+def test_a_skid_steer_goes_straight_on_once_its_wheels_are_let_go():
+    settings = only(deceleration=(0.5,), released=True)
+    on_the_arc = {"y": -0.2, "yaw": np.pi / 2, "omega": -1.5, "settings": settings}
+    assert hit(1.0, 1.5, **on_the_arc) < 1e-6
+    assert hit(1.0, 1.5, **on_the_arc, scene=hall(replace(BASE, slip=1.0))) > 0.3
+    assert hit(1.7, 1.5, y=-0.6, yaw=np.pi / 2, omega=0.3, settings=settings) > 0.05
+
+
 def test_walls_stop_it():
     shield = '<body name="shield" pos="1 .8 .5"><geom type="box" size=".05 .6 .5"/></body>'
     assert hit(0.0, 2.0) > 0.1
@@ -129,7 +141,11 @@ def test_gradients_are_those_of_differences():
     q, qd = states(60, seed=3)
     severity = gp.ImpactCost(model=Coast()).severity(SCENE)
     by_q, by_qd = Coast().gradients(moving_batch(SCENE, q, qd), severity)
-    value = Coast().kernel(SCENE, severity, (1.0, 1.0)).native.moving_states
+    kernel = Coast().kernel(SCENE, severity, (1.0, 1.0))
+
+    def value(q, qd):
+        return kernel.state_slopes(q, qd)[0]
+
     for j in range(3):
         e = 1e-4 * np.eye(3)[j]
         np.testing.assert_allclose(by_q[:, j], (value(q + e, qd) - value(q, qd)) / 1e-4, atol=1e-6)

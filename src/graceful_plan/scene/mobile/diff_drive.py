@@ -29,7 +29,7 @@ class DiffDrive:
     | lateral_max | greatest acceleration across the heading, speed times rate of turning            | m/s^2   |
     | wheel_max   | greatest rate of a wheel; default: that of `v_max` on the straight               | rad/s   |
     | reverse     | whether it may drive backwards                                                   |         |
-    | wheels      | joints of the wheels where these turn, left ones first                           |         |
+    | wheels      | bodies of the driven wheels, left ones first; in simulations they turn about y   |         |
 
     Wheel rates are (v -+ omega slip track / 2) / radius, left with minus. For a skid-steer see A. Mandow et al.,
     "Experimental kinematics for wheeled skid-steer mobile robots", IROS 2007.

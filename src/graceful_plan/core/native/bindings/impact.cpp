@@ -106,23 +106,17 @@ void bind_impact(nb::module_& m) {
       .def(nb::init<const Impact&, double>(), "model"_a, "factor"_a, nb::keep_alive<1, 2>());
   nb::class_<TimedImpact, Impact>(m, "TimedImpact")
       .def(nb::init<const Impact&, Reals>(), "model"_a, "speed"_a, nb::keep_alive<1, 2>());
-  nb::class_<CoastImpact, Impact>(m, "CoastImpact")
+  nb::class_<CoastModel>(m, "CoastModel")
       .def(
           "__init__",
-          [](CoastImpact* self, const Core& core, Reals disc, Integers entity, Reals shape, Reals stops,
-             Reals constants, Reals severity, Reals speed, double slow, double fast) {
-            new (self) CoastImpact(core, {disc, entity, shape, stops, constants, speed}, severity, slow, fast);
-          },
-          "core"_a, nb::kw_only(), "disc"_a, "entity"_a, "shape"_a, "stops"_a, "constants"_a, "severity"_a, "speed"_a,
-          "slow"_a, "fast"_a, nb::keep_alive<1, 2>())
-      .def("moving_states", [](const CoastImpact& self, Reals q, Reals qd) {
-        double* out;
-        auto array = make<double>({self.core().rows(q)}, out);
-        const States states = self.core().states(q, qd);
-        nb::gil_scoped_release release;
-        self.moving_states(states, out);
-        return array;
-      });
+          [](CoastModel* self, const Core& core, Reals disc, Integers entity, Reals shape, int n_entity, Reals stops,
+             Reals constants) { new (self) CoastModel(core, {disc, entity, shape, n_entity, stops, constants}); },
+          "core"_a, nb::kw_only(), "disc"_a, "entity"_a, "shape"_a, "n_entity"_a, "stops"_a, "constants"_a,
+          nb::keep_alive<1, 2>())
+      .def("probability", &CoastModel::probability, "q"_a, "qd"_a);
+  nb::class_<CoastImpact, Impact>(m, "CoastImpact")
+      .def(nb::init<const CoastModel&, Reals, Reals, double, double>(), "model"_a, "severity"_a, "speed"_a, "slow"_a,
+           "fast"_a, nb::keep_alive<1, 2>());
   nb::class_<BodyImpact, Impact>(m, "BodyImpact")
       .def(nb::init<const BodyModel&, Reals, Reals, double, double>(), "model"_a, "weight"_a, "severity"_a, "slow"_a,
            "fast"_a, nb::keep_alive<1, 2>());

@@ -29,6 +29,7 @@ class Way:
         deceleration: At low speed [m/s^2].
         drag: What is added to it per speed [1/s].
         delay: How long the base goes on at full speed before [s].
+        released: Whether the wheels turn freely: a skid-steer then goes straight on.
 
     Raises:
         SettingError: If a number is out of its range.
@@ -38,6 +39,7 @@ class Way:
     deceleration: tuple[float, ...]
     drag: float
     delay: tuple[float, ...]
+    released: bool = False
 
     def __post_init__(self) -> None:
         for name, least in (("weight", 0.0), ("drag", 0.0)):
@@ -60,6 +62,8 @@ class CoastSettings(YamlTable):
         reference_speed: Speed of a hit that severities are for [m/s].
         position_spread: Standard deviation of where the base is across its way [m].
         drift: How much farther it strays per metre [m/m].
+        straightens: Angle by which a skid-steer turns on after its wheels were let go, by its rate of turning squared
+            [s^2/rad].
         ways: How it comes to rest.
 
     Raises:
@@ -68,12 +72,13 @@ class CoastSettings(YamlTable):
 
     shipped_file = Path(__file__).with_name("coast.yaml")
     kind = "coast settings"
-    keys = ("share", "reference_speed", "position_spread", "drift", "ways")
+    keys = ("share", "reference_speed", "position_spread", "drift", "straightens", "ways")
 
     share: float
     reference_speed: float
     position_spread: float
     drift: float
+    straightens: float
     ways: Mapping[str, Way]
 
     def __post_init__(self) -> None:
@@ -82,14 +87,16 @@ class CoastSettings(YamlTable):
         for name in ("reference_speed", "position_spread"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number above 0")
-        if not 0.0 <= self.drift < math.inf:
-            raise SettingError("drift", self.drift, "a finite number of at least 0")
+        for name in ("drift", "straightens"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise SettingError(name, getattr(self, name), "a finite number of at least 0")
         if not sum(way.weight for way in self.ways.values()) > 0.0:
             raise SettingError("ways", dict(self.ways), "one with a weight above 0 at least")
         object.__setattr__(self, "ways", MappingProxyType(dict(self.ways)))
 
     def __hash__(self) -> int:
-        return hash((self.share, self.reference_speed, self.position_spread, self.drift, tuple(self.ways.items())))
+        numbers = tuple(getattr(self, key) for key in self.keys if key != "ways")
+        return hash((numbers, tuple(self.ways.items())))
 
     def __reduce__(self) -> tuple[Callable[[], CoastSettings], tuple[()]]:
         # Read-only mappings cannot be pickled.
@@ -101,25 +108,32 @@ class CoastSettings(YamlTable):
         """Make them of the values in a file."""
         ways = {}
         for name, block in root["ways"].items():
-            block.only("weight", "deceleration", "drag", "delay")
+            block.only("weight", "released", "deceleration", "drag", "delay")
             ways[name] = Way(
                 weight=block["weight"].number(),
                 deceleration=block["deceleration"].numbers(),
                 drag=block["drag"].number(),
                 delay=block["delay"].numbers(),
+                released=_flag(block["released"]),
             )
         return cls(**{key: root[key].number() for key in cls.keys if key != "ways"}, ways=ways)
 
     @property
-    def stops(self) -> Float[Array, "stop 4"]:
-        """Every combination: probability, deceleration [m/s^2], drag [1/s] and delay [s]."""
+    def stops(self) -> Float[Array, "stop 5"]:
+        """Every combination: probability, deceleration [m/s^2], drag [1/s], delay [s], and 1 if wheels are let go."""
         total = sum(way.weight for way in self.ways.values())
         return np.array(
             [
-                (way.weight / total / (len(way.deceleration) * len(way.delay)), a, way.drag, delay)
+                (way.weight / total / (len(way.deceleration) * len(way.delay)), a, way.drag, delay, float(way.released))
                 for way in self.ways.values()
                 if way.weight > 0.0
                 for a in way.deceleration
                 for delay in way.delay
             ]
         )
+
+
+def _flag(block: Block) -> bool:
+    if block.value not in ("true", "false"):
+        raise block.error(f"{block.name} is neither true nor false")
+    return block.value == "true"

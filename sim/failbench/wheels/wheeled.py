@@ -1,0 +1,160 @@
+"""A scene whose base stands on wheels that turn, ready to be simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from graceful_plan import Scene
+from graceful_plan.array_types import Float, Int
+from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.model_parts import subtree
+from graceful_plan.scene.per_scene import per_scene
+
+Array = np.ndarray
+
+TIMESTEP = 0.002
+"""Of MuJoCo [s]."""
+ARMATURE = 0.1
+"""Inertia of a wheel's drive about its axle [kg m^2]. Without it a skid-steer turns far too little: soft contacts of
+light wheels creep. With it the effective track of a Jackal is 1.5 times the real one, as its maker says."""
+_GAIN = 20.0
+"""Of the wheels' speed controllers [N m s/rad]."""
+_UNDER = 0.002
+"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]."""
+_FLOOR_BIT = 1 << 20
+"""Collision mask of floors and of what stands on them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wheeled:
+    """A model with a free base and wheels on hinges, and where its parts are.
+
+    | field    | meaning                                                              |
+    |----------|----------------------------------------------------------------------|
+    | scene    | what is simulated                                                    |
+    | base     | how it drives                                                        |
+    | model    | the model; read only, copy it to change friction                     |
+    | body     | of the base                                                          |
+    | qpos     | address of the free joint; its dofs begin at `dof`                   |
+    | wheel    | dof of each wheel, left ones first                                   |
+    | sphere   | geoms that stand on the floor                                        |
+    | robot    | geoms of the robot that may hit something                            |
+    | entity   | which entity each geom is of; -1 if of none                          |
+    """
+
+    scene: Scene
+    base: DiffDrive
+    model: mujoco.MjModel
+    body: int
+    qpos: int
+    dof: int
+    wheel: Int[Array, " wheel"]
+    sphere: tuple[int, ...]
+    robot: frozenset[int]
+    entity: Int[Array, " geom"]
+
+    @property
+    def sides(self) -> Float[Array, " wheel"]:
+        """-1 for left wheels, 1 for right ones: what turning adds to their speed."""
+        half = len(self.wheel) // 2
+        return np.concatenate([-np.ones(half), np.ones(half)])
+
+    def wheel_rates(self, v: float, omega: float) -> Float[Array, " wheel"]:
+        """Rates of the wheels [rad/s] for a speed along the heading [m/s] and a rate of turning [rad/s]."""
+        return (v + self.sides * self.base.lever * omega) / self.base.radius
+
+    def placed(self, q: Float[Array, " nq"], v: float, omega: float) -> mujoco.MjData:
+        """Return data with the base at a configuration, driving, its wheels rolling."""
+        data = mujoco.MjData(self.model)
+        a, d = self.qpos, self.dof
+        data.qpos[a : a + 3] = q[0], q[1], 0.0
+        data.qpos[a + 3 : a + 7] = np.cos(0.5 * q[2]), 0.0, 0.0, np.sin(0.5 * q[2])
+        data.qvel[d : d + 2] = v * np.cos(q[2]), v * np.sin(q[2])
+        data.qvel[d + 5] = omega
+        data.qvel[self.wheel] = data.ctrl[:] = self.wheel_rates(v, omega)
+        mujoco.mj_forward(self.model, data)
+        return data
+
+    def pose(self, data: mujoco.MjData) -> tuple[float, float, float]:
+        """Where the base is: x, y [m] and heading [rad]."""
+        R = data.xmat[self.body].reshape(3, 3)
+        x, y = data.xpos[self.body][:2]
+        return float(x), float(y), float(np.arctan2(R[1, 0], R[0, 0]))
+
+
+@per_scene
+def wheeled(scene: Scene) -> Wheeled:
+    """Put a scene's base on its wheels.
+
+    Raises:
+        UnsupportedError: If it has no base, if the base has other planned joints behind it, or an odd number of wheels.
+    """
+    base = scene.base
+    if base is None or not base.wheels or len(base.wheels) % 2:
+        raise UnsupportedError("wheels that turn need a DiffDrive with `wheels`: left ones, then as many right ones")
+    if len(scene.joints) > 3 or scene.carried is not None:
+        raise UnsupportedError("only a base without an arm can be simulated on wheels")
+    spec = scene.spec.copy()
+    spec.option.timestep = TIMESTEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    body = spec.joint(base.joints[2]).parent
+    for name in base.joints:
+        spec.delete(spec.joint(name))
+    body.add_freejoint(name="wheels/free")
+    for geom in spec.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.contype |= _FLOOR_BIT
+            geom.conaffinity |= _FLOOR_BIT
+    for name in base.wheels:
+        wheel = spec.body(name)
+        wheel.add_joint(
+            name=f"wheels/{name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0], armature=ARMATURE
+        )
+        for geom in wheel.geoms:
+            geom.size[0] -= _UNDER
+        wheel.add_geom(
+            name=f"wheels/{name}/tyre",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[base.radius, 0.0, 0.0],
+            contype=_FLOOR_BIT,
+            conaffinity=_FLOOR_BIT,
+            mass=0.0,
+            priority=1,
+            friction=[0.7, 0.005, 0.0001],
+            condim=3,
+            group=3,
+        )
+        actuator = spec.add_actuator(name=f"wheels/{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"wheels/{name}")
+        actuator.set_to_velocity(kv=_GAIN)
+    return _found(scene, base, spec.compile())
+
+
+def _found(scene: Scene, base: DiffDrive, model: mujoco.MjModel) -> Wheeled:
+    free = model.joint("wheels/free")
+    body = int(model.jnt_bodyid[free.id])
+    bodies = subtree(model, body)
+    spheres = tuple(int(model.geom(f"wheels/{name}/tyre").id) for name in base.wheels)
+    entity = np.full(model.ngeom, -1)
+    names = {name: k for k, name in enumerate(scene.entities)}
+    for g in range(model.ngeom):
+        at = int(model.geom_bodyid[g])
+        while at > 0 and entity[g] < 0:
+            entity[g] = names.get(model.body(at).name, -1)
+            at = int(model.body_parentid[at])
+    return Wheeled(
+        scene=scene,
+        base=base,
+        model=model,
+        body=body,
+        qpos=int(model.jnt_qposadr[free.id]),
+        dof=int(model.jnt_dofadr[free.id]),
+        wheel=np.array([int(model.joint(f"wheels/{name}").dofadr[0]) for name in base.wheels]),
+        sphere=spheres,
+        robot=frozenset(g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in bodies and g not in spheres),
+        entity=entity,
+    )

@@ -1,0 +1,81 @@
+"""The coast model in NumPy, as its docstring has it: independent of the core, and slow."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import erfc
+
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.coast.tables import CoastTables
+
+SPACING, SAMPLES = 0.1, 64
+_STILL = 1e-6
+
+
+def hits(batch: StateBatch, tables: CoastTables, settings: CoastSettings, turns_on: float) -> np.ndarray:
+    """Return P for each entity; `turns_on` is the angle by rate squared once wheels are let go."""
+    stops = settings.stops
+    total = np.zeros((len(batch.q), len(batch.scene.entities)))
+    for released in (0.0, 1.0):
+        chosen = stops[stops[:, 4] == released]
+        most = turns_on * batch.qd[:, 2] ** 2 if released else np.full(len(batch.q), np.inf)
+        total += _family(batch, tables, settings, chosen, stops, most)
+    return total
+
+
+def _family(batch, tables, settings, stops, every, most):
+    q, qd = batch.q[:, :3], batch.qd[:, :3]
+    c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
+    v = qd[:, 0] * c + qd[:, 1] * s
+    speed = np.abs(v)[:, None]
+    free, braked = _ways(speed, every)
+    far = (free + braked).max(axis=1)
+    free, braked = _ways(speed, stops)
+    places = min(SAMPLES, 1 + int(np.ceil(far.max(initial=0.0) / SPACING)))
+    way = np.minimum(far[:, None], SPACING * np.arange(places))
+    # What is touched at a place may have been met anywhere since the place before.
+    met = np.concatenate([way[:, :1], 0.5 * (way[:, :-1] + way[:, 1:])], axis=1)
+    left = 1.0 - (met[:, :, None] - free[:, None]) / np.maximum(braked, 1e-12)[:, None]
+    worth = np.clip(left, 0.0, 1.0) * (speed**2)[:, :, None] / settings.reference_speed**2
+    energy = (stops[:, 0] * np.minimum(1.0, worth)).sum(axis=2)
+    moves, sign = np.abs(v) > _STILL, np.sign(v)[:, None]
+    bend = (np.where(moves, qd[:, 2], 0.0) / np.where(moves, v, 1.0))[:, None] * sign
+    arc = np.where(bend != 0.0, most[:, None] / np.where(bend != 0.0, np.abs(bend), 1.0), np.inf)
+    curved = np.minimum(way, arc)
+    turned, straight = bend * curved, way - curved
+    chord = sign * curved * np.sinc(0.5 * turned / np.pi)
+    middle, heading = q[:, 2:3] + 0.5 * turned, q[:, 2:3] + turned
+    ch, sh = np.cos(heading), np.sin(heading)
+    x = q[:, 0:1] + chord * np.cos(middle) + sign * straight * ch
+    y = q[:, 1:2] + chord * np.sin(middle) + sign * straight * sh
+    d = np.full((len(q), places, len(tables.shape)), np.inf)
+    for bx, by, r in tables.disc:
+        at = np.stack([x + ch * bx - sh * by, y + sh * bx + ch * by])
+        d = np.minimum(d, _distance(at, tables.shape) - r)
+    spread = np.hypot(settings.position_spread, settings.drift * way)[..., None]
+    touch = 0.5 * erfc(d / spread / np.sqrt(2.0))
+    wall = touch[:, :, tables.entity < 0].max(axis=2, initial=0.0)
+    reached = (energy * (1.0 - np.maximum.accumulate(wall, axis=1)))[..., None] * touch
+    P = np.zeros((len(q), len(batch.scene.entities)))
+    for shape, entity in enumerate(tables.entity.tolist()):
+        if entity >= 0:
+            P[:, entity] = np.maximum(P[:, entity], reached[:, :, shape].max(axis=1))
+    return P
+
+
+def _ways(speed, stops):
+    """How far at full speed, and while it slows down."""
+    _, a, k, delay, _ = stops.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dragged = speed / k - a / k**2 * np.log1p(k * speed / a)
+    return speed * delay, np.where(k > 0.0, dragged, speed**2 / (2.0 * a))
+
+
+def _distance(at, shape):
+    """Signed distance of points to rounded rectangles; inside of a rectangle minus the way to its nearest side."""
+    ux, uy = shape[:, 2], shape[:, 3]
+    dx, dy = at[0][..., None] - shape[:, 0], at[1][..., None] - shape[:, 1]
+    ex, ey = np.abs(ux * dx + uy * dy) - shape[:, 4], np.abs(-uy * dx + ux * dy) - shape[:, 5]
+    outside = np.hypot(np.maximum(ex, 0.0), np.maximum(ey, 0.0))
+    return outside + np.minimum(np.maximum(ex, ey), 0.0) - shape[:, 6]

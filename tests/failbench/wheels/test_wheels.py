@@ -1,0 +1,106 @@
+import mujoco
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from failbench.wheels.coasting import BaseFailure, coasted, drawn
+from failbench.wheels.driving import drive
+from failbench.wheels.wheeled import wheeled
+from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.exceptions import UnknownNameError, UnsupportedError
+from graceful_plan.scene.loading.robot_models import robot_file
+from graceful_plan.scene.mobile.known_bases import known_base
+from hall import hall
+
+
+def jackal(*bodies):
+    """A Jackal on a wide floor, among cylinders that are children."""
+    things = "".join(
+        f'<body name="child{k}" pos="{x} {y} .5"><geom type="cylinder" size=".2 .5"/></body>'
+        for k, (x, y) in enumerate(bodies)
+    )
+    floor = '<geom name="floor" type="plane" size="50 50 .1"/>'
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{floor}{things}</worldbody></mujoco>")
+    spec.attach(mujoco.MjSpec.from_file(str(robot_file("jackal"))), prefix="jackal/", frame=spec.worldbody.add_frame())
+    return gp.Scene.from_mjcf(
+        spec,
+        robot="jackal/",
+        tool="jackal/base",
+        base=known_base("jackal"),
+        body_class="base_coast",
+        entities={f"child{k}": "child" for k in range(len(bodies))},
+        allowed_contacts=[gp.AllowedContact("jackal/base", "floor")],
+    )
+
+
+def test_the_model_weighs_and_measures_what_is_published():
+    model = jackal().model
+    assert float(model.body_subtreemass[model.body("jackal/base").id]) == pytest.approx(16.523 + 4 * 0.477)
+    left, right = (model.body(f"jackal/front_{side}").pos for side in ("left", "right"))
+    assert left[1] - right[1] == pytest.approx(known_base("jackal").track)
+    with pytest.raises(UnknownNameError, match="jackal"):
+        known_base("tricycle")
+
+
+@pytest.mark.parametrize("omega", [1.0, 2.0])
+def test_turning_in_place_slips_as_much_as_the_maker_says(omega):
+    wheels = wheeled(jackal())
+    data = wheels.placed(np.zeros(3), 0.0, 0.0)
+    data.ctrl[:] = wheels.wheel_rates(0.0, omega)
+    for _ in range(2000):
+        mujoco.mj_step(wheels.model, data)
+    assert wheels.base.slip * omega / data.qvel[wheels.dof + 5] == pytest.approx(1.5, abs=0.15)
+    assert abs(data.qpos[wheels.qpos + 2]) < 2e-3  # wheels do not sink
+
+
+def reach(failure, v):
+    """How far a base gets: the first of a row of children that it touches tells, to 10 cm."""
+    far, at = 0.0, 0.1
+    while at < 4.0:
+        hits = coasted(wheeled(jackal((at + 0.2 + 0.229, 0.0))), np.zeros(3), np.array([v, 0.0, 0.0]), failure)
+        if not hits:
+            return far
+        far, at = at, at + 0.1
+    return far
+
+
+@pytest.mark.parametrize(
+    ("failure", "v", "expected"),
+    [
+        (BaseFailure("power_lost", 0.8, 0.4, 0.0), 1.0, 1.0 / 0.4 - 0.8 / 0.16 * np.log1p(0.5)),
+        pytest.param(BaseFailure("power_lost", 0.8, 0.4, 0.0), 2.0, 5.0 - 5.0 * np.log1p(1.0), marks=pytest.mark.long),
+        (BaseFailure("wheels_locked", 5.4, 0.0, 0.0), 2.0, 4.0 / 10.8),
+        (BaseFailure("runaway", 1.5, 0.0, 0.25), 1.0, 0.25 + 1.0 / 3.0),
+    ],
+)
+def test_a_failing_base_goes_as_far_as_the_closed_forms_say(failure, v, expected):
+    assert reach(failure, v) == pytest.approx(expected, abs=0.11)
+
+
+def test_hits_are_told_once_with_speed_and_time():
+    scene = jackal((1.0, 0.0), (5.0, 3.0))
+    (hit,) = coasted(wheeled(scene), np.zeros(3), np.array([1.5, 0.0, 0.0]), BaseFailure("runaway", 1.0, 0.0, 2.0))
+    assert hit.entity == 0
+    assert hit.speed == pytest.approx(1.5, abs=0.05) and hit.time == pytest.approx((1.0 - 0.2 - 0.229) / 1.5, abs=0.05)
+
+
+def test_failures_are_drawn_as_often_as_the_settings_say():
+    settings, rng = CoastSettings.shipped(), np.random.default_rng(0)
+    names = [drawn(settings, rng).way for _ in range(2000)]
+    for name, way in settings.ways.items():
+        assert names.count(name) / 2000 == pytest.approx(way.weight, abs=0.04)
+
+
+def test_a_planned_motion_is_driven():
+    scene = jackal((1.0, 0.3))
+    result = gp.plan([-3.0, 0.0, 0.0], gp.BasePose(3.0, 0.0, 0.0), scene, iterations=3000)
+    driven = drive(result.trajectory, scene)
+    assert driven.touched == () and driven.error.max() < 0.08
+    np.testing.assert_allclose(driven.pose[-1], [3.0, 0.0, 0.0], atol=0.03)
+
+
+def test_what_has_no_wheels_is_refused():
+    with pytest.raises(UnsupportedError, match="wheels"):
+        wheeled(hall())
+    with pytest.raises(UnsupportedError, match="DiffDrive"):
+        wheeled(hall(None))
