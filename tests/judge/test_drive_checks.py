@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hall import BASE, hall
 
 import graceful_plan as gp
 from graceful_plan.judge.drive_checks import SIDEWAYS
+from hall import BASE, hall
 
 SCENE = hall()
 

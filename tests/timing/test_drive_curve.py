@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from hall import BASE, hall
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graceful_plan.timing.drive_curve import Drive, Roll, Straight, connected, drive_limits, rolled
 from graceful_plan.timing.retiming import timed
+from hall import BASE, hall
 
 SCENE = hall()
 CONTROLS = np.array([[0, 0], [0.4, 0], [0.8, 0], [1.2, 0.4], [1.6, 1.0], [2.0, 1.5], [2.6, 1.5], [3.0, 1.5]])

@@ -112,7 +112,7 @@ def _failing(wheels: Wheeled, failure: BaseFailure) -> mujoco.MjModel:
         effective = mass + n * float(model.dof_M0[wheels.wheel[0]]) / r**2
         model.dof_frictionloss[wheels.wheel] = failure.deceleration * effective * r / n
         model.dof_damping[wheels.wheel] = failure.drag * effective * r**2 / n
-        model.actuator_gainprm[:, 0] = model.actuator_biasprm[:, 2] = 0.0
+        model.actuator_gainprm[wheels.motor, 0] = model.actuator_biasprm[wheels.motor, 2] = 0.0
     return model
 
 
@@ -129,10 +129,10 @@ def _command(
 ) -> None:
     v, omega = driven
     if failure.way == LOCKED:
-        data.ctrl[:] = 0.0
+        data.ctrl[wheels.motor] = 0.0
     elif failure.way != FREE and time >= failure.delay:
         left = max(0.0, 1.0 - failure.deceleration * (time - failure.delay) / max(abs(v), 1e-9))
-        data.ctrl[:] = wheels.wheel_rates(left * v, left * omega)
+        data.ctrl[wheels.motor] = wheels.wheel_rates(left * v, left * omega)
 
 
 def _note(wheels: Wheeled, data: mujoco.MjData, hits: dict[int, BaseHit], speed: float) -> None:

@@ -74,7 +74,7 @@ def drive(trajectory: Trajectory, scene: Scene, controller: Tracking | None = No
         pose[k] = wheels.pose(data)
         v, omega = _command(gains, pose[k], planned.q[k], planned.qd[k])
         omega += gains.k_rate * (omega - float(data.qvel[wheels.dof + 5]))
-        data.ctrl[:] = wheels.wheel_rates(v, omega)
+        data.ctrl[wheels.motor] = wheels.wheel_rates(v, omega)
         mujoco.mj_step(wheels.model, data)
         touched |= _touches(wheels, data)
     error = np.linalg.norm(pose[:, :2] - planned.q[:, :2], axis=1)
@@ -101,6 +101,6 @@ def _touches(wheels: Wheeled, data: mujoco.MjData) -> set[str]:
         if data.contact.dist[k] > 0.0 or (first in wheels.robot) == (second in wheels.robot):
             continue
         other = second if first in wheels.robot else first
-        if wheels.model.geom_type[other] != mujoco.mjtGeom.mjGEOM_PLANE:
+        if other not in wheels.floor:
             found.add(wheels.model.body(int(wheels.model.geom_bodyid[other])).name or "world")
     return found

@@ -11,6 +11,7 @@ from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import UnsupportedError
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.mobile.wheels import KEEP_OUT
 from graceful_plan.scene.model_parts import subtree
 from graceful_plan.scene.per_scene import per_scene
 
@@ -25,6 +26,8 @@ _GAIN = 20.0
 """Of the wheels' speed controllers [N m s/rad]."""
 _UNDER = 0.002
 """By how much the rim that meets things is smaller than the sphere that stands on the floor [m]."""
+_PLANAR = 3
+"""Planned joints of a base."""
 _FLOOR_BIT = 1 << 20
 """Collision mask of floors and of what stands on them."""
 
@@ -41,8 +44,10 @@ class Wheeled:
     | body     | of the base                                                          |
     | qpos     | address of the free joint; its dofs begin at `dof`                   |
     | wheel    | dof of each wheel, left ones first                                   |
+    | motor    | actuator of each wheel; others hold the arm where it is placed       |
     | sphere   | geoms that stand on the floor                                        |
     | robot    | geoms of the robot that may hit something                            |
+    | floor    | geoms that it may always touch                                       |
     | entity   | which entity each geom is of; -1 if of none                          |
     """
 
@@ -53,8 +58,10 @@ class Wheeled:
     qpos: int
     dof: int
     wheel: Int[Array, " wheel"]
+    motor: Int[Array, " wheel"]
     sphere: tuple[int, ...]
     robot: frozenset[int]
+    floor: frozenset[int]
     entity: Int[Array, " geom"]
 
     @property
@@ -68,14 +75,19 @@ class Wheeled:
         return (v + self.sides * self.base.lever * omega) / self.base.radius
 
     def placed(self, q: Float[Array, " nq"], v: float, omega: float) -> mujoco.MjData:
-        """Return data with the base at a configuration, driving, its wheels rolling."""
+        """Return data with the base at a configuration, driving, its wheels rolling, and its arm held there."""
         data = mujoco.MjData(self.model)
         a, d = self.qpos, self.dof
+        for name, value in zip(self.scene.joints[_PLANAR:], q[_PLANAR:], strict=True):
+            data.qpos[int(self.model.joint(name).qposadr[0])] = value
+            servo = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+            if servo >= 0:
+                data.ctrl[servo] = value
         data.qpos[a : a + 3] = q[0], q[1], 0.0
         data.qpos[a + 3 : a + 7] = np.cos(0.5 * q[2]), 0.0, 0.0, np.sin(0.5 * q[2])
         data.qvel[d : d + 2] = v * np.cos(q[2]), v * np.sin(q[2])
         data.qvel[d + 5] = omega
-        data.qvel[self.wheel] = data.ctrl[:] = self.wheel_rates(v, omega)
+        data.qvel[self.wheel] = data.ctrl[self.motor] = self.wheel_rates(v, omega)
         mujoco.mj_forward(self.model, data)
         return data
 
@@ -91,14 +103,21 @@ def wheeled(scene: Scene) -> Wheeled:
     """Put a scene's base on its wheels.
 
     Raises:
-        UnsupportedError: If it has no base, if the base has other planned joints behind it, or an odd number of wheels.
+        UnsupportedError: If it has no base or an odd number of wheels, if a joint of its arm has no servo of its name,
+            or if it carries something.
     """
     base = scene.base
     if base is None or not base.wheels or len(base.wheels) % 2:
         raise UnsupportedError("wheels that turn need a DiffDrive with `wheels`: left ones, then as many right ones")
-    if len(scene.joints) > 3 or scene.carried is not None:
-        raise UnsupportedError("only a base without an arm can be simulated on wheels")
+    if scene.carried is not None:
+        raise UnsupportedError("what is carried cannot be simulated on wheels: use the scene without it")
     spec = scene.spec.copy()
+    servos = {actuator.name for actuator in spec.actuators}
+    loose = [name for name in scene.joints[_PLANAR:] if name not in servos]
+    if loose:
+        raise UnsupportedError(
+            f"no servo holds these joints, which would need an actuator of their name: {', '.join(loose)}"
+        )
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -106,10 +125,14 @@ def wheeled(scene: Scene) -> Wheeled:
     for name in base.joints:
         spec.delete(spec.joint(name))
     body.add_freejoint(name="wheels/free")
+    touched = {name for contact in scene.allowed_contacts for name in (contact.first, contact.second)}
     for geom in spec.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+        named = geom.name in touched or geom.parent.name in touched
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE or (named and not geom.parent.name.startswith(scene.robot)):
             geom.contype |= _FLOOR_BIT
             geom.conaffinity |= _FLOOR_BIT
+        if geom.name.startswith(KEEP_OUT):
+            geom.contype = geom.conaffinity = 0
     for name in base.wheels:
         wheel = spec.body(name)
         wheel.add_joint(
@@ -154,7 +177,9 @@ def _found(scene: Scene, base: DiffDrive, model: mujoco.MjModel) -> Wheeled:
         qpos=int(model.jnt_qposadr[free.id]),
         dof=int(model.jnt_dofadr[free.id]),
         wheel=np.array([int(model.joint(f"wheels/{name}").dofadr[0]) for name in base.wheels]),
+        motor=np.array([model.actuator(f"wheels/{name}").id for name in base.wheels]),
         sphere=spheres,
         robot=frozenset(g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in bodies and g not in spheres),
+        floor=frozenset(np.flatnonzero(model.geom_contype & _FLOOR_BIT).tolist()) - set(spheres),
         entity=entity,
     )

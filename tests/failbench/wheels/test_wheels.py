@@ -99,8 +99,35 @@ def test_a_planned_motion_is_driven():
     np.testing.assert_allclose(driven.pose[-1], [3.0, 0.0, 0.0], atol=0.03)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "task", "goal", "error"),
+    [("apartment", "bring_parcel", (6.0, 1.5), 0.08), ("hallway", "carry_bottle", (4.0, -0.6), 0.08)],
+)
+def test_bundled_scenes_are_driven_in(name, task, goal, error):
+    """A Jackal away from stairs, and a Fetch past a plant with its arm held out: floors are boxes there."""
+    found = gp.load_scene(name).tasks[task]
+    result = gp.plan(found.start, gp.BasePose(*goal), found.world, w=0.0, iterations=3000)
+    driven = drive(result.trajectory, found.world)
+    assert driven.touched == () and driven.error.max() < error
+
+
+def test_an_arm_is_held_and_stairs_are_no_wall():
+    scene = gp.load_scene("kitchen")
+    wheels, q = wheeled(scene), scene.keyframes["at_stove"]
+    data = wheels.placed(q, 0.0, 0.0)
+    mujoco.mj_step(wheels.model, data, nstep=500)
+    np.testing.assert_allclose(wheels.pose(data), q[:3], atol=5e-3)
+    held = [float(data.joint(name).qpos[0]) for name in scene.joints[3:]]
+    np.testing.assert_allclose(held, q[3:], atol=0.02)
+    model = wheeled(gp.load_scene("apartment")).model
+    assert model.geom("keep_out_stairs").contype == model.geom("keep_out_stairs").conaffinity == 0
+
+
 def test_what_has_no_wheels_is_refused():
     with pytest.raises(UnsupportedError, match="wheels"):
         wheeled(hall())
     with pytest.raises(UnsupportedError, match="DiffDrive"):
         wheeled(hall(None))
+    with pytest.raises(UnsupportedError, match="carried"):
+        wheeled(gp.load_scene("apartment").tasks["serve_tea"].scene)

@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hall import BASE, hall
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
+from hall import BASE, hall
 
 SCENE_FILE = """
 version: 1

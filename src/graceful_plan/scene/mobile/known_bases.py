@@ -1,34 +1,37 @@
-"""How bundled robots drive, from published facts."""
+"""How bundled robots drive, as their models say."""
 
 from __future__ import annotations
 
-from graceful_plan.exceptions import UnknownNameError
-from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from dataclasses import replace
 
-_WHEELS = ("front_left", "rear_left", "front_right", "rear_right")
+import mujoco
+
+from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.scene.loading.robot_models import robot_file, robots
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.mobile.wheels import described_drive
 
 
 def known_base(name: str, prefix: str | None = None) -> DiffDrive:
     """Return how a bundled robot drives.
 
     Args:
-        name: "jackal". Its accelerations are bounded by friction alone, so that these are ours.
+        name: "jackal" or "fetch". What is published and what is assumed stands in their models.
         prefix: Before the names of its joints and bodies; default: its name and "/".
 
     Raises:
         UnknownNameError: If there is no such robot.
     """
-    if name != "jackal":
-        raise UnknownNameError("robot that drives", name, ("jackal",))
+    found = {robot: _base(robot) for robot in robots()}
+    base = found.get(name)
+    if base is None:
+        raise UnknownNameError(
+            "robot that drives", name, (robot for robot, drive in found.items() if drive is not None)
+        )
     before = f"{name}/" if prefix is None else prefix
-    return DiffDrive(
-        joints=(f"{before}x", f"{before}y", f"{before}yaw"),
-        radius=0.098,
-        track=0.3756,
-        slip=1.487,
-        v_max=2.0,
-        omega_max=4.0,
-        a_max=2.0,
-        alpha_max=6.0,
-        wheels=tuple(f"{before}{wheel}" for wheel in _WHEELS),
-    )
+    x, y, yaw = (f"{before}{joint}" for joint in base.joints)
+    return replace(base, joints=(x, y, yaw), wheels=tuple(f"{before}{wheel}" for wheel in base.wheels))
+
+
+def _base(robot: str) -> DiffDrive | None:
+    return described_drive(mujoco.MjSpec.from_file(str(robot_file(robot))), "")
