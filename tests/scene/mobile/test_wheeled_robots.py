@@ -308,6 +308,46 @@ def test_a_ramp_moves_what_its_friction_does_not_hold(steeper, moves):
     assert (sim.data.qpos[0] > 0.02) == moves
 
 
+def test_a_fetch_pivots_about_a_locked_wheel():
+    """At half of its track, once it has slid to a stop, while the other wheel is driven on."""
+    v, sim = 0.5, Rolling("fetch")
+    sim.run(1.0, v=v)
+    sim.model.dof_frictionloss[sim.dofs[0]] = 1e4
+    sim.model.actuator_gainprm[sim.motors[0]] = sim.model.actuator_biasprm[sim.motors[0]] = 0.0
+    sim.run(3.0, v=v)
+    omega, radius = sim.data.qvel[5], np.hypot(*sim.data.qvel[:2]) / sim.data.qvel[5]
+    assert radius == pytest.approx(sim.base.track / 2, rel=0.05)
+    assert omega == pytest.approx(v / sim.base.track, rel=0.05)  # to the left, where it is locked
+
+
+@pytest.mark.parametrize("v", [1.0, 2.0])
+def test_a_jackal_with_all_wheels_locked_slides_as_far_as_its_tyres_let_it(v):
+    sim = Rolling("jackal")
+    for speed in np.linspace(0.0, v, 21):
+        sim.run(0.06, v=speed)
+    sim.run(0.3, v=v)
+    v, begin = sim.data.qvel[0], sim.data.qpos[0]
+    sim.cut_power()
+    sim.model.dof_frictionloss[sim.dofs] = 1e4
+    sim.run(1.5)
+    assert sim.data.qpos[0] - begin == pytest.approx(v**2 / (2 * 0.6 * 9.81), rel=0.1)
+
+
+def test_a_jackal_with_one_side_locked_spins_to_that_side():
+    """At a radius of 0.14 to 0.24 m, at a rate between those of wheels that slip as in place and that do not."""
+    v, sim = 1.5, Rolling("jackal")
+    for speed in np.linspace(0.0, v, 21):
+        sim.run(0.06, v=speed)
+    begin, locked = sim.data.qpos[:2].copy(), sim.motors[:2]
+    sim.model.actuator_gainprm[locked] = sim.model.actuator_biasprm[locked] = 0.0
+    sim.model.dof_frictionloss[sim.dofs[:2]] = 1e4
+    sim.run(3.0, v=v)
+    omega, radius = sim.data.qvel[5], np.hypot(*sim.data.qvel[:2]) / sim.data.qvel[5]
+    assert v / (1.55 * sim.base.track) < omega < v / sim.base.track
+    assert 0.14 < radius < 0.24
+    assert np.linalg.norm(sim.data.qpos[:2] - begin) < 0.95
+
+
 def test_servos_of_a_fetch_hold_its_arm():
     sim = Rolling("fetch")
     joints = [sim.model.joint(f"fetch/{name}") for name, *_ in FETCH_CHAIN]
