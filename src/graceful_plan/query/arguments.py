@@ -10,7 +10,7 @@ import numpy as np
 
 from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
 from graceful_plan.costs.objective import Objective
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import PLANNERS, Auto, Planner
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
@@ -46,6 +46,16 @@ def driving_planner(planner: Planner, scene: Scene) -> Planner:
     if planner != Auto():
         raise SettingError("planner", planner.name, "'auto' or a DriveLattice: this one does not know how a base rolls")
     return DriveLattice()
+
+
+def check_stands(scene: Scene, what: str) -> None:
+    """Refuse robots that drive where nobody knows how a base rolls.
+
+    Raises:
+        UnsupportedError: If the robot has a base.
+    """
+    if scene.base is not None:
+        raise UnsupportedError(f"{what} does not know how a base rolls; plan() does")
 
 
 def checked_speed(speed: object) -> float:

@@ -19,7 +19,7 @@ from graceful_plan.planners.roadmaps.edge_prices import Edges
 from graceful_plan.planners.roadmaps.graph import non_dominated, spread_out
 from graceful_plan.planners.roadmaps.growth import Growth
 from graceful_plan.planners.settings import count
-from graceful_plan.query.arguments import checked_objective, checked_seed, checked_time_limit
+from graceful_plan.query.arguments import check_stands, checked_objective, checked_seed, checked_time_limit
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.goals import Configuration, Goal
 from graceful_plan.roadmap.answers import FrontPath, QueryResult, QueryStatus
@@ -97,6 +97,7 @@ class Roadmap:
             GracefulPlanError: For misuse: settings outside of their range, motions that do not fit the scene.
         """
         started = time.perf_counter()
+        check_stands(scene, "a roadmap")
         count("nodes", nodes)
         count("neighbours", neighbours)
         rng, chosen = checked_seed(seed), checked_objective(objective, None)

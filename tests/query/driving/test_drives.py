@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.query.driving.stages import Move, stages
 from hall import BASE, WALLS, hall
 
@@ -102,6 +102,19 @@ def test_other_planners_do_not_roll():
         planned("east", hall(None), planner=gp.DriveLattice())
     with pytest.raises(SettingError, match="DiffDrive"):
         planned(gp.BasePose(0.0, 1.0), hall(None))
+
+
+def test_what_does_not_know_how_a_base_rolls_says_so():
+    with pytest.raises(UnsupportedError, match="rolls"):
+        gp.pareto("west", "east", SCENE, time_limit=1.0)
+    with pytest.raises(UnsupportedError, match="rolls"):
+        gp.Roadmap.build(SCENE, time_limit=1.0)
+
+
+def test_poses_on_the_way_are_passed():
+    result = planned("east", via=[[0.0, 1.2, 0.0]])
+    assert result.status is gp.PlanStatus.SOLVED and gp.verify(result.trajectory, SCENE).passed
+    assert np.linalg.norm(result.trajectory.q - [0.0, 1.2, 0.0], axis=1).min() < 1e-6
 
 
 def test_the_same_seed_is_the_same_motion():
