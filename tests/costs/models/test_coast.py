@@ -86,7 +86,7 @@ def test_harm_grows_with_the_square_of_the_speed_up_to_that_of_the_table():
 
 @given(st.floats(-4, 4), st.floats(-1.4, 1.4), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
 def test_probabilities_are_probabilities_and_standing_is_safe(x, y, yaw, v, omega):
-    assert 0.0 <= hit(x, v, y=y, yaw=yaw, omega=omega) <= 1.0
+    assert 0.0 <= hit(x, v, y=y, yaw=yaw, omega=omega) <= 1.0 + 1e-12  # a sum of shares
     assert hit(x, 0.0, y=y, yaw=yaw, omega=omega) == 0.0
 
 
