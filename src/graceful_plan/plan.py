@@ -44,7 +44,7 @@ from graceful_plan.query.motions import Motion, along, motions
 from graceful_plan.query.prefer import Preference
 from graceful_plan.query.request import Request
 from graceful_plan.query.restarts import search_for_motions
-from graceful_plan.query.search import KEPT, Callback, Search, search
+from graceful_plan.query.search import ALL, KEPT, Callback, Search, search
 from graceful_plan.query.via.legs import plan_through
 from graceful_plan.query.via.stages import Via, checked_via
 from graceful_plan.result import PlanResult, PlanStatus, TracePoint
@@ -267,7 +267,8 @@ def _motions(
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
     """Search by J; by a measure of risk or at the times of what moves where these decide."""
     if request.objective.scene.base is not None:
-        return search(request.planner, problem, request.objective, budget, rng, request.callback, share=_DRIVE_SHARE)
+        means = budget, rng, request.callback
+        return search(request.planner, problem, request.objective, *means, kept=ALL, share=_DRIVE_SHARE)
     if request.preference is not None:
         return request.preference.search(request.planner, problem, budget, rng, request.callback)
     if request.objective.scene.moving:

@@ -54,7 +54,9 @@ def driven(
     found: list[Motion] = []
     why_not = ""
     smoother = _smoother(request, problem)
-    for path in reversed(searched.paths[-KEPT:]):
+    # The best paths and the shortest one, which came first: what curves make of them is another matter.
+    paths = searched.paths
+    for path in [*paths[-1:], *paths[:-1][:1], *reversed(paths[1:-1][1 - KEPT :])]:
         whole, arrival = ends.joined(path)
         if whole.length == 0.0 or (found and not request.clock.has_plenty("timing", "judging")):
             continue
