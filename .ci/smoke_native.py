@@ -8,6 +8,7 @@ import graceful_plan as gp
 from graceful_plan.core import _native
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels, instruction_sets
+from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 
@@ -47,6 +48,20 @@ def descend(task: gp.Task) -> None:
         assert np.isfinite(run.path).all() and np.isfinite(run.value)
 
 
+def roll(task: gp.Task) -> None:
+    """Where a base drives, whom it meets when it fails, and the slopes of that."""
+    impact = gp.ImpactCost(Coast())
+    kernel = gp.Objective(impact=impact).bind(task.scene).kernel
+    rng = np.random.default_rng(0)
+    for count in COUNTS:
+        q = np.tile(np.asarray(task.start), (count, 1)) + rng.normal(size=(count, len(task.scene.joints)))
+        qd = rng.normal(size=q.shape)
+        gp.interaction_probability(task.scene, q, Coast(), qd)
+        kernel.state_slopes(q, qd)
+        kernel.edges(q, q + 0.3 * qd)
+    gp.plan(task.start, task.goal, task.scene, iterations=300)
+
+
 def main() -> None:
     print(_native.__file__)
     assert "libasan" in Path("/proc/self/maps").read_text(), "the sanitizers are not there to watch"
@@ -60,6 +75,10 @@ def main() -> None:
             for planner in ("rrt_connect", "anytime", "auto"):
                 result = gp.plan(task.start, task.goal, task.scene, w=1.0, planner=planner, iterations=300)
                 print(f"{name} {task.name} {planner}: {result.status.name}", flush=True)
+    for name in gp.mobile_scenes():
+        for task in [*gp.load_scene(name).tasks.values()][:1]:
+            roll(task)
+            print(f"{name} {task.name}: rolled", flush=True)
 
 
 if __name__ == "__main__":

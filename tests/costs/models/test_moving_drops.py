@@ -1,6 +1,6 @@
 """Drops on those who move: laws, the model of what stands still as reference, the core beside NumPy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -271,6 +271,7 @@ def test_weights_scale_what_happens(scene):
     severity = np.ones((len(scene.components), 1)) * [[name != "body"] for name in scene.components]
     cores = [model.kernels(batch.scene, severity, (1.0, 1.0)) for model in models]
     severity[0] = 1.0
-    assert next(iter(scene.components)) == "body" and models[0].kernels(batch.scene, severity, (1.0, 1.0)) is None
+    assert next(iter(scene.components)) == "body" and models[0].kernels(batch.scene, severity, (1.0, 1.0)) is not None
+    assert replace(models[0], collapse=1.0).kernels(batch.scene, severity, (1.0, 1.0)) is None
     impacts = [sum(kernel.states(q)[0] for kernel in kernels) for kernels in cores]
     assert impacts[1] == pytest.approx(0.25 * impacts[0])

@@ -53,10 +53,7 @@ def driven(
     """
     found: list[Motion] = []
     why_not = ""
-    smoother = _smoother(request, problem)
-    # The best paths and the shortest one, which came first: what curves make of them is another matter.
-    paths = searched.paths
-    for path in [*paths[-1:], *paths[:-1][:1], *reversed(paths[1:-1][1 - KEPT :])]:
+    for path, smoother in _chosen(searched.paths, _smoother(request, problem)):
         whole, arrival = ends.joined(path)
         if whole.length == 0.0 or (found and not request.clock.has_plenty("timing", "judging")):
             continue
@@ -65,6 +62,16 @@ def driven(
                 drive = connected([one for stage in parts for one in _smooth(stage, smoother, problem, part)])
             found += _timed(drive, whole, arrival, request)
     return [*sorted(found, key=lambda motion: motion.ranking), *stops(searched, request, ends)], why_not
+
+
+def _chosen(paths: Sequence[Path], smoother: Smoother) -> Iterator[tuple[Path, Smoother]]:
+    """Yield paths, and what curves near them descend along.
+
+    First what an ordinary planner would return, which takes little time: nobody is to get less.
+    """
+    if smoother.objective.w > 0.0 and paths:
+        yield paths[0], smoother.shortest()
+    yield from ((path, smoother) for path in reversed(paths[-KEPT:]))
 
 
 def stops(searched: Search, request: Request, ends: Ends) -> list[Motion]:

@@ -10,7 +10,7 @@ N. Ratliff et al., "CHOMP: gradient optimization techniques for efficient motion
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,11 @@ class Smoother:
     clearance: Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
     time_price: float
     speed: float
+
+    def shortest(self) -> Smoother:
+        """Return the same for an objective in which no impact counts."""
+        objective = self.objective
+        return replace(self, objective=objective.objective.with_weight(0.0).bind(objective.scene, objective.paces))
 
     def descended(self, roll: Roll, budget: Budget) -> Roll:
         """Return a better curve with the same ends and headings there."""

@@ -32,6 +32,7 @@ from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.coast.tables import coast_tables
+from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
@@ -67,6 +68,10 @@ class Coast(NativeModel):
             native = coast_model(scene, self.settings)
             P[:, list(scene.components).index("body")] = native.probability(_reals(batch.q), _reals(batch.qd))
         return P
+
+    def moving(self) -> MovingModel:
+        """Nothing is known of entities that move: they are not hit."""
+        return MovingModel(drop=0.0, collapse=0.0)
 
     def kernel(
         self,

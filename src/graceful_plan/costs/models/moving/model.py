@@ -56,6 +56,6 @@ class MovingModel:
         Law: close to sums of P S from `sources` without times; they need not be the same.
         """
         falls = np.array([name != "body" for name in scene.components])
-        if (severity[~falls] > 0.0).any():
+        if self.collapse > 0.0 and (severity[~falls] > 0.0).any():
             return None
         return moving_kernels(scene, self.settings, self.drop * severity[falls].sum(axis=0), paces)
