@@ -234,6 +234,11 @@ class ImpactKernel:
         flat, batch = self.kernels.rows("q", q)
         return self.native.states(flat).reshape(batch)
 
+    def moving_states(self, q: ArrayLike, qd: ArrayLike) -> Float[Array, "*batch"]:
+        """Expected severity given a failure at q and qd."""
+        flat, batch = self.kernels.rows("q", q)
+        return self.native.moving_states(flat, self.kernels.rows("qd", qd)[0]).reshape(batch)
+
     def state_slopes(
         self, q: ArrayLike, qd: ArrayLike
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:

@@ -154,6 +154,10 @@ class SceneObjective:
             return self.kernel.states(q)
         return checked_state(self.objective.impact, moving_batch(self.scene, q, qd))
 
+    def quick_states(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, " n"]:
+        """Impact of states that move, by the kernel if there is one: close where somebody walks, else the same."""
+        return self.states(q, qd) if self.kernel is None else self.kernel.moving_states(q, qd)
+
     def edges(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"]) -> Float[Array, "n 2"]:
         """V and S of straight edges from `q0` to `q1`."""
         if self.kernel is not None:

@@ -47,6 +47,7 @@ def test_the_core_says_the_same():
     expected = P @ cost.severity(SCENE)[0]
     assert (expected > 0.1).sum() > 20
     np.testing.assert_allclose(cost.state(batch), expected, atol=1e-7)
+    np.testing.assert_allclose(kernel.moving_states(q, qd), expected, atol=1e-7)
     value, by_q, _ = kernel.state_slopes(q, qd)
     np.testing.assert_allclose(value, expected, atol=1e-7)
     assert np.isfinite(by_q).all()

@@ -39,7 +39,7 @@ def slower_where_it_pays(
     grid = next((g for g in map(drive.grid, (1, 2, 4)) if len(g.q) == len(trajectory)), None)
     if objective.w == 0.0 or grid is None:
         return None
-    impact = np.stack([objective.states(trajectory.q, share * trajectory.qd) for share in SHARES])
+    impact = np.stack([objective.quick_states(trajectory.q, share * trajectory.qd) for share in SHARES])
     price = (time_price + objective.w * impact) / SHARES[:, None]
     share = SHARES[np.argmin(price, axis=0)]
     if (share == 1.0).all():

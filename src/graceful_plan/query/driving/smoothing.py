@@ -103,7 +103,7 @@ class Smoother:
         duration = length / pace
         total = np.hypot(length, turn) + self.time_price * duration + _BENT * length * bend**2
         if self.objective.w > 0.0:
-            total += self.objective.w * duration * self.objective.states(rows, rates).reshape(bend.shape)
+            total += self.objective.w * duration * self.objective.quick_states(rows, rates).reshape(bend.shape)
         lack = np.maximum(0.0, 1.0 - self.clearance(rows).reshape(bend.shape) / _CLEAR)
         return (total + _WALL * length * lack**2).mean(axis=1)
 

@@ -60,6 +60,7 @@ void bind_impact(nb::module_& m) {
       .def("dynamics", &BodyModel::dynamics, "q"_a);
   nb::class_<Impact>(m, "Impact")
       .def("states", &Impact::states_array, "q"_a)
+      .def("moving_states", &Impact::moving_states_array, "q"_a, "qd"_a)
       .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a)
       .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a)
       .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);

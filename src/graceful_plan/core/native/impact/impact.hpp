@@ -63,6 +63,14 @@ class Impact {
     states(q.data(), q.shape(0), out);
     return array;
   }
+  auto moving_states_array(Reals q, Reals qd) const {
+    double* out;
+    auto array = make<double>({core_.rows(q)}, out);
+    const States all = core_.states(q, qd);
+    nb::gil_scoped_release release;
+    moving_states(all, out);
+    return array;
+  }
   // I of states that move, and its derivatives with respect to q and qd.
   auto state_slopes_array(Reals q, Reals qd) const {
     Slopes out;
