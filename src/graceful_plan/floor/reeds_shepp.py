@@ -42,12 +42,12 @@ class Steering:
     """What a metre backwards costs [m/m], >= 1."""
 
     def __post_init__(self) -> None:
-        for name, least in (("radius", 0.0), ("yaw_length", 0.0), ("reverse_penalty", 1.0)):
-            value = getattr(self, name)
-            if value is None and name == "yaw_length":
-                continue
-            if not (math.isfinite(value) and (value > least or value == least == 1.0)):
-                raise SettingError(f"Steering.{name}", value, f"a finite number {'>=' if least else '>'} {least:g}")
+        yaw_length = 1.0 if self.yaw_length is None else self.yaw_length
+        for name, value in (("radius", self.radius), ("yaw_length", yaw_length)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise SettingError(f"Steering.{name}", value, "a finite number > 0")
+        if not (math.isfinite(self.reverse_penalty) and self.reverse_penalty >= 1.0):
+            raise SettingError("Steering.reverse_penalty", self.reverse_penalty, "a finite number >= 1")
 
     def native(self) -> _native.Steering:
         """Return the same for the core."""
