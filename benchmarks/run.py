@@ -55,13 +55,14 @@ SUBJECTS = (
     "transcription",
     "moving_entities",
     "driving",
+    "lattice",
     "tuning",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops"})
+ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops", "lattice"})
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 TAKEN_OUT = "taken_out"
 """Section written by hand: what was measured, did not help and is gone."""

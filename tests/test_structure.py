@@ -35,7 +35,7 @@ FLOORS = (
     {"basics"},
     {"scene"},
     {"core"},
-    {"timing"},
+    {"timing", "floor"},
     {"result"},
     {"documents"},
     {"costs"},

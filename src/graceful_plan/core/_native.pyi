@@ -5,7 +5,7 @@ Arrays of other types or layouts than those that stand here are copied; those th
 
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import final
+from typing import TypedDict, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -390,3 +390,46 @@ class Anytime:
     def path(self) -> Reals: ...
     @property
     def optimal(self) -> bool: ...
+
+@final
+class Steering:
+    def __init__(self, *, radius: float, reverse: bool, yaw_length: float, penalty: float) -> None: ...
+    def curves(self, start: Reals, goal: Reals) -> tuple[Reals, Reals]: ...
+    def along(self, start: Reals, pieces: Reals, s: Reals) -> Reals: ...
+
+@final
+class StateLattice:
+    def __init__(
+        self,
+        *,
+        distance: NDArray[np.float32],
+        resolution: float,
+        discs: Reals,
+        headings: int,
+        steering: Steering,
+        margin: float,
+        impact: NDArray[np.float32] | None,
+    ) -> None: ...
+    def search(
+        self,
+        *,
+        start: Reals,
+        goal: Reals,
+        w: float,
+        inflations: Sequence[float],
+        shots: int,
+        max_expansions: int,
+        time_limit: float,
+    ) -> LatticeAnswer: ...
+    def moves(self) -> list[tuple[int, int, int, int, float, Reals]]: ...
+    def chain(self) -> float: ...
+
+class LatticeAnswer(TypedDict):
+    status: str
+    pieces: Reals
+    cost: float
+    bound: float
+    impact: float
+    expansions: int
+    first_cost: float
+    first_expansions: int

@@ -9,5 +9,6 @@ namespace gp {
 void bind_core(nb::module_&);
 void bind_impact(nb::module_&);  // after bind_core
 void bind_search(nb::module_&);  // after bind_impact
+void bind_lattice(nb::module_&);
 
 }  // namespace gp

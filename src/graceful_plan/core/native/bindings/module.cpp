@@ -6,4 +6,5 @@ NB_MODULE(_native, m) {
   gp::bind_core(m);
   gp::bind_impact(m);
   gp::bind_search(m);
+  gp::bind_lattice(m);
 }
