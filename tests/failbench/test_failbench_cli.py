@@ -172,7 +172,7 @@ def test_dry_run_prints_a_sweep_that_generate_takes(run, tmp_path):
         (("run", "tabletop/*"), "expected one scenario, not"),
         (("run", DROP, "-n", "0"), "rollouts = 0"),
         (("run", DROP, "--trajectory", "nowhere.json"), "nowhere.json: cannot be read"),
-        (("validate", "--scene", "moon"), "unknown scene 'moon'; valid: desk"),
+        (("validate", "--scene", "moon"), "unknown scene 'moon'; valid: apartment, desk"),
         (("validate", "--task", "dance"), "unknown task of tabletop 'dance'"),
         (("generate", "folder"), "expected patterns of scenarios, or --sweep FILE"),
         (("generate", "folder", DROP, "--sweep", "s.json"), "and not both"),

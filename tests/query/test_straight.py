@@ -94,9 +94,11 @@ def test_the_tool_stays_on_its_line_or_the_result_says_where_not(name, seed, dir
     off, angle = _worst(result, scene, goal)
     assert off < 1e-3 and angle < np.deg2rad(0.5)
     assert {"deviation", "orientation", "collision", "goal", "rest", "velocity_limits"} <= set(result.verdict.checks)
-    for key, measured in (("deviation", off), ("orientation", angle)):
+    # The nearest place is found otherwise, to a tenth of a millimetre, on which the tool turns.
+    turned = 1e-4 * np.linalg.norm(turn) / length
+    for key, measured, away in (("deviation", off, 0.0), ("orientation", angle, turned)):
         check = result.verdict.checks[key]
-        assert check.passed and abs(check.worst - measured) < 0.1 * check.limit  # the nearest place is found otherwise
+        assert check.passed and abs(check.worst - measured) < 0.1 * check.limit + away
     assert result.cost == gp.evaluate(result.unwrap(), scene)
     np.testing.assert_allclose(result.unwrap().q[0], q, atol=1e-12)
     # No stop on the way: the tool goes on at every time but the first and the last.
