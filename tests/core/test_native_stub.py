@@ -18,7 +18,7 @@ def stated() -> dict[str, Parameters | None]:
     for node in STUB.body:
         if isinstance(node, ast.FunctionDef):
             found[node.name] = of_node(node)
-        if isinstance(node, ast.ClassDef):
+        if isinstance(node, ast.ClassDef) and "TypedDict" not in map(ast.unparse, node.bases):
             found[node.name] = None
             for member in node.body:
                 if isinstance(member, ast.FunctionDef):
