@@ -65,7 +65,7 @@ def test_failure_has_its_own_exit_code(run):
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        (("plan", "--scene", "atlantis"), "unknown scene 'atlantis'; valid: desk"),
+        (("plan", "--scene", "atlantis"), "unknown scene 'atlantis'; valid: apartment, desk"),
         (("plan", "--scene", "nowhere.yaml"), "nowhere.yaml"),
         (("plan", "--task", "juggle"), "unknown task 'juggle'"),
         (("plan", "--planner", "hope"), "unknown planner 'hope'"),
