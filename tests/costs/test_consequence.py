@@ -182,6 +182,7 @@ def test_it_is_a_cost_without_kernel_and_gradient(task: gp.Task) -> None:
     assert isinstance(ENERGY.interaction, Damage) and hash(ENERGY) == hash(gp.ImpactCost(**vars(ENERGY)))
 
 
+@pytest.mark.long
 def test_plans_can_be_made_with_it(task: gp.Task) -> None:
     objective = gp.Objective(impact=ENERGY, w=1.0)
     result = gp.plan(task.start, task.goal, task.scene, objective=objective, iterations=60)
