@@ -1,26 +1,16 @@
 // The tables of a scene as Python hands them over, and the kernels that read them.
 #pragma once
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-
 #include <algorithm>
 #include <limits>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "search/planning.hpp"
 #include "cells.hpp"
+#include "checks.hpp"
 #include "tables.hpp"
 
-namespace nb = nanobind;
-
 namespace gp {
-
-using Reals = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Integers = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
-using Bits = nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>;
-template <class T> using Out = nb::ndarray<nb::numpy, T, nb::c_contig>;
 
 struct Isa {
   const char* name;
@@ -45,10 +35,6 @@ inline Isa choose(const std::string& isa) {
   for (const Isa& candidate : available())
     if (isa == "auto" || isa == candidate.name) return candidate;
   throw std::invalid_argument("this machine cannot run instruction set " + isa);
-}
-
-inline void require(bool ok, const char* what) {
-  if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
 }
 
 template <class T> Out<T> make(std::vector<size_t> shape, T*& data) {
@@ -118,12 +104,16 @@ class Core {
       : isa_(choose(isa)), tool_link_(robot.tool_link) {
     const Reals& tool_position = robot.tool_position;
     const Integers& self_pair = robot.self_pair;
-    require(robot.self_slack.size() == self_pair.shape(0), "a slack of each pair of links");
-    require(tool_link_ >= 0 && size_t(tool_link_) < robot.parent.shape(0) && tool_position.size() == 3, "tool");
+    const int n_link = int(robot.parent.size());
+    require_numbers(robot.self_slack, self_pair.size() / 2, "a slack of each pair of links");
+    require(self_pair.size() % 2 == 0, "pairs of links");
+    require_within(self_pair, 0, n_link, "pair of links");
+    require(tool_link_ >= 0 && tool_link_ < n_link, "tool");
+    require_numbers(tool_position, 3, "tool", kMaxExtent);
     std::copy(tool_position.data(), tool_position.data() + 3, tool_position_);
     add_links(robot);
     add_groups(robot.sphere_link, robot.sphere, robot.bound);
-    for (size_t p = 0; p < self_pair.shape(0); ++p) {
+    for (size_t p = 0; p < self_pair.size() / 2; ++p) {
       const int a = group_of_[size_t(self_pair.data()[2 * p])], b = group_of_[size_t(self_pair.data()[2 * p + 1])];
       if (a < 0 || b < 0) continue;
       require(robot.self_slack.data()[p] <= 0, "slack of a pair of links");
@@ -153,7 +143,7 @@ class Core {
   int lanes() const { return isa_.kernels->lanes; }
 
   size_t rows(const Reals& q) const {
-    require(q.ndim() == 2 && q.shape(1) == size_t(tables_.n_joint), "q is not [n, nq]");
+    require_rows(q, tables_.n_joint, "configurations are [n, nq], numbers of at most 1000 rad or m");
     return q.shape(0);
   }
   States states(const Reals& q) const { return {q.data(), nullptr, rows(q)}; }
@@ -163,7 +153,12 @@ class Core {
   }
   Edges edges(const Reals& q0, const Reals& q1, double step) const {
     require(rows(q1) == rows(q0), "q0 and q1 differ in length");
-    return {q0.data(), q1.data(), rows(q0), step};
+    const size_t nq = size_t(tables_.n_joint), n = q0.shape(0);
+    double longest = 0;
+    for (size_t i = 0; i < n * nq; ++i) longest = std::max(longest, std::fabs(q1.data()[i] - q0.data()[i]));
+    longest *= std::sqrt(double(nq));
+    require(in_range(step, kLeastStep) && longest <= step * kMaxSamples, "step of an edge");
+    return {q0.data(), q1.data(), n, step};
   }
 
   auto link_poses(Reals q) const {
@@ -176,6 +171,7 @@ class Core {
   auto free_states(Reals q, double margin) const {
     bool* out;
     auto array = make<bool>({rows(q)}, out);
+    require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
     nb::gil_scoped_release release;
     kernels().free_states(tables_, states(q), margin, reinterpret_cast<uint8_t*>(out));
     return array;
@@ -184,6 +180,7 @@ class Core {
     bool* out;
     auto array = make<bool>({rows(q0)}, out);
     const Edges all = edges(q0, q1, step);
+    require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
     nb::gil_scoped_release release;
     kernels().free_edges(tables_, all, margin, reinterpret_cast<uint8_t*>(out));
     return array;
@@ -193,7 +190,9 @@ class Core {
     const States all = states(q);
     const size_t nq = size_t(tables_.n_joint);
     auto array = make<double>({all.n, nq}, out);
-    require(lower.size() == nq && upper.size() == nq, "limits are those of another robot");
+    require_numbers(lower, nq, "limits"), require_numbers(upper, nq, "limits");
+    for (size_t j = 0; j < nq; ++j) require(lower.data()[j] <= upper.data()[j], "limits");
+    require(in_range(clearance, -kMaxExtent, kMaxExtent), "clearance");
     nb::gil_scoped_release release;
     std::copy_n(all.q, all.n * nq, out);
     for (size_t k = 0; has_bounds() && k < all.n; ++k) project(out + k * nq, lower.data(), upper.data(), clearance);
@@ -226,6 +225,7 @@ class Core {
   // e^x and ln e^x as the drop model computes them.
   auto elementary(Reals x) const {
     double *exponential, *logarithm;
+    require_numbers(x, "exponents");
     auto first = make<double>({x.size()}, exponential);
     auto second = make<double>({x.size()}, logarithm);
     kernels().elementary(x.data(), x.size(), exponential, logarithm);
@@ -357,14 +357,16 @@ class Core {
     const Integers &parent = robot.parent, &joint = robot.joint, &slide = robot.slide;
     const Reals& X_PL = robot.X_PL;
     const int n_joint = robot.n_joint;
-    const int n = int(parent.shape(0));
-    require(n >= 1 && n <= kMaxLinks, "number of links");
+    require(parent.size() >= 1 && parent.size() <= size_t(kMaxLinks), "number of links");
     require(n_joint >= 1 && n_joint <= kMaxJoints, "number of joints");
+    const int n = int(parent.size());
+    require(joint.size() == size_t(n) && slide.size() == size_t(n), "joints of links");
+    require_within(joint, -1, n_joint, "joint of a link");
+    require_numbers(X_PL, 16 * size_t(n), "poses of links", kMaxExtent);
     for (int l = 0; l < n; ++l) {
       Link link{};
       link.parent = parent.data()[l], link.joint = joint.data()[l], link.slide = slide.data()[l];
       require(l == 0 ? link.parent == -1 : link.parent >= 0 && link.parent < l, "parents come first");
-      require(link.joint < n_joint, "joint index");
       link.frame = l == 0 || link.joint >= 0 ? l : link_[size_t(link.parent)].frame;
       for (int r = 0; r < 3; ++r) {
         for (int c = 0; c < 3; ++c) link.R[3 * r + c] = X_PL.data()[16 * l + 4 * r + c];
@@ -374,8 +376,10 @@ class Core {
     }
   }
   void add_groups(const Integers& sphere_link, const Reals& sphere, const Reals& bound) {
-    const int n = int(sphere_link.shape(0));
-    require(n <= kMaxSpheres, "number of spheres");
+    require(sphere_link.size() <= size_t(kMaxSpheres), "number of spheres");
+    const int n = int(sphere_link.size());
+    require_numbers(sphere, 4 * size_t(n), "spheres", kMaxExtent);
+    require_numbers(bound, 4 * link_.size(), "bounding spheres of links", kMaxExtent);
     for (int k = 0; k < 4 * n; ++k) sphere_.push_back(float(sphere.data()[k]));
     group_of_.assign(link_.size(), -1);
     for (int k = 0; k < n;) {
@@ -421,7 +425,9 @@ class Core {
     cluster_.push_back(cluster);
   }
   void add_triangles(const Reals& triangles) {
-    for (size_t k = 0; k < triangles.shape(0); ++k) {
+    require(triangles.size() % 9 == 0 && triangles.size() < size_t(kMaxNumber), "corners of triangles");
+    require_numbers(triangles, "corners of triangles", kMaxExtent);
+    for (size_t k = 0; k < triangles.size() / 9; ++k) {
       const double* v = triangles.data() + 9 * k;
       Triangle t{};
       double e[3], f[3], length = 0;
@@ -453,8 +459,14 @@ class Core {
   }
   void add_obstacles(const WorldArrays& world) {
     const auto& [kind, pose, size, bound, ignores, hull_start, triangles, keep] = world;
-    require(keep.size() == kind.shape(0), "a distance to keep from each obstacle");
-    for (size_t j = 0; j < kind.shape(0); ++j) {
+    const size_t n = kind.size();
+    require_numbers(keep, n, "a distance to keep from each obstacle", kMaxExtent);
+    require_numbers(pose, 12 * n, "poses of obstacles", kMaxExtent);
+    require_numbers(size, 3 * n, "sizes of obstacles", kMaxExtent);
+    require_numbers(bound, 4 * n, "bounding spheres of obstacles", 2 * kMaxExtent);
+    require(ignores.size() == n && hull_start.size() == n + 1, "what ignores obstacles, and their hulls");
+    require_within(hull_start, 0, int(triangle_.size()) + 1, "hull range");
+    for (size_t j = 0; j < n; ++j) {
       Obstacle o{};
       o.kind = kind.data()[j], o.ignores = ignores.data()[j], o.keep = float(keep.data()[j]);
       require(o.keep >= 0, "distance to keep");
@@ -464,9 +476,9 @@ class Core {
         o.p[k] = float(pose.data()[12 * j + 9 + size_t(k)]), o.size[k] = float(size.data()[3 * j + size_t(k)]);
       for (int k = 0; k < 4; ++k) o.bound[k] = float(bound.data()[4 * j + size_t(k)]);
       o.first_triangle = hull_start.data()[j], o.n_triangle = hull_start.data()[j + 1] - o.first_triangle;
-      require(o.first_triangle >= 0 && o.n_triangle >= 0 && size_t(o.first_triangle + o.n_triangle) <= triangle_.size(),
-              "hull range");
+      require(o.n_triangle >= 0, "hull range");
       require(o.kind != kMesh || o.n_triangle > 0, "mesh without triangles");
+      for (float side : o.size) require(o.kind != kEllipsoid ? side >= 0 : side > 0, "size of an obstacle");
       obstacle_.push_back(o);
     }
   }
@@ -474,8 +486,11 @@ class Core {
     const auto& [component, link, box, entity, target_box, n_component, n_entity] = hazards;
     require(n_component >= 0 && n_component <= kMaxComponents, "number of components");
     require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
-    require(component.shape(0) <= size_t(kMaxParts), "number of parts");
-    for (size_t k = 0; k < component.shape(0); ++k) {
+    require(component.size() <= size_t(kMaxParts), "number of parts");
+    require(link.size() == component.size(), "links of parts");
+    require_numbers(box, 15 * component.size(), "boxes of parts", kMaxExtent);
+    require_numbers(target_box, 6 * entity.size(), "boxes of entities", 2 * kMaxExtent);
+    for (size_t k = 0; k < component.size(); ++k) {
       Part part{};
       part.component = component.data()[k];
       require(part.component >= 0 && part.component < n_component, "component of a part");
@@ -488,7 +503,7 @@ class Core {
       part_.push_back(part);
     }
     harmed_.assign(size_t(n_entity), Harmed{0, 0, 0.0, {0, {1e9, 1e9, 1e9}, {-1e9, -1e9, -1e9}}});
-    for (size_t k = 0; k < entity.shape(0); ++k) {
+    for (size_t k = 0; k < entity.size(); ++k) {
       Target t{};
       t.entity = entity.data()[k];
       require(t.entity >= 0 && t.entity < n_entity && (k == 0 || entity.data()[k - 1] <= t.entity),
@@ -555,8 +570,12 @@ class Core {
       require(link >= 0 && size_t(link) < link_.size(), "link of a bound");
       return link_[size_t(link)].frame;
     };
-    require(bounds.cone.size() == 7 * bounds.cone_link.size(), "cones");
+    require_numbers(bounds.cone, 7 * bounds.cone_link.size(), "cones", kMaxExtent);
     require(bounds.room.size() == 21 * bounds.room_link.size(), "rooms");
+    for (size_t i = 0; i < bounds.room.size(); ++i) {
+      const double value = bounds.room.data()[i];  // sides may be infinitely far away
+      require(i % 21 < 15 ? std::fabs(value) <= kMaxExtent : !std::isnan(value), "rooms");
+    }
     for (size_t k = 0; k < bounds.cone_link.size(); ++k) {
       Cone cone{bounds.cone_link.data()[k], rides_on(bounds.cone_link.data()[k]), {}, {}, 0};
       const double* row = bounds.cone.data() + 7 * k;
@@ -596,6 +615,16 @@ class Core {
   std::vector<Cone> cone_;
   std::vector<Room> room_;
 };
+
+// A row, or rows, of a space's own width.
+inline void require_point(const Space& space, const Reals& q, const char* what) {
+  require(q.ndim() == 1 && q.size() == size_t(space.dim), what);
+  require_numbers(q, what, kMaxPosition);
+}
+inline void require_points(const Space& space, const Reals& q, const char* what) {
+  require_rows(q, space.dim, what);
+  require(q.shape(0) > 0, what);
+}
 
 inline Point point(const Reals& q) { return Point(q.data(), q.data() + q.size()); }
 

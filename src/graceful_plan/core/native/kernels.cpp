@@ -84,12 +84,23 @@ static void link_poses(const Tables& tables, const States& states, double* X_WL)
   });
 }
 
+// Comparisons with what is no number are false, which would say "free".
+static inline bool is_number(const double* q, size_t n) {
+  double sum = 0;
+  for (size_t j = 0; j < n; ++j) sum += q[j] * 0;
+  return sum == 0;
+}
+
 static void free_states(const Tables& tables, const States& states, double margin, uint8_t* free) {
+  const size_t nq = size_t(tables.n_joint);
   for_each_block<F>(tables, states, [&](size_t first, int count, const Frame<F>* X_W) {
     const MaskF hit = breaks(tables, X_W, float(margin)) | collides<false>(tables, X_W, float(margin));
-    for (int i = 0; i < count; ++i) free[first + size_t(i)] = !hit[i];
+    for (size_t i = 0; i < size_t(count); ++i)
+      free[first + i] = !hit[int(i)] && is_number(states.q + (first + i) * nq, nq);
   });
 }
+
+constexpr double kMostPieces = 1e8;  // of an edge; also those of which nothing is a number have more
 
 // Blocks are spread over the whole edge and shifted between each other, so that a bad edge fails in the first ones.
 static bool edge_is_free(const Tables& tables, const double* q0, const double* q1, double step, float margin) {
@@ -97,7 +108,9 @@ static bool edge_is_free(const Tables& tables, const double* q0, const double* q
   F qs[kMaxJoints], lane;
   Frame<F> X_W[kMaxLinks];
   for (int i = 0; i < W; ++i) lane[i] = float(i);
-  const int n_block = int((distance(tables, q0, q1) / step + 1.0) / W) + 1;
+  const double pieces = distance(tables, q0, q1) / step;
+  if (!(pieces <= kMostPieces)) return false;
+  const int n_block = int((pieces + 1.0) / W) + 1;
   const float spacing = 1.f / float(W * n_block - 1);
   for (int b = 0; b < n_block; ++b) {
     interpolate<float>(tables, q0, q1, (lane * float(n_block) + float(b)) * spacing, qs);
@@ -128,8 +141,12 @@ static void clearance(const Tables& tables, const States& states, double far, do
   const float limit = far < 1e9 ? float(far) : 1e9f;
   for_each_block<F>(tables, states, [&](size_t first, int count, const Frame<F>* X_W) {
     const Nearest pair = nearest(tables, X_W, limit);
-    for (int i = 0; i < count; ++i)
-      out[first + size_t(i)] = pair.a[i] == -1 ? __builtin_inf() : double(pair.distance[i]);
+    for (int i = 0; i < count; ++i) {
+      const bool known = is_number(states.q + (first + size_t(i)) * nq, nq);
+      out[first + size_t(i)] = !known            ? __builtin_nan("")
+                               : pair.a[i] == -1 ? __builtin_inf()
+                                                 : double(pair.distance[i]);
+    }
     const States block{states.q + first * nq, nullptr, size_t(count)};
     if (!gradient) return;
     if (any(pair.a != -1)) return clearance_gradients(tables, pair, block, gradient + first * nq);
@@ -165,8 +182,12 @@ static inline void edge_cost(const Tables& tables, const double* a, const double
   constexpr int W = kLanes<double>;
   D qs[kMaxJoints], lane;
   for (int i = 0; i < W; ++i) lane[i] = double(i);
-  const double length = distance(tables, a, b);
-  const int n_block = int((length / step + 1.0) / W) + 1, last = n_block * W - 1;
+  const double length = distance(tables, a, b), pieces = length / step;
+  if (!(pieces <= kMostPieces)) {
+    cost[0] = length, cost[1] = __builtin_inf();
+    return;
+  }
+  const int n_block = int((pieces + 1.0) / W) + 1, last = n_block * W - 1;
   double sum = 0;
   if (length > 0)
     for (int block = 0; block < n_block; ++block) {

@@ -37,6 +37,7 @@ std::vector<double> flat(const std::vector<Piece>& pieces) {
 nb::tuple curves(const Steering& steering, Reals from, Reals to) {
   require(from.ndim() == 2 && from.shape(1) == 3 && to.ndim() == 2 && to.shape(0) == from.shape(0) && to.shape(1) == 3,
           "poses");
+  require_numbers(from, "poses", kMaxExtent), require_numbers(to, "poses", kMaxExtent);
   const size_t n = from.shape(0);
   std::vector<double> cost(n), pieces(n * 15, 0.0);
   {
@@ -59,6 +60,8 @@ Out<double> along(const Steering& steering, Reals from, Reals pieces, Reals s) {
   require(from.ndim() == 2 && from.shape(1) == 3 && pieces.ndim() == 3 && pieces.shape(0) == from.shape(0) &&
               pieces.shape(2) == 3 && s.ndim() == 2 && s.shape(0) == from.shape(0),
           "curves");
+  require(from.ndim() == 2 && from.shape(1) == 3, "poses");
+  require_numbers(from, "poses", kMaxExtent), require_numbers(pieces, "curves"), require_numbers(s, "measures");
   const size_t n = from.shape(0), n_piece = pieces.shape(1), m = s.shape(1);
   std::vector<double> out(n * m * 3);
   {
@@ -95,7 +98,10 @@ class BoundLattice {
 
   nb::dict search(Reals start, Reals goal, double w, std::vector<double> inflations, int shots, int64_t max_expansions,
                   double time_limit) const {
-    require(start.size() == 3 && goal.size() == 3, "poses");
+    require_numbers(start, 3, "start", kMaxExtent), require_numbers(goal, 3, "goal", kMaxExtent);
+    require(in_range(w, 0) && shots >= 0 && max_expansions > 0 && time_limit > 0, "settings of a search");
+    require(!inflations.empty(), "inflations");
+    for (double one : inflations) require(in_range(one, 1), "inflations");
     const lattice::Question question{
         pose_of(start.data()), pose_of(goal.data()), w, std::move(inflations), shots, max_expansions, time_limit};
     lattice::Answer answer;
@@ -127,9 +133,13 @@ class BoundLattice {
 
  private:
   lattice::Floor floor(double resolution, int headings) {
-    require(distance_.ndim() == 2 && headings >= 4 && headings % 4 == 0, "distance or headings");
+    require(distance_.ndim() == 2 && headings >= 4 && headings <= kMaxHeadings && headings % 4 == 0, "headings");
     headings_ = headings;
     const size_t rows = distance_.shape(0), columns = distance_.shape(1);
+    require(rows > 0 && columns > 0 && rows * columns <= kMaxCells, "cells of a floor");
+    require(in_range(resolution, 1e-3, 100), "resolution");
+    for (size_t i = 0; i < distance_.size(); ++i) require(!std::isnan(distance_.data()[i]), "distance");
+    for (size_t i = 0; impact_ && i < impact_->size(); ++i) require(in_range(impact_->data()[i], 0), "impact");
     require(!impact_ || (impact_->ndim() == 3 && impact_->shape(0) == rows && impact_->shape(1) == columns &&
                          impact_->shape(2) == size_t(headings)),
             "impact");
@@ -137,7 +147,10 @@ class BoundLattice {
   }
   static lattice::LatticeSettings settings(double resolution, const Reals& discs, int headings,
                                            const Steering& steering, double margin) {
-    require(discs.ndim() == 2 && discs.shape(1) == 3, "discs");
+    require(discs.ndim() == 2 && discs.shape(1) == 3 && discs.shape(0) > 0, "discs");
+    require_numbers(discs, "discs", kMaxReach * resolution);
+    require(in_range(margin, 0, kMaxReach * resolution), "margin");
+    require(steering.radius <= kMaxReach * resolution, "radius of a curve in cells");
     std::vector<lattice::Disc> all;
     for (size_t i = 0; i < discs.shape(0); ++i) {
       const double* d = discs.data() + 3 * i;
@@ -145,6 +158,10 @@ class BoundLattice {
     }
     return {headings, resolution, steering, all, margin};
   }
+
+  static constexpr int kMaxHeadings = 720;
+  static constexpr size_t kMaxCells = size_t(1) << 26;
+  static constexpr double kMaxReach = 1000;  // of a footprint or of a curve, in cells
 
   Floats distance_;
   std::optional<Floats> impact_;
@@ -159,6 +176,7 @@ void bind_lattice(nb::module_& m) {
       .def(
           "__init__",
           [](Steering* self, double radius, bool reverse, double yaw_length, double penalty) {
+            require(in_range(radius, 1e-6, kMaxExtent) && yaw_length > 0 && in_range(penalty, 1), "steering");
             new (self) Steering{radius, reverse, yaw_length, penalty};
           },
           nb::kw_only(), "radius"_a, "reverse"_a, "yaw_length"_a, "penalty"_a)

@@ -47,7 +47,11 @@ class SceneSpace final : public Space {
         settings_(settings),
         custom_(std::move(custom)) {
     margin = settings.margin;
-    require(dim == core.tables().n_joint, "limits");
+    require(dim == core.tables().n_joint && impact.core().tables().n_joint == dim, "limits of another robot");
+    for (double step : {settings.check_step, settings.fine_step, settings.cost_step})
+      require(in_range(step, kLeastStep) && extent() <= step * kMaxSamples, "step of an edge");
+    require(in_range(margin, -kMaxExtent, kMaxExtent), "margin");
+    require(custom_.holds.is_none() == custom_.clearance.is_none(), "holds and clearance come together");
   }
   bool edge_free(const double* a, const double* b) override { return free_at(a, b, settings_.check_step); }
   bool edge_certain(const double* a, const double* b) override { return free_at(a, b, settings_.fine_step); }
@@ -178,10 +182,9 @@ class CallbackSpace final : public Space {
 
   // With a core, configurations are projected onto its bounds.
   CallbackSpace(Callbacks ask, Reals low, Reals high, double weight, bool motion_is_length, const Core* core)
-      : Space(point(low), point(high), weight),
-        ask_(std::move(ask)),
-        motion_is_length_(motion_is_length),
-        core_(core) {}
+      : Space(point(low), point(high), weight), ask_(std::move(ask)), motion_is_length_(motion_is_length), core_(core) {
+    require(!core || core->tables().n_joint == dim, "limits of another robot");
+  }
   bool has_bounds() const override { return core_ && core_->has_bounds(); }
   bool project(double* q) override {
     return !core_ || core_->project(q, lower.data(), upper.data(), margin + kProjectionReserve);
@@ -235,15 +238,28 @@ Out<double> as_array(const std::vector<Point>& rows, int dim) {
 
 // A path of somebody else's.
 std::vector<Point> path_in(const Space& space, const Reals& path) {
-  require(path.ndim() == 2 && path.shape(0) >= 2 && path.shape(1) == size_t(space.dim), "a path is [n >= 2, nq]");
+  require_rows(path, space.dim, "a path is [n >= 2, nq], numbers of at most 1000 rad or m");
+  require(path.shape(0) >= 2, "a path is [n >= 2, nq]");
   return points(path);
+}
+
+// The space, if it holds such ends of a search.
+Space& with_ends(Space& space, const Reals& start, const Reals& goals) {
+  require_point(space, start, "a start is [nq], numbers of at most 1000 rad or m");
+  require_points(space, goals, "goals are [n > 0, nq], numbers of at most 1000 rad or m");
+  return space;
 }
 
 class ConnectPlanner {
  public:
   ConnectPlanner(Space& space, Reals start, Reals goals, double range, int max_nodes, uint64_t seed)
-      : space_(space), connect_(space, point(start), points(goals), {range, max_nodes}, seed) {}
+      : space_(with_ends(space, start, goals)),
+        connect_(space, point(start), points(goals), {checked(range), max_nodes}, seed) {
+    require(max_nodes > 0, "number of nodes");
+  }
   nb::tuple run(int64_t iterations, double seconds) {
+    require_slice(iterations, seconds);
+    const Turn turn(taken_);
     Slice slice(iterations, seconds);
     {
       nb::gil_scoped_release release;
@@ -254,9 +270,15 @@ class ConnectPlanner {
   Out<double> path() const { return as_array(connect_.path(), space_.dim); }
 
  private:
+  static double checked(double range) {
+    require(in_range(range, kLeastStep), "range");
+    return range;
+  }
+
   Space& space_;
   Connect connect_;
   bool solved_ = false;
+  std::atomic_flag taken_;
 };
 
 class DriveRun {
@@ -264,14 +286,17 @@ class DriveRun {
   DriveRun(Space& space, Reals start, Reals goals, double cell, bool reverse, int max_nodes)
       : space_(space),
         drive_(checked(space, start, goals), point(start), points(goals), {cell, reverse, 1, max_nodes}) {
-    require(std::isfinite(cell) && cell > 0 && max_nodes > 0, "settings of a lattice");
+    require(in_range(cell, 1e-3, kMaxExtent) && max_nodes > 0, "settings of a lattice");
   }
   void begin(double weight) {
-    require(std::isfinite(weight) && weight >= 1, "weight of the heuristic");
+    require(in_range(weight, 1), "weight of the heuristic");
+    const Turn turn(taken_);
     drive_.begin(weight);
     solved_ = false;
   }
   nb::tuple run(int64_t iterations, double seconds) {
+    require_slice(iterations, seconds);
+    const Turn turn(taken_);
     Slice slice(iterations, seconds);
     {
       nb::gil_scoped_release release;
@@ -284,16 +309,14 @@ class DriveRun {
 
  private:
   static Space& checked(Space& space, const Reals& start, const Reals& goals) {
-    const size_t dim = size_t(space.dim);
-    require(dim >= 3, "x, y and heading are the first joints");
-    require(start.ndim() == 1 && start.size() == dim, "a start is [nq]");
-    require(goals.ndim() == 2 && goals.shape(0) > 0 && goals.shape(1) == dim, "goals are [n > 0, nq]");
-    return space;
+    require(space.dim >= 3, "x, y and heading are the first joints");
+    return with_ends(space, start, goals);
   }
 
   Space& space_;
   Drive drive_;
   bool solved_ = false;
+  std::atomic_flag taken_;
 };
 
 class DescentRun {
@@ -302,6 +325,7 @@ class DescentRun {
       : space_(space), descent_(checked(space, pieces, step), path_in(space, path), pieces, {.step = step}) {}
   // At most so many evaluations; after how many of them there was still something to gain.
   int run(int steps) {
+    const Turn turn(taken_);
     nb::gil_scoped_release release;
     int done = 0;
     while (done < steps && descent_.step()) ++done;
@@ -315,12 +339,15 @@ class DescentRun {
  private:
   static Space& checked(Space& space, int pieces, double step) {
     require(space.has_slopes(), "the space has no slopes");
-    require(pieces >= 1 && step > 0, "settings of a descent");
+    require(pieces >= 1 && pieces <= kMaxPieces, "pieces of a descent");
+    require(in_range(step, kLeastStep) && space.extent() <= step * kMaxSamples, "step of a descent");
     return space;
   }
 
+  static constexpr int kMaxPieces = 10000;
   Space& space_;
   Descent descent_;
+  std::atomic_flag taken_;
 };
 
 class MotionDescentRun {
@@ -329,6 +356,8 @@ class MotionDescentRun {
       : space_(space), descent_(checked(space, settings), path_in(space, path), settings) {}
   // At most so many evaluations or seconds; after how many of them there was still something to gain.
   int run(int steps, double seconds) {
+    require_slice(steps, seconds);
+    const Turn turn(taken_);
     nb::gil_scoped_release release;
     Slice slice(steps, seconds);
     int done = 0;
@@ -340,6 +369,8 @@ class MotionDescentRun {
   double value() const { return descent_.value(); }
   double duration() const { return descent_.duration(); }
   nb::tuple energy(Reals controls) {
+    require_numbers(controls, descent_.unknowns(), "inner controls of the descent", kMaxPosition);
+    const Turn turn(taken_);
     std::vector<Point> rows(1);
     const double value = descent_.energy(point(controls), rows[0]);
     return nb::make_tuple(value, as_array(rows, int(rows[0].size())));
@@ -348,14 +379,21 @@ class MotionDescentRun {
  private:
   static Space& checked(Space& space, const MotionSettings& settings) {
     require(space.has_state_slopes(), "the space has no slopes of states");
-    require(settings.controls >= 4 && settings.controls <= 200 && settings.density >= 1, "settings of a descent");
+    require(settings.controls >= 4 && settings.controls <= 200, "controls of a descent");
+    require(settings.density >= 1 && settings.density <= 1000, "density of a descent");
     require(settings.velocity.size() == size_t(space.dim) && settings.acceleration.size() == size_t(space.dim),
             "limits of the joints");
+    for (const Point& limits : {settings.velocity, settings.acceleration})
+      for (double limit : limits) require(limit > 0 && limit <= kMaxNumber, "limits of the joints");
+    for (double share : {settings.time_price, settings.push, settings.tolerance, settings.points})
+      require(in_range(share, 0), "settings of a descent");
+    for (double share : {settings.tight_start, settings.tight_end}) require(in_range(share, 0), "tight ends");
     return space;
   }
 
   Space& space_;
   MotionDescent descent_;
+  std::atomic_flag taken_;
 };
 
 // The largest speeds at the points of a curve, see timing/speed_profile.hpp.
@@ -367,6 +405,9 @@ Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool,
   require(slope.size() == 2 * n * dim && bend.size() == 2 * n * dim && stop.size() == n + 1 && n > 0 &&
               acceleration.size() == dim,
           "a curve");
+  require_positive(step, n, "steps of a curve");
+  require_numbers(slope, "a curve"), require_numbers(bend, "a curve");
+  require_positive(velocity, dim, "velocity limits"), require_positive(acceleration, dim, "acceleration limits");
   SpeedProfile profile(point(velocity), point(acceleration));
   const std::vector<uint8_t> rests(stop.data(), stop.data() + n + 1);
   double* out;
@@ -380,7 +421,9 @@ Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool,
 
 // The answer of a pendulum, see timing/pendulum.hpp.
 Out<double> swing_along(Reals felt, double dt, double length, double drag) {
-  require(felt.ndim() == 2 && felt.shape(0) > 0 && felt.shape(1) == 3 && dt > 0 && length > 0, "what is felt");
+  require(felt.ndim() == 2 && felt.shape(0) > 0 && felt.shape(1) == 3, "what is felt");
+  require_numbers(felt, "what is felt");
+  require(in_range(dt, 1e-9) && in_range(length, 1e-9) && in_range(drag, 0), "a pendulum");
   double* out;
   auto array = make<double>({felt.shape(0), 3}, out);
   nb::gil_scoped_release release;
@@ -391,6 +434,7 @@ Out<double> swing_along(Reals felt, double dt, double length, double drag) {
 // A spline and its first two derivatives at some parameters: [3, n, dim].
 Out<double> spline(Reals controls, Reals u) {
   require(controls.ndim() == 2 && controls.shape(0) >= 4, "controls are [n >= 4, nq]");
+  require_numbers(controls, "controls");
   const SplineBasis basis(controls.shape(0));
   const size_t n = u.size(), dim = controls.shape(1);
   double* out;
@@ -413,16 +457,27 @@ Out<double> spline(Reals controls, Reals u) {
 class AnytimePlanner {
  public:
   AnytimePlanner(Space& space, Reals start, Reals goals, const AnytimeSettings& settings, uint64_t seed)
-      : space_(space), anytime_(space, point(start), points(goals), settings, seed) {}
+      : space_(with_ends(space, start, goals)), anytime_(space, point(start), points(goals), checked(settings), seed) {}
   bool admits(Reals path) {
     const std::vector<Point> q = path_in(space_, path);
+    const Turn turn(taken_);
     nb::gil_scoped_release release;
     return space_.path_free(q);
   }
-  void adopt(Reals path) { anytime_.adopt(path_in(space_, path)); }
-  void suggest(Reals path) { anytime_.suggest(path_in(space_, path)); }
+  void adopt(Reals path) {
+    const std::vector<Point> q = path_in(space_, path);
+    const Turn turn(taken_);
+    anytime_.adopt(q);
+  }
+  void suggest(Reals path) {
+    const std::vector<Point> q = path_in(space_, path);
+    const Turn turn(taken_);
+    anytime_.suggest(q);
+  }
   double total() const { return anytime_.best().total; }
   nb::tuple run(int64_t iterations, double seconds) {
+    require_slice(iterations, seconds);
+    const Turn turn(taken_);
     Slice slice(iterations, seconds);
     bool improved;
     {
@@ -435,8 +490,15 @@ class AnytimePlanner {
   bool optimal() const { return anytime_.optimal(); }
 
  private:
+  static const AnytimeSettings& checked(const AnytimeSettings& settings) {
+    require(in_range(settings.connect.range, kLeastStep) && settings.connect.max_nodes > 0, "settings of trees");
+    require(in_range(settings.spacing, 1e-4) && settings.challengers >= 0, "settings of a search");
+    return settings;
+  }
+
   Space& space_;
   Anytime anytime_;
+  std::atomic_flag taken_;
 };
 
 }  // namespace
@@ -494,12 +556,14 @@ void bind_search(nb::module_& m) {
           "__init__",
           [](FeltLimit* self, int link, Reals point, Reals facets, Reals room, double gravity,
              std::optional<Reals> axis, double angle, double length, double drag) {
-            require(point.size() == 3 && facets.ndim() == 2 && facets.shape(1) == 3 && gravity > 0, "a felt limit");
-            require(room.ndim() == 1 && room.shape(0) == facets.shape(0), "room for every facet");
+            require(link >= 0 && facets.ndim() == 2 && facets.shape(1) == 3 && in_range(gravity, 1e-9), "a felt limit");
+            require_numbers(point, 3, "point of a felt limit", kMaxExtent), require_numbers(facets, "a felt limit");
+            require_numbers(room, facets.shape(0), "room for every facet");
             const std::vector<double> rooms(room.data(), room.data() + room.size());
             new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, rooms, gravity, {}};
             if (axis) {
-              require(axis->size() == 3 && angle > 0 && length > 0, "a slosh limit");
+              require_numbers(*axis, 3, "axis of a slosh limit");
+              require(in_range(angle, 1e-9) && in_range(length, 1e-9) && in_range(drag, 0), "a slosh limit");
               const double* a = axis->data();
               self->slosh = SloshLimit{{a[0], a[1], a[2]}, angle, {length, drag}};
             }

@@ -57,7 +57,7 @@ class BodyModel {
       : core_(core), entity_(of.entity.data(), of.entity.data() + of.entity.size()) {
     const Tables& t = core.tables();
     const auto& [inertia, drive, row, entity, n_row, n_entity, n_step, constants] = of;
-    require(constants.size() * sizeof(double) == sizeof(BodyConstants), "constants of the body model");
+    require_numbers(constants, sizeof(BodyConstants) / sizeof(double), "constants of the body model");
     std::copy(constants.data(), constants.data() + constants.size(), &tables_.constants.brake_time);
     for (size_t g = 0; g < 2 * kGenerators; ++g) require((&tables_.constants.spread[0][0])[g] > 0, "spread");
     require(n_row >= 1 && n_row <= 2 && n_entity >= 0 && n_entity <= kMaxEntities, "rows and entities");
@@ -86,8 +86,8 @@ class BodyModel {
   size_t modes() const { return 2 * drive_.size() + 2; }
 
   void check(const Reals& weight, const Reals& severity) const {
-    require(weight.size() == modes() * size_t(tables_.n_row), "weight is not [mode, row]");
-    require(severity.size() == size_t(tables_.n_row) * size_t(tables_.n_entity), "severity is not [row, entity]");
+    require_numbers(weight, modes() * size_t(tables_.n_row), "weight is not [mode, row]");
+    require_numbers(severity, size_t(tables_.n_row) * size_t(tables_.n_entity), "severity is not [row, entity]");
   }
 
   // Least distances of each way to fail. ahead: configurations after 1, 2, .. steps, or None where only the velocity is
@@ -101,6 +101,7 @@ class BodyModel {
       require(ahead->ndim() == 3 && ahead->shape(0) == q.shape(0) && ahead->shape(2) == q.shape(1) &&
                   ahead->shape(1) <= kMaxSteps,
               "ahead is not [n, step, nq]");
+      require_numbers(*ahead, "ahead", kMaxPosition);
       tables.n_reference = int(ahead->shape(1));
     }
     const double* known = ahead ? ahead->data() : nullptr;
@@ -142,7 +143,7 @@ class BodyModel {
 
  private:
   void add_inertia(const Reals& rows) {
-    require(rows.size() % 13 == 0 && rows.size() / 13 == size_t(core_.tables().n_joint) + 1, "inertia of frames");
+    require_numbers(rows, 13 * (size_t(core_.tables().n_joint) + 1), "inertia of frames");
     for (size_t l = 0; l < rows.size() / 13; ++l) {
       const double* row = rows.data() + 13 * l;
       Inertia rigid{};
@@ -155,11 +156,11 @@ class BodyModel {
   }
   void add_drives(const Reals& rows) {
     const Tables& t = core_.tables();
-    require(rows.size() == 7 * size_t(t.n_joint), "drives");
+    require_numbers(rows, 7 * size_t(t.n_joint), "drives");
     for (int j = 0; j < t.n_joint; ++j) {
       const double* row = rows.data() + 7 * j;
       JointDrive drive{-1, row[0], row[1], row[2], row[3], row[4], row[5], row[6]};
-      for (int l = 0; l <= t.n_joint; ++l)
+      for (int l = 0; l <= t.n_joint && l < t.n_link; ++l)
         if (t.link[l].joint == j) drive.link = l;
       require(drive.link >= 0 && drive.lower <= drive.upper && drive.speed > 0, "drive");
       drive_.push_back(drive), speed_.push_back(drive.speed);

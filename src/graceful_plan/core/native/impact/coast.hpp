@@ -33,10 +33,12 @@ class CoastModel {
 
   CoastModel(const Core& core, const CoastArrays& of) : core_(core), n_entity_(size_t(of.n_entity)) {
     require(core.tables().n_joint >= 3, "joints of a base");
-    require(of.n_entity >= 0, "number of entities");
+    require(of.n_entity >= 0 && of.n_entity <= kMaxEntities, "number of entities");
+    require_numbers(of.disc, "discs of a base", kMaxExtent);
+    require_numbers(of.shape, 7 * of.entity.size(), "shapes around a base", 2 * kMaxExtent);
+    require_numbers(of.stops, "ways to come to rest"), require_numbers(of.constants, 4, "constants of a base");
     require(of.disc.size() > 0 && of.disc.size() % 3 == 0, "discs of a base");
-    require(of.shape.size() == 7 * of.entity.size(), "shapes around a base");
-    require(of.stops.size() > 0 && of.stops.size() % 5 == 0 && of.constants.size() == 4, "constants of a base");
+    require(of.stops.size() > 0 && of.stops.size() % 5 == 0, "ways to come to rest");
     for (size_t k = 0; k < of.disc.size(); k += 3) {
       const double* d = of.disc.data() + k;
       require(d[2] > 0, "radius of a disc");
@@ -192,9 +194,8 @@ class CoastImpact final : public Impact {
   CoastImpact(const CoastModel& model, Reals severity, Reals speed, double slow, double fast)
       : Impact(model.core(), severity), model_(model), speed_(point(speed)), pace_{slow, fast} {
     require(severity_.size() == model.n_entity(), "severity of each entity");
-    require(speed_.size() == size_t(core_.tables().n_joint), "speed of each joint");
+    require_positive(speed, size_t(core_.tables().n_joint), "speed of each joint");
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
-    for (double v : speed_) require(v > 0, "speed");
   }
   void states(const double*, size_t n, double* impact) const override { std::fill_n(impact, n, 0.0); }  // at rest
   void moving_states(const States& states, double* impact) const override {

@@ -93,8 +93,11 @@ class Impact {
          by_q1 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q1);
     const Edges all = core_.edges(q0, q1, step);
     {
+      const size_t nq = q0.shape(1);
       nb::gil_scoped_release release;
-      edge_gradients(all, Sampling::kExact, out);
+      in_parts(all, [&](const Edges& part, size_t first) {
+        edge_gradients(part, Sampling::kExact, {out.cost + 2 * first, out.d_q0 + first * nq, out.d_q1 + first * nq});
+      });
     }
     return nb::make_tuple(costs, by_q0, by_q1);
   }
@@ -103,7 +106,7 @@ class Impact {
     auto array = make<double>({core_.rows(q0), 2}, out);
     const Edges all = core_.edges(q0, q1, step);
     nb::gil_scoped_release release;
-    edges(all, out);
+    in_parts(all, [&](const Edges& part, size_t first) { edges(part, out + 2 * first); });
     return array;
   }
 
@@ -111,10 +114,33 @@ class Impact {
   static constexpr double kNudge = 1e-4;  // of a difference [rad or rad/s]
 
   explicit Impact(const Core& core) : core_(core) {}
-  Impact(const Core& core, const Reals& severity) : core_(core), severity_(point(severity)) {}
+  Impact(const Core& core, const Reals& severity) : core_(core), severity_(point(severity)) {
+    require_numbers(severity, "severity");
+    for (double s : severity_) require(s >= 0, "severity");
+  }
 
   const Core& core_;
   const Point severity_;
+
+ private:
+  static constexpr double kPart = 65536;  // samples that are kept at a time, unless one edge has more
+
+  // Calls visit(edges, first) for parts of edges: what is kept of samples does not grow with the number of edges.
+  template <class Visit> void in_parts(const Edges& all, Visit visit) const {
+    const size_t nq = size_t(core_.tables().n_joint);
+    for (size_t first = 0, end = 0; first < all.n; first = end) {
+      double samples = 0;
+      for (; end < all.n && (end == first || samples < kPart); ++end) {
+        double d2 = 0;
+        for (size_t j = 0; j < nq; ++j) {
+          const double d = all.q1[end * nq + j] - all.q0[end * nq + j];
+          d2 += d * d;
+        }
+        samples += std::sqrt(d2) / all.step + double(core_.lanes());
+      }
+      visit({all.q0 + first * nq, all.q1 + first * nq, end - first, all.step}, first);
+    }
+  }
 };
 
 // Algorithm 1; severity is [component, entity].
@@ -168,13 +194,14 @@ class DropModel {
       : core_(core),
         level_start_(of.level_start.data(), of.level_start.data() + of.level_start.size()),
         speed_(point(of.speed)) {
-    require(of.centre.size() == 3 && speed_.size() == size_t(core.tables().n_joint), "sizes of the drop model");
-    require(of.constants.size() * sizeof(double) == sizeof(DropConstants), "constants of the drop model");
+    require_numbers(of.centre, 3, "centre of the drop model", kMaxExtent);
+    require_positive(of.speed, size_t(core.tables().n_joint), "speed of each joint");
+    require_numbers(of.constants, sizeof(DropConstants) / sizeof(double), "constants of the drop model");
+    require(in_range(of.size, 0, kMaxExtent), "size of what is carried");
     std::copy(of.constants.data(), of.constants.data() + of.constants.size(), &tables_.constants.delay);
     std::copy(of.centre.data(), of.centre.data() + 3, tables_.centre);
     tables_.link = of.link, tables_.frame = core.frame(of.link), tables_.main = of.main, tables_.size = of.size;
     tables_.n_entity = of.n_entity;
-    for (double v : speed_) require(v > 0, "speed");
     require(of.n_entity >= 0 && of.n_entity <= kMaxEntities, "number of entities");
     add_parts(of.part_shape, of.part_offset, of.part_rotation, of.part_half);
     require(of.main >= 0 && size_t(of.main) < part_.size(), "main part");
@@ -190,9 +217,9 @@ class DropModel {
   // container: mouth (3), axis (3), rim, depth, full, radius, power, repose; constants: dropped, held
   void add_contents(Reals container, Integers stands, Reals visible, Reals constants) {
     const size_t n = surface_.size();
-    require(spill_.empty() && container.size() == 12 && stands.size() == 2 * n && visible.size() == n,
-            "tables of the spill model");
-    require(constants.size() * sizeof(double) == sizeof(tables_.spill.use), "constants of the spill model");
+    require(!tables_.spill.surface && spill_.empty() && stands.size() == 2 * n, "tables of the spill model");
+    require_numbers(container, 12, "container"), require_numbers(visible, n, "what is visible of surfaces");
+    require_numbers(constants, sizeof(tables_.spill.use) / sizeof(double), "constants of the spill model");
     const double* c = container.data();
     SpillTables& spill = tables_.spill;
     std::copy(c, c + 3, spill.mouth), std::copy(c + 3, c + 6, spill.axis);
@@ -214,22 +241,20 @@ class DropModel {
   // those of the spill model
   void add_stop(Reals deceleration, Reals constants, Reals places) {
     const size_t nq = size_t(core_.tables().n_joint);
-    require(deceleration.size() == nq && constants.size() == 3 && places.size() == std::size(kSpillConstants),
-            "tables of stops");
+    require_positive(deceleration, nq, "deceleration of a joint");
+    require_numbers(constants, 3, "constants of stops");
+    require_numbers(places, std::size(kSpillConstants), "places of stops");
     StopTables& stop = tables_.stop;
     std::copy_n(places.data(), places.size(), &stop.places.position_spread);
     stop.amplification = constants.data()[0], stop.response = constants.data()[1], stop.spread = constants.data()[2];
     require(stop.amplification >= 0 && stop.response > 0 && stop.spread > 0, "constants of stops");
-    for (size_t j = 0; j < nq; ++j) {
-      require(deceleration.data()[j] > 0, "deceleration of a joint");
-      stop.slowness[j] = 1.0 / deceleration.data()[j];
-    }
+    for (size_t j = 0; j < nq; ++j) stop.slowness[j] = 1.0 / deceleration.data()[j];
   }
 
   // strength: of each surface; loss: sharpness, shifts (2), weights (2)
   void add_loss(Reals strength, Reals loss) {
-    require(strength.size() == surface_.size() && loss.size() * sizeof(double) == sizeof(LossTables),
-            "tables of the loss of what is carried");
+    require_numbers(strength, surface_.size(), "strength of surfaces");
+    require_numbers(loss, sizeof(LossTables) / sizeof(double), "tables of the loss of what is carried");
     for (size_t k = 0; k < surface_.size(); ++k) surface_[k].strength = strength.data()[k];
     std::copy(loss.data(), loss.data() + loss.size(), &tables_.loss.sharpness);
     require(tables_.loss.sharpness > 0, "sharpness of damage");
@@ -250,7 +275,7 @@ class DropModel {
   auto impact(Reals severity, Reals q, Reals qd) const {
     double* out;
     auto array = make<double>({core_.rows(q)}, out);
-    require(severity.size() == size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
+    require_numbers(severity, size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
     core_.kernels().drop_impact(core_.tables(), tables_, severity.data(), states, out);
@@ -262,7 +287,7 @@ class DropModel {
     auto values = make<double>({core_.rows(q)}, out.value);
     auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
          by_qd = make<double>({q.shape(0), q.shape(1)}, out.d_qd);
-    require(severity.size() == size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
+    require_numbers(severity, size_t(kDropRows * tables_.n_entity + 1), kDropSeverities);
     const States states = core_.states(q, qd);
     {
       nb::gil_scoped_release release;
@@ -276,7 +301,9 @@ class DropModel {
   void add_parts(const Integers& shape, const Reals& offset, const Reals& rotation, const Reals& half) {
     const size_t n = shape.size();
     require(n >= 1 && n <= size_t(kMaxDropParts), "number of carried parts");
-    require(offset.size() == 3 * n && rotation.size() == 9 * n && half.size() == 3 * n, "carried parts");
+    require_numbers(offset, 3 * n, "offsets of carried parts", kMaxExtent);
+    require_numbers(rotation, 9 * n, "rotations of carried parts", kMaxExtent);
+    require_numbers(half, 3 * n, "half sizes of carried parts", kMaxExtent);
     for (size_t p = 0; p < n; ++p) {
       DropPart part{};
       part.shape = shape.data()[p];
@@ -293,7 +320,8 @@ class DropModel {
   }
   void add_surfaces(const Integers& entity, const Reals& target) {
     const size_t n = entity.size();
-    require(n <= size_t(kMaxSurfaces) && target.size() == 11 * n, "number of surfaces");
+    require(n <= size_t(kMaxSurfaces), "number of surfaces");
+    require_numbers(target, 11 * n, "surfaces", 2 * kMaxExtent);
     for (size_t k = 0; k < n; ++k) {
       const double* t = target.data() + 11 * k;
       Surface s{};
@@ -425,8 +453,7 @@ class SumImpact final : public Impact {
 class TimedImpact final : public Impact {
  public:
   TimedImpact(const Impact& model, const Reals& speed) : Impact(model.core()), model_(model), speed_(point(speed)) {
-    require(speed_.size() == size_t(core_.tables().n_joint), "speed");
-    for (double v : speed_) require(v > 0, "speed");
+    require_positive(speed, size_t(core_.tables().n_joint), "speed");
   }
   Measure measure() const override { return Measure::kTime; }
   void states(const double* q, size_t n, double* impact) const override { model_.states(q, n, impact); }

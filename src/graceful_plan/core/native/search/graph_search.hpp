@@ -9,9 +9,7 @@ namespace gp {
 
 class GraphSearch {
  public:
-  GraphSearch(int n, Integers tail, Integers head) : graph_(n, nodes(tail, n), nodes(head, n)) {
-    require(n >= 0 && tail.size() == head.size(), "edges");
-  }
+  GraphSearch(int n, Integers tail, Integers head) : graph_(checked(n, tail, head), nodes(tail, n), nodes(head, n)) {}
 
   // Ids of the edges along the path, and its cost, infinite if there is none.
   nb::tuple cheapest(Reals cost, int start, Integers goals) const {
@@ -48,6 +46,13 @@ class GraphSearch {
   }
 
  private:
+  static constexpr int kMaxNodes = 1 << 26;
+
+  static int checked(int n, const Integers& tail, const Integers& head) {
+    require(n >= 0 && n <= kMaxNodes, "number of nodes");
+    require(tail.size() == head.size() && tail.size() <= size_t(std::numeric_limits<int>::max()), "edges");
+    return n;
+  }
   static std::vector<int> nodes(const Integers& of, int n) {
     for (size_t i = 0; i < of.size(); ++i) require(of.data()[i] >= 0 && of.data()[i] < n, "node of an edge");
     return {of.data(), of.data() + of.size()};

@@ -106,6 +106,7 @@ class MotionDescent {
     points.push_back(last_);
     return points;
   }
+  size_t unknowns() const { return x_.size(); }
   // What falls, at other inner control points, and its derivatives with respect to them; for tests.
   double energy(const Point& controls, Point& gradient) { return evaluate(controls, gradient).energy; }
 

@@ -56,7 +56,10 @@ struct Space {
 
   Space(Point low, Point high, double weight)
       : dim(int(low.size())), w(weight), lower(std::move(low)), upper(std::move(high)) {
-    if (lower.size() != upper.size()) throw std::invalid_argument("limits of different lengths");
+    bool ordered = dim > 0 && lower.size() == upper.size() && std::isfinite(w) && w >= 0;
+    for (size_t j = 0; ordered && j < lower.size(); ++j)
+      ordered = std::isfinite(lower[j]) && std::isfinite(upper[j]) && lower[j] <= upper[j];
+    if (!ordered) throw std::invalid_argument("limits and weight of a space are numbers, lower ones first");
   }
   virtual ~Space() = default;
   virtual bool edge_free(const double* a, const double* b) = 0;

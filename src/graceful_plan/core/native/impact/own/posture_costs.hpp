@@ -11,8 +11,8 @@ class JointCost final : public StateCost {
  public:
   JointCost(const Core& core, const Reals& centre, const Reals& scale)
       : StateCost(core), centre_(point(centre)), scale_(point(scale)) {
-    require(centre_.size() == joints() && scale_.size() == joints(), "centre and scale of each joint");
-    for (double s : scale_) require(s > 0, "scale");
+    require_numbers(centre, joints(), "centre of each joint");
+    require_positive(scale, joints(), "scale of each joint");
   }
 
  protected:
@@ -38,8 +38,8 @@ class EnergyCost final : public StateCost {
   // `inertia`: per frame mass, centre (3), inertia about it (9), as of the body model.
   EnergyCost(const Core& core, const Reals& inertia, const Reals& limit) : StateCost(core), limit_(point(limit)) {
     const Tables& t = core.tables();
-    require(limit_.size() == joints() && inertia.size() == 13 * (joints() + 1), "inertia of frames, limits of joints");
-    for (double l : limit_) require(l > 0, "limit");
+    require_positive(limit, joints(), "limits of joints");
+    require_numbers(inertia, 13 * (joints() + 1), "inertia of frames");
     for (size_t f = 0; f <= joints(); ++f) {
       const double* row = inertia.data() + 13 * f;
       Inertia rigid{};
@@ -108,8 +108,9 @@ class PoseCost final : public StateCost {
         per_distance_(1 / (distance * distance)),
         per_angle_(1 / (angle * angle)) {
     require(link_ >= 0 && link_ < core.tables().n_link, "link");
-    require(tool_.size() == 3 && position_.size() == 3 && turn_.size() == 9, "pose");
-    require(distance > 0 && angle > 0, "units");
+    require_numbers(wanted.tool, 3, "tool", kMaxExtent), require_numbers(wanted.position, 3, "position", kMaxExtent);
+    require_numbers(wanted.turn, 9, "turn"), require(in_range(full_, -kMaxNumber), "turn");
+    require(distance >= 1 / kMaxNumber && angle >= 1 / kMaxNumber, "units");
   }
 
  protected:
@@ -153,8 +154,9 @@ class ManipulabilityCost final : public StateCost {
   // `chain`: the joints from the base to the tool, in this order.
   ManipulabilityCost(const Core& core, int link, Reals tool, const Integers& chain, double least)
       : StateCost(core), link_(link), tool_(point(tool)), least_(least) {
-    require(link >= 0 && link < core.tables().n_link && tool_.size() == 3, "tool");
-    require(least > 0, "least");
+    require(link >= 0 && link < core.tables().n_link, "tool");
+    require_numbers(tool, 3, "tool", kMaxExtent);
+    require(in_range(least, 1 / kMaxNumber), "least");
     for (size_t i = 0; i < chain.size(); ++i) {
       require(chain.data()[i] >= 0 && size_t(chain.data()[i]) < joints(), "chain");
       chain_.push_back(size_t(chain.data()[i]));

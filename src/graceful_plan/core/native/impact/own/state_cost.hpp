@@ -31,7 +31,8 @@ class StateCost : public Impact {
     std::vector<size_t> pieces(of.n);
     for (size_t e = 0; e < of.n; ++e) {
       const double *a = of.q0 + e * nq, *b = of.q1 + e * nq;
-      length[e] = exposure(a, b), pieces[e] = std::max<size_t>(1, size_t(std::ceil(length[e] / of.step)));
+      length[e] = exposure(a, b);
+      pieces[e] = std::max<size_t>(1, size_t(std::ceil(std::min(length[e] / of.step, kMaxSamples))));
       for (size_t k = 0; k <= pieces[e]; ++k)
         for (size_t j = 0; j < nq; ++j) samples.push_back(a[j] + (b[j] - a[j]) * double(k) / double(pieces[e]));
     }
@@ -66,7 +67,7 @@ class ClearanceCost final : public StateCost {
   ClearanceCost(const Core& core, const Core& seen, double distance)
       : StateCost(core), seen_(seen), distance_(distance) {
     require(seen.tables().n_joint == core.tables().n_joint, "another robot");
-    require(distance > 0, "distance");
+    require(in_range(distance, 1e-9, kMaxExtent), "distance");
   }
 
  protected:
@@ -88,7 +89,7 @@ class ClearanceCost final : public StateCost {
 class ScaledImpact final : public Impact {
  public:
   ScaledImpact(const Impact& model, double factor) : Impact(model.core()), model_(model), factor_(factor) {
-    require(factor >= 0, "factor");
+    require(in_range(factor, 0), "factor");
   }
   void states(const double* q, size_t n, double* impact) const override {
     model_.states(q, n, impact), scale(impact, n);

@@ -1,0 +1,74 @@
+// What Python hands over is checked at the door, before anything is built of it: a wrong width or a number that is none
+// would be read past its end or go through every comparison. All of it raises ValueError.
+#pragma once
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <atomic>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+namespace nb = nanobind;
+
+namespace gp {
+
+using Reals = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Integers = nb::ndarray<const int32_t, nb::c_contig, nb::device::cpu>;
+using Bits = nb::ndarray<const uint64_t, nb::c_contig, nb::device::cpu>;
+template <class T> using Out = nb::ndarray<nb::numpy, T, nb::c_contig>;
+
+constexpr double kMaxPosition = 1000;  // of a joint [rad or m]; single precision says little beyond
+constexpr double kMaxExtent = 1e4;     // of places and sizes [m]: single precision is good to half a millimetre there
+constexpr double kMaxNumber = 1e15;    // of anything else: products of some of them are finite
+constexpr double kMaxSamples = 1e6;    // configurations that one edge may be cut into
+constexpr double kLeastStep = 1e-6;    // between configurations of an edge [rad]
+
+inline void require(bool ok, const char* what) {
+  if (!ok) throw std::invalid_argument(std::string("bad table: ") + what);
+}
+
+// So many numbers of at most this size, each of them a number.
+inline void require_numbers(const double* values, size_t n, const char* what, double most = kMaxNumber) {
+  bool ok = true;
+  for (size_t i = 0; i < n; ++i) ok &= std::fabs(values[i]) <= most;
+  require(ok, what);
+}
+inline void require_numbers(const Reals& values, const char* what, double most = kMaxNumber) {
+  require_numbers(values.data(), values.size(), what, most);
+}
+inline void require_numbers(const Reals& values, size_t size, const char* what, double most = kMaxNumber) {
+  require(values.size() == size, what);
+  require_numbers(values, what, most);
+}
+inline void require_positive(const Reals& values, size_t size, const char* what) {
+  require_numbers(values, size, what);
+  for (size_t i = 0; i < size; ++i) require(values.data()[i] > 0, what);
+}
+inline void require_within(const Integers& values, int low, int end, const char* what) {
+  for (size_t i = 0; i < values.size(); ++i) require(values.data()[i] >= low && values.data()[i] < end, what);
+}
+// Configurations row by row.
+inline void require_rows(const Reals& q, int width, const char* what, double most = kMaxPosition) {
+  require(q.ndim() == 2 && q.shape(1) == size_t(width), what);
+  require_numbers(q, what, most);
+}
+inline bool in_range(double value, double low, double high = kMaxNumber) { return value >= low && value <= high; }
+inline void require_slice(int64_t iterations, double seconds) {
+  require(iterations >= 0 && seconds >= 0, "iterations and seconds are numbers of at least 0");
+}
+
+// Held while a search runs without the GIL: a second thread is refused, not let into the same trees.
+class Turn {
+ public:
+  explicit Turn(std::atomic_flag& taken) : taken_(taken) {
+    if (taken_.test_and_set()) throw std::runtime_error("this search already runs in another thread");
+  }
+  ~Turn() { taken_.clear(); }
+  Turn(const Turn&) = delete;
+
+ private:
+  std::atomic_flag& taken_;
+};
+
+}  // namespace gp
