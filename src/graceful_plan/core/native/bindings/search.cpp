@@ -284,8 +284,8 @@ class ConnectPlanner {
 class DriveRun {
  public:
   DriveRun(Space& space, Reals start, Reals goals, double cell, bool reverse, int max_nodes)
-      : space_(space),
-        drive_(checked(space, start, goals), point(start), points(goals), {cell, reverse, 1, max_nodes}) {
+      : space_(checked(space, start, goals)),
+        drive_(space, point(start), points(goals), {cell, reverse, 1, max_nodes}) {
     require(in_range(cell, 1e-3, kMaxExtent) && max_nodes > 0, "settings of a lattice");
   }
   void begin(double weight) {
@@ -401,6 +401,7 @@ Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool,
                     Reals velocity, Reals acceleration, const std::optional<Reals>& limit) {
   const size_t n = step.size(), dim = velocity.size();
   require(!limit || (limit->ndim() == 3 && limit->shape(0) == n && limit->shape(2) == 3), "limits are [n, m, 3]");
+  for (size_t i = 0; limit && i < limit->size(); ++i) require(!std::isnan(limit->data()[i]), "limits are numbers");
   const size_t further = limit ? limit->shape(1) : 0;
   require(slope.size() == 2 * n * dim && bend.size() == 2 * n * dim && stop.size() == n + 1 && n > 0 &&
               acceleration.size() == dim,
