@@ -303,7 +303,9 @@ def broken_array(value: np.ndarray, rng: random.Random) -> Any:
     if kind == 6:
         return out.reshape(-1) if rng.random() < 0.5 else out[None]
     if kind == 7:
-        return rng.choice([out[..., :-1].copy() if out.ndim else out, np.zeros((0,), out.dtype), np.zeros((), out.dtype)])
+        return rng.choice(
+            [out[..., :-1].copy() if out.ndim else out, np.zeros((0,), out.dtype), np.zeros((), out.dtype)]
+        )
     return rng.choice([out.astype(np.float32), out.astype(object), out.tolist(), None])
 
 
@@ -316,7 +318,9 @@ def poisoned(value: Any, infinite: bool) -> bool:
     return bool(np.isnan(array).any() or (not infinite and np.isinf(array).any())) and value is not None
 
 
-def attack(call: Call, rng: random.Random, pool: dict[str, list[Any]], seen: Counter[str], *, trace: bool) -> str | None:
+def attack(
+    call: Call, rng: random.Random, pool: dict[str, list[Any]], seen: Counter[str], *, trace: bool
+) -> str | None:
     """Break one call; return what is wrong with how it was taken."""
     arguments = dict(call.arguments)
     names = [n for n, x in arguments.items() if not callable(x) or id(x) in WIDTHS]

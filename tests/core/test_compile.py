@@ -119,19 +119,24 @@ def test_fingers_that_never_move_apart_do_not_block_everything():
     assert result.status is gp.PlanStatus.SOLVED, result.detail
 
 
-def door(size: float) -> gp.Scene:
+def door(size: float, more: str = "") -> gp.Scene:
     text = f"""<mujoco><compiler angle="radian" autolimits="true"/>
     <custom><numeric name="r/velocity_limit" data="1"/><numeric name="r/acceleration_limit" data="1"/></custom>
     <worldbody><geom name="wall" type="box" size="0.1 0.1 0.1" pos="9 0 0"/>
       <body name="r/a" pos="0 0 1"><joint name="j" range="-1 1"/>
-        <geom name="door" type="box" size="{size} 0.02 {size}"/><site name="t"/></body>
+        <geom name="door" type="box" size="{size} 0.02 {size}"/>{more}<site name="t"/></body>
     </worldbody></mujoco>"""
     return gp.Scene.from_mjcf(text, robot="r/", tool="t")
 
 
 def test_a_robot_too_large_for_the_kernels_is_refused_by_name():
     with pytest.raises(UnsupportedError, match=r"spheres, the kernels hold .*'door'"):
-        compile_scene(door(5.0))
+        compile_scene(door(5.0, "".join(f'<geom type="sphere" size="0.01" pos="{9 + k} 0 0"/>' for k in range(1500))))
+
+
+def test_a_robot_that_is_large_gets_large_spheres():
+    robot = compile_scene(door(50.0)).robot
+    assert len(robot.sphere) <= CAPACITY["spheres"] and 0.1 < robot.protrusion < 3.0
 
 
 def test_spheres_stick_out_farther_where_there_would_be_too_many():

@@ -30,6 +30,15 @@ def _in_cylinder(radius, half, rng, n=600):
     return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], axis=1)
 
 
+@pytest.mark.parametrize("half", [(0.3, 0.3, 0.3), (50.0, 50.0, 50.0), (500.0, 0.05, 0.05), (2.0, 2.0, 0.01)])
+def test_large_boxes_get_large_spheres_and_not_many(half):
+    protrusion = sphere_cover.roomy(half)
+    cover = sphere_cover.box_cover(half, protrusion)
+    assert protrusion > sphere_cover.MAX_PROTRUSION and len(cover[1]) < 1.5 * sphere_cover.MANY
+    assert _uncovered(_in_box(np.array(half), np.random.default_rng(0)), cover) <= _COVERED * max(half)
+    assert sphere_cover.roomy((0.15, 0.15, 0.15)) == sphere_cover.MAX_PROTRUSION
+
+
 @given(st.tuples(sizes, sizes, sizes), st.integers(0, 99))
 @settings(max_examples=8, deadline=None)
 def test_box_is_covered_and_barely_exceeded(half, seed):

@@ -272,6 +272,61 @@ def test_what_takes_more_memory_than_there_is_says_so() -> None:
     assert isinstance(caught.value, GracefulPlanError) and isinstance(caught.value, MemoryError)
 
 
+def _png(width: int, height: int) -> bytes:
+    return b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x02"
+
+
+_TOO_MUCH = {  # what there is too much of, by many small things: words of the message, content, file
+    "height fields": (
+        "cells of height fields",
+        '<asset><hfield name="h{}" nrow="4096" ncol="4096" size="1 1 1 1"/></asset>',
+    ),
+    "cube textures": ("pixels of textures", '<asset><texture name="t{}" builtin="flat" width="4096"/></asset>'),
+    "numerics": ("numbers in <numeric>", '<custom><numeric name="n{}" size="4096"/></custom>'),
+    "users' own": (
+        "numbers of users' own",
+        '<size nuser_body="4096" nuser_geom="4096" nuser_jnt="4096" nuser_site="{}"/>',
+    ),
+}
+
+
+@pytest.mark.parametrize("attack", _TOO_MUCH)
+def test_budgets_are_for_all_elements_together(tmp_path: Path, attack: str) -> None:
+    words, one = _TOO_MUCH[attack]
+    body = "".join(one.format(4096 + k if attack == "users' own" else k) for k in range(300))
+    assert words in str(_refusal(_write(tmp_path, "world.xml", f"<mujoco>{body}</mujoco>".replace("4097", "4096"))))
+
+
+def test_files_are_weighed_by_their_headers(tmp_path: Path) -> None:
+    """20,000 x 20,000 pixels in a file of 26 bytes, and a mesh of a million vertices, before anything decodes them."""
+    (tmp_path / "huge.png").write_bytes(_png(20_000, 20_000))
+    textured = _write(
+        tmp_path, "t.xml", '<mujoco><asset><texture name="t" type="2d" file="huge.png"/></asset></mujoco>'
+    )
+    assert "with 'huge.png' there are more than 67108864 pixels" in str(_refusal(textured))
+    hills = _write(
+        tmp_path, "h.xml", '<mujoco><asset><hfield name="h" file="huge.png" size="1 1 1 1"/></asset></mujoco>'
+    )
+    assert "cells of height fields" in str(_refusal(hills))
+    (tmp_path / "fine.obj").write_bytes(b"\nv 0 0 0" * 2_000_001)
+    mesh = _write(tmp_path, "m.xml", '<mujoco><asset><mesh name="m" file="fine.obj"/></asset></mujoco>')
+    assert "vertices and faces of meshes" in str(_refusal(mesh))
+
+
+@pytest.mark.parametrize(
+    "tag", ['<include file="file:///etc/passwd"/>', '<asset><mesh name="m" file="http://a/b"/></asset>']
+)
+def test_addresses_are_refused(tmp_path: Path, tag: str) -> None:
+    assert "no addresses" in str(_refusal(_write(tmp_path, "world.xml", f"<mujoco>{tag}</mujoco>")))
+
+
+def test_what_is_kilometres_away_is_refused() -> None:
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>")
+    model.geom_size[0, 0] = 1e5
+    with pytest.raises(SceneError, match=r"geom_size of '#0' is 100000 m; single precision takes 10000 m"):
+        check_numbers(model)
+
+
 def test_numbers_that_only_the_compiled_model_shows() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body name='cup'>{_BOX}</body></worldbody></mujoco>")
     check_numbers(model)

@@ -122,15 +122,16 @@ def _mesh_bytes(model: mujoco.MjModel, mesh: int) -> bytes:
 def _group_cover(
     model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], *, base: bool, protrusion: float
 ) -> GroupCover:
-    covers = [_geom_cover(model, geom, protrusion) for geom in geoms]
+    reach = [_roomy(model, geom, protrusion) for geom in geoms]
+    covers = [_geom_cover(model, geom, far) for geom, far in zip(geoms, reach, strict=True)]
     if base and sum(len(radii) for _, radii in covers) > _MANY:
-        covers = [_geom_cover(model, geom, max(BASE_PROTRUSION, protrusion)) for geom in geoms]
+        covers = [_geom_cover(model, g, max(BASE_PROTRUSION, far)) for g, far in zip(geoms, reach, strict=True)]
     centres, radii, sticks_out = [], [], 0.0
-    for geom, X, (c, r) in zip(geoms, X_LG, covers, strict=True):
+    for geom, X, (c, r), far in zip(geoms, X_LG, covers, reach, strict=True):
         centres.append(c @ X[:3, :3].T + X[:3, 3])
         radii.append(r)
         if not base and model.geom_type[geom] != _GEOM.mjGEOM_SPHERE:
-            sticks_out = protrusion
+            sticks_out = max(sticks_out, far)
     all_centres, all_radii = np.concatenate(centres), np.concatenate(radii)
     if len(all_radii) <= CAPACITY["spheres"]:  # more will be refused; no need to compare them all
         keep = _not_inside_others(all_centres, all_radii)
@@ -147,6 +148,12 @@ def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " 
     earlier = np.arange(len(radii))
     twins = contains & contains.T & (earlier[:, None] <= earlier[None])  # of two equal ones the first stays
     return ~np.any(contains & ~twins & ~np.eye(len(radii), dtype=bool), axis=1)
+
+
+def _roomy(model: mujoco.MjModel, geom: int, protrusion: float) -> float:
+    """Return how far the spheres of a geom may stick out: farther if it is large [m]."""
+    a, b, c = (float(x) for x in model.geom_aabb[geom, 3:])
+    return sphere_cover.roomy((a, b, c), protrusion)
 
 
 def _geom_cover(

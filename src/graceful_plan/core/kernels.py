@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.core import _native
 from graceful_plan.core.arrays import BoundArrays, HazardArrays, RobotArrays, WorldArrays
-from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError, UnsupportedError
 from graceful_plan.path import finite_array
 
 Array = np.ndarray
@@ -72,40 +72,43 @@ class Kernels:
         self.robot, self.world, self.hazards = robot, world, hazards
         bounds = BoundArrays.none(len(world.kind)) if bounds is None else bounds
         self.nq = len(robot.lower)
-        self.core = _native.Core(
-            parent=_integers(robot.parent),
-            joint=_integers(robot.joint),
-            slide=_integers(robot.slide),
-            X_PL=_reals(robot.X_PL),
-            n_joint=self.nq,
-            sphere_link=_integers(robot.sphere_link),
-            sphere=_reals(robot.sphere),
-            bound=_reals(robot.bound),
-            self_pair=_integers(robot.self_pair),
-            self_slack=_reals(robot.self_slack),
-            obstacle_kind=_integers(world.kind),
-            obstacle_pose=_reals(world.pose),
-            obstacle_size=_reals(world.size),
-            obstacle_bound=_reals(world.bound),
-            ignores=np.ascontiguousarray(world.ignores, dtype=np.uint64),
-            hull_start=_integers(world.hull_start),
-            triangles=_reals(world.triangles),
-            part_component=_integers(hazards.part_component),
-            part_link=_integers(hazards.part_link),
-            part_box=_reals(hazards.part_box),
-            target_entity=_integers(hazards.target_entity),
-            target_box=_reals(hazards.target_box),
-            n_component=hazards.severity.shape[0],
-            n_entity=hazards.severity.shape[1],
-            tool_link=robot.tool_link,
-            tool_position=_reals(robot.X_LT[:3, 3]),
-            keep=_reals(bounds.keep),
-            cone_link=_integers(bounds.cone_link),
-            cone=_reals(bounds.cone),
-            room_link=_integers(bounds.room_link),
-            room=_reals(bounds.room),
-            isa=isa,
-        )
+        try:
+            self.core = _native.Core(
+                parent=_integers(robot.parent),
+                joint=_integers(robot.joint),
+                slide=_integers(robot.slide),
+                X_PL=_reals(robot.X_PL),
+                n_joint=self.nq,
+                sphere_link=_integers(robot.sphere_link),
+                sphere=_reals(robot.sphere),
+                bound=_reals(robot.bound),
+                self_pair=_integers(robot.self_pair),
+                self_slack=_reals(robot.self_slack),
+                obstacle_kind=_integers(world.kind),
+                obstacle_pose=_reals(world.pose),
+                obstacle_size=_reals(world.size),
+                obstacle_bound=_reals(world.bound),
+                ignores=np.ascontiguousarray(world.ignores, dtype=np.uint64),
+                hull_start=_integers(world.hull_start),
+                triangles=_reals(world.triangles),
+                part_component=_integers(hazards.part_component),
+                part_link=_integers(hazards.part_link),
+                part_box=_reals(hazards.part_box),
+                target_entity=_integers(hazards.target_entity),
+                target_box=_reals(hazards.target_box),
+                n_component=hazards.severity.shape[0],
+                n_entity=hazards.severity.shape[1],
+                tool_link=robot.tool_link,
+                tool_position=_reals(robot.X_LT[:3, 3]),
+                keep=_reals(bounds.keep),
+                cone_link=_integers(bounds.cone_link),
+                cone=_reals(bounds.cone),
+                room_link=_integers(bounds.room_link),
+                room=_reals(bounds.room),
+                isa=isa,
+            )
+        except ValueError as error:
+            raise UnsupportedError(f"the kernels do not take the scene: {error}") from None
 
     @property
     def isa(self) -> str:

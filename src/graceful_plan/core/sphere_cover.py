@@ -28,10 +28,29 @@ _ROUNDING = 1e-12
 """Of squared distances [m^2]."""
 _CHUNK = 2_000_000
 """Heights of points over faces that are computed at a time; 16 MB."""
+MANY = 1500
+"""Spheres of one geom above which they are larger, and stick out farther."""
+_PER_AREA = 0.15
+"""Spheres on so much of the surface of a box as they stick out, squared; seen on cubes, plates and rods."""
+_THIN = 1.4
+"""The same for what is thinner than that: balls then reach less far aside."""
 _LAYERS = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 30, 42)
 """Numbers of layers that a cylinder's cover is tried with."""
 
 Cover = tuple[Float[Array, "sphere 3"], Float[Array, " sphere"]]
+
+
+def roomy(half: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) -> float:
+    """Return how far spheres may stick out of a geom in a box of these half sizes for about `MANY` to do [m].
+
+    That is `protrusion` itself unless the geom is large: a cube of more than .4 m.
+    """
+    a, b, c = half
+    area = 8.0 * (a * b + b * c + c * a)
+    enough = float(np.sqrt(_PER_AREA * area / MANY))
+    if enough > max(min(half), protrusion):
+        enough *= _THIN
+    return max(protrusion, enough, 1.5 * max(half) / MANY)  # the last of thin rods
 
 
 def sphere_cover(radius: float) -> Cover:
@@ -245,21 +264,22 @@ def hull_cover(
     vertices: Float[Array, "n 3"], planes: Float[Array, "face 4"], protrusion: float = MAX_PROTRUSION
 ) -> Cover:
     """Cover the convex hull of some vertices; `planes` are outward normals n and offsets d, n . x <= d inside."""
-    pitch = _pitch(np.ptp(vertices, axis=0))
+    pitch = _pitch(np.ptp(vertices, axis=0), protrusion)
     points = samples_of_convex(vertices, planes, pitch)
     return greedy_cover(points, -heights(points, planes)[0], protrusion, pitch * np.sqrt(3.0) / 2.0)
 
 
-def _pitch(extent: Float[Array, " 3"]) -> float:
+def _pitch(extent: Float[Array, " 3"], protrusion: float) -> float:
     """Lattice constant: dense enough that its slack costs few spheres, and some ten thousand points [m]."""
-    return min(max(0.0025, float(np.prod(extent) / 12000.0) ** (1.0 / 3.0)), 0.0045)
+    coarsest = 0.0045 * max(1.0, protrusion / MAX_PROTRUSION)
+    return min(max(0.0025, float(np.prod(extent) / 12000.0) ** (1.0 / 3.0)), coarsest)
 
 
 @lru_cache(maxsize=64)
 def ellipsoid_cover(semi_axes: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) -> Cover:
     """Cover an ellipsoid."""
     axes = np.asarray(semi_axes)
-    pitch = _pitch(2.0 * axes)
+    pitch = _pitch(2.0 * axes, protrusion)
     steps = [np.arange(-a, a + pitch, pitch) for a in axes]
     grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
     n = int(4.0 * np.pi * np.sort(axes)[1:].prod() / (0.5 * pitch) ** 2) + 100

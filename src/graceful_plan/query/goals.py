@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
-from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free, state_contacts
 from graceful_plan.path import finite_array
 from graceful_plan.query.ik import solve_ik
@@ -86,8 +86,8 @@ def resolve_goal(
     """Turn a goal into usable configurations, in the order given; of a pose, those nearest to the start first.
 
     Of many configurations, those that spheres do not prove free are judged by exact geometry from the nearest on; at
-    most `MOST_GOALS` are used, the nearest. Of several poses, inverse kinematics begins with those nearest to where the tool is, and stops once there are
-    enough configurations for them.
+    most `MOST_GOALS` are used, the nearest. Of several poses, inverse kinematics begins with those nearest to where the
+    tool is, and stops once there are enough configurations for them.
 
     Args:
         goal: A configuration, a keyframe by name, a pose of tool or base, or several of these.
@@ -229,11 +229,13 @@ def _usable(
     excess = np.abs(q - inside).max(axis=1)
     outside = np.flatnonzero(excess > CLAMPED)
     problems = [f"{_beyond(words[i], q[i], scene)}" for i in outside[:_TOLD]]
-    notes = [f"{_beyond(words[i], q[i], scene)}; moved onto it" for i in np.flatnonzero((excess > 0) & (excess <= CLAMPED))]
+    notes = [
+        f"{_beyond(words[i], q[i], scene)}; moved onto it" for i in np.flatnonzero((excess > 0) & (excess <= CLAMPED))
+    ]
 
     within = np.flatnonzero(excess <= CLAMPED)
     nearest = within[np.argsort(np.linalg.norm(inside[within] - start, axis=1), kind="stable")]
-    proved = compile_scene(scene).kernels.free(inside[nearest]) if len(nearest) > 1 else np.zeros(len(nearest), bool)
+    proved = compile_scene(scene).proof.free(inside[nearest]) if len(nearest) > 1 else np.zeros(len(nearest), bool)
     free, blocked = list(nearest[proved]), []
     open_to_doubt = nearest[~proved]
     for k in range(0, len(open_to_doubt), _AT_A_TIME):

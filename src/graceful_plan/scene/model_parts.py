@@ -14,7 +14,7 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.elements import Limits, Notes
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.screening import compile_spec
+from graceful_plan.scene.screening import MAX_EXTENT, compile_spec
 
 Array = np.ndarray
 
@@ -117,7 +117,9 @@ def check_supported(model: mujoco.MjModel) -> None:
 
 
 def check_numbers(model: mujoco.MjModel) -> None:
-    """Refuse NaN, infinities and a timestep that is not above 0, which MuJoCo's compiler lets through.
+    """Refuse NaN, infinities, a timestep that is not above 0 and what is kilometres large or far away.
+
+    MuJoCo's compiler lets all of that through.
 
     Raises:
         SceneError: Naming the field and the object.
@@ -132,8 +134,22 @@ def check_numbers(model: mujoco.MjModel) -> None:
                 index = int(bad[0, 0])
                 name = "" if kind is None else f" of {names(model, kind, [index])[0]!r}"
                 raise SceneError(f"{field}{name} is not finite")
+    for kind, field in _LENGTHS:
+        values = np.asarray(getattr(model, field))
+        far = np.argwhere(np.abs(values) > MAX_EXTENT)
+        if len(far):
+            index = int(far[0, 0])
+            name = "" if kind is None else f" of {names(model, kind, [index])[0]!r}"
+            raise SceneError(f"{field}{name} is {values[tuple(far[0])]:g} m; single precision takes {MAX_EXTENT:g} m")
 
 
+_LENGTHS = (
+    (_OBJ.mjOBJ_BODY, "body_pos"),
+    (_OBJ.mjOBJ_GEOM, "geom_pos"),
+    (_OBJ.mjOBJ_GEOM, "geom_size"),
+    (_OBJ.mjOBJ_SITE, "site_pos"),
+    (None, "mesh_vert"),
+)
 _FINITE_FIELDS: Mapping[mujoco.mjtObj | None, tuple[str, ...]] = {
     _OBJ.mjOBJ_BODY: ("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
     _OBJ.mjOBJ_GEOM: ("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_margin"),

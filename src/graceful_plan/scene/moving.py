@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, ShapeError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.screening import MAX_EXTENT
 
 Array = np.ndarray
 
@@ -85,6 +86,8 @@ class MovingEntity:
         if not name:
             raise SceneError("a moving entity needs a name")
         times, places = finite_array(f"t of {name}", t, ndim=1), finite_array(f"position of {name}", position, ndim=2)
+        if np.abs(places).max(initial=0.0) > MAX_EXTENT:
+            raise SettingError(f"position of {name}", float(np.abs(places).max()), f"places within {MAX_EXTENT:g} m")
         turns = np.zeros(len(times)) if yaw is None else finite_array(f"yaw of {name}", yaw, ndim=1)
         for what, given, shape in (("position", places, (len(times), 3)), ("yaw", turns, (len(times),))):
             if given.shape != shape:
@@ -158,8 +161,8 @@ def _checked_size(name: str, size: ArrayLike) -> Float[Array, " size"]:
     array = finite_array(f"size of {name}", size, ndim=1)
     if len(array) not in (2, 3):
         raise ShapeError(f"size of {name}", array.shape, "(3,) for a box or (2,) for a cylinder")
-    if (array <= 0.0).any():
-        raise SettingError(f"size of {name}", array.tolist(), "lengths above 0")
+    if (array <= 0.0).any() or (array > MAX_EXTENT).any():
+        raise SettingError(f"size of {name}", array.tolist(), f"lengths above 0, of at most {MAX_EXTENT:g} m")
     return array
 
 

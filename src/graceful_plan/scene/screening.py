@@ -27,6 +27,20 @@ MAX_ELEMENTS = 50_000
 MAX_FILES = 64
 MAX_COUNT = 4096
 """Greatest value of an attribute that says how many of something there are."""
+MAX_EXTENT = 1e4
+"""Of places and sizes [m]: the kernels' single precision is good to half a millimetre there."""
+BUDGETS = {
+    "pixels of textures": 4 * 4096**2,
+    "cells of height fields": 4096**2,
+    "numbers in <numeric> and <tuple>": 1_000_000,
+    "numbers of users' own": 10_000_000,
+    "vertices and faces of meshes": 2_000_000,
+    "bytes of assets": MAX_ASSET_BYTES,
+}
+"""What there may be of something in a model, all its elements and files together."""
+_PNG = b"\x89PNG\r\n\x1a\n"
+_HEADER = 24
+"""Bytes of a PNG up to its width and height."""
 _BYTES_ANYHOW = 2**24
 """What MuJoCo's own default is about, of the memory for contacts and scratch."""
 _BYTES_OF_PAIR = 4
@@ -126,6 +140,14 @@ class _Screen:
     folders: set[str] = field(default_factory=lambda: {""})
     """Folders for assets that the model declares, relative to one of those places."""
     assets: list[_Asset] = field(default_factory=list)
+    spent: dict[str, float] = field(default_factory=lambda: dict.fromkeys(BUDGETS, 0.0))
+    weighed: set[Path] = field(default_factory=set)
+    """Files of assets that are in what is spent."""
+
+    def spend(self, what: str, amount: int | float) -> str | None:
+        """Take something from a budget; return what to say if there is not so much in it."""
+        self.spent[what] += amount
+        return None if self.spent[what] <= BUDGETS[what] else f"more than {BUDGETS[what]} {what} in all"
 
     def model(self, file: Path) -> None:
         """Screen a file, what it includes and the assets that it names."""
@@ -182,10 +204,33 @@ class _Screen:
         if found is None:
             message = f"file {asset.given!r} of <{asset.tag}>: only files in the folder of the scene, by relative path"
             raise SceneError(message, file=asset.file, line=asset.line)
-        for file in found:
-            if file.stat().st_size > MAX_ASSET_BYTES:
-                message = f"{asset.given!r} has more than {MAX_ASSET_BYTES} bytes"
-                raise SceneError(message, file=asset.file, line=asset.line)
+        for file in set(found) - self.weighed:
+            self.weighed.add(file)
+            try:
+                amounts = [("bytes of assets", file.stat().st_size), *_content(asset.tag, file)]
+            except OSError as error:
+                raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+            for what, amount in amounts:
+                if said := self.spend(what, amount):
+                    raise SceneError(f"with {asset.given!r} there are {said}", file=asset.file, line=asset.line)
+
+
+def _content(tag: str, file: Path) -> list[tuple[str, int | float]]:
+    """Return what MuJoCo would make of a file, by its header or a count: nothing of it is decoded."""
+    with file.open("rb") as stream:
+        head = stream.read(_HEADER)
+        size = file.stat().st_size
+        if tag in ("texture", "hfield"):
+            width, height = (
+                (int.from_bytes(head[k : k + 4], "big") for k in (16, 20)) if head.startswith(_PNG) else (size, 1)
+            )
+            return [("pixels of textures" if tag == "texture" else "cells of height fields", width * height)]
+        if tag != "mesh" or size > MAX_ASSET_BYTES:
+            return []
+        if file.suffix.lower() == ".obj":
+            lines = head + stream.read()
+            return [("vertices and faces of meshes", sum(lines.count(word) for word in (b"\nv ", b"\nf ")))]
+        return [("vertices and faces of meshes", size / 50)]  # a face of a binary STL
 
 
 @dataclass(frozen=True)
@@ -237,9 +282,33 @@ class _XmlReader:
             self.refuse(f"more than {MAX_ELEMENTS} elements after replication")
         for key, value in attributes.items():
             self.attribute(tag, key, value)
+        for what, amount in self.spends(tag, attributes):
+            if said := self.screen.spend(what, amount):
+                self.refuse(f"with this <{tag}> there are {said}")
         if tag == "include":
             given = attributes.get("file", "")
             self.embedded(f"include of {given!r}", given)
+
+    def spends(self, tag: str, attributes: dict[str, str]) -> list[tuple[str, int | float]]:
+        """Return what an element takes from the budgets."""
+
+        def number(key: str) -> int:
+            return self.count(key, attributes.get(key, "0"))
+
+        if tag == "texture" and "builtin" in attributes:
+            sides = 1 if attributes.get("type") == "2d" else 6
+            return [("pixels of textures", sides * number("width") * max(number("height"), number("width")))]
+        if tag == "hfield":
+            return [("cells of height fields", number("nrow") * number("ncol"))]
+        if tag in ("numeric", "tuple"):
+            return [("numbers in <numeric> and <tuple>", max(number("size"), len(attributes.get("data", "").split())))]
+        if tag == "mesh":
+            given = sum(len(attributes.get(key, "").split()) for key in ("vertex", "face"))
+            return [("vertices and faces of meshes", given / 3)]
+        if tag == "size":
+            users = sum(number(key) for key in attributes if key.startswith("nuser_"))
+            return [("numbers of users' own", users * MAX_ELEMENTS / 100)]
+        return []
 
     def end(self, _tag: str) -> None:
         self.replicas.pop()
@@ -263,6 +332,8 @@ class _XmlReader:
             self.refuse(f"{key}={value!r} of <{tag}> is not finite")
 
     def asset(self, tag: str, given: str) -> None:
+        if "://" in given:
+            self.refuse(f"file {given!r} of <{tag}>: only files in the folder of the scene, no addresses")
         line = self.parser.CurrentLineNumber
         if tag == "model":
             self.embedded(f"file {given!r} of <model>", given)
@@ -292,6 +363,8 @@ class _XmlReader:
         return largest
 
     def embedded(self, what: str, given: str) -> None:
+        if "://" in given:
+            self.refuse(f"{what}: only files in the folder of the scene, no addresses")
         found = self.screen.found(given)
         if found is None:
             self.refuse(f"{what}: only files in the folder of the scene, by relative path")

@@ -81,7 +81,7 @@ def test_a_table_cannot_be_written_to() -> None:
         _TABLE.rows["glass"]["medium"] = 0.0  # type: ignore[index]
 
 
-@pytest.mark.parametrize("value", [-1, float("nan"), float("inf"), "2", None, True, [1]])
+@pytest.mark.parametrize("value", [-1, float("nan"), float("inf"), 1e308, "2", None, True, [1]])
 def test_bad_severities_are_refused(value: object) -> None:
     with pytest.raises(SettingError, match=r"harm = .*, expected a finite number of at least 0"):
         check_severity("harm", value)

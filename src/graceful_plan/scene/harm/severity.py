@@ -5,7 +5,6 @@ The shipped table is `severity.yaml`; its anchors are in the head of that file.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,9 @@ from graceful_plan.yaml_file import Block, YamlTable
 
 ITSELF = "carried"
 """Row of the loss of the carried object itself, by its class."""
+
+MAX_SEVERITY = 1e6
+"""The shipped table has at most 10; sums over all that may be hit stay finite."""
 
 
 @final
@@ -118,8 +120,8 @@ def check_severity(name: str, value: object) -> float:
     """Return a severity as a float.
 
     Raises:
-        SettingError: If it is not a finite number of at least 0.
+        SettingError: If it is not a number from 0 to `MAX_SEVERITY`.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
-        raise SettingError(name, value, "a finite number of at least 0")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= MAX_SEVERITY:
+        raise SettingError(name, value, f"a finite number of at least 0 and at most {MAX_SEVERITY:g}")
     return float(value)
