@@ -33,7 +33,7 @@ MANY = 1500
 _PER_AREA = 0.15
 """Spheres on so much of the surface of a box as they stick out, squared; seen on cubes, plates and rods."""
 _THIN = 1.4
-"""The same for what is thinner than that: balls then reach less far aside."""
+"""The same for what is much thinner than that: balls then reach less far aside."""
 _LAYERS = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 30, 42)
 """Numbers of layers that a cylinder's cover is tried with."""
 
@@ -48,7 +48,7 @@ def roomy(half: tuple[float, float, float], protrusion: float = MAX_PROTRUSION) 
     a, b, c = half
     area = 8.0 * (a * b + b * c + c * a)
     enough = float(np.sqrt(_PER_AREA * area / MANY))
-    if enough > max(min(half), protrusion):
+    if enough > max(3.0 * min(half), protrusion):
         enough *= _THIN
     return max(protrusion, enough, 1.5 * max(half) / MANY)  # the last of thin rods
 
