@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, GracefulPlanError
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
 from graceful_plan.timing.trajectory import Trajectory
@@ -69,33 +69,50 @@ def result_document(result: PlanResult) -> dict[str, Any]:
     }
 
 
+def error_document(command: str, error: BaseException, exit_code: int) -> dict[str, Any]:
+    """Return what went wrong with a command as a document, for programs that read what the command prints."""
+    return {
+        "schema": "graceful_plan.error",
+        "version": 1,
+        "command": command,
+        "error": type(error).__name__,
+        "message": str(error),
+        "exit_code": exit_code,
+    }
+
+
 def path_document(path: Path) -> dict[str, Any]:
     """Return a path as a document that `read_motion` reads."""
     return {**_PATH_SCHEMA, "q": path.q.tolist()}
 
 
 def read_motion(file: str | FilePath) -> Path | Trajectory:
-    """Read a trajectory or a path from a JSON file.
+    """Read a trajectory or a path from a JSON file: of `to_json`, of `path_document`, or the result of `plan`.
 
     Raises:
-        FormatError: If the file holds neither.
-        ShapeError: If its numbers do not form an array.
-        NonFiniteError: If one of them is NaN or infinite.
+        FormatError: If the file cannot be read, or holds neither; with its name.
     """
     try:
-        document = json.loads(FilePath(file).read_text(encoding="utf-8"))
+        return _motion(json.loads(FilePath(file).read_text(encoding="utf-8")))
     except OSError as error:
         raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+    except FormatError as error:
+        raise FormatError(str(file), error.problem) from None
+    except GracefulPlanError as error:
+        raise FormatError(str(file), str(error)) from None
     except (ValueError, RecursionError) as error:
         raise FormatError(str(file), f"not JSON: {error}") from None
+
+
+def _motion(document: Any) -> Path | Trajectory:
     if isinstance(document, dict) and document.get("schema") == "graceful_plan.result":
         document = document.get("trajectory") or document.get("path")
-    if not isinstance(document, dict):
-        raise FormatError(str(file), "it holds neither a path nor a trajectory")
+    if not isinstance(document, dict) or not document:
+        raise FormatError("motion", "it holds neither a path nor a trajectory")
     if document.get("schema") != _PATH_SCHEMA["schema"]:
         return Trajectory.from_json(json.dumps(document))
     if document.keys() != {*_PATH_SCHEMA, "q"} or document["version"] != _PATH_SCHEMA["version"]:
-        raise FormatError(str(file), f"a path has the keys schema, version (1) and q; found {', '.join(document)}")
+        raise FormatError("motion", f"a path has the keys schema, version (1) and q; found {', '.join(document)}")
     return Path(finite_array("path", document["q"], ndim=2))
 
 

@@ -7,17 +7,20 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
-from graceful_plan import documents
 from graceful_plan.tools.console import (
     DONE,
     add_command,
     add_model,
     add_scene,
-    check_picture,
+    check_file,
     chosen_task,
     joint_values,
+    motion_in,
     show,
 )
+from graceful_plan.tools.progress import ProgressLine
+
+_PICTURES = (".png", ".pdf", ".svg")
 
 
 def add_to(commands: Any) -> None:
@@ -52,10 +55,12 @@ def add_to(commands: Any) -> None:
 
 
 def _explain(args: argparse.Namespace) -> int:
-    check_picture(args)
-    motion, scene = documents.read_motion(args.motion), chosen_task(args)[0]
+    check_file(args.output, _PICTURES)
+    scene = chosen_task(args)[0]
+    motion = motion_in(args.motion, scene)
     objective = gp.Objective(impact=gp.ImpactCost(model=args.model), exposure=args.exposure)
-    explanation = gp.explain(motion, scene, objective)
+    with ProgressLine(args.json, "explaining"):
+        explanation = gp.explain(motion, scene, objective)
     text = str(explanation)
     if args.output is not None:
         from graceful_plan.viz.explanation import draw_explanation
@@ -67,18 +72,20 @@ def _explain(args: argparse.Namespace) -> int:
 
 
 def _map(args: argparse.Namespace) -> int:
-    check_picture(args)
+    check_file(args.output, _PICTURES)
     scene = chosen_task(args)[0]
-    found = gp.impact_map(
-        scene,
-        gp.ImpactCost(model=args.model),
-        height=args.height,
-        speed=args.speed,
-        direction=args.direction,
-        q=None if args.at is None else joint_values(scene, "--at", args.at),
-        surface=args.surface,
-        resolution=args.resolution,
-    )
+    q = None if args.at is None else joint_values(scene, "--at", args.at)
+    with ProgressLine(args.json, "mapping"):
+        found = gp.impact_map(
+            scene,
+            gp.ImpactCost(model=args.model),
+            height=args.height,
+            speed=args.speed,
+            direction=args.direction,
+            q=q,
+            surface=args.surface,
+            resolution=args.resolution,
+        )
     text = str(found)
     if args.output is not None:
         from graceful_plan.viz.impact_maps import draw_impact_map
