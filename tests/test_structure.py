@@ -34,7 +34,7 @@ BASICS = {"_version", "array_types", "exceptions", "kept", "path", "yaml_file"}
 FLOORS = (
     {"basics"},
     {"scene"},
-    {"core"},
+    {"core", "formats"},
     {"timing", "floor"},
     {"result"},
     {"documents"},

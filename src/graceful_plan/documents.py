@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
 from graceful_plan.exceptions import FormatError, GracefulPlanError
+from graceful_plan.formats.parquet_file import MissingArrow
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
 from graceful_plan.timing.trajectory import Trajectory
+
+_READERS: Mapping[str, Callable[[str | FilePath], Trajectory]] = {
+    ".csv": Trajectory.from_csv,
+    ".parquet": Trajectory.from_parquet,
+    ".yaml": lambda file: Trajectory.from_ros(FilePath(file)),
+}
+_WRITERS: Mapping[str, Callable[[Trajectory, FilePath], object]] = {
+    ".json": Trajectory.to_json,
+    ".csv": Trajectory.to_csv,
+    ".parquet": Trajectory.to_parquet,
+    ".yaml": Trajectory.to_ros_yaml,
+}
+MOTION_FILES = tuple(_WRITERS)
+"""Endings of the files that `write_motion` writes."""
 
 _PATH_SCHEMA = {"schema": "graceful_plan.path", "version": 1}
 
@@ -87,21 +102,39 @@ def path_document(path: Path) -> dict[str, Any]:
 
 
 def read_motion(file: str | FilePath) -> Path | Trajectory:
-    """Read a trajectory or a path from a JSON file: of `to_json`, of `path_document`, or the result of `plan`.
+    """Read a trajectory or a path from a file.
+
+    Args:
+        file: JSON of `to_json`, of `path_document` or of the result of `plan`; or, by its ending, what `to_csv`,
+            `to_parquet` or `to_ros_yaml` wrote, the latter with the names that joints have here.
 
     Raises:
         FormatError: If the file cannot be read, or holds neither; with its name.
+        MissingArrow: If it is Parquet and pyarrow is not installed.
     """
+    other = _READERS.get(FilePath(file).suffix)
     try:
-        return _motion(json.loads(FilePath(file).read_text(encoding="utf-8")))
+        return _motion(json.loads(FilePath(file).read_text(encoding="utf-8"))) if other is None else other(file)
     except OSError as error:
         raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
     except FormatError as error:
         raise FormatError(str(file), error.problem) from None
+    except MissingArrow:
+        raise
     except GracefulPlanError as error:
         raise FormatError(str(file), str(error)) from None
     except (ValueError, RecursionError) as error:
         raise FormatError(str(file), f"not JSON: {error}") from None
+
+
+def write_motion(trajectory: Trajectory, file: FilePath) -> None:
+    """Write a trajectory as the ending of the file says: see `MOTION_FILES`.
+
+    Raises:
+        MissingArrow: If it is Parquet and pyarrow is not installed.
+        OSError: If it cannot be written.
+    """
+    _WRITERS[file.suffix](trajectory, file)
 
 
 def _motion(document: Any) -> Path | Trajectory:

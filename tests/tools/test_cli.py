@@ -48,10 +48,15 @@ def test_plan_between_keyframes_and_numbers(run):
     assert (code, json.loads(out)["status"]) == (cli.DONE, "SOLVED")
 
 
-def test_csv_by_its_ending(run, tmp_path):
-    code, _, _ = run("plan", "--w", "0", "--iterations", "50", "--output", str(tmp_path / "t.csv"))
-    assert code == cli.DONE
-    assert (tmp_path / "t.csv").read_text().startswith("t [s],")
+@pytest.mark.parametrize("ending", documents.MOTION_FILES)
+def test_the_format_is_that_of_the_ending(run, tmp_path, ending):
+    file = tmp_path / f"t{ending}"
+    assert run("plan", "--w", "0", "--iterations", "50", "--output", str(file))[0] == cli.DONE
+    assert isinstance(documents.read_motion(file), gp.Trajectory)
+    assert run("evaluate", str(file))[0] == cli.DONE
+    file.write_bytes(b"\x00nothing of the kind")
+    code, _, err = run("evaluate", str(file))
+    assert (code, err.startswith(f"graceful-plan evaluate: {file}: ")) == (cli.MISUSE, True)
 
 
 def test_failure_has_its_own_exit_code(run):
@@ -76,7 +81,7 @@ def test_failure_has_its_own_exit_code(run):
         (("plan", "--start", "0", "0"), "shape (2,)"),
         (("plan", "--start", "ready", "now"), "--start = 'ready now'"),
         (("plan", "--start", "nowhere"), "unknown keyframe 'nowhere'"),
-        (("plan", "--output", "trajectory.txt"), "ends in .json or .csv"),
+        (("plan", "--output", "trajectory.txt"), "ends in .json, .csv, .parquet or .yaml"),
         (("plan", "--iterations", "1", "--output", "no/such/folder/t.json"), "No such file or directory"),
         (("evaluate", "nowhere.json"), "nowhere.json: cannot be read"),
         (("explain", "nowhere.json"), "nowhere.json: cannot be read"),

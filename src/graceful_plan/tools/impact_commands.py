@@ -26,7 +26,11 @@ _PICTURES = (".png", ".pdf", ".svg")
 def add_to(commands: Any) -> None:
     """Add these commands to those of the parser."""
     explain = add_command(commands, "explain", _explain, "say where the impact of a path or trajectory comes from")
-    explain.add_argument("motion", type=FilePath, help="JSON file with a path, a trajectory or the result of `plan`")
+    explain.add_argument(
+        "motion",
+        type=FilePath,
+        help="file with a path, a trajectory or the result of `plan`: .json, .csv, .parquet, .yaml",
+    )
     add_scene(explain)
     add_model(explain, gp.ImpactCost().model)
     explain.add_argument(

@@ -10,6 +10,7 @@ import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.exceptions import SettingError
+from graceful_plan.formats.parquet_file import check_arrow
 from graceful_plan.tools.console import (
     DONE,
     FAILED,
@@ -47,12 +48,19 @@ def add_to(commands: Any) -> None:
     plan.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
     add_planner(plan, "who searches")
     add_speed(plan)
-    plan.add_argument("--output", type=FilePath, metavar="FILE", help="write the trajectory to FILE.json or FILE.csv")
+    plan.add_argument(
+        "--output",
+        type=FilePath,
+        metavar="FILE",
+        help="write the trajectory to FILE.json, .csv, .parquet, or .yaml, a message of ROS",
+    )
     add_validation(plan, "let FailBench fail N times along the motion")
     add_budget(plan, 1.0)
 
     evaluate = add_command(commands, "evaluate", _evaluate, "judge a path or trajectory from any planner")
-    evaluate.add_argument("motion", type=FilePath, help="JSON file with a path or a trajectory")
+    evaluate.add_argument(
+        "motion", type=FilePath, help="file with a path or a trajectory: .json, .csv, .parquet, .yaml"
+    )
     add_scene(evaluate)
     evaluate.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
 
@@ -81,7 +89,9 @@ def _demo(args: argparse.Namespace) -> int:
 
 
 def _plan(args: argparse.Namespace) -> int:
-    check_file(args.output, (".json", ".csv"))
+    check_file(args.output, documents.MOTION_FILES)
+    if args.output is not None and args.output.suffix == ".parquet":
+        check_arrow()
     check_failures(args.validate)
     planner = chosen_planner(args)
     scene, start, goal = chosen_problem(args)
@@ -94,18 +104,13 @@ def _plan(args: argparse.Namespace) -> int:
         result = gp.plan(start, goal, scene, callback=progress.callback, **settings)
         if result.trajectory is not None and result.status is gp.PlanStatus.SOLVED:
             if args.output is not None:
-                _write(result.trajectory, args.output)
+                documents.write_motion(result.trajectory, args.output)
             if args.validate and task is not None:
                 progress.stage(f"FailBench: {args.validate} failures")
                 validation = validate_motion(
                     result.trajectory, args.scene, task.name, args.validate, seed=args.seed, as_json=args.json
                 )
     return _answer(args, result, validation)
-
-
-def _write(trajectory: gp.Trajectory, file: FilePath) -> None:
-    write = trajectory.to_csv if file.suffix == ".csv" else trajectory.to_json
-    write(file)
 
 
 def _answer(args: argparse.Namespace, result: gp.PlanResult, validation: Validation | None) -> int:
