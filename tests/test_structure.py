@@ -318,7 +318,7 @@ def guide_snippets(guide: str) -> list[str]:
 GUIDES = (
     "auto.md", "cartesian.md", "casadi.md", "certificate.md", "chomp.md", "comparing-planners.md",
     "constraints-grasp.md", "extending.md", "faults-prior.md", "impact-models.md", "moving.md", "optimisers.md",
-    "planners.md", "roadmap.md", "tuning.md",
+    "planners.md", "roadmap.md", "robot-loops.md", "tuning.md",
 )  # fmt: skip
 
 
