@@ -14,7 +14,7 @@ from graceful_plan.judge.exact import Judge, first_collision, state_contacts
 from graceful_plan.judge.motion_samples import motion_samples, reach
 from graceful_plan.judge.reference_cost import reference_cost, reference_probability
 from graceful_plan.judge.second_opinion import fcl_touches
-from graceful_plan.judge.verification import verify
+from graceful_plan.judge.verification import MOST_SAMPLES, verify
 from graceful_plan.path import Path
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.elements import AllowedContact
@@ -101,9 +101,36 @@ def test_a_good_trajectory_passes(scene: Scene) -> None:
     }  # fmt: skip
 
 
-def test_sampled_evenly_it_still_passes(scene: Scene) -> None:
-    path = _path((0.5, 0.0), (0.8, -0.3), (1.0, 0.0))
-    assert verify(_timed(path, scene).sample(0.01), scene).passed
+def test_sampled_evenly_cubics_blur_jumps_of_the_acceleration(scene: Scene) -> None:
+    """Through full acceleration and then full braking, the cubic of one piece brakes with up to 5/3 of it."""
+    verdict = verify(_timed(_path((0.5, 0.0), (0.8, -0.3), (1.0, 0.0)), scene).sample(0.01), scene)
+    assert verdict.failures == ("acceleration_limits",)
+    assert 1.0 < verdict.checks["acceleration_limits"].worst <= 5.0 / 3.0 + 1e-6
+
+
+@pytest.mark.parametrize("share", [0.95, 1.49])
+def test_cubics_are_judged_by_their_own_extremes(scene: Scene, share: float) -> None:
+    """Rest to rest in one cubic: neither its samples nor its means say how fast it is, or how it accelerates."""
+    limit = float(scene.limits.acceleration[0])
+    duration, far = 0.2, 0.2**2 * share * limit / 6.0
+    q = np.array([[0.5, 0.0], [0.5 + far, 0.0]])
+    still = np.zeros_like(q)
+    verdict = verify(Trajectory(np.array([0.0, duration]), q, still, still, scene.joints), scene)
+    assert verdict.checks["acceleration_limits"].worst == pytest.approx(share)
+    assert verdict.checks["velocity_limits"].worst == pytest.approx(1.5 * far / duration / scene.limits.velocity[0])
+    assert verdict.failures == (() if share < 1.0 else ("acceleration_limits",))
+
+
+def test_a_motion_too_long_to_be_looked_at_does_not_pass(scene: Scene) -> None:
+    """Neither one that goes far beyond all limits, nor one of a year at rest, nor one of a million rows."""
+    q = np.zeros((2, 2)) + [0.5, 0.0]
+    far = verify(Path(q + [[0.0, 0.0], [1e7, 0.0]]), scene)
+    assert far.failures == ("collision", "position_limits") and "not looked at" in far.checks["collision"].detail
+    slow = verify(Trajectory(np.array([0.0, 3e7]), q, 0.0 * q, 0.0 * q, scene.joints), scene)
+    assert slow.failures == ("collision",)
+    many = np.repeat(q[:1], MOST_SAMPLES + 1, axis=0)
+    t = 1e-4 * np.arange(len(many))
+    assert verify(Trajectory(t, many, 0.0 * many, 0.0 * many, scene.joints), scene).failures == ("collision",)
 
 
 def test_a_collision_is_found_where_it_is(scene: Scene) -> None:

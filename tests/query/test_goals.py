@@ -7,8 +7,8 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, ShapeError, UnknownNameError
-from graceful_plan.judge.exact import state_contacts
-from graceful_plan.query.goals import resolve_goal, resolve_start
+from graceful_plan.judge.exact import exactly_free, state_contacts
+from graceful_plan.query.goals import MOST_GOALS, resolve_goal, resolve_start
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
@@ -45,6 +45,36 @@ def test_several_goals_keep_their_order_and_index(scene: Scene, start: np.ndarra
     assert len(resolved.problems) == 1 and resolved.problems[0].startswith("goal 1: ")
     mixed = resolve_goal(["ready", start], scene, start)
     np.testing.assert_array_equal(mixed.q, [scene.keyframes["ready"], start])
+
+
+def test_the_usable_ones_of_many_are_those_that_exact_geometry_accepts(scene: Scene, start: np.ndarray) -> None:
+    lower, upper = scene.limits.position.T
+    goals = np.random.default_rng(1).uniform(lower - 0.05, upper + 0.05, (300, 7))
+    resolved = resolve_goal(goals, scene, start)
+    inside = ((goals >= lower) & (goals <= upper)).all(axis=1)
+    expected = [k for k in np.flatnonzero(inside) if not state_contacts(goals[k], scene)]
+    assert list(resolved.index) == expected and 20 < len(expected) < 280
+    np.testing.assert_array_equal(resolved.q, goals[expected])
+    assert any("more of 300 likewise" in problem for problem in resolved.problems)
+
+
+def test_of_too_many_goals_the_nearest_are_planned_for(scene: Scene, start: np.ndarray) -> None:
+    """And who runs out of time chooses among those that were looked at: what spheres prove free, from the start."""
+    goals = np.clip(start + np.random.default_rng(2).normal(0.0, 0.3, (3000, 7)), *scene.limits.position.T)
+    resolved = resolve_goal(goals, scene, start)
+    assert len(resolved.index) == MOST_GOALS and "1000 nearest" in resolved.notes[0]
+    away = np.linalg.norm(goals - start, axis=1)
+    assert away[list(resolved.index)].max() < np.median(away)
+    hurried = resolve_goal(goals, scene, start, cancelled=lambda: True)
+    assert len(hurried.index) and "no time to look at" in hurried.detail
+    assert set(exactly_free(hurried.q, scene)) == {True}
+
+
+def test_a_goal_among_a_thousand_that_cannot_be_used_is_found(scene: Scene, start: np.ndarray) -> None:
+    goals = np.tile(scene.limits.position[:, 1] + 0.5, (1000, 1))
+    goals[700] = scene.keyframes["ready"]
+    result = gp.plan(start, goals, scene, w=0.0, iterations=50)
+    assert (result.status, result.goal_index) == (gp.PlanStatus.SOLVED, 700)
 
 
 def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.ndarray) -> None:

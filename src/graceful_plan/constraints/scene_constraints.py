@@ -87,6 +87,12 @@ class SceneConstraints:
         found = ((c, float(checked_residual(c, batch)[0])) for c in self.constraints)
         return [c.told(residual) for c, residual in found if residual > 0.0]
 
+    def holds(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        """Tell in which configurations nothing is to be objected."""
+        batch = StateBatch(self.scene, q)
+        met = [checked_residual(constraint, batch) <= 0.0 for constraint in self.constraints]
+        return np.all(met, axis=0) if met else np.ones(len(q), dtype=bool)
+
     def clearance(self, q: Float[Array, "n nq"]) -> Float[Array, " n"]:
         """Return how far configurations are from touching or breaking anything, in terms of clearance [m]."""
         clearance = self.kernels.clearance(q)

@@ -96,6 +96,13 @@ class StateBatch:
     def __len__(self) -> int:
         return len(self.q)
 
+    def __getitem__(self, rows: slice) -> StateBatch:
+        """Return some of the states."""
+        if rows.start == 0 and rows.stop >= len(self):  # with what is kept of them
+            return self
+        time, ahead = (None if x is None else x[rows] for x in (self.time, self.ahead))
+        return StateBatch(self.scene, self.q[rows], self.direction[rows], self.speed[rows], time, ahead)
+
     def at(self, time: Float[Array, " n"]) -> StateBatch:
         """Return the same states at other times [s]; they share `kept`."""
         other = StateBatch(self.scene, self.q, self.direction, self.speed, time, self.ahead)

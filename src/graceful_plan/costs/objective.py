@@ -47,6 +47,10 @@ AT_LIMITS = (1.0, 1.0)
 """Paces of a path of which nothing is known: the slowest joint of each edge at its limit."""
 EXPOSURES = ("time", "length", "waypoints")
 """Words for what the impact is integrated over."""
+MOST_STATES = 150_000
+"""States that one path is charged at."""
+_AT_A_TIME = 20_000
+"""States whose probabilities are in memory at a time."""
 PACE_SPREAD = 0.42
 """Standard deviation of that share, relative to its mean."""
 
@@ -284,6 +288,7 @@ class SceneObjective:
 
         Raises:
             ShapeError: If the path does not fit the scene.
+            SettingError: If it has more than `MOST_STATES` states.
         """
         points = self._points(path)
         vertices = np.arange(len(points), dtype=np.float64)
@@ -301,6 +306,10 @@ class SceneObjective:
         points = path.path if isinstance(path, Trajectory) else path
         if points.q.shape[1] != len(self.scene.joints):
             raise ShapeError("path", points.q.shape, f"(n, {len(self.scene.joints)})")
+        states = float(np.sum(points.segment_lengths)) / COST_STEP + len(points)
+        if states > MOST_STATES:
+            expected = f"at most {MOST_STATES}, every {COST_STEP} rad: charge it in parts"
+            raise SettingError("states of the path", int(min(states, 1e18)), expected)
         return points
 
     def samples(self, q0: Float[Array, "n nq"], q1: Float[Array, "n nq"], step: float = COST_STEP) -> EdgeSamples:
@@ -312,7 +321,10 @@ class SceneObjective:
         if not isinstance(impact, ImpactCost):
             total = float(weight @ checked_state(impact, batch))
             return CostBreakdown(motion=motion, impact=total, w=self.w)
-        exposure = np.tensordot(weight, impact.probability(batch), axes=1)
+        exposure = sum(
+            np.tensordot(weight[k : k + _AT_A_TIME], impact.probability(batch[k : k + _AT_A_TIME]), axes=1)
+            for k in range(0, len(batch), _AT_A_TIME)
+        )
         parts = exposure * impact.hazard_severity(self.scene)
         return CostBreakdown(
             motion=motion,
@@ -377,7 +389,8 @@ def evaluate(
     Raises:
         ShapeError: If the path does not fit the scene.
         CostError: If a cost breaks its contract.
-        SettingError: If the start time is not finite, or the speed not in its range.
+        SettingError: If the start time is not finite, the speed not in its range, or the path so long that it has more
+            than `MOST_STATES` states.
     """
     if not np.isfinite(start_time):
         raise SettingError("start_time", start_time, "a finite time [s]")

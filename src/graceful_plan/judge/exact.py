@@ -15,7 +15,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.judge.motion_samples import AUDITED, ClearanceBound, MotionSamples, motion_samples
 from graceful_plan.judge.preparation import prepare
 from graceful_plan.path import Path
@@ -135,6 +135,13 @@ def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True)
     for touch in sorted(touches, key=lambda t: t.distance, reverse=True):
         deepest[touch.first, touch.second] = touch
     return [judge.named(touch) for touch in sorted(deepest.values(), key=lambda t: t.distance)]
+
+
+def exactly_free(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
+    """Tell which configurations may be the start or the goal: nothing collides, but for allowed contacts at an end."""
+    judge, ok = Judge(scene), np.ones(len(q), dtype=bool)
+    ok[[touch.sample for touch in judge.touches(q) if judge.is_violation(touch, at_end=True)]] = False
+    return ok
 
 
 def motion_violations(

@@ -18,7 +18,7 @@ from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.drive_checks import drive_checks
 from graceful_plan.judge.exact import Judge, Touch, motion_violations
-from graceful_plan.judge.motion_samples import ClearanceBound, MotionSamples, motion_samples
+from graceful_plan.judge.motion_samples import ClearanceBound, MotionSamples, joint_travel, motion_samples, reach
 from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.rule_checks import rule_checks
@@ -36,6 +36,12 @@ LIMIT_TOLERANCE = 1e-6
 """Absolute on positions and end points [rad or m], relative on velocities and accelerations."""
 STEP = 0.002
 """How far any point moves at most between two checks of collision, unless somebody asks for another distance [m]."""
+MOST_SAMPLES = 300_000
+"""Configurations that one verdict rests on at most: half a minute of exact geometry, and some hundred metres."""
+_ROUNDINGS = 32.0
+"""Roundings of positions by which the acceleration of a piece may be off, times the square of its length."""
+_OVERRATED, _SECONDS_EACH = 3.0, 0.004
+"""By how much the reach of a joint is larger than its levers, about; between two samples for constraints [s]."""
 COST_TOLERANCE = 0.01
 """Relative; two ways to integrate a discontinuous impact differ by less than that at the steps in use."""
 
@@ -110,27 +116,52 @@ def verify(
     if motion.q.shape[1] != nq:
         raise ShapeError("motion", motion.q.shape, f"(n, {nq})")
     _check_step(step)
-    violations, samples = motion_violations(motion, scene, step, clearance)
-    checks = {"collision": _collision(violations, samples, scene), "position_limits": _position(samples, motion, scene)}
+    rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
+    too_long = _too_long(motion, scene, step)
+    if too_long:
+        at = motion.t if isinstance(motion, Trajectory) else np.append(0.0, np.cumsum(motion.segment_lengths))
+        checks = {"collision": too_long, "position_limits": _position(MotionSamples.of(motion.q, at), motion, scene)}
+    else:
+        violations, samples = motion_violations(motion, scene, step, clearance)
+        checks = {
+            "collision": _collision(violations, samples, scene),
+            "position_limits": _position(samples, motion, scene),
+            **rule_checks(motion, scene, rules),
+        }
     if isinstance(motion, Trajectory):
         checks |= _dynamics(motion, scene)
     if scene.base is not None:
         checks |= drive_checks(motion, scene.base)
-    rules = default_rules(scene) if constraints is None else [asked.rule(scene) for asked in constraints]
-    checks |= rule_checks(motion, scene, rules)
+    end = motion.t[[0, -1]] if isinstance(motion, Trajectory) else (0.0, float(np.sum(motion.segment_lengths)))
     if start is not None:
         starts = finite_array("start", start, ndim=1, last=nq)[None]
-        checks["start"] = _end_point(motion.q[0], starts, samples.at[0])
+        checks["start"] = _end_point(motion.q[0], starts, float(end[0]))
     if isinstance(goal, PoseGoal):
-        checks["goal"] = _pose(goal, motion.q[-1], scene, float(samples.at[-1]))
+        checks["goal"] = _pose(goal, motion.q[-1], scene, float(end[1]))
     elif goal is not None:
         goals = np.atleast_2d(finite_array("goal", goal, last=nq))
-        checks["goal"] = _end_point(motion.q[-1], goals, samples.at[-1], scene.endless)
+        checks["goal"] = _end_point(motion.q[-1], goals, float(end[1]), scene.endless)
+    if too_long:
+        return Verdict(checks=checks)
     if cost is not None:
         checks["cost"] = _cost(cost, motion if cost_path is None else cost_path, scene, components, exposure)
     if second_opinion:
         checks["second_opinion"] = opinion_of_fcl(motion_samples(motion, scene, 10.0 * step), scene)
     return Verdict(checks=checks)
+
+
+def _too_long(motion: Path | Trajectory, scene: Scene, step: float) -> Check | None:
+    """Return a check that fails if more configurations would have to be looked at than there is time and memory for."""
+    if len(motion) == 1:
+        return None
+    # No point moves farther than this; how far it does move is known once levers are, which takes samples itself.
+    samples = float((joint_travel(motion) @ reach(scene)).sum()) / step / _OVERRATED + len(motion)
+    seconds = motion.duration if isinstance(motion, Trajectory) else 0.0
+    most = max(samples, seconds / _SECONDS_EACH)
+    if most <= MOST_SAMPLES:
+        return None
+    told = f"not looked at: about {most:.3g} configurations; at most {MOST_SAMPLES} are: judge it in parts"
+    return Check(passed=False, worst=-np.inf, detail=told)
 
 
 def _collision(violations: list[Touch], samples: MotionSamples, scene: Scene) -> Check:
@@ -183,13 +214,18 @@ def _turning_points(trajectory: Trajectory) -> tuple[Float[Array, "n nq"], Float
 
 
 def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
-    """Check what holds for the samples of every motion within limits, however it runs in between."""
-    h = np.diff(trajectory.t)[:, None]
+    """Check samples, and the extremes of the cubics between them, which are what a trajectory is."""
     velocity, acceleration = scene.limits.velocity, scene.limits.acceleration
+    h = np.diff(trajectory.t)[:, None]
     v0, v1 = trajectory.qd[:-1], trajectory.qd[1:]
     mean_velocity, mean_acceleration = np.diff(trajectory.q, axis=0) / h, np.diff(trajectory.qd, axis=0) / h
     # Rest to rest with full acceleration in between covers h^2 a / 4, more than which q cannot stray from the mean.
     stray = (mean_velocity - 0.5 * (v0 + v1)) / h / (0.25 * acceleration)
+    a0, a1 = trajectory.piece_accelerations
+    # On short pieces positions are too coarse to tell accelerations; what they may be off is taken off.
+    largest = np.abs(trajectory.q).max(axis=0, initial=1.0)
+    rounding = _ROUNDINGS * np.finfo(float).eps * largest / h**2
+    steepest = np.maximum(np.maximum(np.abs(a0), np.abs(a1)) - rounding, np.abs(mean_acceleration))
     t, pieces = trajectory.t, trajectory.t[:-1]
     most = 1.0 + LIMIT_TOLERANCE
     ends = np.abs(trajectory.qd[[0, -1]])
@@ -199,13 +235,21 @@ def _dynamics(trajectory: Trajectory, scene: Scene) -> dict[str, Check]:
         return _limit_check(values, np.append(t, pieces), scene.joints, most, words)
 
     return {
-        "velocity_limits": of(trajectory.qd, mean_velocity, velocity, "of its velocity limit"),
-        "acceleration_limits": of(trajectory.qdd, mean_acceleration, acceleration, "of its acceleration limit"),
+        "velocity_limits": of(trajectory.qd, _fastest_between(trajectory), velocity, "of its velocity limit"),
+        "acceleration_limits": of(trajectory.qdd, steepest, acceleration, "of its acceleration limit"),
         "consistency": _limit_check(
             np.abs(stray), pieces, scene.joints, most, "of what positions may stray from velocities"
         ),
         "rest": _limit_check(ends, t[[0, -1]], scene.joints, LIMIT_TOLERANCE, "speed [rad/s or m/s] at an end"),
     }
+
+
+def _fastest_between(trajectory: Trajectory) -> Float[Array, "piece nq"]:
+    """Return the velocities of the cubics where their accelerations change sign; elsewhere those at the beginning."""
+    h = np.diff(trajectory.t)[:, None]
+    a0, a1 = trajectory.piece_accelerations
+    at = np.where(a0 * a1 < 0.0, -a0 * h / np.where(a1 == a0, 1.0, a1 - a0), 0.0)
+    return trajectory.qd[:-1] + 0.5 * a0 * at
 
 
 def _limit_check(

@@ -10,7 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.path import Path
-from graceful_plan.query.escape import way_out
+from graceful_plan.query.escape import TARGET_CLEARANCE, way_out
 from graceful_plan.query.goals import Configuration, Goal, Resolved, has_poses, resolve_goal, resolve_start
 from graceful_plan.result import PlanResult, PlanStatus
 
@@ -18,6 +18,8 @@ Array = np.ndarray
 
 _SHARE_OF_GOALS = 0.6
 """Of the time, for inverse kinematics: what it has found by then is what there is to choose from."""
+_TOLD = 5
+"""Goals that are told what they are lacking."""
 _NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
 
 
@@ -100,9 +102,9 @@ def find_ends(
 
 def constrained(word: str, resolved: Resolved, constraints: SceneConstraints) -> Resolved:
     """Return the configurations that keep the constraints, and what the others are lacking."""
-    objections = [constraints.objections(q) for q in resolved.q]
-    kept = [k for k, found in enumerate(objections) if not found]
-    told = tuple(f"{word}: {'; '.join(found)}" for found in objections if found)
+    holds = constraints.holds(resolved.q) if len(resolved.q) else np.ones(0, dtype=bool)
+    kept = np.flatnonzero(holds)
+    told = tuple(f"{word}: {'; '.join(constraints.objections(q))}" for q in resolved.q[~holds][:_TOLD])
     index = tuple(resolved.index[k] for k in kept)
     return Resolved(resolved.q[kept], index, resolved.notes, (*resolved.problems, *told))
 
@@ -125,8 +127,16 @@ def ways_out(
         return _ended(cancelled())
     if departure is None:
         return PlanResult(status=PlanStatus.INVALID_START, detail=_NO_WAY.format("start"))
-    ways = [(k, way_out(goal, constraints, rng, over=over)) for k, goal in enumerate(goals) if k == 0 or not over()]
-    arrivals = [(k, way.reversed()) for k, way in ways if way is not None]
+    clear = constraints.clearance(goals) >= TARGET_CLEARANCE
+    ways = [(int(k), Path(goals[k : k + 1])) for k in np.flatnonzero(clear)]
+    tight = np.flatnonzero(~clear)
+    nearest = tight[np.argsort(np.linalg.norm(goals[tight] - start, axis=1), kind="stable")]
+    for tried, k in enumerate(nearest):
+        if over() and (tried or ways):
+            break
+        found = way_out(goals[k], constraints, rng, over=over)
+        ways += [(int(k), found.reversed())] if found is not None else []
+    arrivals = sorted(ways, key=lambda way: way[0])
     if cancelled() or (not arrivals and late()):
         return _ended(cancelled())
     if not arrivals:

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
-from graceful_plan.judge.exact import Judge, state_contacts
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.judge.exact import exactly_free, state_contacts
 from graceful_plan.path import finite_array
 from graceful_plan.query.ik import solve_ik
 from graceful_plan.scene.mobile.base_pose import BasePose
@@ -36,6 +37,12 @@ _HEADINGS = 16
 """Of a base where any heading will do."""
 CLAMPED = 1e-6
 """How far outside of a position limit [rad or m] a configuration is moved onto it instead of being refused."""
+MOST_GOALS = 1000
+"""Configurations to plan for: each is the root of a tree."""
+_AT_A_TIME = 64
+"""Configurations that exact geometry looks at between two looks at the clock."""
+_TOLD = 5
+"""Configurations of a goal that are told by name why they cannot be used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +77,7 @@ def resolve_start(start: Configuration, scene: Scene) -> Resolved:
         UnknownNameError: If there is no keyframe of that name.
     """
     q = _named(start, scene) if isinstance(start, str) else finite_array("start", start, ndim=1, last=len(scene.joints))
-    return _usable([("start", q)], scene)
+    return _usable("start", q[None], scene, q)
 
 
 def resolve_goal(
@@ -78,7 +85,8 @@ def resolve_goal(
 ) -> Resolved:
     """Turn a goal into usable configurations, in the order given; of a pose, those nearest to the start first.
 
-    Of several poses, inverse kinematics begins with those nearest to where the tool is, and stops once there are
+    Of many configurations, those that spheres do not prove free are judged by exact geometry from the nearest on; at
+    most `MOST_GOALS` are used, the nearest. Of several poses, inverse kinematics begins with those nearest to where the tool is, and stops once there are
     enough configurations for them.
 
     Args:
@@ -86,7 +94,7 @@ def resolve_goal(
         scene: Where.
         start: Where the motion begins; poses are solved near to it.
         seed: Of the random numbers of inverse kinematics.
-        cancelled: Ends inverse kinematics early.
+        cancelled: Ends it early: what was looked at by then is what there is to choose from.
 
     Raises:
         ShapeError: If it does not fit the scene's joints.
@@ -100,10 +108,9 @@ def resolve_goal(
     several = _poses_among(goal)
     if several:
         return _several(several, scene, start, seed, cancelled)
-    configurations = _configurations(cast("Configuration | Sequence[Configuration]", goal), scene)
-    configurations = [_the_short_way(q, np.asarray(start, dtype=float), scene) for q in configurations]
-    words = ["goal"] if len(configurations) == 1 else [f"goal {i}" for i in range(len(configurations))]
-    return _usable(list(zip(words, configurations, strict=True)), scene)
+    q = np.stack(_configurations(cast("Configuration | Sequence[Configuration]", goal), scene))
+    begin = np.asarray(start, dtype=float)
+    return _usable("goal", _the_short_way(q, begin, scene), scene, begin, over=cancelled)
 
 
 def has_poses(goal: Goal) -> bool:
@@ -130,9 +137,9 @@ def _standing(goal: BasePose, scene: Scene, start: Float[Array, " nq"]) -> Resol
     turns = np.arange(_HEADINGS) * 2.0 * np.pi / _HEADINGS
     q = np.tile(start, (1 if goal.yaw is not None else _HEADINGS, 1))
     q[:, 0], q[:, 1], q[:, 2] = goal.x, goal.y, towards + turns if goal.yaw is None else goal.yaw
-    q = np.stack([_the_short_way(one, start, scene) for one in q])
+    q = _the_short_way(q, start, scene)
     q = q[np.argsort(np.abs(q[:, 2] - towards), kind="stable")]
-    found = _usable([("goal", one) for one in q], scene)
+    found = _usable("goal", q, scene, start)
     # Of many headings one that will do is enough.
     return Resolved(found.q, (0,) * len(found.q), found.notes, () if len(found.q) else found.problems[:1])
 
@@ -179,8 +186,8 @@ def _several(
     return Resolved(np.concatenate(q), tuple(index), tuple(notes), tuple(problems))
 
 
-def _the_short_way(q: Float[Array, " nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, " nq"]:
-    """Return a goal whose joints without limits are turned as near to the start as the range that is planned lets them.
+def _the_short_way(q: Float[Array, "n nq"], start: Float[Array, " nq"], scene: Scene) -> Float[Array, "n nq"]:
+    """Return goals whose joints without limits are turned as near to the start as the range that is planned lets them.
 
     A configuration outside of the range stays as it is, and is refused as ever.
     """
@@ -208,33 +215,53 @@ def _named(name: str, scene: Scene) -> Float[Array, " nq"]:
     return np.asarray(scene.keyframes[name], dtype=float)
 
 
-def _usable(candidates: list[tuple[str, Float[Array, " nq"]]], scene: Scene) -> Resolved:
-    q, index, notes, problems = [], [], [], []
-    for i, (word, configuration) in enumerate(candidates):
-        inside, note, problem = _clamped(word, configuration, scene)
-        notes += [note] if note else []
-        problem = problem or _collision(word, inside, scene)
-        if problem:
-            problems.append(problem)
-        else:
-            q.append(inside)
-            index.append(i)
-    return Resolved(np.array(q).reshape(-1, len(scene.joints)), tuple(index), tuple(notes), tuple(problems))
-
-
-def _clamped(word: str, q: Float[Array, " nq"], scene: Scene) -> tuple[Float[Array, " nq"], str, str]:
-    """Return the configuration inside the limits, what was adjusted, and what cannot be."""
+def _usable(
+    word: str,
+    q: Float[Array, "n nq"],
+    scene: Scene,
+    start: Float[Array, " nq"],
+    over: Callable[[], bool] = lambda: False,
+) -> Resolved:
+    """Return those within the limits and free of collision, in the order given, and what the others are lacking."""
+    words = [word] if len(q) == 1 else [f"{word} {i}" for i in range(len(q))]
     lower, upper = scene.limits.position.T
     inside = np.clip(q, lower, upper)
-    excess = np.abs(q - inside)
-    worst = int(np.argmax(excess))
-    if excess[worst] == 0.0:
-        return inside, "", ""
+    excess = np.abs(q - inside).max(axis=1)
+    outside = np.flatnonzero(excess > CLAMPED)
+    problems = [f"{_beyond(words[i], q[i], scene)}" for i in outside[:_TOLD]]
+    notes = [f"{_beyond(words[i], q[i], scene)}; moved onto it" for i in np.flatnonzero((excess > 0) & (excess <= CLAMPED))]
+
+    within = np.flatnonzero(excess <= CLAMPED)
+    nearest = within[np.argsort(np.linalg.norm(inside[within] - start, axis=1), kind="stable")]
+    proved = compile_scene(scene).kernels.free(inside[nearest]) if len(nearest) > 1 else np.zeros(len(nearest), bool)
+    free, blocked = list(nearest[proved]), []
+    open_to_doubt = nearest[~proved]
+    for k in range(0, len(open_to_doubt), _AT_A_TIME):
+        if k and over():
+            problems.append(f"no time to look at {len(open_to_doubt) - k} of {len(q)}")
+            break
+        some = open_to_doubt[k : k + _AT_A_TIME]
+        ok = exactly_free(inside[some], scene)
+        free += list(some[ok])
+        blocked += list(some[~ok])
+    problems += [_collision(words[i], inside[i], scene) for i in blocked[:_TOLD]]
+    untold = len(outside[_TOLD:]) + len(blocked[_TOLD:])
+    problems += [f"{untold} more of {len(q)} likewise"] if untold else []
+    if len(free) > MOST_GOALS:
+        notes.append(f"of {len(free)} goals that are free, the {MOST_GOALS} nearest to the start are planned for")
+        chosen = set(free)
+        free = [i for i in nearest if i in chosen][:MOST_GOALS]
+    index = tuple(sorted(int(i) for i in free))
+    return Resolved(inside[list(index)], index, tuple(notes), tuple(problems))
+
+
+def _beyond(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
+    """Say which joint is the farthest outside of its limits."""
+    lower, upper = scene.limits.position.T
+    inside = np.clip(q, lower, upper)
+    worst = int(np.argmax(np.abs(q - inside)))
     limit = f"{'lower' if q[worst] < lower[worst] else 'upper'} limit {inside[worst]:.9g}"
-    place = f"{word}: joint {scene.joints[worst]!r} is at {q[worst]:.9g}, beyond its {limit}"
-    if excess[worst] > CLAMPED:
-        return inside, "", place
-    return inside, f"{place}; moved onto it", ""
+    return f"{word}: joint {scene.joints[worst]!r} is at {q[worst]:.9g}, beyond its {limit}"
 
 
 def _collision(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
@@ -256,12 +283,10 @@ def _pose(
     cancelled: Callable[[], bool],
     **effort: int,
 ) -> Resolved:
-    judge = Judge(scene)
     blocked: list[Array] = []
 
     def free(q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
-        ok = np.ones(len(q), dtype=bool)
-        ok[[t.sample for t in judge.touches(q) if judge.is_violation(t, at_end=True)]] = False
+        ok = exactly_free(q, scene)
         blocked.extend(q[~ok])
         return ok
 

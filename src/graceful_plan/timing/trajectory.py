@@ -153,8 +153,9 @@ class Trajectory:
     def sample(self, dt: float) -> Trajectory:
         """Sample evenly, every `dt` [s]; the last sample is exactly the end, so the last piece may be shorter.
 
-        The samples lie on this trajectory. Interpolating them again blurs jumps of the acceleration, so keep the
-        original where limits must hold between samples.
+        The samples lie on this trajectory. Interpolating them again blurs jumps of the acceleration: where it goes from
+        full speeding up to full braking within one step, the new cubic has up to 5/3 of the limit, and the judge says
+        so. Keep the original where limits must hold between samples, or plan with a lower `speed`.
         """
         if not (np.isfinite(dt) and dt > 0.0):
             raise SettingError("dt", dt, "a finite time > 0 s")

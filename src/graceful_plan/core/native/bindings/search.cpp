@@ -284,8 +284,8 @@ class ConnectPlanner {
 class DriveRun {
  public:
   DriveRun(Space& space, Reals start, Reals goals, double cell, bool reverse, int max_nodes)
-      : space_(space),
-        drive_(checked(space, start, goals), point(start), points(goals), {cell, reverse, 1, max_nodes}) {
+      : space_(checked(space, start, goals)),
+        drive_(space, point(start), points(goals), {cell, reverse, 1, max_nodes}) {
     require(in_range(cell, 1e-3, kMaxExtent) && max_nodes > 0, "settings of a lattice");
   }
   void begin(double weight) {
@@ -401,6 +401,7 @@ Out<double> fastest(Reals step, Reals slope, Reals bend, nb::ndarray<const bool,
                     Reals velocity, Reals acceleration, const std::optional<Reals>& limit) {
   const size_t n = step.size(), dim = velocity.size();
   require(!limit || (limit->ndim() == 3 && limit->shape(0) == n && limit->shape(2) == 3), "limits are [n, m, 3]");
+  for (size_t i = 0; limit && i < limit->size(); ++i) require(!std::isnan(limit->data()[i]), "limits are numbers");
   const size_t further = limit ? limit->shape(1) : 0;
   require(slope.size() == 2 * n * dim && bend.size() == 2 * n * dim && stop.size() == n + 1 && n > 0 &&
               acceleration.size() == dim,
@@ -559,11 +560,12 @@ void bind_search(nb::module_& m) {
             require(link >= 0 && facets.ndim() == 2 && facets.shape(1) == 3 && in_range(gravity, 1e-9), "a felt limit");
             require_numbers(point, 3, "point of a felt limit", kMaxExtent), require_numbers(facets, "a felt limit");
             require_numbers(room, facets.shape(0), "room for every facet");
+            for (double number : {angle, length, drag}) require(in_range(number, 0), "a slosh limit");
             const std::vector<double> rooms(room.data(), room.data() + room.size());
             new (self) FeltLimit{link, {point.data()[0], point.data()[1], point.data()[2]}, {}, rooms, gravity, {}};
             if (axis) {
               require_numbers(*axis, 3, "axis of a slosh limit");
-              require(in_range(angle, 1e-9) && in_range(length, 1e-9) && in_range(drag, 0), "a slosh limit");
+              require(in_range(angle, 1e-9) && in_range(length, 1e-9), "a slosh limit");
               const double* a = axis->data();
               self->slosh = SloshLimit{{a[0], a[1], a[2]}, angle, {length, drag}};
             }

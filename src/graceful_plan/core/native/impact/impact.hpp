@@ -86,12 +86,12 @@ class Impact {
   }
   // V and S, and the derivatives of S with respect to q0 and q1; None if there are none.
   nb::object edge_gradients_array(Reals q0, Reals q1, double step) const {
+    const Edges all = core_.edges(q0, q1, step);
     if (!has_gradients()) return nb::none();
     EdgeSlopes out;
-    auto costs = make<double>({core_.rows(q0), 2}, out.cost);
+    auto costs = make<double>({all.n, 2}, out.cost);
     auto by_q0 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q0),
          by_q1 = make<double>({q0.shape(0), q0.shape(1)}, out.d_q1);
-    const Edges all = core_.edges(q0, q1, step);
     {
       const size_t nq = q0.shape(1);
       nb::gil_scoped_release release;
@@ -219,7 +219,7 @@ class DropModel {
     const size_t n = surface_.size();
     require(!tables_.spill.surface && spill_.empty() && stands.size() == 2 * n, "tables of the spill model");
     require_numbers(container, 12, "container"), require_numbers(visible, n, "what is visible of surfaces");
-    require_numbers(constants, sizeof(tables_.spill.use) / sizeof(double), "constants of the spill model");
+    require_numbers(constants, kSpillUses * std::size(kSpillConstants), "constants of the spill model");
     const double* c = container.data();
     SpillTables& spill = tables_.spill;
     std::copy(c, c + 3, spill.mouth), std::copy(c + 3, c + 6, spill.axis);

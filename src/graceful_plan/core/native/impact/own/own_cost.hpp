@@ -20,7 +20,7 @@ class OwnCost final : public Impact {
   // `speed`: where time counts, that of the joints along edges.
   OwnCost(const Core& core, Questions ask, Measure measure, Reals speed)
       : Impact(core), ask_(std::move(ask)), measure_(measure), speed_(point(speed)) {
-    require(speed_.size() == size_t(core.tables().n_joint), "speed");
+    require_positive(speed, size_t(core.tables().n_joint), "speed");
   }
   Measure measure() const override { return measure_; }
   bool in_python() const override { return true; }

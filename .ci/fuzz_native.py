@@ -1,0 +1,399 @@
+"""Call the native core with broken arguments: it refuses them with a ValueError, or does as it is told in short time.
+
+python .ci/fuzz_native.py [--calls N] [--seed S] [--isa NAME ...]
+
+What the core is called with while the library plans is recorded; then one or two arguments of a call at a time are
+broken. Where a broken constructor goes through, the methods of what it built are called as well. A crash ends the
+process, which the caller sees; run it with sanitizers (see .ci/run) to see reads past an end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import math
+import os
+import random
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import graceful_plan as gp
+from graceful_plan.core import _native
+from graceful_plan.core.kernels import instruction_sets
+from graceful_plan.floor.lattice import LatticeSettings, StateLattice
+from graceful_plan.floor.reeds_shepp import Steering
+from graceful_plan.planners.native import native_space
+from graceful_plan.planners.scene_problem import SceneProblem
+
+REFUSALS = (ValueError, TypeError, RuntimeError, MemoryError, OverflowError, IndexError)
+SLOW = 10.0
+"""Seconds after which a call counts as hanging."""
+MAY_BE_INFINITE = {
+    ("Core", "room"),
+    ("PoseCost", "distance"),
+    ("PoseCost", "angle"),
+    ("Steering", "yaw_length"),
+    ("StateLattice", "distance"),
+    ("StateLattice.search", "time_limit"),
+    ("GraphSearch.cheapest", "cost"),
+    ("GraphSearch.front", "cost"),
+    ("GraphSearch.front", "seconds"),
+    ("Connect.run", "seconds"),
+    ("Drive.run", "seconds"),
+    ("Anytime.run", "seconds"),
+    ("MotionDescent.run", "seconds"),
+    ("fastest", "limit"),
+}
+"""Where infinity is a word with a meaning; "not a number" never is."""
+
+
+@dataclass
+class Call:
+    """One call that the core took: of a class, of a method (with its object) or of a function."""
+
+    name: str
+    function: Callable[..., Any]
+    arguments: dict[str, Any]
+
+
+def recorder(name: str, behind: Any, calls: list[Call], isa: str) -> Any:
+    """Return what stands in front of a native class or function and keeps what that was called with."""
+    parameters = parameters_of(behind)
+
+    def named(args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
+        arguments = dict(zip(parameters, args, strict=False)) | kwargs
+        return arguments | {"isa": isa} if name == "Core" else arguments
+
+    def function(*args: Any, **kwargs: Any) -> Any:
+        arguments = named(args, kwargs)
+        calls.append(Call(name, behind, arguments))
+        return behind(**arguments)
+
+    def initialise(self: Any, *args: Any, **kwargs: Any) -> None:
+        arguments = named(args, kwargs)
+        behind.__init__(self, **arguments)
+        WIDTHS[id(self)] = width(self, arguments)
+        KEPT.append(self)
+        calls.append(Call(name, behind, arguments))
+        calls.extend(methods_of(name, self, arguments))
+
+    return type(name, (behind,), {"__init__": initialise}) if isinstance(behind, type) else function
+
+
+def parameters_of(behind: Any) -> list[str]:
+    """Return the names of a native function's parameters, without self."""
+    target = behind.__init__ if isinstance(behind, type) else behind
+    signature = target.__nb_signature__[0][0]
+    inside = signature[signature.index("(") + 1 : signature.rindex(") ->")]
+    names, depth, word = [], 0, ""
+    for sign in inside + ",":
+        depth += (sign in "[(") - (sign in "])")
+        if sign == "," and depth == 0:
+            names.append(word.split(":")[0].split("=")[0].strip())
+            word = ""
+        else:
+            word += sign
+    return [name for name in names if name not in ("self", "*", "/", "")]
+
+
+def methods_of(name: str, made: Any, arguments: dict[str, Any]) -> Iterator[Call]:
+    """Calls of all methods, with arguments that fit what was built."""
+    for method in dir(type(made)):
+        if method.startswith("_") or isinstance(getattr(type(made), method), property):
+            continue
+        bound = getattr(made, method)
+        given = {p: fitting(p, f"{name}.{method}", made, arguments) for p in parameters_of(bound)}
+        yield Call(f"{name}.{method}", bound, {p: v for p, v in given.items() if v is not None})
+
+
+def fitting(parameter: str, method: str, made: Any, arguments: dict[str, Any]) -> Any:
+    """An argument of a method by its name; None if it is better left out."""
+    nq = width(made, arguments)
+    rng = np.random.default_rng(len(method))
+    goals, controls = arguments.get("goals"), arguments.get("controls", 8)
+    weights = {
+        "DropModel": (4 * arguments.get("n_entity", 0) + 1,),
+        "BodyModel": (arguments.get("n_row", 1), arguments.get("n_entity", 0)),
+    }
+    shapes: dict[str, tuple[int, ...]] = {
+        **dict.fromkeys(("q", "qd", "q0", "q1"), (9, nq)),
+        "severity": weights.get(method.split(".")[0], (1,)),
+        "weight": ((2 * nq + 2) * arguments.get("n_row", 1),),
+        "controls": (int(controls) - 2, nq) if isinstance(controls, int) else (8, nq),
+        "x": (70,),
+    }
+    if parameter in shapes:
+        return 0.3 * rng.random(shapes[parameter])
+    if parameter in ("start", "goal") and method.startswith(("StateLattice", "Steering")):
+        return np.array([1.0, 1.0, 0.0]) if method.startswith("State") else rng.random((4, 3))
+    if parameter == "path" and goals is not None:
+        return np.stack([np.ravel(arguments["start"]), np.asarray(goals)[0]])
+    plain: dict[str, Any] = {
+        "lower": np.full(nq, -3.0),
+        "upper": np.full(nq, 3.0),
+        "step": 0.05,
+        "margin": 0.0,
+        "clearance": 0.01,
+        "iterations": 40,
+        "steps": 4,
+        "seconds": 0.2,
+        "weight": 2.0,
+        "w": 0.0,
+        "inflations": [2.0],
+        "shots": 1,
+        "max_expansions": 2000,
+        "time_limit": 0.2,
+        "epsilon": 0.1,
+        "pieces": rng.random((4, 5, 3)),
+        "s": rng.random((4, 6)),
+        "goals": np.array([0], dtype=np.int32),
+        "rough": True,
+    }
+    if method.startswith("GraphSearch"):
+        edges = len(arguments["tail"])
+        plain |= {"start": 0, "cost": rng.random(edges if method.endswith("cheapest") else (edges, 2))}
+    if method.startswith("DropModel.add"):
+        return None
+    return plain.get(parameter)
+
+
+def width(made: Any, arguments: dict[str, Any]) -> int:
+    """How many joints there are."""
+    known = arguments.get("n_joint") or WIDTHS.get(id(made)) or WIDTHS.get(id(arguments.get("core")))
+    if isinstance(known, int) and 0 < known < 1000:
+        return known
+    for name in ("speed", "lower", "start", "velocity", "centre"):
+        if isinstance(arguments.get(name), np.ndarray):
+            return int(arguments[name].size)
+    return next((WIDTHS[id(x)] for x in arguments.values() if id(x) in WIDTHS), 1)
+
+
+WIDTHS: dict[int, int] = {}
+"""Joints of what was built, by id; all of that stays in `KEPT`."""
+KEPT: list[Any] = []
+ABSTRACT = ("Space", "Impact", "Measure")
+
+
+def record(isa: str) -> list[Call]:
+    """Plan all kinds of things and keep what the core was called with."""
+    calls: list[Call] = []
+    behind = {name: thing for name, thing in vars(_native).items() if not name.startswith("_")}
+    for name, thing in behind.items():
+        if not isinstance(thing, type) or ("__init__" in vars(thing) and name not in ABSTRACT):
+            setattr(_native, name, recorder(name, thing, calls, isa))
+    try:
+        situations()
+    finally:
+        for name, thing in behind.items():
+            setattr(_native, name, thing)
+    return calls
+
+
+def exported() -> Iterator[str]:
+    """Names of all that the core offers, as calls are named."""
+    for name, thing in vars(_native).items():
+        if name.startswith("_") or name in (*ABSTRACT, "lever", "instruction_sets", "capacity"):
+            continue
+        if not isinstance(thing, type):
+            yield from [name] if parameters_of(thing) else []
+            continue
+        yield name
+        for member, value in vars(thing).items():
+            if not member.startswith("_") and not isinstance(value, property):
+                yield f"{name}.{member}"
+
+
+def situations() -> None:
+    """Plan with every model, planner and kind of bound that has a kernel."""
+    for name, faults in (("dining_table", "drop_only"), ("tabletop", "service_robot")):
+        task = next(iter(gp.load_scene(name).tasks.values()))
+        impact = gp.ImpactCost(gp.Footprint(faults=faults))
+        given = {"objective": gp.Objective(impact=impact), "iterations": 40}
+        for planner in ("anytime", "rrt_connect", "prm"):
+            gp.plan(task.start, task.goal, task.scene, planner=planner, **given)
+    task = next(iter(gp.load_scene("tabletop").tasks.values()))
+    blocks = (
+        gp.ClearanceCost(distance=0.1),
+        gp.costs.JointCost(),
+        gp.costs.EnergyCost(),
+        gp.costs.ManipulabilityCost(),
+        gp.costs.PoseCost(gp.PoseGoal.from_tool(task.start, task.scene)),
+    )
+    for block in blocks:
+        gp.plan(task.start, task.goal, task.scene, objective=gp.Objective(impact=0.5 * block), iterations=20)
+    gp.plan(task.start, task.goal, task.scene, objective=gp.Objective(impact=Low()), iterations=20)
+    plan_outside_of_scenes(task)
+    ends = np.array([0, 1, 2], dtype=np.int32), np.array([1, 2, 3], dtype=np.int32)
+    _native.GraphSearch(4, *ends).cheapest(np.ones(3), 0, ends[1])
+    drive = next(iter(gp.load_scene("hallway").tasks.values()))
+    gp.plan(drive.start, drive.goal, drive.scene, iterations=60)
+    steering = Steering(radius=0.4)
+    native = steering.native()
+    native.along(np.zeros((4, 3)), native.curves(np.zeros((4, 3)), np.ones((4, 3)))[1], np.ones((4, 6)))
+    floor = np.full((40, 40), 1.0, dtype=np.float32)
+    settings = LatticeSettings(steering=steering, headings=16)
+    StateLattice(distance=floor, resolution=0.1, discs=np.array([[0.0, 0.0, 0.2]]), settings=settings)
+
+
+class Low(gp.Cost):
+    """A user's own cost: Python is asked for it."""
+
+    def state(self, batch: gp.StateBatch) -> np.ndarray:
+        """Charge for what the joints are bent."""
+        return np.sum(batch.q**2, axis=-1)
+
+
+def plan_outside_of_scenes(task: gp.Task) -> None:
+    """Descend along a path, and search where Python answers all questions."""
+    objective = gp.Objective().bind(task.scene)
+    path = np.stack([np.asarray(task.start), np.asarray(task.start) + 0.1])
+    problem = SceneProblem(kernels=objective.kernels, start=path[0], goals=path[1:])
+    _native.Descent(native_space(problem, objective), path, 4, 0.1).run(3)
+    _native.CallbackSpace(
+        edges_free=lambda q0, q1: np.ones(len(q0), dtype=bool),
+        edge_costs=lambda q0, q1: np.ones((len(q0), 2)),
+        state_costs=lambda q: np.ones(len(q)),
+        lower=np.zeros(2),
+        upper=np.ones(2),
+        w=1.0,
+        motion_is_length=True,
+    )
+
+
+def broken(value: Any, rng: random.Random, others: list[Any]) -> Any:
+    """Return something near a valid argument that is not one."""
+    if isinstance(value, np.ndarray):
+        return broken_array(value, rng)
+    if isinstance(value, bool):
+        return rng.choice([not value, None, 7])
+    if isinstance(value, int):
+        return rng.choice([0, -1, 1, value + 1, value - 1, 2**31 - 1, -(2**31), 2**40, math.nan, None])
+    if isinstance(value, float):
+        return rng.choice([math.nan, math.inf, -math.inf, 0.0, -1.0, 1e308, -1e308, 5e-324, 1e-9, 1e9, "1"])
+    if isinstance(value, str):
+        return rng.choice(["", "x" * 10000, "\0", None])
+    if isinstance(value, list):
+        return rng.choice([[], [math.nan], value * 3, None])
+    return rng.choice([None, *others])
+
+
+def broken_array(value: np.ndarray, rng: random.Random) -> Any:
+    """The same for arrays: other widths, other numbers, other types."""
+    kind = rng.randrange(9)
+    out = value.copy()
+    if kind <= 3 and out.size:
+        flat = out.reshape(-1)
+        at = rng.randrange(flat.size)
+        if np.issubdtype(out.dtype, np.floating):
+            flat[at] = rng.choice([math.nan, math.nan, math.inf, -math.inf, 1e300, -1e300, 1e30, -1.0, 0.0, 1e-300])
+        elif out.dtype != bool:
+            low, high = (0, 2**63) if out.dtype == np.uint64 else (-(2**31), 2**31 - 1)
+            flat[at] = rng.choice([low, high, max(low, -1), 0, 1, flat.size, 1000])
+        return out
+    if kind == 4:
+        return out[: rng.randrange(len(out) + 1)] if out.ndim else out
+    if kind == 5:
+        return np.concatenate([out, out]) if out.ndim else out
+    if kind == 6:
+        return out.reshape(-1) if rng.random() < 0.5 else out[None]
+    if kind == 7:
+        return rng.choice([out[..., :-1].copy() if out.ndim else out, np.zeros((0,), out.dtype), np.zeros((), out.dtype)])
+    return rng.choice([out.astype(np.float32), out.astype(object), out.tolist(), None])
+
+
+def poisoned(value: Any, infinite: bool) -> bool:
+    """Whether there is something that is no number in it, or infinity where that has no meaning."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    return bool(np.isnan(array).any() or (not infinite and np.isinf(array).any())) and value is not None
+
+
+def attack(call: Call, rng: random.Random, pool: dict[str, list[Any]], seen: Counter[str], *, trace: bool) -> str | None:
+    """Break one call; return what is wrong with how it was taken."""
+    arguments = dict(call.arguments)
+    names = [n for n, x in arguments.items() if not callable(x) or id(x) in WIDTHS]
+    for name in rng.sample(names, min(len(names), rng.choice([1, 1, 2]))):
+        arguments[name] = broken(arguments[name], rng, pool.get(type(arguments[name]).__name__, []))
+    if arguments.get("seconds") in (math.inf, 1e308, 1e9) or arguments.get("iterations", 0) in (2**31 - 1, 2**40):
+        arguments["seconds" if "seconds" in arguments else "iterations"] = 1
+        if "iterations" in arguments:
+            arguments["iterations"] = 5
+    if trace:
+        print(call.name, brief(arguments), flush=True)
+    begun = time.perf_counter()
+    try:
+        made = call.function(**arguments)
+        if isinstance(call.function, type):
+            for use in methods_of(call.name, made, arguments):
+                try:
+                    use.function(**use.arguments)
+                except REFUSALS:
+                    seen["refused later"] += 1
+        seen["taken"] += 1
+    except REFUSALS:
+        seen["refused"] += 1
+        return None
+    finally:
+        took = time.perf_counter() - begun
+        if took > SLOW:
+            print(f"{call.name} took {took:.0f} s with {brief(arguments)}", flush=True)
+            seen["slow"] += 1
+    for name, value in arguments.items():
+        if poisoned(value, (call.name, name) in MAY_BE_INFINITE):
+            return f"{call.name} took {name} = {brief({name: value})}"
+    return None
+
+
+def brief(arguments: dict[str, Any]) -> str:
+    """Arguments in a line."""
+    return ", ".join(f"{n}={np.array2string(np.asarray(x), threshold=8)}"[:200] for n, x in arguments.items())
+
+
+def main() -> int:
+    """Return how many calls went wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--calls", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--isa", nargs="*", default=list(instruction_sets()))
+    parser.add_argument("--trace", action="store_true", help="print each call before it is made")
+    args = parser.parse_args()
+    faulthandler.enable()
+    wrong = 0
+    for isa in args.isa:
+        calls = record(isa)
+        groups: dict[str, list[Call]] = {}
+        pool: dict[str, list[Any]] = {}
+        for call in calls:
+            groups.setdefault(call.name, []).append(call)
+        for thing in KEPT:
+            pool.setdefault(type(thing).__name__, []).append(thing)
+        left_out = sorted(set(exported()) - set(groups))
+        if left_out:
+            wrong += len(left_out)
+            print(f"nothing calls {', '.join(left_out)}", flush=True)
+        rng = random.Random(args.seed)
+        seen: Counter[str] = Counter()
+        for _ in range(args.calls):
+            name = rng.choice(sorted(groups))
+            call = rng.choice(groups[name])
+            said = attack(call, rng, pool, seen, trace=args.trace)
+            if said:
+                wrong += 1
+                print(said, flush=True)
+        wrong += seen["slow"]
+        print(f"{isa}: {args.calls} calls of {len(groups)} kinds: {dict(seen)}; {wrong} wrong", flush=True)
+    return wrong
+
+
+if __name__ == "__main__":
+    status = min(main(), 100)
+    sys.stdout.flush()
+    os._exit(status)  # recorded calls and what they built hold each other, of which the core would complain
