@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from graceful_plan.exceptions import FormatError
-from graceful_plan.formats.samples import UNITS, MotionSamples, from_columns, text_of
+from graceful_plan.formats.samples import UNITS, TimedSamples, from_columns, text_of
 
 
-def to_csv(samples: MotionSamples) -> str:
+def to_csv(samples: TimedSamples) -> str:
     """Return the text."""
     columns = samples.columns
     out = io.StringIO()
@@ -23,7 +23,7 @@ def to_csv(samples: MotionSamples) -> str:
     return out.getvalue()
 
 
-def from_csv(source: str | Path) -> MotionSamples:
+def from_csv(source: str | Path) -> TimedSamples:
     """Read what `to_csv` wrote, from a file or from text of several lines.
 
     Raises:

@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from graceful_plan.exceptions import FormatError
-from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, MotionSamples, text_of
+from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, text_of
 from graceful_plan.path import finite_array
 
 
-def to_json(samples: MotionSamples) -> str:
+def to_json(samples: TimedSamples) -> str:
     """Return the text."""
     document = {"schema": SCHEMA, "version": VERSION, "units": UNITS, "joints": list(samples.joints)}
     document |= {name: getattr(samples, name).tolist() for name in UNITS}
     return json.dumps(document, allow_nan=False) + "\n"
 
 
-def from_json(source: str | Path) -> MotionSamples:
+def from_json(source: str | Path) -> TimedSamples:
     """Read what `to_json` wrote, from a file or from text that starts with a brace.
 
     Raises:
@@ -34,7 +34,7 @@ def from_json(source: str | Path) -> MotionSamples:
         raise FormatError(name, f"not JSON: {error}") from None
     _check(name, document)
     t, q, qd, qdd = (finite_array(key, document[key], ndim=1 if key == "t" else 2) for key in UNITS)
-    return MotionSamples(t, q, qd, qdd, tuple(document["joints"]))
+    return TimedSamples(t, q, qd, qdd, tuple(document["joints"]))
 
 
 def _check(name: str, document: Any) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from graceful_plan.exceptions import FormatError, GracefulPlanError
-from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, MotionSamples, from_columns
+from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, from_columns
 
 _KEYS = {b"schema": SCHEMA.encode(), b"version": str(VERSION).encode()}
 
@@ -26,7 +26,7 @@ def check_arrow() -> None:
         raise MissingArrow
 
 
-def to_parquet(samples: MotionSamples, file: str | Path) -> None:
+def to_parquet(samples: TimedSamples, file: str | Path) -> None:
     """Write a file.
 
     Raises:
@@ -44,7 +44,7 @@ def to_parquet(samples: MotionSamples, file: str | Path) -> None:
     pq.write_table(pa.table(list(columns.values()), schema=schema), file, compression="zstd")
 
 
-def from_parquet(file: str | Path) -> MotionSamples:
+def from_parquet(file: str | Path) -> TimedSamples:
     """Read what `to_parquet` wrote.
 
     Raises:

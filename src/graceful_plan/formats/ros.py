@@ -14,7 +14,7 @@ import yaml
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
-from graceful_plan.formats.samples import MotionSamples, text_of
+from graceful_plan.formats.samples import TimedSamples, text_of
 from graceful_plan.path import finite_array
 
 Array = np.ndarray
@@ -24,7 +24,7 @@ Names = Mapping[str, str] | Callable[[str], str]
 _NANO = 1_000_000_000
 
 
-def to_message(samples: MotionSamples, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
+def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
     """Return the message as a dictionary of its fields.
 
     Args:
@@ -66,7 +66,7 @@ def from_message(
     source: Any,
     joints: Sequence[str] | None = None,
     names: Names | None = None,
-) -> MotionSamples:
+) -> TimedSamples:
     """Read a JointTrajectory.
 
     Args:
@@ -100,7 +100,7 @@ def from_message(
         moving = ", ".join(given[i] for i in others if np.ptp(q[:, i]) > 0.0)
         raise FormatError(label, f"it moves {moving} as well, which {', '.join(wanted)} are not")
     q, qd = q[:, columns], qd[:, columns]
-    return MotionSamples(t, q, qd, _cubic(t, q, qd) if qdd is None else qdd[:, columns], wanted)
+    return TimedSamples(t, q, qd, _cubic(t, q, qd) if qdd is None else qdd[:, columns], wanted)
 
 
 def _mapped(joints: Iterable[str], names: Names | None) -> tuple[str, ...]:

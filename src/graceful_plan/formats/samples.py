@@ -17,7 +17,7 @@ UNITS = {"t": "s", "q": "rad or m", "qd": "rad/s or m/s", "qdd": "rad/s^2 or m/s
 SCHEMA, VERSION = "graceful_plan.trajectory", 1
 
 
-class MotionSamples(NamedTuple):
+class TimedSamples(NamedTuple):
     """What a `Trajectory` is made of; nothing about it has been checked."""
 
     t: Float[Array, " time"]
@@ -34,8 +34,8 @@ class MotionSamples(NamedTuple):
         return {"t": self.t, **named}
 
 
-def from_columns(source: str, names: list[str], table: Float[Array, "time column"]) -> MotionSamples:
-    """Return the samples of a table, whose columns are named as those of `MotionSamples.columns` and in that order.
+def from_columns(source: str, names: list[str], table: Float[Array, "time column"]) -> TimedSamples:
+    """Return the samples of a table, whose columns are named as those of `TimedSamples.columns` and in that order.
 
     Raises:
         FormatError: If these are other columns.
@@ -47,7 +47,7 @@ def from_columns(source: str, names: list[str], table: Float[Array, "time column
         found = ", ".join(names[:8]) + (", .." if len(names) > 8 else "")
         raise FormatError(source, f"the columns have to be t, then q, qd and qdd of every joint; found: {found}")
     q, qd, qdd = (table[:, 1 + i * count : 1 + (i + 1) * count] for i in range(3))
-    return MotionSamples(table[:, 0], q, qd, qdd, joints)
+    return TimedSamples(table[:, 0], q, qd, qdd, joints)
 
 
 def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.formats import csv_text, json_text, parquet_file, ros
 from graceful_plan.formats.ros import Names
-from graceful_plan.formats.samples import MotionSamples
+from graceful_plan.formats.samples import TimedSamples
 from graceful_plan.path import Path, finite_array
 
 Array = np.ndarray
@@ -241,8 +241,8 @@ class Trajectory:
         return cls(*ros.from_message(source, joints, names))
 
     @property
-    def _samples(self) -> MotionSamples:
-        return MotionSamples(self.t, self.q, self.qd, self.qdd, self.joints)
+    def _samples(self) -> TimedSamples:
+        return TimedSamples(self.t, self.q, self.qd, self.qdd, self.joints)
 
 
 def _written(text: str, file: str | FilePath | None) -> str:
