@@ -252,3 +252,13 @@ def test_with_json_errors_are_json(run, argv, kind):
     document = json.loads(out)
     assert code == document["exit_code"] == cli.MISUSE
     assert (document["error"], document["message"] in err) == (kind, True)
+
+
+def test_files_are_named_and_outputs_checked_first(run, tmp_path):
+    (tmp_path / "s.json").write_text('{"schema": "failbench.sweep", "version": 0}')
+    code, _, err = run("generate", str(tmp_path / "d"), "--sweep", str(tmp_path / "s.json"))
+    assert (code, err.startswith(f"failbench generate: {tmp_path / 's.json'}: ")) == (cli.MISUSE, True)
+    code, _, err = run("calibrate", str(tmp_path / "no" / "such.yaml"))
+    assert (code, "No such file or directory" in err) == (cli.MISUSE, True)
+    code, _, err = run("calibrate", str(tmp_path / "constants.json"))
+    assert (code, "ends in .yaml or .yml" in err) == (cli.MISUSE, True)

@@ -82,6 +82,16 @@ def test_a_message_has_the_fields_of_ros(trajectory):
     assert json.loads(json.dumps(message)) == message == yaml.safe_load(trajectory.to_ros_yaml(frame="world"))
 
 
+def test_rounded_times_keep_the_motion_within_its_limits():
+    task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
+    trajectory = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50).unwrap()
+    found = gp.Trajectory.from_ros(trajectory.to_ros())
+    np.testing.assert_allclose(found.q, trajectory.q, atol=1e-8)
+    for here, there in zip(found.piece_accelerations, trajectory.piece_accelerations, strict=True):
+        np.testing.assert_allclose(here, there, rtol=1e-6, atol=1e-5)
+    assert gp.verify(found, task.scene).passed
+
+
 def test_a_motion_that_begins_later_begins_with_its_message(trajectory):
     later = gp.Trajectory(trajectory.t + 8.0, trajectory.q, trajectory.qd, trajectory.qdd, trajectory.joints)
     assert later.to_ros() == trajectory.to_ros()
@@ -167,6 +177,8 @@ def broken(change):
         (lambda m: m["points"][1].pop("velocities"), FormatError, "lacks velocities"),
         (lambda m: m["points"][1].pop("time_from_start"), FormatError, "lacks time_from_start"),
         (lambda m: m["points"][1]["time_from_start"].update(sec=0.5), FormatError, "whole numbers"),
+        (lambda m: m["points"][1]["time_from_start"].update(sec=10**400), FormatError, "whole numbers"),
+        (lambda m: m["points"][1]["time_from_start"].update(nanosec=-1), FormatError, "whole numbers"),
         (lambda m: m["points"][1]["time_from_start"].update(sec=0), SettingError, "time must increase"),
         (lambda m: m["points"][1].update(positions=[np.nan]), NonFiniteError, "positions of message"),
     ],

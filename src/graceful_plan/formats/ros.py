@@ -21,7 +21,7 @@ Array = np.ndarray
 Names = Mapping[str, str] | Callable[[str], str]
 """From a joint here to its name over there."""
 
-_NANO = 1_000_000_000
+NANO = 1_000_000_000
 
 
 def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
@@ -37,7 +37,7 @@ def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str 
         SettingError: If two joints would have one name, or two samples one time in nanoseconds.
     """
     joints = _mapped(samples.joints, names)
-    nanoseconds = np.rint((samples.t - samples.t[0]) * _NANO).astype(np.int64)
+    nanoseconds = np.rint((samples.t - samples.t[0]) * NANO).astype(np.int64)
     if np.any(np.diff(nanoseconds) <= 0):
         i = int(np.argmax(np.diff(nanoseconds) <= 0)) + 1
         raise SettingError(f"t[{i}]", float(samples.t[i]), "at least a nanosecond after the sample before")
@@ -47,7 +47,7 @@ def to_message(samples: TimedSamples, names: Names | None = None, *, frame: str 
             "velocities": qd,
             "accelerations": qdd,
             "effort": [],
-            "time_from_start": {"sec": time // _NANO, "nanosec": time % _NANO},
+            "time_from_start": {"sec": time // NANO, "nanosec": time % NANO},
         }
         for q, qd, qdd, time in zip(
             samples.q.tolist(), samples.qd.tolist(), samples.qdd.tolist(), nanoseconds.tolist(), strict=True
@@ -162,9 +162,10 @@ def _columns(label: str, given: list[str], wanted: Sequence[str]) -> list[int]:
 
 def _seconds(label: str, duration: Any) -> float:
     sec, nano = (_field(label, duration, key) for key in ("sec", "nanosec"))
-    if not all(isinstance(x, int | np.integer) and not isinstance(x, bool) for x in (sec, nano)):
-        raise FormatError(label, "sec and nanosec of time_from_start have to be whole numbers")
-    return (int(sec) * _NANO + int(nano)) / _NANO
+    whole = all(isinstance(x, int | np.integer) and not isinstance(x, bool) for x in (sec, nano))
+    if not whole or not (0 <= sec < 2**31 and 0 <= nano < NANO):
+        raise FormatError(label, "sec and nanosec of time_from_start have to be whole numbers, nanosec below a second")
+    return (int(sec) * NANO + int(nano)) / NANO
 
 
 def _has(points: Sequence[Any], key: str) -> bool:

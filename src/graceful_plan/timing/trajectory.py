@@ -215,7 +215,7 @@ class Trajectory:
             UnknownNameError: If a mapping lacks one of the joints.
             SettingError: If two joints would have one name, or samples lie less than a nanosecond apart.
         """
-        return ros.to_message(self._samples, names, frame=frame)
+        return ros.to_message(self._in_nanoseconds, names, frame=frame)
 
     def to_ros_yaml(self, file: str | FilePath | None = None, *, names: Names | None = None, frame: str = "") -> str:
         """Return what `to_ros` does as YAML, as the command line of ROS 2 reads it; write it to `file` if given."""
@@ -239,6 +239,16 @@ class Trajectory:
             SettingError: If its times do not increase.
         """
         return cls(*ros.from_message(source, joints, names))
+
+    @property
+    def _in_nanoseconds(self) -> TimedSamples:
+        """The samples, moved along the motion to whole nanoseconds: times that are rounded alone would bend it."""
+        t = self.t[0] + np.rint((self.t - self.t[0]) * ros.NANO) / ros.NANO
+        moved = (t != self.t)[:, None]
+        moved[-1] = False  # it ends where it ends
+        state = self.at(t)
+        q, qd = np.where(moved, state.q, self.q), np.where(moved, state.qd, self.qd)
+        return TimedSamples(t, q, qd, self.qdd, self.joints)
 
     @property
     def _samples(self) -> TimedSamples:
