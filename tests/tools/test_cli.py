@@ -221,6 +221,8 @@ def test_broken_motions_are_named_with_their_file(run, tmp_path, command, text):
         ("t", lambda t: t[::-1], "time must increase"),
         ("q", lambda q: [[10**400] * 7 for _ in q], "q has shape"),
         ("qd", lambda qd: None, "qd must be a list of numbers"),
+        ("qd", lambda qd: [[1e9] * 7 for _ in qd], "positions and velocities of at most 1000"),
+        ("q", lambda q: [[i * 1e4] * 7 for i in range(len(q))], "states of the path"),
     ],
 )
 def test_broken_trajectories_are_named_with_their_file(run, motion, tmp_path, key, value, message):

@@ -6,13 +6,14 @@ import argparse
 import errno
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
 from graceful_plan import documents
-from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.scene.scene import Scene
 
 DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
@@ -190,6 +191,21 @@ def motion_in(file: FilePath, scene: Scene) -> gp.Path | gp.Trajectory:
     if given != len(scene.joints):
         raise FormatError(str(file), f"it moves {given} joints, the scene has {len(scene.joints)}")
     return motion
+
+
+@contextmanager
+def blamed_on(file: FilePath) -> Iterator[None]:
+    """Name the file in complaints about the motion that it holds.
+
+    Raises:
+        FormatError: In place of what was said of the motion.
+    """
+    try:
+        yield
+    except (ShapeError, SettingError) as error:
+        if error.name not in ("path", "trajectory", "states of the path"):
+            raise
+        raise FormatError(str(file), str(error)) from None
 
 
 # --- output -----------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from graceful_plan.tools.console import (
     add_command,
     add_model,
     add_scene,
+    blamed_on,
     check_file,
     chosen_task,
     joint_values,
@@ -63,7 +64,7 @@ def _explain(args: argparse.Namespace) -> int:
     scene = chosen_task(args)[0]
     motion = motion_in(args.motion, scene)
     objective = gp.Objective(impact=gp.ImpactCost(model=args.model), exposure=args.exposure)
-    with ProgressLine(args.json, "explaining"):
+    with ProgressLine(args.json, "explaining"), blamed_on(args.motion):
         explanation = gp.explain(motion, scene, objective)
     text = str(explanation)
     if args.output is not None:

@@ -20,6 +20,7 @@ from graceful_plan.tools.console import (
     add_scene,
     add_speed,
     add_validation,
+    blamed_on,
     budget,
     check_file,
     check_folder,
@@ -130,7 +131,7 @@ def _answer(args: argparse.Namespace, result: gp.PlanResult, validation: Validat
 def _evaluate(args: argparse.Namespace) -> int:
     scene = chosen_task(args)[0]
     motion = motion_in(args.motion, scene)
-    with ProgressLine(args.json, "judging"):
+    with ProgressLine(args.json, "judging"), blamed_on(args.motion):
         cost = gp.evaluate(motion, scene, gp.Objective(w=args.w))
         verdict = gp.verify(motion, scene)
     rows = [
