@@ -6,7 +6,7 @@ import argparse
 import errno
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path as FilePath
 from typing import Any
@@ -194,7 +194,7 @@ def motion_in(file: FilePath, scene: Scene) -> gp.Path | gp.Trajectory:
 
 
 @contextmanager
-def blamed_on(file: FilePath) -> Iterator[None]:
+def blamed_on(file: FilePath) -> Generator[None]:
     """Name the file in complaints about the motion that it holds.
 
     Raises:
