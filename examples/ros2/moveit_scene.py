@@ -30,6 +30,10 @@ def solids(scene: PlanningScene, entities: Mapping[str, str] = ENTITIES) -> Iter
     if scene.robot_state.attached_collision_objects:
         names = [attached.object.id for attached in scene.robot_state.attached_collision_objects]
         raise ValueError(f"{names} are in the gripper: describe them in the scene file, and use scene.attach(..)")
+    if len(scene.world.octomap.octomap.data):
+        raise ValueError(
+            "there is an octomap: give the cloud that it was made of to gp.PointCloud, see docs/perception.md"
+        )
     for thing in scene.world.collision_objects:
         if thing.header.frame_id != FRAME or thing.planes:
             raise ValueError(f"{thing.id!r} is in {thing.header.frame_id!r}, or is a plane; solids in {FRAME!r} only")
@@ -90,6 +94,7 @@ def ask(node) -> PlanningScene:
         | PlanningSceneComponents.ROBOT_STATE_ATTACHED_OBJECTS
         | PlanningSceneComponents.WORLD_OBJECT_NAMES
         | PlanningSceneComponents.WORLD_OBJECT_GEOMETRY
+        | PlanningSceneComponents.OCTOMAP
     )
     answer = client.call_async(GetPlanningScene.Request(components=wanted))
     rclpy.spin_until_future_complete(node, answer)

@@ -88,6 +88,10 @@ def thing(name, kind, *dimensions, at=(0.0, 0.0, 0.0), frame="world", **others):
     return ros.CollisionObject(**(given | others))
 
 
+def seen_by_a_camera():
+    return ros.OctomapWithPose(octomap=ros.Octomap(data=[1, 2]))
+
+
 def scene_with(*things):
     return ros.PlanningScene(world=ros.PlanningSceneWorld(collision_objects=list(things)))
 
@@ -124,6 +128,7 @@ def test_meshes_become_solids_with_names_of_their_own(example):
     [
         (scene_with(thing("shelf", 1, 1.0, 1.0, 1.0, frame="camera")), "'shelf' is in 'camera'"),
         (scene_with(thing("shelf", 5, 1.0)), "type 5"),
+        (ros.PlanningScene(world=ros.PlanningSceneWorld(octomap=seen_by_a_camera())), "there is an octomap"),
         (scene_with(thing("floor", 1, 1.0, 1.0, 1.0, planes=[object()])), "plane"),
         (
             ros.PlanningScene(robot_state=ros.RobotState(attached_collision_objects=[ros.AttachedCollisionObject()])),
@@ -149,7 +154,7 @@ def test_a_motion_past_what_moveit_sees_is_shown_and_saved(example, robot, tmp_p
     assert example("moveit_scene").main(["tabletop", goal]) == 0
     assert capsys.readouterr().out.startswith("SOLVED")
     ((name, request),) = robot.asked
-    assert (name, request.components.components) == ("/get_planning_scene", 2 | 4 | 8 | 16)
+    assert (name, request.components.components) == ("/get_planning_scene", 2 | 4 | 8 | 16 | 32)
     (shown,) = robot.published["/display_planned_path"]
     assert shown.trajectory[0].joint_trajectory.joint_names == names
     motion = gp.Trajectory.from_json(tmp_path / "motion.json")

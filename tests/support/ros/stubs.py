@@ -35,13 +35,15 @@ CollisionObject = message(
 )  # fmt: skip
 AttachedCollisionObject = message("AttachedCollisionObject", link_name="", object=CollisionObject, touch_links=list)
 RobotState = message("RobotState", joint_state=JointState, attached_collision_objects=list, is_diff=False)
-PlanningSceneWorld = message("PlanningSceneWorld", collision_objects=list, octomap=None)
+Octomap = message("Octomap", data=list)
+OctomapWithPose = message("OctomapWithPose", octomap=Octomap)
+PlanningSceneWorld = message("PlanningSceneWorld", collision_objects=list, octomap=OctomapWithPose)
 PlanningScene = message("PlanningScene", name="", robot_state=RobotState, world=PlanningSceneWorld, is_diff=False)
 RobotTrajectory = message("RobotTrajectory", joint_trajectory=JointTrajectory, multi_dof_joint_trajectory=None)
 DisplayTrajectory = message("DisplayTrajectory", model_id="", trajectory=list, trajectory_start=RobotState)
 PlanningSceneComponents = message("PlanningSceneComponents", components=0)
 for bit, name in enumerate(("SCENE_SETTINGS", "ROBOT_STATE", "ROBOT_STATE_ATTACHED_OBJECTS", "WORLD_OBJECT_NAMES",
-                            "WORLD_OBJECT_GEOMETRY")):  # fmt: skip
+                            "WORLD_OBJECT_GEOMETRY", "OCTOMAP")):  # fmt: skip
     setattr(PlanningSceneComponents, name, 1 << bit)
 
 
