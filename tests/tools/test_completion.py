@@ -1,5 +1,6 @@
 """What shells offer: asked of the shells themselves, where they are installed."""
 
+import re
 import shutil
 import subprocess
 
@@ -77,6 +78,28 @@ def test_zsh_understands_its_script(script, tmp_path):
     ask = f"autoload -U compinit; compinit -D; source {tmp_path / 'script'}; print $_comps[graceful-plan]"
     done = subprocess.run(["zsh", "-fc", ask], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("_graceful_plan\n", "")
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [("plan --scene des", "desk "), ("plan --scene mi", "mine.yaml "), ("evaluate mi", "mine.yaml "), ("pla", "plan")],
+)
+def test_zsh_completes_as_one_types(script, tmp_path, typed, completed):
+    """A zsh in a terminal of its own; it waits until the words are there, for ever if they never come."""
+    (tmp_path / "script").write_text(script("zsh"))
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "mine.yaml").touch()
+    begin = f"PS1=; autoload -U compinit; compinit -D -u; source {tmp_path / 'script'}; bindkey '^I' complete-word"
+    ask = (
+        f'zmodload zsh/zpty; zpty w zsh -f -i; zpty -w w "{begin}; print rea""dy"; zpty -r w out "*ready*"\n'
+        f"zpty -n -w w $'graceful-plan {typed}\\t'; zpty -r w out '*{completed.replace(' ', '?')}*'; print $out"
+    )
+    done = subprocess.run(
+        ["zsh", "-fc", ask], capture_output=True, text=True, check=False, cwd=tmp_path / "here", timeout=60
+    )
+    assert done.returncode == 0
+    assert not re.search(r"\(eval\)|command not found|bad option", done.stdout)
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")

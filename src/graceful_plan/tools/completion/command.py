@@ -28,9 +28,9 @@ def _values() -> dict[str, Offer]:
     """Return what is offered as values, by the names of options."""
     from graceful_plan.compare.problems.suite import suites
 
-    planners = Offer(sorted(gp.PLANNERS))
+    planners = Offer(tuple(sorted(gp.PLANNERS)))
     return {
-        "scene": Offer([*gp.scenes(), *gp.mobile_scenes()], files=True),
+        "scene": Offer((*gp.scenes(), *gp.mobile_scenes()), files=True),
         "suite": Offer(suites(), files=True),
         "planner": planners,
         "planners": planners,

@@ -27,7 +27,7 @@ class Argument(NamedTuple):
 class Offer(NamedTuple):
     """What to offer as the value of an argument."""
 
-    words: Sequence[str]
+    words: tuple[str, ...]
     files: bool = False
 
 
@@ -43,7 +43,7 @@ def arguments(parser: Parser, values: Values) -> list[Argument]:
 def _argument(action: argparse.Action, values: Values) -> Argument:
     known = values.get(action.dest, Offer(tuple(action.choices or ()), action.type is Path))
     text = (action.help or "").replace("%%", "%").partition(";")[0].partition(" (default")[0]
-    return Argument(tuple(action.option_strings), text, action.nargs != 0, tuple(known.words), known.files)
+    return Argument(tuple(action.option_strings), text, action.nargs != 0, known.words, known.files)
 
 
 def bash(parser: Parser, values: Values) -> str:
@@ -96,7 +96,10 @@ def zsh(parser: Parser, values: Values) -> str:
     """Return a script for zsh."""
     function = f"_{parser.prog.replace('-', '_')}"
     commands = [f"{name}:{_plain(command.description or '')}" for name, command in parser.commands.items()]
-    lines = [f"#compdef {parser.prog}", f"{function}() {{", "    local -a commands", "    commands=("]
+    lines = [f"#compdef {parser.prog}"]
+    for words in dict.fromkeys(offer.words for offer in values.values() if offer.files and offer.words):
+        lines.append(f'{_zsh_function(words)}() {{ compadd "$@" -- {" ".join(words)}; _files "$@"; }}')
+    lines += [f"{function}() {{", "    local -a commands", "    commands=("]
     lines += [f"        {shlex.quote(line)}" for line in commands]
     lines += ["    )", "    if ((CURRENT == 2)); then", "        _describe command commands", "        return"]
     lines += ["    fi", "    local chosen=$words[2]", "    shift words; ((CURRENT--))", "    case $chosen in"]
@@ -109,12 +112,16 @@ def zsh(parser: Parser, values: Values) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _zsh_function(words: Sequence[str]) -> str:
+    """Name the function that offers words and files; the first word tells whose they are."""
+    return f"_graceful_plan_{words[0]}_or_file"
+
+
 def _zsh_specs(argument: Argument) -> Iterator[str]:
     text = _plain(argument.text)
     offers = f"({' '.join(argument.words)})" if argument.words and not argument.files else ""
     if argument.files:
-        words = f'"values:value:({" ".join(argument.words)})" ' if argument.words else ""
-        offers = f'_alternative {words}"files:file:_files"'
+        offers = _zsh_function(argument.words) if argument.words else "_files"
     value = f":value:{offers}" if argument.takes_value else ""
     for name in argument.names:
         yield f"*{name}[{text}]{value}"
