@@ -13,7 +13,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long test-robots lint bench wheel lock clean
+.PHONY: help demo picture sheet test test-long test-robots lint docs bench wheel lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make test-long  run further cases, and tests that take longer"
 	@echo "make test-robots  run tests with robots from packages, which are 130 MB"
 	@echo "make lint   check style and types"
+	@echo "make docs   build the site into site/, without a warning"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build a wheel into dist/"
 	@echo "make lock   renew requirements/*.txt"
@@ -57,6 +58,10 @@ lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/basedpyright
 	$(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
 
+# The variable silences what the theme says about versions to come.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 bench: $(VENV)/.package
 	$(BIN)/python benchmarks/run.py $(ARGS)
 
@@ -70,13 +75,14 @@ $(VENV)/.robots: requirements/robots.txt $(VENV)/.dev
 
 lock: $(VENV)/.python
 	$(PIP) install -q pip-tools
-	for set in "build requirements/build.in" "runtime pyproject.toml" "dev --extra dev -c requirements/runtime.txt pyproject.toml"; do \
+	for set in "build requirements/build.in" "runtime pyproject.toml" "dev --extra dev -c requirements/runtime.txt pyproject.toml" \
+	  "docs --extra docs -c requirements/dev.txt pyproject.toml"; do \
 	  $(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
 	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/$${set%% *}.txt $${set#* } || exit 1; \
 	done
 
 clean:
-	rm -rf $(VENV) build dist graceful_plan_demo .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site graceful_plan_demo .pytest_cache .ruff_cache .hypothesis
 
 $(VENV)/.python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -93,6 +99,10 @@ $(VENV)/.runtime: requirements/runtime.txt $(VENV)/.python
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
+	$(PINNED) -r $<
+	@touch $@
+
+$(VENV)/.docs: requirements/docs.txt $(VENV)/.dev
 	$(PINNED) -r $<
 	@touch $@
 

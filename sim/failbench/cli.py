@@ -1,11 +1,11 @@
 """The command line, `failbench`. Thin: it calls the public API, prints, and turns outcomes into exit codes.
 
-0: done. 1: no motion, or a part of a sweep failed. 2: misuse. 130: interrupted.
+0: done. 1: no motion, or a part of a sweep failed. 2: misuse. 130: interrupted. With `--json`, what goes wrong is a
+document on standard output as well, with the exit code in it.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
@@ -14,40 +14,56 @@ import graceful_plan as gp
 from failbench.basics.errors import SweepFailed
 from failbench.commands import calibrating, judging, rollouts, sweeping
 from failbench.sweeps.sweep import JOURNAL
-from graceful_plan import GracefulPlanError, PlanningFailed
+from graceful_plan import GracefulPlanError, PlanningFailed, documents
+from graceful_plan.tools.parsing import Parser, UsageError
 
 DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    args = _parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    name, as_json, args = "failbench", "--json" in words, None
     try:
+        args = parser().parse_args(words)
+        name = f"failbench {args.command}"
         print(args.run(args).shown(args.json))
         return DONE
+    except BrokenPipeError:
+        # The reader went away, as `head` does; a second complaint at shutdown is kept from it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except UsageError as error:
+        print(error.usage, file=sys.stderr)
+        return _complain(name, error, MISUSE, as_json)
     except (GracefulPlanError, OSError, ImportError) as error:
-        if isinstance(error, BrokenPipeError):
-            # The reader went away, as `head` does; a second complaint at shutdown is kept from it.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return DONE
-        print(f"failbench {args.command}: {error}", file=sys.stderr)
-        return FAILED if isinstance(error, SweepFailed | PlanningFailed) else MISUSE
+        code = FAILED if isinstance(error, SweepFailed | PlanningFailed) else MISUSE
+        return _complain(name, error, code, as_json)
     except KeyboardInterrupt:
         folder = getattr(args, "folder", None)
         begun = folder is not None and (folder / JOURNAL).exists()
-        print("interrupted" + (f"; to go on: failbench resume {folder}" if begun else ""), file=sys.stderr)
-        return INTERRUPTED
+        said = "interrupted" + (f"; to go on: failbench resume {folder}" if begun else "")
+        return _complain(name, KeyboardInterrupt(said), INTERRUPTED, as_json)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def _complain(name: str, error: BaseException, code: int, as_json: bool) -> int:
+    """Say what went wrong on standard error, and as a document on standard output if JSON was asked for."""
+    print(f"{name}: {error}", file=sys.stderr)
+    if as_json:
+        print(documents.to_json(documents.error_document(name, error, code)))
+    return code
+
+
+def parser() -> Parser:
+    """Return the parser of all commands."""
+    made = Parser(
         prog="failbench", description="Break a simulated robot on its way and see what it hits, and how hard."
     )
-    parser.add_argument("--version", action="version", version=gp.__version__)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    made.add_argument("--version", action="version", version=gp.__version__)
+    commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for group in (rollouts, judging, sweeping, calibrating):
         group.add(commands)
-    return parser
+    return made
 
 
 if __name__ == "__main__":

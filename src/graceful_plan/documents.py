@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, GracefulPlanError
+from graceful_plan.formats.parquet_file import MissingArrow
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
 from graceful_plan.timing.trajectory import Trajectory
+
+_READERS: Mapping[str, Callable[[str | FilePath], Trajectory]] = {
+    ".csv": Trajectory.from_csv,
+    ".parquet": Trajectory.from_parquet,
+    ".yaml": lambda file: Trajectory.from_ros(FilePath(file)),
+}
+_WRITERS: Mapping[str, Callable[[Trajectory, FilePath], object]] = {
+    ".json": Trajectory.to_json,
+    ".csv": Trajectory.to_csv,
+    ".parquet": Trajectory.to_parquet,
+    ".yaml": Trajectory.to_ros_yaml,
+}
+MOTION_FILES = tuple(_WRITERS)
+"""Endings of the files that `write_motion` writes."""
 
 _PATH_SCHEMA = {"schema": "graceful_plan.path", "version": 1}
 
@@ -69,33 +84,68 @@ def result_document(result: PlanResult) -> dict[str, Any]:
     }
 
 
+def error_document(command: str, error: BaseException, exit_code: int) -> dict[str, Any]:
+    """Return what went wrong with a command as a document, for programs that read what the command prints."""
+    return {
+        "schema": "graceful_plan.error",
+        "version": 1,
+        "command": command,
+        "error": type(error).__name__,
+        "message": str(error),
+        "exit_code": exit_code,
+    }
+
+
 def path_document(path: Path) -> dict[str, Any]:
     """Return a path as a document that `read_motion` reads."""
     return {**_PATH_SCHEMA, "q": path.q.tolist()}
 
 
 def read_motion(file: str | FilePath) -> Path | Trajectory:
-    """Read a trajectory or a path from a JSON file.
+    """Read a trajectory or a path from a file.
+
+    Args:
+        file: JSON of `to_json`, of `path_document` or of the result of `plan`; or, by its ending, what `to_csv`,
+            `to_parquet` or `to_ros_yaml` wrote, the latter with the names that joints have here.
 
     Raises:
-        FormatError: If the file holds neither.
-        ShapeError: If its numbers do not form an array.
-        NonFiniteError: If one of them is NaN or infinite.
+        FormatError: If the file cannot be read, or holds neither; with its name.
+        MissingArrow: If it is Parquet and pyarrow is not installed.
     """
+    other = _READERS.get(FilePath(file).suffix)
     try:
-        document = json.loads(FilePath(file).read_text(encoding="utf-8"))
+        return _motion(json.loads(FilePath(file).read_text(encoding="utf-8"))) if other is None else other(file)
     except OSError as error:
         raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+    except FormatError as error:
+        raise FormatError(str(file), error.problem) from None
+    except MissingArrow:
+        raise
+    except GracefulPlanError as error:
+        raise FormatError(str(file), str(error)) from None
     except (ValueError, RecursionError) as error:
         raise FormatError(str(file), f"not JSON: {error}") from None
+
+
+def write_motion(trajectory: Trajectory, file: FilePath) -> None:
+    """Write a trajectory as the ending of the file says: see `MOTION_FILES`.
+
+    Raises:
+        MissingArrow: If it is Parquet and pyarrow is not installed.
+        OSError: If it cannot be written.
+    """
+    _WRITERS[file.suffix](trajectory, file)
+
+
+def _motion(document: Any) -> Path | Trajectory:
     if isinstance(document, dict) and document.get("schema") == "graceful_plan.result":
         document = document.get("trajectory") or document.get("path")
-    if not isinstance(document, dict):
-        raise FormatError(str(file), "it holds neither a path nor a trajectory")
+    if not isinstance(document, dict) or not document:
+        raise FormatError("motion", "it holds neither a path nor a trajectory")
     if document.get("schema") != _PATH_SCHEMA["schema"]:
         return Trajectory.from_json(json.dumps(document))
     if document.keys() != {*_PATH_SCHEMA, "q"} or document["version"] != _PATH_SCHEMA["version"]:
-        raise FormatError(str(file), f"a path has the keys schema, version (1) and q; found {', '.join(document)}")
+        raise FormatError("motion", f"a path has the keys schema, version (1) and q; found {', '.join(document)}")
     return Path(finite_array("path", document["q"], ndim=2))
 
 

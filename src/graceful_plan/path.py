@@ -25,7 +25,7 @@ def finite_array(
     """
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None
     if (ndim is not None and array.ndim != ndim) or (last is not None and (array.ndim == 0 or array.shape[-1] != last)):
         axes = ["...", "n"] if ndim is None else ["n"] * ndim

@@ -250,3 +250,14 @@ def test_what_is_kept_of_states_is_made_once_whatever_the_time(task):
     assert batch.kept.get(list, "b", make) is not first and len(made) == 2
     assert batch.kept.get(tuple, "a", lambda: (1,)) == (1,)
     assert StateBatch(task.scene, task.start[None]).kept.get(list, "a", make) is not first
+
+
+@pytest.mark.parametrize("ask", [gp.evaluate, gp.explain])
+def test_cubics_that_overshoot_beyond_all_bounds_are_refused(ask):
+    task = gp.load_scene("tabletop_l1").tasks["green_to_blue"]
+    q = np.stack([task.start] * 3)
+    qd = np.zeros_like(q)
+    qd[1, 2] = 1e9
+    wild = gp.Trajectory(np.array([0.0, 0.1, 0.2]), q, qd, np.zeros_like(q), task.scene.joints)
+    with pytest.raises(SettingError, match="velocities of at most 1000, between samples too"):
+        ask(wild, task.scene)

@@ -15,6 +15,7 @@ from failbench.sweeps.dataset import MANIFEST, read_dataset
 from failbench.sweeps.sweep import JOURNAL
 
 DROP = "tabletop/lift_to_goal/gripper_failure/severe"
+GO_ON = "interrupted; to go on: failbench resume data"
 QUICK = ("--iterations", "50", "--horizon", "0.04")
 
 
@@ -235,7 +236,7 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_nobody_behind(tmp_path):
     workers = children_of(driver.pid)
     os.killpg(driver.pid, signal.SIGINT)
     out, err = driver.communicate(timeout=20)
-    assert (driver.returncode, out, err) == (cli.INTERRUPTED, "", "interrupted; to go on: failbench resume data\n")
+    assert (driver.returncode, out, err) == (cli.INTERRUPTED, "", f"failbench generate: {GO_ON}\n")
     assert len(workers) >= 2 and all_end(workers)
 
 
@@ -243,3 +244,21 @@ def test_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -m failbench.cli scenarios --json | true"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (cli.DONE, "")
+
+
+@pytest.mark.parametrize(("argv", "kind"), [(("levitate",), "UsageError"), (("run", "nowhere/*"), "UnknownNameError")])
+def test_with_json_errors_are_json(run, argv, kind):
+    code, out, err = run(*argv, "--json")
+    document = json.loads(out)
+    assert code == document["exit_code"] == cli.MISUSE
+    assert (document["error"], document["message"] in err) == (kind, True)
+
+
+def test_files_are_named_and_outputs_checked_first(run, tmp_path):
+    (tmp_path / "s.json").write_text('{"schema": "failbench.sweep", "version": 0}')
+    code, _, err = run("generate", str(tmp_path / "d"), "--sweep", str(tmp_path / "s.json"))
+    assert (code, err.startswith(f"failbench generate: {tmp_path / 's.json'}: ")) == (cli.MISUSE, True)
+    code, _, err = run("calibrate", str(tmp_path / "no" / "such.yaml"))
+    assert (code, "No such file or directory" in err) == (cli.MISUSE, True)
+    code, _, err = run("calibrate", str(tmp_path / "constants.json"))
+    assert (code, "ends in .yaml or .yml" in err) == (cli.MISUSE, True)

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.motion import JointLength
@@ -233,3 +234,10 @@ def test_every_fault_of_a_cost_is_named(fault: str, finding: str, scene: Scene) 
 def test_what_is_not_a_cost_is_refused(scene: Scene) -> None:
     with pytest.raises(ContractError, match=r"is not a graceful_plan.Cost"):
         check_cost(lambda batch: batch, scene)  # pyright: ignore[reportArgumentType]
+
+
+def test_the_planner_of_the_guide_keeps_the_contract():
+    text = (ROOT / "docs" / "comparing-planners.md").read_text()
+    known: dict[str, type] = {}
+    exec(compile(text.partition("```python\n")[2].partition("```")[0], "comparing-planners.md", "exec"), known)
+    check_planner(known["ViaPoint"](), PlannerTrial(overrun=5.0))

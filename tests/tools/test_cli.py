@@ -1,13 +1,14 @@
 import json
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 
 import graceful_plan as gp
 from graceful_plan import documents
-from graceful_plan.tools import cli, demo
+from graceful_plan.tools import cli, demo, progress
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +48,15 @@ def test_plan_between_keyframes_and_numbers(run):
     assert (code, json.loads(out)["status"]) == (cli.DONE, "SOLVED")
 
 
-def test_csv_by_its_ending(run, tmp_path):
-    code, _, _ = run("plan", "--w", "0", "--iterations", "50", "--output", str(tmp_path / "t.csv"))
-    assert code == cli.DONE
-    assert (tmp_path / "t.csv").read_text().startswith("t [s],")
+@pytest.mark.parametrize("ending", documents.MOTION_FILES)
+def test_the_format_is_that_of_the_ending(run, tmp_path, ending):
+    file = tmp_path / f"t{ending}"
+    assert run("plan", "--w", "0", "--iterations", "50", "--output", str(file))[0] == cli.DONE
+    assert isinstance(documents.read_motion(file), gp.Trajectory)
+    assert run("evaluate", str(file))[0] == cli.DONE
+    file.write_bytes(b"\x00nothing of the kind")
+    code, _, err = run("evaluate", str(file))
+    assert (code, err.startswith(f"graceful-plan evaluate: {file}: ")) == (cli.MISUSE, True)
 
 
 def test_failure_has_its_own_exit_code(run):
@@ -75,7 +81,7 @@ def test_failure_has_its_own_exit_code(run):
         (("plan", "--start", "0", "0"), "shape (2,)"),
         (("plan", "--start", "ready", "now"), "--start = 'ready now'"),
         (("plan", "--start", "nowhere"), "unknown keyframe 'nowhere'"),
-        (("plan", "--output", "trajectory.txt"), "ends in .json or .csv"),
+        (("plan", "--output", "trajectory.txt"), "ends in .json, .csv, .parquet or .yaml"),
         (("plan", "--iterations", "1", "--output", "no/such/folder/t.json"), "No such file or directory"),
         (("evaluate", "nowhere.json"), "nowhere.json: cannot be read"),
         (("explain", "nowhere.json"), "nowhere.json: cannot be read"),
@@ -95,10 +101,138 @@ def test_misuse_is_one_line_without_a_traceback(run, argv, message):
     assert err.count("\n") == 1
 
 
-def test_unknown_command_is_misuse(run):
-    with pytest.raises(SystemExit) as stop:
-        run("levitate")
-    assert stop.value.code == cli.MISUSE
+@pytest.mark.parametrize("argv", [("levitate",), (), ("plan", "--hope"), ("plan", "--w", "much")])
+def test_what_is_no_command_line_is_misuse(run, argv):
+    code, out, err = run(*argv)
+    assert (code, out) == (cli.MISUSE, "")
+    assert err.startswith("usage: graceful-plan")
+    assert err.splitlines()[-1].startswith("graceful-plan: ")
+
+
+@pytest.mark.parametrize(
+    ("argv", "kind", "command"),
+    [
+        (("plan", "--hope"), "UsageError", "graceful-plan"),
+        (("plan", "--w", "-1"), "SettingError", "graceful-plan plan"),
+        (("evaluate", "nowhere.json"), "FormatError", "graceful-plan evaluate"),
+        (("plan", "--output", "no/such/t.json"), "FileNotFoundError", "graceful-plan plan"),
+    ],
+)
+def test_with_json_errors_are_json(run, argv, kind, command):
+    code, out, err = run(*argv, "--json")
+    document = json.loads(out)
+    assert code == document["exit_code"] == cli.MISUSE
+    assert (document["schema"], document["error"], document["command"]) == ("graceful_plan.error", kind, command)
+    assert document["message"] in err
+
+
+@pytest.fixture
+def never_planned(monkeypatch):
+    def planned(*_, **__):
+        raise AssertionError("it was planned before what was asked for had been checked")
+
+    monkeypatch.setattr(gp, "plan", planned)
+    monkeypatch.setattr(gp, "pareto", planned)
+
+
+@pytest.mark.usefixtures("never_planned")
+@pytest.mark.parametrize(
+    ("command", "output", "message"),
+    [
+        ("plan", "folder.json", "Is a directory"),
+        ("plan", "no/such/t.json", "No such file or directory"),
+        ("plan", "file/t.json", "Not a directory"),
+        ("tune", "file", "Not a directory"),
+        ("tune", "file/below", "Not a directory"),
+        ("demo", "file/below", "Not a directory"),
+        ("bench", "file", "Not a directory"),
+    ],
+)
+def test_output_is_checked_before_planning(run, tmp_path, command, output, message):
+    (tmp_path / "folder.json").mkdir()
+    (tmp_path / "file").touch()
+    code, _, err = run(command, "--output", str(tmp_path / output))
+    assert code == cli.MISUSE
+    assert message in err and str(tmp_path) in err
+
+
+@pytest.mark.usefixtures("never_planned")
+@pytest.mark.parametrize("command", ["plan", "tune"])
+def test_planners_have_settings_everywhere(run, command, tmp_path):
+    code, _, err = run(command, "--planner", "rrt_star:range=-1.0", "--output", str(tmp_path / "t.json"))
+    assert (code, "range = -1" in err) == (cli.MISUSE, True)
+
+
+def test_a_planner_with_settings_plans(run):
+    assert run("plan", "--planner", "rrt_connect:range=0.4", "--iterations", "500")[0] == cli.DONE
+
+
+def test_validation_needs_a_task(run):
+    scene = gp.load_scene("tabletop")
+    name = next(iter(scene.keyframes))
+    code, _, err = run("plan", "--start", name, "--goal", name, "--validate", "2")
+    assert (code, "by --task" in err) == (cli.MISUSE, True)
+    assert run("plan", "--validate", "-2")[0] == cli.MISUSE
+
+
+@pytest.mark.long
+def test_validation_puts_failures_beside_the_plan(run):
+    argv = ("plan", "--iterations", "50", "--validate", "3")
+    code, out, err = run(*argv)
+    assert (code, err) == (cli.DONE, "")
+    assert "observed impact" in out and "predicted impact" in out
+    document = json.loads(run(*argv, "--json")[1])
+    assert document["validation"]["schema"] == "failbench.validation"
+    assert document["validation"]["n"] == 3
+
+
+BROKEN = {
+    "nothing": "",
+    "no text": "\xff\x00",
+    "deep": "[" * 50_000,
+    "list": "[1, 2]",
+    "object": "{}",
+    "null": '{"schema": "graceful_plan.result", "trajectory": null, "path": null}',
+    "no trajectory": '{"schema": "graceful_plan.result", "trajectory": {"q": 3}}',
+    "ragged": '{"schema": "graceful_plan.path", "version": 1, "q": [[1, 2], [3]]}',
+    "words": '{"schema": "graceful_plan.path", "version": 1, "q": [["a"]]}',
+    "not finite": '{"schema": "graceful_plan.path", "version": 1, "q": [[1e999, 0, 0, 0, 0, 0, 0]]}',
+    "too great": f'{{"schema": "graceful_plan.path", "version": 1, "q": [[1{"0" * 400}]]}}',
+    "empty": '{"schema": "graceful_plan.path", "version": 1, "q": []}',
+    "other robot": '{"schema": "graceful_plan.path", "version": 1, "q": [[0, 0], [1, 1]]}',
+}
+
+
+@pytest.mark.parametrize("command", ["evaluate", "explain"])
+@pytest.mark.parametrize("text", BROKEN.values(), ids=BROKEN)
+def test_broken_motions_are_named_with_their_file(run, tmp_path, command, text):
+    (tmp_path / "motion.json").write_bytes(text.encode("latin-1"))
+    code, out, err = run(command, str(tmp_path / "motion.json"))
+    assert (code, out) == (cli.MISUSE, "")
+    assert err.startswith(f"graceful-plan {command}: {tmp_path / 'motion.json'}: ")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("joints", lambda joints: joints[::-1], "its joints are panda/joint7, "),
+        ("joints", lambda joints: joints[1:], "q has shape"),
+        ("t", lambda t: t[::-1], "time must increase"),
+        ("q", lambda q: [[10**400] * 7 for _ in q], "q has shape"),
+        ("qd", lambda qd: None, "qd must be a list of numbers"),
+        ("qd", lambda qd: [[1e9] * 7 for _ in qd], "positions and velocities of at most 1000"),
+        ("q", lambda q: [[i * 1e4] * 7 for i in range(len(q))], "states of the path"),
+    ],
+)
+def test_broken_trajectories_are_named_with_their_file(run, motion, tmp_path, key, value, message):
+    document = json.loads(motion.read_text())
+    document[key] = value(document[key])
+    (tmp_path / "t.json").write_text(json.dumps(document))
+    for command in ("evaluate", "explain"):
+        code, _, err = run(command, str(tmp_path / "t.json"))
+        assert code == cli.MISUSE
+        assert f"{tmp_path / 't.json'}: " in err and message in err
 
 
 def test_evaluate_judges_a_trajectory(run, motion):
@@ -204,7 +338,9 @@ def test_interrupt_ends_with_130(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(gp, "plan", interrupted)
-    assert run("plan")[::2] == (cli.INTERRUPTED, "interrupted\n")
+    assert run("plan")[::2] == (cli.INTERRUPTED, "graceful-plan plan: interrupted\n")
+    code, out, _ = run("plan", "--json")
+    assert code == json.loads(out)["exit_code"] == cli.INTERRUPTED
 
 
 def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
@@ -216,6 +352,24 @@ def test_progress_is_shown_on_a_terminal_only(run, monkeypatch):
     assert "motion" in err
     assert err.endswith("\r\x1b[K")
     assert run("plan", "--iterations", "50", "--json")[2] == ""
+
+
+def test_a_terminal_is_told_what_takes_long(run, monkeypatch):
+    monkeypatch.setattr(progress, "_TICK", 0.01)
+    monkeypatch.setattr(sys.stderr.__class__, "isatty", lambda self: True)
+    told = threading.Event()
+    plan = gp.plan
+
+    def slow(*args, **kwargs):
+        assert told.wait(30.0)
+        return plan(*args, **kwargs)
+
+    overwrite = progress._overwrite
+    monkeypatch.setattr(progress, "_overwrite", lambda text: (overwrite(text), "preparing" in text and told.set()))
+    monkeypatch.setattr(gp, "plan", slow)
+    code, _, err = run("plan", "--iterations", "50")
+    assert code == cli.DONE
+    assert "s  preparing the scene" in err and err.endswith("\r\x1b[K")
 
 
 def test_reader_that_goes_away_is_no_error():

@@ -9,7 +9,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
-from graceful_plan.tools import cli, tune_report
+from graceful_plan.tools import cli, validation
 from graceful_plan.tuning.fronts import ChoiceStatus
 from graceful_plan.viz.front import draw_front
 from graceful_plan.viz.front_page import write_front_page
@@ -72,6 +72,9 @@ def test_no_front_fails_with_its_reason(run, tmp_path):
     [
         (("tune", "atlantis"), "unknown scene 'atlantis'"),
         (("tune", "tabletop", "juggle"), "unknown task 'juggle'"),
+        (("tune", "--scene", "atlantis"), "unknown scene 'atlantis'"),
+        (("tune", "--task", "juggle"), "unknown task 'juggle'"),
+        (("tune", "desk", "--task", "juggle"), "--scene, --task"),
         (("tune", "--points", "1"), "points = 1"),
         (("tune", "--seconds", "nan"), "time_limit = nan"),
         (("tune", "--target-impact", "-1"), "target_impact = -1.0"),
@@ -91,7 +94,7 @@ def test_misuse_is_one_line_without_a_traceback(run, argv, message, tmp_path):
 
 
 def test_validation_needs_failbench(run, monkeypatch, tmp_path):
-    monkeypatch.setattr(tune_report.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(validation.importlib.util, "find_spec", lambda name: None)
     code, _, err = run(*QUICK, "--validate", "5", "--out", str(tmp_path))
     assert code == cli.MISUSE
     assert "FailBench is not installed" in err
@@ -99,8 +102,8 @@ def test_validation_needs_failbench(run, monkeypatch, tmp_path):
 
 def test_validation_says_what_failbench_says(tmp_path):
     (tmp_path / "front.json").write_text("{}")
-    with pytest.raises(tune_report.ValidationError, match=r"validate-front: .*front\.json"):
-        tune_report.validated(tmp_path / "front.json", "tabletop_l1", "green_to_blue", 2)
+    with pytest.raises(validation.ValidationError, match=r"validate-front: .*front\.json"):
+        validation.validate_front(tmp_path / "front.json", "tabletop_l1", "green_to_blue", 2)
 
 
 @pytest.mark.long

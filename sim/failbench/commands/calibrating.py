@@ -15,6 +15,7 @@ from failbench.calibrations.failure_jobs import FailureSettings
 from failbench.calibrations.varied import VARIED
 from failbench.commands.options import add_command
 from failbench.commands.output import Answer, Bar
+from graceful_plan.tools.console import check_file
 
 _RECIPES: Mapping[str, Recipe] = {
     "footprint": drop_fit.RECIPE,
@@ -43,6 +44,7 @@ def add(commands: Any) -> None:
 
 
 def _calibrate(args: argparse.Namespace) -> Answer:
+    check_file(args.output, (".yaml", ".yml"))  # before hours of work, not after
     workers = args.workers or os.cpu_count() or 1
     settings = FailureSettings(
         n=args.n,

@@ -19,7 +19,7 @@ from failbench.rollouts.sampling import MOST, check_whole, make_jobs
 from failbench.simulated.world import SimSettings, World, build_world
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
-from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
 
 _SCHEMA = "failbench.sweep"
 _VERSION = 1
@@ -205,14 +205,16 @@ class Sweep:
         """Read a document from a file.
 
         Raises:
-            FormatError: If the file holds no such document.
-            SettingError: If a setting is out of its range.
+            FormatError: If the file holds no such document, or a setting is out of its range.
         """
         try:
-            document = json.loads(Path(file).read_text(encoding="utf-8"))
+            return cls.from_document(json.loads(Path(file).read_text(encoding="utf-8")), str(file))
+        except FormatError as error:
+            raise FormatError(str(file), error.problem) from None
+        except GracefulPlanError as error:
+            raise FormatError(str(file), str(error)) from None
         except (ValueError, RecursionError) as error:
             raise FormatError(str(file), f"not JSON: {error}") from None
-        return cls.from_document(document, str(file))
 
     @property
     def question(self) -> dict[str, Any]:

@@ -47,6 +47,8 @@ AT_LIMITS = (1.0, 1.0)
 """Paces of a path of which nothing is known: the slowest joint of each edge at its limit."""
 EXPOSURES = ("time", "length", "waypoints")
 """Words for what the impact is integrated over."""
+FARTHEST = 1000.0
+"""What positions and velocities of joints may be; the core refuses more. Cubics between odd samples overshoot."""
 MOST_STATES = 150_000
 """States that one path is charged at."""
 _AT_A_TIME = 20_000
@@ -363,7 +365,12 @@ def _timed_states(scene: Scene, trajectory: Trajectory, start_time: float, *, by
     weight = np.zeros(len(t))
     weight[:-1] += 0.5 * gaps
     weight[1:] += 0.5 * gaps
-    return ChargedStates(trajectory_batch(scene, trajectory, t, start_time + t), weight, place)
+    batch = trajectory_batch(scene, trajectory, t, start_time + t)
+    farthest = max(float(np.abs(x).max()) for x in (batch.q, batch.qd, batch.ahead) if x is not None)
+    if farthest > FARTHEST:
+        expected = f"positions and velocities of at most {FARTHEST:g}, between samples too"
+        raise SettingError("trajectory", farthest, expected)
+    return ChargedStates(batch, weight, place)
 
 
 def evaluate(

@@ -1,10 +1,7 @@
-"""A trajectory: a path with its timing, and its JSON and CSV forms."""
+"""A trajectory: a path with its timing. Its forms elsewhere are those of `formats`."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,14 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.exceptions import FormatError, SettingError, ShapeError
+from graceful_plan.exceptions import SettingError, ShapeError
+from graceful_plan.formats import csv_text, json_text, parquet_file, ros
+from graceful_plan.formats.ros import Names
+from graceful_plan.formats.samples import TimedSamples
 from graceful_plan.path import Path, finite_array
 
 Array = np.ndarray
-
-_SCHEMA = "graceful_plan.trajectory"
-_VERSION = 1
-_UNITS = {"t": "s", "q": "rad or m", "qd": "rad/s or m/s", "qdd": "rad/s^2 or m/s^2"}
 
 _REST = 1e-6
 """Greatest speed of a joint at rest [rad/s or m/s]."""
@@ -173,12 +169,7 @@ class Trajectory:
 
     def to_json(self, file: str | FilePath | None = None) -> str:
         """Return the trajectory as JSON text with schema version and units; write it to `file` if one is given."""
-        document = {"schema": _SCHEMA, "version": _VERSION, "units": _UNITS, "joints": list(self.joints)}
-        document |= {name: getattr(self, name).tolist() for name in _UNITS}
-        text = json.dumps(document, allow_nan=False) + "\n"
-        if file is not None:
-            FilePath(file).write_text(text, encoding="utf-8")
-        return text
+        return _written(json_text.to_json(self._samples), file)
 
     @classmethod
     def from_json(cls, source: str | FilePath) -> Trajectory:
@@ -190,52 +181,85 @@ class Trajectory:
             NonFiniteError: If a number is NaN or infinite.
             SettingError: If its times do not increase.
         """
-        is_text = isinstance(source, str) and source.lstrip().startswith("{")
-        name = "JSON text" if is_text else str(source)
-        try:
-            document = json.loads(str(source) if is_text else FilePath(source).read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise FormatError(name, f"not JSON: {error}") from None
-        _check_document(name, document)
-        arrays = (finite_array(key, document[key], ndim=1 if key == "t" else 2) for key in _UNITS)
-        return cls(*arrays, joints=tuple(document["joints"]))
+        return cls(*json_text.from_json(source))
 
     def to_csv(self, file: str | FilePath | None = None) -> str:
         """Return the samples as CSV text, one row a time, with units in the header; write it to `file` if given."""
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        columns = [(key, joint) for key in ("q", "qd", "qdd") for joint in self.joints]
-        writer.writerow(["t [s]", *(f"{key} {joint} [{_UNITS[key]}]" for key, joint in columns)])
-        for row in np.column_stack([self.t, self.q, self.qd, self.qdd]).tolist():
-            writer.writerow([repr(x) for x in row])
-        if file is not None:
-            FilePath(file).write_text(out.getvalue(), encoding="utf-8")
-        return out.getvalue()
+        return _written(csv_text.to_csv(self._samples), file)
+
+    @classmethod
+    def from_csv(cls, source: str | FilePath) -> Trajectory:
+        """Read what `to_csv` wrote, from a file or from CSV text (a string with a line break).
+
+        Raises as `from_json`.
+        """
+        return cls(*csv_text.from_csv(source))
+
+    def to_parquet(self, file: str | FilePath) -> None:
+        """Write the samples as Parquet, with units in the metadata. Needs pyarrow: MissingArrow without."""
+        parquet_file.to_parquet(self._samples, file)
+
+    @classmethod
+    def from_parquet(cls, file: str | FilePath) -> Trajectory:
+        """Read what `to_parquet` wrote. Raises as `from_json`, and MissingArrow without pyarrow."""
+        return cls(*parquet_file.from_parquet(file))
+
+    def to_ros(self, names: Names | None = None, *, frame: str = "") -> dict[str, Any]:
+        """Return a trajectory_msgs/JointTrajectory as a dictionary of its fields, for which no ROS is needed.
+
+        Args:
+            names: From a joint here to its name over there: a mapping or a function; by default they are the same.
+            frame: `header.frame_id`.
+
+        Raises:
+            UnknownNameError: If a mapping lacks one of the joints.
+            SettingError: If two joints would have one name, or samples lie less than a nanosecond apart.
+        """
+        return ros.to_message(self._in_nanoseconds, names, frame=frame)
+
+    def to_ros_yaml(self, file: str | FilePath | None = None, *, names: Names | None = None, frame: str = "") -> str:
+        """Return what `to_ros` does as YAML, as the command line of ROS 2 reads it; write it to `file` if given."""
+        return _written(ros.to_yaml(self.to_ros(names, frame=frame)), file)
+
+    @classmethod
+    def from_ros(cls, source: Any, joints: Sequence[str] | None = None, names: Names | None = None) -> Trajectory:
+        """Read a trajectory_msgs/JointTrajectory, such as that of another planner.
+
+        Args:
+            source: The message itself, a dictionary of its fields, or YAML: text or a file.
+            joints: The joints of the trajectory in their order, `scene.joints`; by default those that `names` maps, or
+                those of the message. Joints of the message besides have to stand still.
+            names: As of `to_ros`.
+
+        Raises:
+            FormatError: If it is no such message, has no velocities, or moves other joints as well.
+            UnknownNameError: If the message lacks one of the joints.
+            ShapeError: If its points do not fit together.
+            NonFiniteError: If a number is NaN or infinite.
+            SettingError: If its times do not increase.
+        """
+        return cls(*ros.from_message(source, joints, names))
+
+    @property
+    def _in_nanoseconds(self) -> TimedSamples:
+        """The samples, moved along the motion to whole nanoseconds: times that are rounded alone would bend it."""
+        t = self.t[0] + np.rint((self.t - self.t[0]) * ros.NANO) / ros.NANO
+        moved = (t != self.t)[:, None]
+        moved[-1] = False  # it ends where it ends
+        state = self.at(t)
+        q, qd = np.where(moved, state.q, self.q), np.where(moved, state.qd, self.qd)
+        return TimedSamples(t, q, qd, self.qdd, self.joints)
+
+    @property
+    def _samples(self) -> TimedSamples:
+        return TimedSamples(self.t, self.q, self.qd, self.qdd, self.joints)
 
 
-def _check_document(name: str, document: Any) -> None:
-    """Refuse anything but the keys, version, units and value types that `to_json` writes."""
-    if not isinstance(document, dict):
-        raise FormatError(name, f"an object is expected, not {type(document).__name__}")
-    expected = {"schema", "version", "units", "joints", *_UNITS}
-    for problem, keys in (("missing", expected - document.keys()), ("unknown", document.keys() - expected)):
-        if keys:
-            valid = ", ".join(sorted(expected))
-            raise FormatError(name, f"{problem} keys: {', '.join(sorted(keys))}; expected: {valid}")
-    for key, value in (("schema", _SCHEMA), ("version", _VERSION), ("units", _UNITS)):
-        if document[key] != value:
-            raise FormatError(name, f"{key} is {document[key]!r}, this version reads {value!r}")
-    joints = document["joints"]
-    if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
-        raise FormatError(name, "joints must be a list of names")
-    for key in _UNITS:
-        if not isinstance(document[key], list) or not _only_numbers(document[key]):
-            raise FormatError(name, f"{key} must be a list of numbers")
-
-
-def _only_numbers(values: Sequence[Any]) -> bool:
-    leaves = (_only_numbers(x) if isinstance(x, list) else type(x) in (int, float) for x in values)
-    return all(leaves)
+def _written(text: str, file: str | FilePath | None) -> str:
+    """Return a text, and write it to a file if there is one."""
+    if file is not None:
+        FilePath(file).write_text(text, encoding="utf-8")
+    return text
 
 
 def _frozen(array: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

@@ -8,7 +8,8 @@ from typing import Any
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
-from graceful_plan.tools.console import DONE, FAILED, RunCounter, add_command, complain, show
+from graceful_plan.tools.console import DONE, FAILED, add_command, add_time_limit, check_folder, note, show
+from graceful_plan.tools.progress import RunCounter
 
 
 def add_to(commands: Any) -> None:
@@ -28,9 +29,10 @@ def add_to(commands: Any) -> None:
         "is imported, also from the current directory",
     )
     bench.add_argument("--seeds", metavar="N|S,S", help="number of seeds, or seeds with commas (default: the suite's)")
-    bench.add_argument("--seconds", type=float, metavar="S", help="time limit of every call (default: the suite's)")
+    add_time_limit(bench, "for every call (default: the suite's)")
     bench.add_argument("--w", type=float, help="safety weight (default: the suite's)")
     bench.add_argument(
+        "--output",
         "--out",
         type=FilePath,
         default=FilePath("graceful_plan_bench"),
@@ -44,7 +46,7 @@ def add_to(commands: Any) -> None:
         help="best_known.yaml of another comparison, or a folder of best motions",
     )
     bench.add_argument("--export", default="", metavar="csv,parquet,arena", help="tables, and OMPL's Planner Arena")
-    bench.add_argument("--report-only", action="store_true", help="run nothing; report what --out holds")
+    bench.add_argument("--report-only", action="store_true", help="run nothing; report what --output holds")
 
 
 def _bench(args: argparse.Namespace) -> int:
@@ -52,13 +54,14 @@ def _bench(args: argparse.Namespace) -> int:
 
     exports = [name for name in args.export.split(",") if name]
     bench.check_exports(exports)
+    check_folder(args.output)
     if args.report_only:
-        comparison = bench.load_comparison(args.out)
+        comparison = bench.load_comparison(args.output)
         known = {} if args.known is None else bench.read_known(args.known, comparison.w)
-        summary = bench.summarise(bench.load_comparison(args.out, known))
+        summary = bench.summarise(bench.load_comparison(args.output, known))
     else:
         summary = bench.summarise(_compared(args))
-    files = bench.write(summary, args.out, exports)
+    files = bench.write(summary, args.output, exports)
     text = [bench.text(summary), "", *(f"wrote {file}" for file in files)]
     show(args, summary.to_document() | {"files": [str(file) for file in files]}, "\n".join(text))
     return DONE if any(planner.solved for planner in summary.planners) else FAILED
@@ -70,27 +73,29 @@ def _compared(args: argparse.Namespace) -> Any:
     suite = bench.load_suite(args.suite)
     known = None if args.known is None else bench.read_known(args.known, suite.w if args.w is None else args.w)
     named = [*(gp.PLANNERS if args.planner and args.planners is None else args.planners or ()), *args.planner]
-    counter = RunCounter()
+    counter = RunCounter(args.json)
     try:
         return bench.compare(
             suite,
             planners=named or None,
             seeds=None if args.seeds is None else _seeds(args.seeds),
-            seconds=args.seconds,
+            seconds=args.time_limit,
             w=args.w,
-            out=args.out,
+            out=args.output,
             processes=args.processes,
             known=known,
             progress=counter.show,
         )
     except KeyboardInterrupt:
-        counter.end()
         if counter.total:
             # The journal knows better than the counter, which may not have heard of the last run.
-            kept = bench.load_comparison(args.out)
-            words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.out}; the same command goes on"
-            complain(words)
+            kept = bench.load_comparison(args.output)
+            counter.end()
+            words = f"{len(kept.runs)} of {kept.expected} runs are kept in {args.output}; the same command goes on"
+            note(words)
         raise
+    finally:
+        counter.end()
 
 
 def _seeds(text: str) -> int | list[int]:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
 from graceful_plan import documents
-from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.result import TracePoint
+from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.scene.scene import Scene
 
 DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
+DEFAULT_SCENE = "tabletop"
 
 
 # --- options ----------------------------------------------------------------------------------------------------------
@@ -31,7 +35,7 @@ def add_command(
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """Add the options that name a scene and a task."""
-    parser.add_argument("--scene", default="tabletop", help="bundled scene or scene file (default tabletop)")
+    parser.add_argument("--scene", default=DEFAULT_SCENE, help=f"bundled scene or scene file (default {DEFAULT_SCENE})")
     parser.add_argument("--task", help="task of the scene; default: its first, unless start and goal are given")
 
 
@@ -40,17 +44,48 @@ def add_model(parser: argparse.ArgumentParser, default: Any) -> None:
     parser.add_argument("--model", default=default, help=f"interaction model (default {default})")
 
 
-def add_budget(parser: argparse.ArgumentParser) -> None:
+def add_time_limit(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the option that limits the time."""
+    parser.add_argument("--time-limit", "--seconds", type=float, metavar="S", help=f"seconds {what}")
+
+
+def add_budget(parser: argparse.ArgumentParser, seconds: float) -> None:
     """Add the options that limit a search."""
-    parser.add_argument("--time-limit", type=float, metavar="S", help="seconds of search (default 1)")
+    add_time_limit(parser, f"of search (default {seconds:g}, none with --iterations)")
     parser.add_argument("--iterations", type=int, help="planner iterations: reproducible, unlike a time limit")
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
 
 
 def budget(args: argparse.Namespace) -> dict[str, Any]:
-    """Return these as arguments of `plan`."""
-    limit = args.time_limit if args.time_limit is not None or args.iterations is not None else 1.0
-    return {"time_limit": limit, "iterations": args.iterations, "seed": args.seed}
+    """Return these as arguments of `plan`, which knows the defaults."""
+    return {"time_limit": args.time_limit, "iterations": args.iterations, "seed": args.seed}
+
+
+def add_planner(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add the option that names a planner."""
+    parser.add_argument(
+        "--planner",
+        default="auto",
+        metavar="NAME[:KEY=VALUE,..]",
+        help=f"{text} (default auto); see `graceful-plan planners`",
+    )
+
+
+def chosen_planner(args: argparse.Namespace) -> gp.Planner:
+    """Make the planner that was asked for, with its settings."""
+    from graceful_plan.compare.runs.planner_notes import read_planners
+
+    return read_planners([args.planner])[0].make()
+
+
+def add_speed(parser: argparse.ArgumentParser) -> None:
+    """Add the option that slows motions down."""
+    parser.add_argument("--speed", type=float, default=1.0, help="fraction of the velocity limits (default 1)")
+
+
+def add_validation(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add the option that asks for failures."""
+    parser.add_argument("--validate", type=int, default=0, metavar="N", help=text)
 
 
 # --- what they name ---------------------------------------------------------------------------------------------------
@@ -105,10 +140,72 @@ def _configuration(option: str, words: Sequence[str]) -> str | list[float]:
         raise SettingError(option, " ".join(words), "the name of a keyframe, or numbers only") from None
 
 
-def check_picture(args: argparse.Namespace) -> None:
-    """Refuse a picture of no known format before any work is done."""
-    if args.output is not None and args.output.suffix not in (".png", ".pdf", ".svg"):
-        raise SettingError("--output", str(args.output), "a file name that ends in .png, .pdf or .svg")
+def check_file(file: FilePath | None, endings: Sequence[str]) -> None:
+    """Refuse a file that could not be written, before any work is done.
+
+    Raises:
+        SettingError: If its name has another ending than those that are known.
+        OSError: If its folder does not exist or may not be written to, or it is a folder itself.
+    """
+    if file is None:
+        return
+    if file.suffix not in endings:
+        *others, last = endings
+        raise SettingError("output", str(file), f"a file name that ends in {', '.join(others)} or {last}")
+    if file.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
+    if file.parent.exists() and not file.parent.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(file.parent))
+    _check_writable(file if file.exists() else file.parent)
+
+
+def check_folder(folder: FilePath) -> None:
+    """Refuse a folder that could not be made or written to, before any work is done.
+
+    Raises:
+        OSError: If that is so.
+    """
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(there))
+    _check_writable(there)
+
+
+def _check_writable(place: FilePath) -> None:
+    if not os.access(place, os.W_OK):
+        code = errno.EACCES if place.exists() else errno.ENOENT
+        raise OSError(code, os.strerror(code), str(place))
+
+
+def motion_in(file: FilePath, scene: Scene) -> gp.Path | gp.Trajectory:
+    """Read a motion that is to be one of a scene's robot.
+
+    Raises:
+        FormatError: If it is none, or of other joints; with the name of the file.
+    """
+    motion = documents.read_motion(file)
+    if isinstance(motion, gp.Trajectory) and motion.joints != scene.joints:
+        problem = f"its joints are {', '.join(motion.joints)}; those of the scene are {', '.join(scene.joints)}"
+        raise FormatError(str(file), problem)
+    given = (motion.path if isinstance(motion, gp.Trajectory) else motion).q.shape[1]
+    if given != len(scene.joints):
+        raise FormatError(str(file), f"it moves {given} joints, the scene has {len(scene.joints)}")
+    return motion
+
+
+@contextmanager
+def blamed_on(file: FilePath) -> Generator[None]:
+    """Name the file in complaints about the motion that it holds.
+
+    Raises:
+        FormatError: In place of what was said of the motion.
+    """
+    try:
+        yield
+    except (ShapeError, SettingError) as error:
+        if error.name not in ("path", "trajectory", "states of the path"):
+            raise
+        raise FormatError(str(file), str(error)) from None
 
 
 # --- output -----------------------------------------------------------------------------------------------------------
@@ -127,50 +224,24 @@ def show(args: argparse.Namespace, document: Any, text: str) -> None:
     print(documents.to_json(document) if args.json else text)
 
 
-def complain(text: str) -> None:
+def complain(command: str, error: BaseException, code: int, *, as_json: bool, before: str = "") -> int:
+    """Say what went wrong on standard error, and as a document on standard output if JSON was asked for.
+
+    Args:
+        command: The program and its command.
+        error: What went wrong.
+        code: The exit code, which is returned.
+        as_json: Whether JSON was asked for.
+        before: What to say first.
+    """
+    if before:
+        note(before)
+    note(f"{command}: {error}")
+    if as_json:
+        print(documents.to_json(documents.error_document(command, error, code)))
+    return code
+
+
+def note(text: str) -> None:
     """Print a line that is no part of what was asked for."""
     print(text, file=sys.stderr)
-
-
-class ProgressLine:
-    """Shows the best cost so far while planning, if somebody sits at a terminal."""
-
-    def __init__(self, quiet: bool) -> None:
-        self.shown = sys.stderr.isatty() and not quiet
-
-    def __enter__(self) -> Callable[[Any], None] | None:
-        return self.show if self.shown else None
-
-    def __exit__(self, *_: object) -> None:
-        if self.shown:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-
-    def show(self, point: Any) -> None:
-        """Overwrite the line with the newest improvement, or with how far a search for a front has come."""
-        text = f"{point.time:6.2f} s  "
-        if isinstance(point, TracePoint):
-            text += f"total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
-        else:
-            text += f"{point.stage}, {point.candidates} candidates"
-        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
-
-
-class RunCounter:
-    """Shows how many runs are done: on one line at a terminal, else ten times in all."""
-
-    def __init__(self) -> None:
-        self.total = 0
-
-    def show(self, done: int, total: int, run: Any) -> None:
-        """Show it."""
-        self.total = total
-        text = f"{done}/{total} runs" + (f": {run.problem}, {run.planner}, {run.status}" if run else "")
-        if sys.stderr.isatty():
-            print(f"\r\x1b[K{text}", end="\n" if done == total else "", file=sys.stderr, flush=True)
-        elif run is None or done == total or done % max(1, total // 10) == 0:
-            print(text, file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        """Leave the line."""
-        if sys.stderr.isatty():
-            print(file=sys.stderr)

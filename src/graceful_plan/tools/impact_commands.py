@@ -7,23 +7,31 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
-from graceful_plan import documents
 from graceful_plan.tools.console import (
     DONE,
     add_command,
     add_model,
     add_scene,
-    check_picture,
+    blamed_on,
+    check_file,
     chosen_task,
     joint_values,
+    motion_in,
     show,
 )
+from graceful_plan.tools.progress import ProgressLine
+
+_PICTURES = (".png", ".pdf", ".svg")
 
 
 def add_to(commands: Any) -> None:
     """Add these commands to those of the parser."""
     explain = add_command(commands, "explain", _explain, "say where the impact of a path or trajectory comes from")
-    explain.add_argument("motion", type=FilePath, help="JSON file with a path, a trajectory or the result of `plan`")
+    explain.add_argument(
+        "motion",
+        type=FilePath,
+        help="file with a path, a trajectory or the result of `plan`: .json, .csv, .parquet, .yaml",
+    )
     add_scene(explain)
     add_model(explain, gp.ImpactCost().model)
     explain.add_argument(
@@ -52,10 +60,12 @@ def add_to(commands: Any) -> None:
 
 
 def _explain(args: argparse.Namespace) -> int:
-    check_picture(args)
-    motion, scene = documents.read_motion(args.motion), chosen_task(args)[0]
+    check_file(args.output, _PICTURES)
+    scene = chosen_task(args)[0]
+    motion = motion_in(args.motion, scene)
     objective = gp.Objective(impact=gp.ImpactCost(model=args.model), exposure=args.exposure)
-    explanation = gp.explain(motion, scene, objective)
+    with ProgressLine(args.json, "explaining"), blamed_on(args.motion):
+        explanation = gp.explain(motion, scene, objective)
     text = str(explanation)
     if args.output is not None:
         from graceful_plan.viz.explanation import draw_explanation
@@ -67,18 +77,20 @@ def _explain(args: argparse.Namespace) -> int:
 
 
 def _map(args: argparse.Namespace) -> int:
-    check_picture(args)
+    check_file(args.output, _PICTURES)
     scene = chosen_task(args)[0]
-    found = gp.impact_map(
-        scene,
-        gp.ImpactCost(model=args.model),
-        height=args.height,
-        speed=args.speed,
-        direction=args.direction,
-        q=None if args.at is None else joint_values(scene, "--at", args.at),
-        surface=args.surface,
-        resolution=args.resolution,
-    )
+    q = None if args.at is None else joint_values(scene, "--at", args.at)
+    with ProgressLine(args.json, "mapping"):
+        found = gp.impact_map(
+            scene,
+            gp.ImpactCost(model=args.model),
+            height=args.height,
+            speed=args.speed,
+            direction=args.direction,
+            q=q,
+            surface=args.surface,
+            resolution=args.resolution,
+        )
     text = str(found)
     if args.output is not None:
         from graceful_plan.viz.impact_maps import draw_impact_map

@@ -1,4 +1,4 @@
-"""Commands that make and judge motions: demo, plan, evaluate and tune."""
+"""Commands about single motions: demo, plan and evaluate."""
 
 from __future__ import annotations
 
@@ -10,27 +10,36 @@ import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.exceptions import SettingError
+from graceful_plan.formats.parquet_file import check_arrow
 from graceful_plan.tools.console import (
     DONE,
     FAILED,
-    ProgressLine,
     add_budget,
     add_command,
+    add_planner,
     add_scene,
+    add_speed,
+    add_validation,
+    blamed_on,
     budget,
+    check_file,
+    check_folder,
+    chosen_planner,
     chosen_problem,
     chosen_task,
+    motion_in,
     sentence,
     show,
 )
-from graceful_plan.tuning.fronts import ChoiceStatus
+from graceful_plan.tools.progress import ProgressLine
+from graceful_plan.tools.validation import Validation, check_failures, validate_motion
 
 
 def add_to(commands: Any) -> None:
     """Add these commands to those of the parser."""
     demo = add_command(commands, "demo", _demo, "plan 'tabletop' with w = 0 and the default w, compare, draw")
     demo.add_argument("--output", type=FilePath, default=FilePath("graceful_plan_demo"), help="folder for what is made")
-    add_budget(demo)
+    add_budget(demo, 1.0)
 
     plan = add_command(commands, "plan", _plan, "plan one motion")
     add_scene(plan)
@@ -38,37 +47,31 @@ def add_to(commands: Any) -> None:
     plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     weight = f"safety weight; 0 is an ordinary planner (default {DEFAULT_WEIGHT:g})"
     plan.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
-    plan.add_argument("--planner", default="auto", help="see `graceful-plan planners`")
-    plan.add_argument("--output", type=FilePath, metavar="FILE", help="write the trajectory to FILE.json or FILE.csv")
-    add_budget(plan)
+    add_planner(plan, "who searches")
+    add_speed(plan)
+    plan.add_argument(
+        "--output",
+        type=FilePath,
+        metavar="FILE",
+        help="write the trajectory to FILE.json, .csv, .parquet, or .yaml, a message of ROS",
+    )
+    add_validation(plan, "let FailBench fail N times along the motion")
+    add_budget(plan, 1.0)
 
     evaluate = add_command(commands, "evaluate", _evaluate, "judge a path or trajectory from any planner")
-    evaluate.add_argument("motion", type=FilePath, help="JSON file with a path or a trajectory")
+    evaluate.add_argument(
+        "motion", type=FilePath, help="file with a path or a trajectory: .json, .csv, .parquet, .yaml"
+    )
     add_scene(evaluate)
     evaluate.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
-
-    tune = add_command(commands, "tune", _tune, "find the front of motion against impact, to choose a safety weight")
-    tune.add_argument("scene", nargs="?", default="tabletop", help="bundled scene or scene file (default tabletop)")
-    tune.add_argument("task", nargs="?", help="task of the scene; default: its first")
-    tune.add_argument("--points", type=int, default=30, help="most motions on the front (default 30)")
-    tune.add_argument("--seconds", type=float, metavar="S", help="for the whole search (default 10)")
-    tune.add_argument("--iterations", type=int, help="instead: reproducible, unlike a time limit")
-    tune.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
-    tune.add_argument("--planner", help="what minimises for single weights; see `graceful-plan planners`")
-    tune.add_argument("--speed", type=float, default=1.0, help="fraction of the velocity limits (default 1)")
-    tune.add_argument("--target-impact", type=float, metavar="S", help="choose the shortest with at most this impact")
-    tune.add_argument("--max-detour", type=float, metavar="R", help="choose among those so much longer, 0.05 is 5 %%")
-    tune.add_argument("--validate", type=int, default=0, metavar="N", help="let FailBench fail N times along each")
-    tune.add_argument(
-        "--out", type=FilePath, default=FilePath("graceful_plan_front"), help="folder for front.html and the like"
-    )
 
 
 def _demo(args: argparse.Namespace) -> int:
     from graceful_plan.tools import demo
 
+    check_folder(args.output)
     with ProgressLine(args.json) as progress:
-        outcome = demo.run(args.output, callback=progress, **budget(args))
+        outcome = demo.run(args.output, callback=progress.callback, **budget(args))
     costs = {label: result.cost for label, result in outcome.results.items()}
     document = {
         "schema": "graceful_plan.demo",
@@ -87,28 +90,50 @@ def _demo(args: argparse.Namespace) -> int:
 
 
 def _plan(args: argparse.Namespace) -> int:
+    check_file(args.output, documents.MOTION_FILES)
+    if args.output is not None and args.output.suffix == ".parquet":
+        check_arrow()
+    check_failures(args.validate)
+    planner = chosen_planner(args)
     scene, start, goal = chosen_problem(args)
-    if args.output is not None and args.output.suffix not in (".json", ".csv"):
-        raise SettingError("--output", str(args.output), "a file name that ends in .json or .csv")
-    with ProgressLine(args.json) as progress:
-        result = gp.plan(start, goal, scene, w=args.w, planner=args.planner, callback=progress, **budget(args))
+    task = chosen_task(args)[1]
+    if args.validate and task is None:
+        raise SettingError("--validate", args.validate, "a task, by --task: without one nothing is carried")
+    settings: dict[str, Any] = {"w": args.w, "planner": planner, "speed": args.speed, **budget(args)}
+    validation = None
+    with ProgressLine(args.json, "preparing the scene") as progress:
+        result = gp.plan(start, goal, scene, callback=progress.callback, **settings)
+        if result.trajectory is not None and result.status is gp.PlanStatus.SOLVED:
+            if args.output is not None:
+                documents.write_motion(result.trajectory, args.output)
+            if args.validate and task is not None:
+                progress.stage(f"FailBench: {args.validate} failures")
+                validation = validate_motion(
+                    result.trajectory, args.scene, task.name, args.validate, seed=args.seed, as_json=args.json
+                )
+    return _answer(args, result, validation)
+
+
+def _answer(args: argparse.Namespace, result: gp.PlanResult, validation: Validation | None) -> int:
+    solved = result.status is gp.PlanStatus.SOLVED
     text = [sentence(result)]
-    if result.status is gp.PlanStatus.SOLVED:
+    if solved:
         text += ["", documents.cost_table({f"w = {args.w:g}": result.cost})]
-        if args.output is not None:
-            trajectory = result.unwrap()
-            write = trajectory.to_csv if args.output.suffix == ".csv" else trajectory.to_json
-            write(args.output)
-            text += ["", f"wrote {args.output}"]
-    show(args, documents.result_document(result), "\n".join(text))
-    return DONE if result.status is gp.PlanStatus.SOLVED else FAILED
+    if validation is not None:
+        text += ["", validation.text]
+    if solved and args.output is not None:
+        text += ["", f"wrote {args.output}"]
+    asked = {} if validation is None else {"validation": validation.document}
+    show(args, documents.result_document(result) | asked, "\n".join(text))
+    return DONE if solved else FAILED
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    motion = documents.read_motion(args.motion)
     scene = chosen_task(args)[0]
-    cost = gp.evaluate(motion, scene, gp.Objective(w=args.w))
-    verdict = gp.verify(motion, scene)
+    motion = motion_in(args.motion, scene)
+    with ProgressLine(args.json, "judging"), blamed_on(args.motion):
+        cost = gp.evaluate(motion, scene, gp.Objective(w=args.w))
+        verdict = gp.verify(motion, scene)
     rows = [
         [name, "passed" if check.passed else "FAILED", check.worst, check.detail]
         for name, check in verdict.checks.items()
@@ -122,31 +147,3 @@ def _evaluate(args: argparse.Namespace) -> int:
     text = [documents.cost_table({f"w = {args.w:g}": cost}), ""]
     show(args, document, "\n".join([*text, documents.table(["check", "", "worst", ""], rows)]))
     return DONE if verdict.passed else FAILED
-
-
-def _tune(args: argparse.Namespace) -> int:
-    from graceful_plan.tools import tune_report
-
-    task = chosen_task(args)[1]
-    if task is None:
-        raise SettingError("task", None, "a scene with a task")
-    planner = {} if args.planner is None else {"planner": args.planner}
-    with ProgressLine(args.json) as progress:
-        outcome = tune_report.run(
-            args.scene,
-            task,
-            args.out,
-            target_impact=args.target_impact,
-            max_detour=args.max_detour,
-            failures=args.validate,
-            callback=progress,
-            points=args.points,
-            time_limit=args.seconds,
-            iterations=args.iterations,
-            seed=args.seed,
-            speed=args.speed,
-            **planner,
-        )
-    show(args, outcome.to_document(), str(outcome))
-    chosen = outcome.choice.status is ChoiceStatus.MET
-    return DONE if chosen and outcome.front.status is gp.PlanStatus.SOLVED else FAILED

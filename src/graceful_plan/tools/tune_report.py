@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import json
-import subprocess
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +9,8 @@ from typing import Any
 
 import graceful_plan as gp
 from graceful_plan import documents
-from graceful_plan.exceptions import GracefulPlanError, SettingError
+from graceful_plan.tools.validation import check_failures, validate_front
 from graceful_plan.tuning.fronts import Choice, ChoiceStatus, FrontProgress
-
-
-class ValidationError(GracefulPlanError, RuntimeError):
-    """A validation that could not be done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +106,7 @@ def run(
     max_detour: float | None = None,
     failures: int = 0,
     callback: Callable[[FrontProgress], bool | None] | None = None,
+    told: Callable[[str], None] = lambda stage: None,
     **settings: Any,
 ) -> TuneReport:
     """Find the front of a task, choose from it, and write front.json, front.png, front.html and chosen.json.
@@ -126,15 +119,13 @@ def run(
         max_detour: As of `ParetoFront.choose`.
         failures: How often FailBench lets the robot fail along each motion; 0: it is not asked.
         callback: Told how far the search has come.
+        told: Told what is done after it.
         settings: Of `gp.pareto`.
 
     Raises:
         ValidationError: If FailBench is not installed, or cannot judge the front.
     """
-    if failures < 0:
-        raise SettingError("validate", failures, "a number of failures, at least 0")
-    if failures and importlib.util.find_spec("failbench") is None:
-        raise ValidationError("FailBench is not installed: there is nothing to validate with")
+    check_failures(failures)
     gp.ParetoFront(status=gp.PlanStatus.TIMEOUT).choose(target_impact=target_impact, max_detour=max_detour)
     front = gp.pareto(task.start, task.goal, task.scene, callback=callback, **settings)
     choice = front.choose(target_impact=target_impact, max_detour=max_detour)
@@ -149,26 +140,14 @@ def run(
     if choice.status is ChoiceStatus.MET and choice.point is not None:
         files.append(output / "chosen.json")
         choice.point.trajectory.to_json(files[-1])
-    validation = validated(files[0], scene_name, task.name, failures) if failures else None
+    told(f"FailBench: {failures} failures along each of {len(front)} motions" if failures else "drawing")
+    validation = validate_front(files[0], scene_name, task.name, failures) if failures else None
     files += [output / "front.png", output / "front.html"]
     draw_front(front, files[-2], choice)
     observed = () if validation is None else validation["points"]
     title = f"{front.scene}, {task.name}"
     write_front_page(front, task.scene, files[-1], choice, [_seen(entry) for entry in observed], title)
     return TuneReport(front=front, choice=choice, validation=validation, files=tuple(files))
-
-
-def validated(front: Path, scene: str, task: str, failures: int) -> Mapping[str, Any]:
-    """Ask FailBench about a front in a file, in a process of its own: this library does not import it.
-
-    Raises:
-        ValidationError: With what it said, if it failed.
-    """
-    command = [sys.executable, "-m", "failbench.cli", "validate-front", str(front), "--scene", scene, "--task", task]
-    done = subprocess.run([*command, "-n", str(failures), "--json"], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise ValidationError((done.stderr or done.stdout).strip() or f"FailBench ended with {done.returncode}")
-    return json.loads(done.stdout)
 
 
 def _cells(entry: Mapping[str, Any]) -> list[str]:

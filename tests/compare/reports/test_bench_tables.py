@@ -12,9 +12,10 @@ from bench_cases import PROBLEMS, all_failed, comparison, rich
 
 from graceful_plan import compare as bench
 from graceful_plan.compare.reports.arena import NAME, STATUSES, write_arena
-from graceful_plan.compare.reports.tables import RUN_COLUMNS, TRACE_COLUMNS, MissingArrow, write_csv, write_parquet
+from graceful_plan.compare.reports.tables import RUN_COLUMNS, TRACE_COLUMNS, write_csv, write_parquet
 from graceful_plan.compare.runs.known import known_costs, read_known, write_known
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError
+from graceful_plan.formats.parquet_file import MissingArrow
 
 
 def test_csv_has_a_row_for_every_run(tmp_path):

@@ -301,3 +301,8 @@ def test_damaged_files_load_or_are_refused(tmp_path: Path, cuts: list[tuple[int,
         assert error.file is not None
     else:
         assert np.isfinite(scene.home_qpos).all()
+
+
+def test_a_name_that_no_file_has_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="is the name of no file"):
+        read_scene(_write(tmp_path, _SCENE.replace("world: world.xml", 'world: "a\\0.xml"')))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -13,7 +12,7 @@ from typing import Any
 from graceful_plan.compare.reports.summary import best_known, gap
 from graceful_plan.compare.runs.comparison import Comparison
 from graceful_plan.compare.runs.records import Run
-from graceful_plan.exceptions import GracefulPlanError
+from graceful_plan.formats.parquet_file import check_arrow
 
 UNITS: Mapping[str, str] = {
     "seconds": "s",
@@ -33,13 +32,6 @@ _LONG = ("early", "trace", "path", "times", "velocities")
 RUN_COLUMNS = (*(item.name for item in fields(Run) if item.name not in _LONG), "best_known", "gap")
 TRACE_COLUMNS = ("problem", "planner", "seed", "time", "total", "motion", "impact", "gap")
 _INTEGERS, _TEXTS = ("seed",), ("problem", "planner", "status", "detail")
-
-
-class MissingArrow(GracefulPlanError, ImportError):
-    """pyarrow is needed and not installed."""
-
-    def __init__(self) -> None:
-        super().__init__("Parquet needs pyarrow: pip install 'graceful-plan[data]'; or export csv instead")
 
 
 def run_rows(comparison: Comparison) -> list[dict[str, Any]]:
@@ -90,12 +82,6 @@ def write_parquet(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
     """
     check_arrow()
     return _write(comparison, folder, "parquet", _to_parquet)
-
-
-def check_arrow() -> None:
-    """Raise MissingArrow if Parquet cannot be written here."""
-    if importlib.util.find_spec("pyarrow") is None:
-        raise MissingArrow
 
 
 def _write(

@@ -232,6 +232,8 @@ def _spec(root: Block, file: Path, prefix: str) -> mujoco.MjSpec:
 def _relative(file: Path, block: Block) -> Path:
     """Return a file beside the scene file or below it."""
     given = Path(block.string())
+    if "\0" in str(given):
+        raise block.error(f"{str(given)!r} is the name of no file")
     path = (file.parent / given).resolve()
     if given.is_absolute() or ".." in given.parts or not path.is_relative_to(file.parent.resolve()):
         raise block.error(f"{str(given)!r} is outside of the folder of the scene")

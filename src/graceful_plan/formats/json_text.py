@@ -1,0 +1,62 @@
+"""Trajectories as JSON: an object with schema, version, units, names of the joints, and lists of numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from graceful_plan.exceptions import FormatError
+from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, text_of
+from graceful_plan.path import finite_array
+
+
+def to_json(samples: TimedSamples) -> str:
+    """Return the text."""
+    document = {"schema": SCHEMA, "version": VERSION, "units": UNITS, "joints": list(samples.joints)}
+    document |= {name: getattr(samples, name).tolist() for name in UNITS}
+    return json.dumps(document, allow_nan=False) + "\n"
+
+
+def from_json(source: str | Path) -> TimedSamples:
+    """Read what `to_json` wrote, from a file or from text that starts with a brace.
+
+    Raises:
+        FormatError: If it is not such a document, of another version or in other units.
+        ShapeError: If its numbers are in no array.
+        NonFiniteError: If a number is NaN or infinite.
+    """
+    name, text = text_of(source, lambda text: text.lstrip().startswith("{"), "JSON")
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(name, f"not JSON: {error}") from None
+    _check(name, document)
+    t, q, qd, qdd = (finite_array(key, document[key], ndim=1 if key == "t" else 2) for key in UNITS)
+    return TimedSamples(t, q, qd, qdd, tuple(document["joints"]))
+
+
+def _check(name: str, document: Any) -> None:
+    """Refuse anything but the keys, version, units and value types that `to_json` writes."""
+    if not isinstance(document, dict):
+        raise FormatError(name, f"an object is expected, not {type(document).__name__}")
+    expected = {"schema", "version", "units", "joints", *UNITS}
+    for problem, keys in (("missing", expected - document.keys()), ("unknown", document.keys() - expected)):
+        if keys:
+            valid = ", ".join(sorted(expected))
+            raise FormatError(name, f"{problem} keys: {', '.join(sorted(keys))}; expected: {valid}")
+    for key, value in (("schema", SCHEMA), ("version", VERSION), ("units", UNITS)):
+        if document[key] != value:
+            raise FormatError(name, f"{key} is {document[key]!r}, this version reads {value!r}")
+    joints = document["joints"]
+    if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
+        raise FormatError(name, "joints must be a list of names")
+    for key in UNITS:
+        if not isinstance(document[key], list) or not _only_numbers(document[key]):
+            raise FormatError(name, f"{key} must be a list of numbers")
+
+
+def _only_numbers(values: Sequence[Any]) -> bool:
+    leaves = (_only_numbers(x) if isinstance(x, list) else type(x) in (int, float) for x in values)
+    return all(leaves)

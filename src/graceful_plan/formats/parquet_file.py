@@ -1,0 +1,75 @@
+"""Trajectories as Parquet: a row a time, with units in the metadata of each column. Needs pyarrow."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+from graceful_plan.exceptions import FormatError, GracefulPlanError
+from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, from_columns
+
+_KEYS = {b"schema": SCHEMA.encode(), b"version": str(VERSION).encode()}
+
+
+class MissingArrow(GracefulPlanError, ImportError):
+    """pyarrow is needed and not installed."""
+
+    def __init__(self) -> None:
+        super().__init__("Parquet needs pyarrow: pip install 'graceful-plan[data]'; or write CSV instead")
+
+
+def check_arrow() -> None:
+    """Raise MissingArrow if Parquet can be neither read nor written here."""
+    if importlib.util.find_spec("pyarrow") is None:
+        raise MissingArrow
+
+
+def to_parquet(samples: TimedSamples, file: str | Path) -> None:
+    """Write a file.
+
+    Raises:
+        MissingArrow: If pyarrow is not installed.
+    """
+    check_arrow()
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = samples.columns
+    units = [UNITS[name.partition(" ")[0]] for name in columns]
+    named = zip(columns, units, strict=True)
+    fields = [pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit}) for name, unit in named]
+    schema = pa.schema(fields, metadata=_KEYS)
+    pq.write_table(pa.table(list(columns.values()), schema=schema), file, compression="zstd")
+
+
+def from_parquet(file: str | Path) -> TimedSamples:
+    """Read what `to_parquet` wrote.
+
+    Raises:
+        MissingArrow: If pyarrow is not installed.
+        FormatError: If the file is no such table, of another version or in other units.
+        OSError: If it cannot be read.
+    """
+    check_arrow()
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with Path(file).open("rb") as stream:
+        try:
+            table = pq.read_table(stream)
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
+            raise FormatError(str(file), f"not Parquet: {error}") from None
+    found = table.schema.metadata or {}
+    for key, value in _KEYS.items():
+        if found.get(key) != value:
+            said = (found.get(key) or b"missing").decode(errors="replace")
+            raise FormatError(str(file), f"{key.decode()} is {said}, this version reads {value.decode()}")
+    for name, values in zip(table.column_names, table.columns, strict=True):
+        field = table.schema.field(name)
+        unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
+        if field.type != pa.float64() or unit != UNITS.get(name.partition(" ")[0]) or values.null_count:
+            raise FormatError(str(file), f"column {name!r} has to hold numbers, with its unit: {UNITS}")
+    values = [column.to_numpy() for column in table.columns]
+    return from_columns(str(file), table.column_names, np.column_stack(values) if values else np.empty((0, 0)))

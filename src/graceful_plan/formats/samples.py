@@ -1,0 +1,69 @@
+"""The samples of a timed motion, as every format has them, and in what units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import FormatError
+
+Array = np.ndarray
+
+UNITS = {"t": "s", "q": "rad or m", "qd": "rad/s or m/s", "qdd": "rad/s^2 or m/s^2"}
+SCHEMA, VERSION = "graceful_plan.trajectory", 1
+
+
+class TimedSamples(NamedTuple):
+    """What a `Trajectory` is made of; nothing about it has been checked."""
+
+    t: Float[Array, " time"]
+    q: Float[Array, "time nq"]
+    qd: Float[Array, "time nq"]
+    qdd: Float[Array, "time nq"]
+    joints: tuple[str, ...]
+
+    @property
+    def columns(self) -> dict[str, Float[Array, " time"]]:
+        """All columns of a table of these samples, by their names: "t", "q shoulder", "qd shoulder", .."""
+        tables = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
+        named = {f"{key} {joint}": table[:, i] for key, table in tables.items() for i, joint in enumerate(self.joints)}
+        return {"t": self.t, **named}
+
+
+def from_columns(source: str, names: list[str], table: Float[Array, "time column"]) -> TimedSamples:
+    """Return the samples of a table, whose columns are named as those of `TimedSamples.columns` and in that order.
+
+    Raises:
+        FormatError: If these are other columns.
+    """
+    count, rest = divmod(len(names) - 1, 3)
+    joints = tuple(name.removeprefix("q ") for name in names[1 : 1 + count])
+    expected = ["t", *(f"{key} {joint}" for key in ("q", "qd", "qdd") for joint in joints)]
+    if not names or rest or names != expected:
+        found = ", ".join(names[:8]) + (", .." if len(names) > 8 else "")
+        raise FormatError(source, f"the columns have to be t, then q, qd and qdd of every joint; found: {found}")
+    q, qd, qdd = (table[:, 1 + i * count : 1 + (i + 1) * count] for i in range(3))
+    return TimedSamples(table[:, 0], q, qd, qdd, joints)
+
+
+def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str) -> tuple[str, str]:
+    """Return what to call a source in messages, and its text.
+
+    Args:
+        source: A file, or the text itself.
+        is_text: Whether a string is the text itself.
+        kind: What the text is, such as "JSON".
+
+    Raises:
+        FormatError: If the file is no text.
+    """
+    if isinstance(source, str) and is_text(source):
+        return f"{kind} text", source
+    try:
+        return str(source), Path(source).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError(str(source), f"not {kind}: {error}") from None

@@ -1,0 +1,92 @@
+"""How commands show at a terminal how far they have come, and only there."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from graceful_plan.result import TracePoint
+
+_TICK = 0.5
+"""Seconds between two looks at the clock."""
+
+
+class ProgressLine:
+    """A line that says what a command is at, if somebody sits at a terminal; it counts seconds while nothing is new.
+
+    Args:
+        quiet: Show nothing.
+        stage: What is done first.
+    """
+
+    def __init__(self, quiet: bool, stage: str = "loading") -> None:
+        self.shown = sys.stderr.isatty() and not quiet
+        self.text = stage
+        self.began = time.monotonic()
+        self._ended = threading.Event()
+        self._writing = threading.Lock()
+        self._clock = threading.Thread(target=self._tick, daemon=True)
+
+    def __enter__(self) -> ProgressLine:
+        if self.shown:
+            self._clock.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.shown:
+            self._ended.set()
+            self._clock.join()
+            _overwrite("")
+
+    @property
+    def callback(self) -> Callable[[Any], None] | None:
+        """What `plan` and `pareto` are to tell of improvements; None if nobody looks."""
+        return self.show if self.shown else None
+
+    def stage(self, text: str) -> None:
+        """Say what is done from here on."""
+        self.text = text
+
+    def show(self, point: Any) -> None:
+        """Show the newest improvement, or how far a search for a front has come."""
+        if isinstance(point, TracePoint):
+            self.text = f"total {point.total:.4g}  motion {point.motion:.4g}  impact {point.impact:.4g}"
+        else:
+            self.text = f"{point.stage}, {point.candidates} candidates"
+        self._write()
+
+    def _tick(self) -> None:
+        while not self._ended.wait(_TICK):
+            self._write()
+
+    def _write(self) -> None:
+        with self._writing:
+            _overwrite(f"{time.monotonic() - self.began:6.1f} s  {self.text}")
+
+
+class RunCounter:
+    """Shows at a terminal how many runs of a comparison are done."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.shown = sys.stderr.isatty() and not quiet
+        self.total = 0
+
+    def show(self, done: int, total: int, run: Any) -> None:
+        """Overwrite the line with how many are done, and with the newest."""
+        self.total = total
+        if self.shown:
+            _overwrite(f"{done}/{total} runs" + (f": {run.problem}, {run.planner}, {run.status}" if run else ""))
+
+    def end(self) -> None:
+        """Leave the line."""
+        if self.shown:
+            _overwrite("")
+
+
+def _overwrite(text: str) -> None:
+    """Overwrite the line that the cursor is in."""
+    sys.stderr.write(f"\r\x1b[K{text}")
+    sys.stderr.flush()
