@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import graceful_plan as gp
 from graceful_plan.exceptions import GracefulPlanError
-from graceful_plan.tools import bench_command, impact_commands, listing_commands, motion_commands
+from graceful_plan.tools import bench_command, impact_commands, listing_commands, motion_commands, view_command
 from graceful_plan.tools.console import DONE, FAILED, INTERRUPTED, MISUSE, complain
 
 __all__ = ["DONE", "FAILED", "INTERRUPTED", "MISUSE", "main"]
@@ -44,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=gp.__version__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for group in (motion_commands, impact_commands, bench_command, listing_commands):
+    for group in (motion_commands, impact_commands, view_command, bench_command, listing_commands):
         group.add_to(commands)
     return parser
 

@@ -177,7 +177,7 @@ class PlanAnswer:
 
 
 def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[], bool]) -> PlanAnswer:
-    """Plan both motions; the ordinary one only if it is not known.
+    """Plan both motions, but for what is known: the chosen one of the same question, the ordinary one of the same way.
 
     Args:
         question: What is asked.
@@ -188,6 +188,8 @@ def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[
         ordinary, of_ordinary = _again(known.ordinary, question), known.said[1]
     else:
         ordinary, of_ordinary = _shown(ORDINARY, question, question.plan(0.0, cancelled))
+    if known is not None and known.question is question and known.chosen is not None:
+        return PlanAnswer(question=question, chosen=known.chosen, ordinary=ordinary, said=(known.said[0], of_ordinary))
     if question.w == 0.0 and ordinary is not None:
         chosen = shown_motion(CHOSEN, ordinary.trajectory, question.scene, question.impact, ordinary.cost)
         return PlanAnswer(question=question, chosen=chosen, ordinary=ordinary, said=(of_ordinary, of_ordinary))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import final
@@ -20,10 +21,12 @@ _SEEN = 3
 """Geoms of this group and above are not drawn, as in MuJoCo's own viewer: contents, spaces to keep out of."""
 _AROUND, _ACROSS = 20, 6
 """Corners around a round shape, and rings from a pole of a ball to its equator."""
-_ENDLESS = 6.0
+_ENDLESS = 3.0
 """Half size at which a plane without one is drawn [m]."""
-_ROBOT = (0.80, 0.82, 0.85, 1.0)
-"""Colour of a robot's geoms that have none of their own."""
+_ROBOT, _FLOOR = (0.80, 0.82, 0.85, 1.0), (0.90, 0.91, 0.93, 1.0)
+"""Colours of a robot's geoms, and of planes, that have none of their own."""
+_HARMLESS, _PRECIOUS, _GREATEST = np.array([0.62, 0.70, 0.62]), np.array([0.72, 0.10, 0.12]), 20.0
+"""Colours of entities that have none: for severity 0, and from this severity on; evenly by the logarithm between."""
 _UNCOLOURED = np.full(4, 0.5)
 _UNCOLOURED[3] = 1.0
 _MOVING = (0.78, 0.35, 0.55, 0.8)
@@ -69,9 +72,9 @@ def parts(scene: Scene) -> tuple[Part, ...]:
     for body in range(model.nbody):
         first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
         geoms = [g for g in range(first, first + count) if model.geom_group[g] < _SEEN and model.geom_rgba[g, 3] > 0.0]
-        meshes = _merged(scene, geoms, robot=body in scene.robot_bodies)
+        entity = next((owner[g] for g in geoms if g in owner), None)
+        meshes = _merged(scene, geoms, _plain_colour(scene, body, entity))
         if meshes:
-            entity = next((owner[g] for g in geoms if g in owner), None)
             found.append(Part(name=model.body(body).name, meshes=meshes, body=body, entity=entity))
     found += [
         Part(name=name, meshes=(_moving_mesh(entity),), body=-1, entity=name) for name, entity in scene.moving.items()
@@ -79,15 +82,27 @@ def parts(scene: Scene) -> tuple[Part, ...]:
     return tuple(found)
 
 
-def _merged(scene: Scene, geoms: list[int], *, robot: bool) -> tuple[Mesh, ...]:
+def _plain_colour(scene: Scene, body: int, entity: str | None) -> tuple[float, ...] | None:
+    """Return the colour of geoms of a body that have none of their own; None for that which MuJoCo gives them."""
+    if body in scene.robot_bodies:
+        return _ROBOT
+    if entity is None:
+        return None
+    severity = max(scene.entities[entity].severity.values(), default=0.0)
+    share = min(1.0, math.log1p(severity) / math.log1p(_GREATEST))
+    return (*((1.0 - share) * _HARMLESS + share * _PRECIOUS).tolist(), 1.0)
+
+
+def _merged(scene: Scene, geoms: list[int], plain: tuple[float, ...] | None) -> tuple[Mesh, ...]:
     """Return the geoms of one body, those of one colour as one mesh."""
     by_colour: dict[tuple[float, ...], list[tuple[Array, Array]]] = defaultdict(list)
     for geom in geoms:
-        rgba = scene.model.geom_rgba[geom]
-        plain = robot and np.allclose(rgba, _UNCOLOURED)
+        rgba = tuple(scene.model.geom_rgba[geom].tolist())
+        if np.allclose(rgba, _UNCOLOURED):
+            rgba = _FLOOR if scene.model.geom_type[geom] == _GEOM.mjGEOM_PLANE else plain or rgba
         triangles = geom_triangles(scene.model, geom)
         if len(triangles[1]):
-            by_colour[_ROBOT if plain else tuple(rgba.tolist())].append(triangles)
+            by_colour[rgba].append(triangles)
     return tuple(_mesh(shapes, rgba) for rgba, shapes in by_colour.items())
 
 
