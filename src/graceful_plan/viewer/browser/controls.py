@@ -61,8 +61,8 @@ def build(server: Any, *, w: float, entities: Sequence[str], faults: Sequence[st
         found |= {
             "other": gui.add_dropdown("w = 0 is", (GHOST, BESIDE, HIDDEN), initial_value=GHOST),
             "handles": gui.add_checkbox("Handles to drag", True),
-            "start": gui.add_vector3("Start [m]", (0.0, 0.0, 0.0), step=0.01),
-            "goal": gui.add_vector3("Goal [m]", (0.0, 0.0, 0.0), step=0.01),
+            "start": gui.add_vector3("Start [m]", (0.0, 0.0, 0.0), step=0.005),
+            "goal": gui.add_vector3("Goal [m]", (0.0, 0.0, 0.0), step=0.005),
             "speed": gui.add_slider("Speed", 0.1, 2.0, 0.1, 1.0),
         }
     with tabs.add_tab("Things"):

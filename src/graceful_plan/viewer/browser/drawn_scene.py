@@ -62,6 +62,7 @@ class DrawnScene:
                         mesh.faces,
                         color=mesh.colour,
                         opacity=None if opacity * mesh.opacity >= 1.0 else opacity * mesh.opacity,
+                        material="toon3",  # several times cheaper than the default where there is no graphics card
                         cast_shadow=False,
                         receive_shadow=False,
                         side="double" if opacity * mesh.opacity < 1.0 else "front",

@@ -64,6 +64,8 @@ class Page:
         self._paths: list[Any] = []
         self._labels: list[Any] = []
         self._theme(dark)
+        self.server.scene.configure_environment_map(None)
+        self.server.scene.configure_default_lights(cast_shadow=False)
         self._look(question)
         self._controls = build(
             self.server,
@@ -96,7 +98,8 @@ class Page:
         self._closed.set()
         self.state.close()
         self._player.join(timeout=5.0)
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     # --- the first picture --------------------------------------------------------------------------------------------
 
