@@ -52,7 +52,12 @@ def until(condition):
 
 
 def click(browser, words):
-    browser.find_element("xpath", f"//*[normalize-space(text())='{words}']").click()
+    until(lambda: browser.find_elements("xpath", f"//*[normalize-space(text())='{words}']"))[0].click()
+
+
+def tick(browser, label):
+    path = f"(//*[normalize-space(text())='{label}']/following::input[@type='checkbox'])[1]"
+    browser.find_element("xpath", path).click()
 
 
 def enter(browser, label, value, number=1):
@@ -201,6 +206,6 @@ def test_layers_and_darkness_change_the_picture(page, viewer):
     ).click()
     until(lambda: viewer._page._layer is not None)
     until(lambda: np.abs(picture(page) - before).mean() > 1e-3)
-    page.find_element("xpath", "(//*[normalize-space(text())='Dark']/following::input[@type='checkbox'])[1]").click()
+    tick(page, "Dark")
     until(lambda: picture(page)[:60, :60, :3].mean() < 0.3)
     assert errors(page) == []
