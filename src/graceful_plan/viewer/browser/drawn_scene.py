@@ -15,6 +15,8 @@ Array = np.ndarray
 
 STRUCK = (255, 200, 0)
 """Colour of what a failure has hit."""
+_WIDE = 1.2
+"""What is wider keeps its colour: floors, tables [m]."""
 _MOVED = 1e-6
 """Smallest change that is sent [m, or of a quaternion]."""
 
@@ -92,7 +94,7 @@ class DrawnScene:
             return
         for part, handles in zip(self._drawn, self._meshes, strict=True):
             was, is_now = part.entity in self._struck, part.entity in names
-            if was != is_now:
+            if was != is_now and max(np.ptp(mesh.vertices, axis=0).max() for mesh in part.meshes) < _WIDE:
                 for handle, mesh in zip(handles, part.meshes, strict=True):
                     handle.color = STRUCK if is_now else mesh.colour
         self._struck = frozenset(names)

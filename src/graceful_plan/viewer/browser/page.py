@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import logging
 import threading
@@ -53,8 +54,7 @@ class Page:
     def __init__(
         self, question: Question, answer: PlanAnswer | None, *, host: str, port: int, dark: bool = False
     ) -> None:
-        import viser
-
+        viser: Any = importlib.import_module("viser")
         with contextlib.redirect_stdout(io.StringIO()):  # it greets on the terminal
             self.server: Any = viser.ViserServer(host=host, port=port, label="graceful_plan", verbose=False)
         self._lock = threading.RLock()
