@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.costs.fault_prior import DEGREES, FaultPrior, shipped_effects
+from graceful_plan.costs.fault_prior import DEGREES, REACTIONS, FaultPrior, shipped_effects
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.costs.models.coast.constants import CoastSettings
@@ -103,7 +103,7 @@ def faults_of(scene: Scene) -> tuple[str, ...]:
     """Name what can fail in a scene: faults of FailBench; of a base that drives, the ways in which it comes to rest."""
     if scene.base is not None:
         return tuple(CoastSettings.shipped().ways)
-    names = tuple(_failbench().faults())
+    names = tuple(name for name in shipped_effects() if name not in REACTIONS)
     first = "gripper_failure"
     return (first, *(name for name in names if name != first)) if scene.carried is not None else names
 

@@ -60,6 +60,7 @@ class Page:
         self._lock = threading.RLock()
         self.state = ViewerState(question, self._answered, self._not_answered, answer)
         self._t, self._playing, self._closed, self._said_at = 0.0, False, threading.Event(), 0.0
+        self._asked_first = False
         self._stage = self._other = self._chart = self._layer = self._entity_handle = None
         self._paths: list[Any] = []
         self._labels: list[Any] = []
@@ -83,7 +84,7 @@ class Page:
             if answer is not None:
                 self._answered()
             self._show(0.0)
-        self._ask(question)
+        self.server.on_client_connect(lambda _: self._begin())
         self._player = threading.Thread(target=self._play, name="viewer-player", daemon=True)
         self._player.start()
 
@@ -100,6 +101,13 @@ class Page:
         self._player.join(timeout=5.0)
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
+
+    def _begin(self) -> None:
+        """Plan once somebody looks: until then the processor is for the first picture."""
+        with self._lock:
+            if not self._asked_first:
+                self._asked_first = True
+                self._ask(self.state.question)
 
     # --- the first picture --------------------------------------------------------------------------------------------
 
@@ -221,6 +229,7 @@ class Page:
         self._say(busy=False)
 
     def _ask(self, question: Question) -> None:
+        self._asked_first = True
         self.state.ask(question)
         self._say(busy=True)
 
