@@ -184,6 +184,20 @@ def test_a_gripper_failure_at_half_time_shows_predicted_and_observed_harm(page, 
     assert errors(page) == []
 
 
+def test_the_ordinary_motion_is_shown_beside_the_other_one(page, viewer):
+    shown = viewer._page
+    (client,) = shown.server.get_clients().values()
+    before, picture_before = np.array(client.camera.look_at), picture(page)
+    for how, moves in (("beside it", True), ("as a ghost", False)):
+        with shown._lock:
+            shown._controls.other.value = how
+            shown._draw_plans()
+        until(lambda moves=moves: (np.abs(client.camera.look_at - before).max() > 0.2) == moves)
+        if moves:
+            until(lambda: np.abs(picture(page) - picture_before).mean() > 1e-2)
+    assert errors(page) == []
+
+
 def test_it_plays_and_pauses(page, viewer):
     if viewer._page._playing:
         click(page, "Pause")

@@ -21,7 +21,8 @@ Array = np.ndarray
 
 _CELL, _FLOOR_CELL = 0.025, 0.1
 """Width of a cell over a table and on a floor [m]."""
-_OPACITY = 0.75
+_OPACITY, _SEEN, _FAINT = 0.8, 0.3, 0.1
+"""Opacity, from which share of the highest impact on, and the share of it that is left where there is no impact."""
 _ABOVE = 0.004
 """How far above the surface it is drawn [m]."""
 _LEAST = 0.3
@@ -131,7 +132,9 @@ def _layer(impact: Float[Array, "y x"], low: Float[Array, " 3"], step: Float[Arr
     known = ~np.isnan(impact)
     pixels = np.zeros((*impact.shape, 4), dtype=np.uint8)
     pixels[..., :3] = heat_colours(np.where(known, impact, 0.0) / highest)
-    pixels[..., 3] = np.where(known, round(255 * _OPACITY), 0)  # clear where the object cannot be
+    # Clear where the object cannot be, and nearly so where nothing is at stake: what is underneath is to be seen.
+    opacity = _OPACITY * np.clip(np.where(known, impact, 0.0) / (_SEEN * highest), _FAINT, 1.0)
+    pixels[..., 3] = np.where(known, np.round(255 * opacity), 0)
     return RiskLayer(pixels=pixels, low=low, size=step * np.array(impact.shape[::-1]), highest=highest)
 
 

@@ -62,6 +62,7 @@ class Page:
         self._t, self._playing, self._closed, self._said_at = 0.0, False, threading.Event(), 0.0
         self._asked_first = False
         self._stage = self._other = self._chart = self._layer = self._entity_handle = None
+        self._shifted = np.zeros(3)
         self._paths: list[Any] = []
         self._labels: list[Any] = []
         self._theme(dark)
@@ -118,13 +119,18 @@ class Page:
     def _look(self, question: Question) -> None:
         """Put the camera where start, goal and what stands between them are seen."""
         ends = np.stack([question.handle_pose(question.start)[:3, 3], question.goal_pose()[:3, 3]])
-        middle = ends.mean(axis=0)
-        ahead = middle - _base(question)
-        yaw = float(np.arctan2(ahead[1], ahead[0])) + _ASIDE if np.hypot(*ahead[:2]) > _ASIDE else -0.8
-        far = max(1.2, 1.2 * float(np.linalg.norm(ends[1] - ends[0])))
+        middle, way = ends.mean(axis=0), ends[1] - ends[0]
+        length = float(np.linalg.norm(way))
+        if question.scene.base is not None:  # from above the walls, the way from left to right
+            yaw, out, up, far = float(np.arctan2(way[1], way[0])) - 0.5 * np.pi, 0.45, 0.9, 2.0 + 0.75 * length
+        else:
+            ahead = middle - _base(question)
+            yaw = float(np.arctan2(ahead[1], ahead[0])) + _ASIDE if np.hypot(*ahead[:2]) > _ASIDE else -0.8
+            out, up, far = 1.0, 0.7, max(1.2, 1.2 * length)
         camera = self.server.initial_camera
         camera.look_at, camera.up = middle, (0.0, 0.0, 1.0)
-        camera.position = middle + far * np.array([np.cos(yaw), np.sin(yaw), 0.7])
+        camera.position = middle + far * np.array([out * np.cos(yaw), out * np.sin(yaw), up])
+        self._right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
         self.server.gui.main_panel.dock_right()
         self.server.gui.main_panel.set_width(360)
 
@@ -303,6 +309,7 @@ class Page:
         if answer is None:
             return
         shift = self._shift() if how == BESIDE else np.zeros(3)
+        self._step_back(shift)
         greatest = marks.greatest_risk(answer.motions)
         if answer.chosen is not None:
             self._paths.append(marks.add_path(self.server, "/path", answer.chosen, greatest, thickness=0.012))
@@ -322,9 +329,22 @@ class Page:
         self._show(self._t)
 
     def _shift(self) -> Float[Array, " 3"]:
-        """Where the second copy of the scene stands."""
-        scene = self.state.question.scene
-        return np.array([0.0, _width(scene) + _GAP, 0.0])
+        """Where the second copy of the scene stands: along x or y, as seen first to the right."""
+        axis = int(np.argmax(np.abs(self._right)))
+        return (_extent(self.state.question.scene)[axis] + _GAP) * np.sign(self._right[axis]) * np.eye(3)[axis]
+
+    def _step_back(self, shift: Float[Array, " 3"]) -> None:
+        """Move all cameras so that a second copy of the scene is seen too, or back if there is none any more."""
+        more, farther = shift - self._shifted, float(np.linalg.norm(shift) - np.linalg.norm(self._shifted))
+        self._shifted = shift
+        if not more.any():
+            return
+        for client in self.server.get_clients().values():
+            camera = client.camera
+            position, target = np.asarray(camera.position), np.asarray(camera.look_at)
+            back = (position - target) / np.linalg.norm(position - target)
+            camera.position = position + 0.5 * more + 0.6 * farther * back
+            camera.look_at = target + 0.5 * more
 
     def _new_chart(self) -> None:
         if self._chart is not None:
@@ -431,9 +451,11 @@ def _base(question: Question) -> Float[Array, " 3"]:
     return np.array(scene.data_at(question.start).joint(scene.joints[0]).xanchor)
 
 
-def _width(scene: Scene) -> float:
-    """Extent along y of what stands around [m], planes left out."""
+def _extent(scene: Scene) -> Float[Array, " 2"]:
+    """Extent along x and y of what stands around [m], planes left out."""
     model, data = scene.model, scene.data_at(scene.model.qpos0[scene.qpos_adr])
-    bounded = np.flatnonzero(model.geom_rbound > 0.0)
-    low = (data.geom_xpos[bounded, 1] - model.geom_rbound[bounded]).min()
-    return float((data.geom_xpos[bounded, 1] + model.geom_rbound[bounded]).max() - low)
+    geoms = np.flatnonzero((model.geom_rbound > 0.0) & (model.geom_group < 3))
+    R = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    centre = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", R, model.geom_aabb[geoms, :3])
+    half = np.einsum("nij,nj->ni", np.abs(R), model.geom_aabb[geoms, 3:])
+    return np.asarray((centre + half).max(axis=0) - (centre - half).min(axis=0))[:2]
