@@ -50,13 +50,25 @@ return about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : 'unknown';
 """
 
 
+_BARE = """
+import sys, time, viser
+server = viser.ViserServer(host="127.0.0.1", port=int(sys.argv[1]), verbose=False)
+server.scene.configure_environment_map(None)
+server.scene.configure_default_lights(cast_shadow=False)
+server.scene.add_box("/box", dimensions=(1.0, 1.0, 1.0))
+print("ready", flush=True)
+time.sleep(100.0)
+"""
+_BARE_CALLS = 2
+
+
 def run(options: suite.Options) -> str:
     """Measure both; what needs a browser is left out where there is none."""
     times, seconds = options.pick((7, 8.0), quick=(1, 2.0))
     if shutil.which("chromium") is None or shutil.which("chromedriver") is None:
         lines = [_rate("sent", *_sent(seconds))]
         return f"{MEASURED}\nThere is no chromium with its driver here.\n\n{report.targets(lines)}"
-    lines = [*_first_pictures(times), *_playing(seconds)]
+    lines = [*_first_pictures(times), _of_viser_alone(times), *_playing(seconds)]
     with _browser(*SIZES[0]) as browser:
         renderer = browser.execute_script(_RENDERER)
     return f"{MEASURED}\n{times} processes; medians. WebGL by: {renderer}.\n\n{report.targets(lines)}"
@@ -70,6 +82,29 @@ def _first_pictures(times: int) -> Iterator[report.Target]:
         told = f"{report.quantity(median, ' s')}, slowest {report.quantity(float(values.max()), ' s')}"
         limit = {"address": ADDRESS_WITHIN, "first picture": PICTURE_WITHIN}.get(what, PLAN_WITHIN)
         yield report.Target(what=what, wanted=f"< {limit:g} s", measured=told, met=median < limit)
+
+
+def _of_viser_alone(times: int) -> report.Target:
+    """Return how long the same takes for a page with nothing but one box, which no viewer made with viser can beat."""
+    with _browser(*SIZES[0]) as browser:
+        seconds = [_bare_picture(browser, _PORT + 30 + i) for i in range(times + 1)][1:]
+    told = f"{report.quantity(float(np.median(seconds)), ' s')}, slowest {report.quantity(max(seconds), ' s')}"
+    return report.Target(what="first picture of viser with one box", wanted="-", measured=told, met=None)
+
+
+def _bare_picture(browser: Any, port: int) -> float:
+    browser.get("about:blank")
+    started = time.perf_counter()
+    with subprocess.Popen([sys.executable, "-c", _BARE, str(port)], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            while "ready" not in process.stdout.readline():
+                pass
+            browser.get(f"http://localhost:{port}")
+            _until(lambda: browser.execute_script("return window.most") >= _BARE_CALLS)
+            return time.perf_counter() - started
+        finally:
+            process.terminate()
 
 
 def _first_picture(browser: Any, port: int) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from places import ROOT
 
 import graceful_plan as gp
 
@@ -31,6 +32,15 @@ def page(viewer, browser):
     browser.get(viewer.url)
     until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
     return browser
+
+
+@pytest.mark.usefixtures("browser_parts")
+def test_the_guide_runs(capsys):
+    (snippet,) = re.findall(
+        r"^```python\n(.*?)^```", (ROOT / "docs" / "viewer.md").read_text(), re.MULTILINE | re.DOTALL
+    )
+    exec(compile(snippet, "viewer.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("http://localhost:")
 
 
 def state(viewer):

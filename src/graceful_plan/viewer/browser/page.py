@@ -175,7 +175,7 @@ class Page:
         self._on(c.time, lambda: self._seek(c.time.value))
         self._on(c.w, lambda: self._ask(self.state.question.weighted(c.w.value)))
         self._on(c.other, self._draw_plans)
-        self._on(c.handles, self._place_handles)
+        self._on(c.handles, self._show_handles)
         self._on(c.start, lambda: self._typed(c.start.value, self._start, Question.starting_at))
         self._on(c.goal, lambda: self._typed(c.goal.value, self._goal, Question.going_to))
         self._on(c.entity, self._pick)
@@ -254,8 +254,13 @@ class Page:
             (self._goal, question.goal_pose(), c.goal),
         ):
             handle.position, handle.wxyz = X[:3, 3], quaternion_of(X[:3, :3])
-            handle.visible = bool(c.handles.value)
             field.value = tuple(round(x, 4) for x in X[:3, 3].tolist())
+        self._show_handles()
+
+    def _show_handles(self) -> None:
+        """Show the handles if they are wanted; not before the first answer, so that the first picture comes sooner."""
+        for handle in (self._start, self._goal):
+            handle.visible = bool(self._controls.handles.value) and self.state.answer is not None
 
     # --- things -------------------------------------------------------------------------------------------------------
 
@@ -291,6 +296,7 @@ class Page:
             if self.state.answer is not None and self.state.answer.question.scene is not self._drawn:
                 self._draw_scene()
             self._controls.heal.visible = False
+            self._show_handles()
             self._draw_plans()
             self._new_chart()
             self._seek(min(self._t, self.state.duration))
