@@ -94,5 +94,15 @@ def test_words_say_why_there_is_no_plan(task):
     assert "planning" in words.plan_words(None, busy=True) and "no plan yet" in words.plan_words(None, busy=False)
 
 
+def test_words_say_what_both_motions_cost_and_what_colours_mean(result, task):
+    question, answer = asked(result, task, w=0.5)
+    both = answered(question, answer, lambda: False)
+    text = words.plan_words(both, busy=False)
+    assert "w = 0.5" in text and f"{both.chosen.cost.impact:.3g}" in text and f"{both.ordinary.cost.impact:.3g}" in text
+    assert "impact along the paths" in text and f"{max(m.risk.max() for m in both.motions):.3g}" in text
+    alone = words.plan_words(answer, busy=True)
+    assert "not planned yet" in alone and "planning" in alone
+
+
 def test_the_defaults_are_seen_by_this_machine_alone():
     assert opening.HOST == "127.0.0.1"

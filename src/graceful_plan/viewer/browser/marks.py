@@ -13,7 +13,7 @@ from graceful_plan.viewer.shown import ShownMotion
 
 Array = np.ndarray
 
-_RISK = ("#2166ac", "#67a9cf", "#fddb6d", "#ef6548", "#b30000")
+RISK = ("#2166ac", "#67a9cf", "#fddb6d", "#ef6548", "#b30000")
 """Colours of a path, from no risk to the greatest; seen on white and on black."""
 _LEAST = 0.05
 """Impact that has the last colour at least."""
@@ -24,7 +24,7 @@ _ROUND = np.linspace(0.0, 2.0 * np.pi, 49)
 
 def risk_colours(share: Float[Array, " n"]) -> UInt8[Array, "n 3"]:
     """Return colours for shares of the greatest impact, in [0, 1]."""
-    stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in _RISK], dtype=float)
+    stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in RISK], dtype=float)
     place = np.clip(share, 0.0, 1.0) * (len(stops) - 1)
     channels = [np.interp(place, np.arange(len(stops)), channel) for channel in stops.T]
     return np.stack(channels, axis=-1).round().astype(np.uint8)

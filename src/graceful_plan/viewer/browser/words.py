@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from graceful_plan.viewer.browser.marks import RISK, greatest_risk
 from graceful_plan.viewer.failing import Replay
 from graceful_plan.viewer.question import PlanAnswer
 from graceful_plan.viewer.shown import ShownMotion
@@ -26,10 +27,20 @@ def plan_words(answer: PlanAnswer | None, *, busy: bool) -> str:
         ("motion [rad]", [_number(motion and motion.cost.motion) for _, motion in columns]),
         ("impact", [_number(motion and motion.cost.impact) for _, motion in columns]),
     ]
-    text = _table(["", *(label for label, _ in columns)], rows)
+    text = _table(["", *(label for label, _ in columns)], rows) + _legend(answer)
     troubles = [said for said, (_, motion) in zip(answer.said, columns, strict=True) if motion is None]
     text += "".join(f"<p>{escape(said)}</p>" for said in dict.fromkeys(troubles))
     return _page(text + ("<p><em>planning …</em></p>" if busy else ""))
+
+
+def _legend(answer: PlanAnswer) -> str:
+    """Say what the colours of the paths mean."""
+    if not answer.motions:
+        return ""
+    colours = ",".join(RISK)
+    bar = f'<span style="flex:1;height:.5em;margin:0 .5em;background:linear-gradient(90deg,{colours})"></span>'
+    greatest = f"{greatest_risk(answer.motions):.3g}"
+    return f'<div style="display:flex;align-items:center">impact along the paths: 0{bar}{greatest}</div>'
 
 
 def now_words(impact: Mapping[str, float], *, failed: bool) -> str:
