@@ -13,13 +13,13 @@ from typing import Any, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
 from graceful_plan.exceptions import GracefulPlanError
-from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.browser import marks, words
+from graceful_plan.viewer.browser.cameras import Cameras
 from graceful_plan.viewer.browser.chart import ImpactChart
-from graceful_plan.viewer.browser.controls import BESIDE, GHOST, HIDDEN, build
+from graceful_plan.viewer.browser.controls import build
 from graceful_plan.viewer.browser.drawn_scene import DrawnScene
+from graceful_plan.viewer.browser.plans import DrawnPlans
 from graceful_plan.viewer.failing import Failure, faults_of
 from graceful_plan.viewer.poses import pose_of, poses_along, quaternion_of
 from graceful_plan.viewer.question import PlanAnswer, Question
@@ -32,10 +32,8 @@ _RATE = 30.0
 """Frames per second while it plays."""
 _WORDS_RATE = 6.0
 """Times per second that text and chart change meanwhile: they cost the browser more than poses."""
-_GAP = 0.4
-"""Between two copies of the scene [m]."""
-_ASIDE = 0.35
-"""How far the camera stands beside the line from the robot to what it does, as an angle [rad]; also a distance [m]."""
+_PANEL = 360
+"""Width of the panel [pixels]."""
 _log = logging.getLogger(__name__)
 
 
@@ -61,14 +59,14 @@ class Page:
         self.state = ViewerState(question, self._answered, self._not_answered, answer)
         self._t, self._playing, self._closed, self._said_at = 0.0, False, threading.Event(), 0.0
         self._asked_first = False
-        self._stage = self._other = self._chart = self._layer = self._entity_handle = None
-        self._shifted = np.zeros(3)
-        self._paths: list[Any] = []
+        self._stage = self._chart = self._layer = self._entity_handle = None
         self._labels: list[Any] = []
         self._theme(dark)
         self.server.scene.configure_environment_map(None)
         self.server.scene.configure_default_lights(cast_shadow=False)
-        self._look(question)
+        self._plans = DrawnPlans(self.server, Cameras(self.server, question))
+        self.server.gui.main_panel.dock_right()
+        self.server.gui.main_panel.set_width(_PANEL)
         self._controls = build(
             self.server,
             w=question.w,
@@ -115,24 +113,6 @@ class Page:
     def _theme(self, dark: bool) -> None:
         # The button to share would send the scene to a server of others.
         self.server.gui.configure_theme(dark_mode=dark, show_share_button=False, show_logo=False)
-
-    def _look(self, question: Question) -> None:
-        """Put the camera where start, goal and what stands between them are seen."""
-        ends = np.stack([question.handle_pose(question.start)[:3, 3], question.goal_pose()[:3, 3]])
-        middle, way = ends.mean(axis=0), ends[1] - ends[0]
-        length = float(np.linalg.norm(way))
-        if question.scene.base is not None:  # from above the walls, the way from left to right
-            yaw, out, up, far = float(np.arctan2(way[1], way[0])) - 0.5 * np.pi, 0.45, 0.9, 2.0 + 0.75 * length
-        else:
-            ahead = middle - _base(question)
-            yaw = float(np.arctan2(ahead[1], ahead[0])) + _ASIDE if np.hypot(*ahead[:2]) > _ASIDE else -0.8
-            out, up, far = 1.0, 0.7, max(1.2, 1.2 * length)
-        camera = self.server.initial_camera
-        camera.look_at, camera.up = middle, (0.0, 0.0, 1.0)
-        camera.position = middle + far * np.array([out * np.cos(yaw), out * np.sin(yaw), up])
-        self._right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-        self.server.gui.main_panel.dock_right()
-        self.server.gui.main_panel.set_width(360)
 
     def _handle(self, name: str) -> Any:
         drives = self.state.question.scene.base is not None
@@ -305,52 +285,8 @@ class Page:
 
     def _draw_plans(self) -> None:
         """Draw the paths, and the ordinary motion as it is to be shown."""
-        answer, how = self.state.answer, self._controls.other.value
-        for path in self._paths:
-            path.remove()
-        self._paths = []
-        if self._other is not None:
-            self._other.remove()
-            self._other = None
-        if answer is None:
-            return
-        shift = self._shift() if how == BESIDE else np.zeros(3)
-        self._step_back(shift)
-        greatest = marks.greatest_risk(answer.motions)
-        if answer.chosen is not None:
-            self._paths.append(marks.add_path(self.server, "/path", answer.chosen, greatest, thickness=0.012))
-        if answer.ordinary is not None and how != HIDDEN and answer.chosen is not None:
-            ghost = how == GHOST
-            self._other = DrawnScene(
-                self.server,
-                "/other",
-                answer.ordinary.scene,
-                opacity=0.3 if ghost else 1.0,
-                shift=shift,
-                only_moving=ghost,
-            )
-            path = marks.add_path(self.server, "/other/path", answer.ordinary, greatest, thickness=0.006)
-            middle = answer.ordinary.tool[len(answer.ordinary.tool) // 2]
-            self._paths += [path, self.server.scene.add_label("/other/label", "w = 0", position=middle)]
+        self._plans.draw(self.state.answer, self._controls.other.value)
         self._show(self._t)
-
-    def _shift(self) -> Float[Array, " 3"]:
-        """Where the second copy of the scene stands: along x or y, as seen first to the right."""
-        axis = int(np.argmax(np.abs(self._right)))
-        return (_extent(self.state.question.scene)[axis] + _GAP) * np.sign(self._right[axis]) * np.eye(3)[axis]
-
-    def _step_back(self, shift: Float[Array, " 3"]) -> None:
-        """Move all cameras so that a second copy of the scene is seen too, or back if there is none any more."""
-        more, farther = shift - self._shifted, float(np.linalg.norm(shift) - np.linalg.norm(self._shifted))
-        self._shifted = shift
-        if not more.any():
-            return
-        for client in self.server.get_clients().values():
-            camera = client.camera
-            position, target = np.asarray(camera.position), np.asarray(camera.look_at)
-            back = (position - target) / np.linalg.norm(position - target)
-            camera.position = position + 0.5 * more + 0.6 * farther * back
-            camera.look_at = target + 0.5 * more
 
     def _new_chart(self) -> None:
         if self._chart is not None:
@@ -407,8 +343,8 @@ class Page:
             return
         with self.server.atomic():
             self._stage.put(moment.position, moment.turned)
-            if self._other is not None and moment.beside is not None:
-                self._other.put(*moment.beside)
+            if moment.beside is not None:
+                self._plans.put(*moment.beside)
             shown = self._controls.footprint.value
             self._footprints.show(moment.fall if shown else None, moment.going_on if shown else None)
             replay = self.state.replay
@@ -449,19 +385,3 @@ class Page:
             self._said_at = now
             c.time.value = min(round(self._t, 2), c.time.max)
         self._show(self._t, words_too=due)
-
-
-def _base(question: Question) -> Float[Array, " 3"]:
-    """Where the robot's first joint is at the start, in W [m]."""
-    scene = question.scene
-    return np.array(scene.data_at(question.start).joint(scene.joints[0]).xanchor)
-
-
-def _extent(scene: Scene) -> Float[Array, " 2"]:
-    """Extent along x and y of what stands around [m], planes left out."""
-    model, data = scene.model, scene.data_at(scene.model.qpos0[scene.qpos_adr])
-    geoms = np.flatnonzero((model.geom_rbound > 0.0) & (model.geom_group < 3))
-    R = data.geom_xmat[geoms].reshape(-1, 3, 3)
-    centre = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", R, model.geom_aabb[geoms, :3])
-    half = np.einsum("nij,nj->ni", np.abs(R), model.geom_aabb[geoms, 3:])
-    return np.asarray((centre + half).max(axis=0) - (centre - half).min(axis=0))[:2]
