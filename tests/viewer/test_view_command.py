@@ -69,3 +69,16 @@ def test_what_plan_printed_is_served(tmp_path):
 def test_misuse_is_told_by_the_exit_code(arguments, said, capsys):
     assert main(["view", *arguments]) == MISUSE
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.long
+@needs_viser
+def test_a_program_that_ends_without_closing_the_page_ends_quietly():
+    code = """
+import graceful_plan as gp
+viewer = gp.view("tabletop", port=8395)
+viewer._page._begin()
+viewer._page.state.worker.wait(30.0)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=_LONG)
+    assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib
 import io
@@ -86,6 +87,7 @@ class Page:
         self.server.on_client_connect(lambda _: self._begin())
         self._player = threading.Thread(target=self._play, name="viewer-player", daemon=True)
         self._player.start()
+        atexit.register(self.close)
 
     @property
     def url(self) -> str:
@@ -94,7 +96,8 @@ class Page:
         return f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1') else host}:{self.server.get_port()}"
 
     def close(self) -> None:
-        """Stop serving the page."""
+        """Stop serving the page; done at the end of the program, too."""
+        atexit.unregister(self.close)
         self._closed.set()
         self.state.close()
         self._player.join(timeout=5.0)
