@@ -233,3 +233,21 @@ def test_layers_and_darkness_change_the_picture(page, viewer):
     tick(page, "Dark")
     until(lambda: picture(page)[:60, :60, :3].mean() < 0.3)
     assert errors(page) == []
+
+
+def test_a_base_that_drives_is_shown_and_fails(browser):
+    with gp.view("apartment", port=8380, time_limit=2.0) as viewer:
+        browser.get(viewer.url)
+        until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
+        enter(browser, "Time [s]", 2)
+        until(lambda: state(viewer).at(viewer._page._t).going_on is not None)
+        click(browser, "Failure")
+        click(browser, "Let it fail")
+        until(lambda: "power_lost" in text(browser) and re.search(r"all\s+[\d.]+\s+[\d.]+", text(browser)))
+        assert "left out of the simulation" in text(browser)
+        X = state(viewer).question.goal_pose()
+        click(browser, "Plan")
+        enter(browser, "Goal [m]", round(float(X[0, 3]) + 0.2, 2))
+        until(lambda: state(viewer).worker.idle and state(viewer).motion is not None)
+        assert abs(state(viewer).motion.trajectory.q[-1, 0] - X[0, 3] - 0.2) < 0.02
+        assert errors(browser) == []
