@@ -13,7 +13,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long test-robots lint docs bench wheel lock clean
+.PHONY: help demo picture sheet test test-long test-robots test-viewer lint docs bench wheel lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -21,6 +21,7 @@ help:
 	@echo "make test   run the tests, less than 4 minutes"
 	@echo "make test-long  run further cases, and tests that take longer"
 	@echo "make test-robots  run tests with robots from packages, which are 130 MB"
+	@echo "make test-viewer  run tests of the viewer, in a browser if there are chromium and its driver"
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/, without a warning"
 	@echo "make bench  run the benchmarks"
@@ -52,6 +53,9 @@ test-long: $(VENV)/.package $(VENV)/.dev
 test-robots: $(VENV)/.package $(VENV)/.robots
 	$(PYTEST) tests/scene/urdf $(ARGS)
 
+test-viewer: $(VENV)/.package $(VENV)/.viewer
+	$(PYTEST) tests/viewer $(ARGS)
+
 lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -73,6 +77,11 @@ $(VENV)/.robots: requirements/robots.txt $(VENV)/.dev
 	$(PINNED) --no-deps -r $<
 	@touch $@
 
+# It takes older websockets than what is pinned for everything else; both work with these.
+$(VENV)/.viewer: requirements/viewer.txt $(VENV)/.dev
+	$(PINNED) -r $<
+	@touch $@
+
 lock: $(VENV)/.python
 	$(PIP) install -q pip-tools
 	for set in "build requirements/build.in" "runtime pyproject.toml" "dev --extra dev -c requirements/runtime.txt pyproject.toml" \
@@ -80,6 +89,9 @@ lock: $(VENV)/.python
 	  $(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
 	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/$${set%% *}.txt $${set#* } || exit 1; \
 	done
+	sed '/^websockets==/,/# via/d' requirements/runtime.txt > $(VENV)/others.txt
+	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
+	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c $(VENV)/others.txt -o requirements/viewer.txt requirements/viewer.in
 
 clean:
 	rm -rf $(VENV) build dist site graceful_plan_demo .pytest_cache .ruff_cache .hypothesis

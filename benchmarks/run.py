@@ -41,6 +41,7 @@ SUBJECTS = (
     "optimisers",
     "roadmap",
     "startup",
+    "viewer",
     "discretisation",
     "motions",
     "paper_table",

@@ -46,6 +46,7 @@ FLOORS = (
     {"plan", "roadmap"},
     {"tuning"},
     {"viz"},
+    {"viewer"},
     {"compare"},
     {"graceful_plan"},
     {"testing", "tools"},
@@ -68,7 +69,20 @@ HARNESS_FLOORS = (
 MOST_FILES = 15
 """In a folder."""
 
-HEAVY = ("scipy", "toppra", "ompl", "mink", "casadi", "fcl", "matplotlib", "qpsolvers", "pyarrow", "ray", "PIL")
+HEAVY = (
+    "scipy",
+    "toppra",
+    "ompl",
+    "mink",
+    "casadi",
+    "fcl",
+    "matplotlib",
+    "qpsolvers",
+    "pyarrow",
+    "ray",
+    "PIL",
+    "viser",
+)
 
 
 def module_name(file: Path) -> str:

@@ -48,6 +48,7 @@ from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.transcription.trajectory_optimisation import optimise_trajectory
 from graceful_plan.tuning.fronts import ParetoFront, pareto
+from graceful_plan.viewer.opening import view
 
 __all__ = [
     "AllowedContact",
@@ -125,4 +126,5 @@ __all__ = [
     "scenes",
     "straight_motion",
     "verify",
+    "view",
 ]

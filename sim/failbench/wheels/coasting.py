@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -83,22 +83,30 @@ def coasted(
         failure: How it fails.
         seconds: How long it is watched, unless it comes to rest before [s].
     """
+    hits: dict[int, BaseHit] = {}
+    for data, speed in coasting(wheels, q, qd, failure, seconds):
+        _note(wheels, data, hits, speed)
+    return sorted(hits.values(), key=lambda hit: hit.time)
+
+
+def coasting(
+    wheels: Wheeled, q: Float[Array, " nq"], qd: Float[Array, " nq"], failure: BaseFailure, seconds: float = 4.0
+) -> Iterator[tuple[mujoco.MjData, float]]:
+    """Yield the data after each step of `coasted`, and the speed of the base before it [m/s]. The data are changed."""
     v = float(qd[0] * np.cos(q[2]) + qd[1] * np.sin(q[2]))
     omega = float(qd[2])
     off = failure.aside * np.array([-np.sin(q[2]), np.cos(q[2])])
-    begin = np.array([q[0] + off[0], q[1] + off[1], q[2] + failure.askew])
+    begin = np.array([q[0] + off[0], q[1] + off[1], q[2] + failure.askew, *q[3:]])
     model, data = _failing(wheels, failure), wheels.placed(begin, v, omega)
     data = _moved(model, data)
-    hits: dict[int, BaseHit] = {}
     for step in range(int(seconds / TIMESTEP)):
         _command(wheels, data, failure, (v, omega), step * TIMESTEP)
         speed = float(np.hypot(*data.qvel[wheels.dof : wheels.dof + 2]))
         mujoco.mj_step(model, data)
-        _note(wheels, data, hits, speed)
+        yield data, speed
         waited = step * TIMESTEP > failure.delay
         if waited and step % int(_LOOK / TIMESTEP) == 0 and speed < _STILL and abs(data.qvel[wheels.dof + 5]) < _STILL:
-            break
-    return sorted(hits.values(), key=lambda hit: hit.time)
+            return
 
 
 def _failing(wheels: Wheeled, failure: BaseFailure) -> mujoco.MjModel:

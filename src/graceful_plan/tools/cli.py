@@ -18,6 +18,7 @@ from graceful_plan.tools import (
     listing_commands,
     motion_commands,
     tune_command,
+    view_command,
 )
 from graceful_plan.tools.completion import command
 from graceful_plan.tools.console import DONE, FAILED, INTERRUPTED, MISUSE, complain
@@ -53,7 +54,7 @@ def parser() -> Parser:
     )
     made.add_argument("--version", action="version", version=gp.__version__)
     commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    groups = (motion_commands, tune_command, impact_commands, bench_command, listing_commands)
+    groups = (motion_commands, tune_command, impact_commands, view_command, bench_command, listing_commands)
     for group in groups:
         group.add_to(commands)
     command.add_to(commands, made)

@@ -221,7 +221,7 @@ def sentence(result: gp.PlanResult) -> str:
 
 def show(args: argparse.Namespace, document: Any, text: str) -> None:
     """Print the document if JSON was asked for, else the text."""
-    print(documents.to_json(document) if args.json else text)
+    print(documents.to_json(document) if args.json else text, flush=True)
 
 
 def complain(command: str, error: BaseException, code: int, *, as_json: bool, before: str = "") -> int:

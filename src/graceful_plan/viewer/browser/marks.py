@@ -1,0 +1,109 @@
+"""Marks in the scene: paths coloured by risk, the footprint of a failure, the risk map."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from graceful_plan.array_types import Float, UInt8
+from graceful_plan.viewer.fall import Fall, GoingOn
+from graceful_plan.viewer.risk_layer import RiskLayer
+from graceful_plan.viewer.shown import ShownMotion
+
+Array = np.ndarray
+
+RISK = ("#2166ac", "#67a9cf", "#fddb6d", "#ef6548", "#b30000")
+"""Colours of a path, from no risk to the greatest; seen on white and on black."""
+_LEAST = 0.05
+"""Impact that has the last colour at least."""
+_PIECES = 120
+_FALL, _FAR, _COAST = (214, 39, 40), (240, 140, 60), (180, 60, 160)
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 49)
+
+
+def risk_colours(share: Float[Array, " n"]) -> UInt8[Array, "n 3"]:
+    """Return colours for shares of the greatest impact, in [0, 1]."""
+    stops = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in RISK], dtype=float)
+    place = np.clip(share, 0.0, 1.0) * (len(stops) - 1)
+    channels = [np.interp(place, np.arange(len(stops)), channel) for channel in stops.T]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
+
+
+def greatest_risk(motions: tuple[ShownMotion, ...]) -> float:
+    """Return the impact that has the last colour."""
+    return max([_LEAST, *(float(motion.risk.max()) for motion in motions)])
+
+
+def add_path(server: Any, name: str, motion: ShownMotion, greatest: float, *, thickness: float) -> Any:
+    """Draw the way of the tool, coloured by the impact of a failure there."""
+    t = np.linspace(0.0, motion.duration, _PIECES + 1)
+    at = np.array([motion.tool[motion.frame(x)] for x in t.tolist()])
+    colours = risk_colours(motion.risk_at(t) / greatest)
+    return server.scene.add_line_segments(
+        name,
+        np.stack([at[:-1], at[1:]], axis=1),
+        np.stack([colours[:-1], colours[1:]], axis=1),
+        thickness=thickness,
+    )
+
+
+@final
+class Footprints:
+    """The footprint of a drop, or of a base that goes on, at the moment that is shown."""
+
+    def __init__(self, server: Any) -> None:
+        self._flight = self._lines(server, "/footprint/flight", 0.006, _FALL)
+        self._near = self._lines(server, "/footprint/near", 0.008, _FALL)
+        self._far = self._lines(server, "/footprint/far", 0.004, _FAR)
+        self._coast = self._lines(server, "/footprint/coast", 0.02, _COAST)
+
+    @staticmethod
+    def _lines(server: Any, name: str, thickness: float, colour: tuple[int, int, int]) -> Any:
+        return server.scene.add_line_segments(name, np.zeros((1, 2, 3)), colour, thickness=thickness, visible=False)
+
+    def show(self, fall: Fall | None, going_on: GoingOn | None) -> None:
+        """Draw them; what there is none of disappears."""
+        for handle, points in (
+            (self._flight, None if fall is None else fall.flight),
+            (self._near, None if fall is None else _circle(fall.centre, fall.radius)),
+            (self._far, None if fall is None else _circle(fall.centre, fall.far)),
+            (self._coast, None if going_on is None else _ribbon(going_on)),
+        ):
+            handle.visible = points is not None
+            if points is not None:
+                segments = points if points.ndim == 3 else np.stack([points[:-1], points[1:]], axis=1)
+                handle.points = segments.astype(np.float32)
+
+
+def _circle(centre: Float[Array, " 3"], radius: float) -> Float[Array, "n 3"]:
+    return centre + np.column_stack([radius * np.cos(_ROUND), radius * np.sin(_ROUND), np.full(len(_ROUND), 0.006)])
+
+
+def _ribbon(going_on: GoingOn) -> Float[Array, "n 2 3"]:
+    """Both edges of the way, and a bar where half of the bases have stopped and one where nearly all have."""
+    arc = going_on.arc + [0.0, 0.0, 0.02]
+    along = np.gradient(arc[:, :2], axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    aside = going_on.width * np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(arc))])
+    left, right = arc + aside, arc - aside
+    done = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(arc, axis=0), axis=1)))
+    half = int(np.argmin(np.abs(done - going_on.half)))
+    edges = [np.stack([side[:-1], side[1:]], axis=1) for side in (left, right)]
+    return np.concatenate([*edges, np.stack([left[[half, -1]], right[[half, -1]]], axis=1)])
+
+
+def add_layer(server: Any, layer: RiskLayer) -> Any:
+    """Lay the risk map into the scene."""
+    middle = layer.low + np.array([*(0.5 * layer.size), 0.0])
+    return server.scene.add_image(
+        "/risk_map",
+        layer.pixels[::-1],  # the first row of a picture is its top
+        float(layer.size[0]),
+        float(layer.size[1]),
+        format="png",
+        cast_shadow=False,
+        receive_shadow=False,
+        wxyz=(0.0, 1.0, 0.0, 0.0),  # a picture's y looks down
+        position=middle,
+    )

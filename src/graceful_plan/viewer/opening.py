@@ -1,0 +1,188 @@
+"""Opening the viewer: what is to be shown becomes a question and, if a motion is given, its answer."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from pathlib import Path as FilePath
+from types import TracebackType
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective, evaluate
+from graceful_plan.exceptions import GracefulPlanError, SettingError, UnknownNameError
+from graceful_plan.path import Path, finite_array
+from graceful_plan.query.goals import Goal
+from graceful_plan.result import PlanResult
+from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.scene.scene import Scene, Task
+from graceful_plan.timing.retiming import retime
+from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.viewer.question import CHOSEN, DRIVING_LIMIT, TIME_LIMIT, PlanAnswer, Question
+from graceful_plan.viewer.shown import shown_motion
+
+if TYPE_CHECKING:
+    from graceful_plan.viewer.browser.page import Page
+
+PORT = 8080
+HOST = "127.0.0.1"
+
+
+class ViewerMissing(GracefulPlanError, ImportError):
+    """viser is not installed."""
+
+    def __init__(self) -> None:
+        super().__init__("the viewer needs viser, which the extra 'viz' installs: pip install 'graceful-plan[viz]'")
+
+
+@final
+class Viewer:
+    """A page that is being served until it is closed, or the program ends."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return self._page.url
+
+    def wait(self) -> None:
+        """Serve it until somebody interrupts."""
+        while True:
+            time.sleep(1.0)
+
+    def close(self) -> None:
+        """Stop serving it."""
+        self._page.close()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def view(
+    what: str | FilePath | Scene | Task | PlanResult | Trajectory | Path = "tabletop",
+    scene: Scene | Task | None = None,
+    *,
+    task: str | None = None,
+    start: ArrayLike | str | None = None,
+    goal: Goal | None = None,
+    w: float = DEFAULT_WEIGHT,
+    objective: Objective | None = None,
+    time_limit: float | None = None,
+    host: str = HOST,
+    port: int = PORT,
+    dark: bool = False,
+) -> Viewer:
+    """Open a page with a scene and its motions: risk along them, replanning while things are dragged, failures.
+
+    Args:
+        what: A scene, its name or file, a task; or a motion, such as the result of `plan`.
+        scene: Where, for a motion.
+        task: Which task of the scene; its first one by default.
+        start: Configuration or keyframe to begin at; the task's by default.
+        goal: Where to go, as for `plan`; the task's by default.
+        w: Safety weight to begin with. Beside it there is always the motion for w = 0.
+        objective: Whose impact counts, if not the default one; its `w` and motion cost are not used.
+        time_limit: Seconds for each motion; 1 by default, 5 for robots that drive.
+        host: Address to listen at; only this machine can see the page by default.
+        port: Port to listen at; the next free one if it is taken.
+        dark: Whether the page is dark.
+
+    Returns:
+        The viewer, which has the page's address as `url`. It goes on until `close()`, or until the program ends.
+
+    Raises:
+        ViewerMissing: If viser is not installed; the extra "viz" has it.
+        UnknownNameError: If there is no such scene, task or keyframe.
+        SettingError: If there is neither a task nor start and goal, or a motion without its scene.
+        PlanningFailed: If `what` is the result of a plan that failed.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise ViewerMissing
+    question, answer = asked(
+        what, scene, task=task, start=start, goal=goal, w=w, objective=objective, time_limit=time_limit
+    )
+    from graceful_plan.viewer.browser.page import Page
+
+    return Viewer(Page(question, answer, host=host, port=port, dark=dark))
+
+
+def asked(
+    what: str | FilePath | Scene | Task | PlanResult | Trajectory | Path,
+    scene: Scene | Task | None = None,
+    *,
+    task: str | None = None,
+    start: ArrayLike | str | None = None,
+    goal: Goal | None = None,
+    w: float = DEFAULT_WEIGHT,
+    objective: Objective | None = None,
+    time_limit: float | None = None,
+) -> tuple[Question, PlanAnswer | None]:
+    """Return what `view` asks first, and the answer if it is given."""
+    objective = (objective or Objective()).with_weight(w)
+    if not isinstance(objective.impact, ImpactCost):
+        raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
+    if isinstance(what, PlanResult | Trajectory | Path):
+        if scene is None:
+            raise SettingError("scene", None, "the scene of the motion")
+        place = scene.scene if isinstance(scene, Task) else scene
+        motion = _timed(what, place)
+        question = Question(
+            scene=place,
+            start=np.array(motion.q[0]),
+            goal=np.array(motion.q[-1]),
+            w=w,
+            impact=objective.impact,
+            time_limit=_limit(time_limit, place),
+        )
+        cost = evaluate(motion, place, objective)
+        shown = shown_motion(CHOSEN, motion, place, question.impact, cost)
+        return question, PlanAnswer(question=question, chosen=shown, ordinary=None, said=("", "not planned yet"))
+    place, begin, end = _ends(what, task, start, goal)
+    question = Question(
+        scene=place, start=begin, goal=end, w=w, impact=objective.impact, time_limit=_limit(time_limit, place)
+    )
+    return question, None
+
+
+def _timed(what: PlanResult | Trajectory | Path, scene: Scene) -> Trajectory:
+    if isinstance(what, PlanResult):
+        return what.unwrap()
+    return what if isinstance(what, Trajectory) else retime(what, scene.limits, scene.joints)
+
+
+def _limit(given: float | None, scene: Scene) -> float:
+    if given is not None:
+        return given
+    return TIME_LIMIT if scene.base is None else DRIVING_LIMIT
+
+
+def _ends(
+    what: str | FilePath | Scene | Task, task: str | None, start: ArrayLike | str | None, goal: Goal | None
+) -> tuple[Scene, np.ndarray, Goal]:
+    """Return the scene with what is carried, a start and a goal."""
+    chosen = what if isinstance(what, Task) else None
+    scene = chosen.scene if chosen is not None else what if isinstance(what, Scene) else load_scene(str(what))
+    if chosen is None and scene.tasks and (task is not None or start is None or goal is None):
+        name = next(iter(scene.tasks)) if task is None else task
+        if name not in scene.tasks:
+            raise UnknownNameError("task", name, scene.tasks)
+        chosen = scene.tasks[name]
+        scene = chosen.scene
+    if chosen is not None:
+        start, goal = chosen.start if start is None else start, chosen.goal if goal is None else goal
+    if start is None or goal is None:
+        missing = "start" if start is None else "goal"
+        raise SettingError(missing, None, "a configuration or the name of a keyframe: the scene has no tasks")
+    if isinstance(start, str):
+        if start not in scene.keyframes:
+            raise UnknownNameError("keyframe", start, scene.keyframes)
+        start = scene.keyframes[start]
+    return scene, finite_array("start", start, ndim=1, last=len(scene.joints)), goal

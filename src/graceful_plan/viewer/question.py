@@ -1,0 +1,216 @@
+"""What is asked of the planner, and how somebody at the page changes it. Nothing is changed in place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from graceful_plan.analysis.checks import clearance
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.plan import plan
+from graceful_plan.query.goals import Goal
+from graceful_plan.query.ik import solve_ik
+from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene.mobile.base_pose import BasePose
+from graceful_plan.scene.placement import Placement
+from graceful_plan.scene.pose_goal import PoseGoal
+from graceful_plan.scene.scene import Scene
+from graceful_plan.viewer.poses import pose_of
+from graceful_plan.viewer.shown import ShownMotion, shown_motion
+
+Array = np.ndarray
+
+ORDINARY, CHOSEN = "w = 0", "chosen w"
+"""Labels of the two motions."""
+TIME_LIMIT, DRIVING_LIMIT = 1.0, 5.0
+"""Seconds of a plan by default, for arms and for bases that drive."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Question:
+    """Where from, where to, among what, and how much a spared harm is worth.
+
+    Args:
+        scene: Robot, surroundings, what is carried.
+        start: Configuration [rad or m].
+        goal: As for `plan`.
+        w: Safety weight of the chosen motion; the ordinary one beside it has 0.
+        impact: What a failure costs.
+        time_limit: Seconds for each motion.
+        seed: Of the random numbers.
+        way: Number that changes with whatever the ordinary motion depends on.
+    """
+
+    scene: Scene
+    start: Float[Array, " nq"]
+    goal: Goal
+    w: float = DEFAULT_WEIGHT
+    impact: ImpactCost = ImpactCost()
+    time_limit: float = TIME_LIMIT
+    seed: int = 0
+    way: int = 0
+
+    # --- what was changed ---------------------------------------------------------------------------------------------
+
+    def weighted(self, w: float) -> Question:
+        """Return the question with another safety weight."""
+        return replace(self, w=w)
+
+    def going_to(self, X_W: Float[Array, "4 4"]) -> Question:
+        """Return the question with a goal for the tool, or for the base if the robot drives (see `handle_pose`)."""
+        goal = _base_pose(X_W) if self.scene.base is not None else PoseGoal(X_W)
+        return replace(self, goal=goal, way=self.way + 1)
+
+    def starting_at(self, X_W: Float[Array, "4 4"]) -> Question:
+        """Return the question with the start nearest to the present one that has the tool, or the base, at a pose.
+
+        Raises:
+            SettingError: If no configuration without collision does, or the base would not be free there.
+        """
+        if self.scene.base is not None:
+            pose = _base_pose(X_W)
+            q = np.array([pose.x, pose.y, pose.yaw, *self.start[3:]])
+            if not self._free(q[None])[0]:
+                raise SettingError("start", [round(x, 3) for x in q[:3].tolist()], "a place that is free")
+            return replace(self, start=q, way=self.way + 1)
+        found = solve_ik(PoseGoal(X_W), self.scene, self.start, free=self._free, count=1, seed=self.seed)
+        if not len(found.q):
+            problem = "collide" if found.colliding else "are out of reach"
+            place = [round(x, 3) for x in X_W[:3, 3].tolist()]
+            raise SettingError("start", place, f"a pose that the tool can have: all configurations {problem}")
+        return replace(self, start=found.q[0], way=self.way + 1)
+
+    def with_moved(self, name: str, X_WB: Float[Array, "4 4"]) -> Question:
+        """Return the question with an entity elsewhere.
+
+        Raises:
+            UnknownNameError: If there is no such entity.
+            SceneError: If it cannot be moved.
+        """
+        self._check_entity(name)
+        return replace(self, scene=self.scene.edit(move={name: X_WB}), way=self.way + 1)
+
+    def with_severity(self, name: str, severity: float) -> Question:
+        """Return the question with one severity of an entity, whatever hits it.
+
+        Raises:
+            UnknownNameError: If there is no such entity.
+            SettingError: If the severity is not a finite number of at least 0.
+        """
+        self._check_entity(name)
+        return replace(self, scene=self.scene.with_severity({name: severity}))
+
+    def _check_entity(self, name: str) -> None:
+        if name not in self.scene.entities:
+            raise UnknownNameError("entity", name, self.scene.entities)
+
+    def _free(self, q: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+        low, high = self.scene.limits.position.T
+        return (np.asarray(clearance(self.scene, q)) > 0.0) & ((q >= low) & (q <= high)).all(axis=1)
+
+    # --- what is to be dragged ----------------------------------------------------------------------------------------
+
+    def handle_pose(self, q: Float[Array, " nq"]) -> Float[Array, "4 4"]:
+        """Return where what is dragged is in a configuration: the tool, or the base of a robot that drives; in W."""
+        if self.scene.base is not None:
+            yaw = 0.5 * float(q[2])
+            return pose_of(np.array([q[0], q[1], 0.0]), np.array([np.cos(yaw), 0.0, 0.0, np.sin(yaw)]))
+        site, X_WT = Placement(self.scene).place(q).site(self.scene.tool), np.eye(4)
+        X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
+        return X_WT
+
+    def goal_pose(self) -> Float[Array, "4 4"]:
+        """Return where the goal has what is dragged, of several configurations the first."""
+        goal = self.goal
+        if isinstance(goal, PoseGoal):
+            return np.array(goal.X_WT)
+        if isinstance(goal, BasePose):
+            return self.handle_pose(np.array([goal.x, goal.y, goal.yaw or 0.0]))
+        if isinstance(goal, str):
+            return self.handle_pose(self.scene.keyframes[goal])
+        first = np.atleast_2d(np.asarray(goal, dtype=float))[0]
+        return self.handle_pose(first)
+
+    def entity_pose(self, name: str) -> Float[Array, "4 4"]:
+        """Return where the body of an entity is in W."""
+        self._check_entity(name)
+        body = self.scene.data_at(self.start).body(name)
+        return pose_of(body.xpos, body.xquat)
+
+    # --- the answer ---------------------------------------------------------------------------------------------------
+
+    def plan(self, w: float, cancelled: Callable[[], bool]) -> PlanResult:
+        """Plan one motion."""
+        return plan(
+            self.start,
+            self.goal,
+            self.scene,
+            objective=Objective(impact=self.impact, w=w),
+            time_limit=self.time_limit,
+            seed=self.seed,
+            cancelled=cancelled,
+        )
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanAnswer:
+    """The motions for a question, as far as there are any, and a sentence about each."""
+
+    question: Question
+    chosen: ShownMotion | None
+    ordinary: ShownMotion | None
+    said: tuple[str, str]
+    """How planning went, of the chosen and of the ordinary motion."""
+
+    @property
+    def motions(self) -> tuple[ShownMotion, ...]:
+        """Those that were found, the chosen one first."""
+        return tuple(motion for motion in (self.chosen, self.ordinary) if motion is not None)
+
+
+def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[], bool]) -> PlanAnswer:
+    """Plan both motions, but for what is known: the chosen one of the same question, the ordinary one of the same way.
+
+    Args:
+        question: What is asked.
+        known: An earlier answer.
+        cancelled: Whether somebody has asked something else meanwhile.
+    """
+    if known is not None and known.ordinary is not None and known.question.way == question.way:
+        ordinary, of_ordinary = _again(known.ordinary, question), known.said[1]
+    else:
+        ordinary, of_ordinary = _shown(ORDINARY, question, question.plan(0.0, cancelled))
+    if known is not None and known.question is question and known.chosen is not None:
+        return PlanAnswer(question=question, chosen=known.chosen, ordinary=ordinary, said=(known.said[0], of_ordinary))
+    if question.w == 0.0 and ordinary is not None:
+        chosen = shown_motion(CHOSEN, ordinary.trajectory, question.scene, question.impact, ordinary.cost)
+        return PlanAnswer(question=question, chosen=chosen, ordinary=ordinary, said=(of_ordinary, of_ordinary))
+    chosen, of_chosen = _shown(CHOSEN, question, question.plan(question.w, cancelled))
+    return PlanAnswer(question=question, chosen=chosen, ordinary=ordinary, said=(of_chosen, of_ordinary))
+
+
+def _shown(label: str, question: Question, result: PlanResult) -> tuple[ShownMotion | None, str]:
+    said = f"{result.status.name}: {result.status.value}" + (f" ({result.detail})" if result.detail else "")
+    if result.status is not PlanStatus.SOLVED or result.trajectory is None:
+        return None, said
+    return shown_motion(label, result.trajectory, question.scene, question.impact, result.cost), said
+
+
+def _again(motion: ShownMotion, question: Question) -> ShownMotion:
+    """Return a motion that stays, with what it risks if severities are others."""
+    if motion.scene is question.scene:
+        return motion
+    cost = Objective(impact=question.impact, w=0.0).bind(question.scene).breakdown(motion.trajectory)
+    return shown_motion(motion.label, motion.trajectory, question.scene, question.impact, cost)
+
+
+def _base_pose(X_W: Float[Array, "4 4"]) -> BasePose:
+    return BasePose(float(X_W[0, 3]), float(X_W[1, 3]), float(np.arctan2(X_W[1, 0], X_W[0, 0])))

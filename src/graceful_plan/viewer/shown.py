@@ -1,0 +1,125 @@
+"""What is known of a motion at every moment: where things are, and whom a failure would hit how hard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.objective import trajectory_batch
+from graceful_plan.result import CostBreakdown
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.trajectory import Trajectory
+from graceful_plan.viewer.poses import Poses, poses_along
+from graceful_plan.viewer.shapes import parts
+
+Array = np.ndarray
+
+_STEP = 1.0 / 60.0
+_MOST_FRAMES = 1800
+"""Time between frames, and how many there are at most: half a minute, longer motions have longer steps."""
+_RISKS = 160
+"""Moments at which the impact is known."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShownMotion:
+    """A motion, sampled for a picture that moves.
+
+    | field      | meaning                                                             | unit | shape          |
+    |------------|---------------------------------------------------------------------|------|----------------|
+    | label      | what it is called                                                   |      |                |
+    | scene      | where                                                               |      |                |
+    | trajectory | the motion                                                          |      |                |
+    | cost       | of it                                                               |      |                |
+    | t          | time of each frame, from 0 on                                       | s    | frame          |
+    | poses      | of each drawn part                                                  |      |                |
+    | tool       | where the tool is                                                   | m    | frame 3        |
+    | risk_t     | times at which the impact is known                                  | s    | moment         |
+    | entities   | names of all that may be hit, the carried object itself last        |      | entity         |
+    | by_entity  | P S of each of them, given a failure then                           |      | moment entity  |
+    """
+
+    label: str
+    scene: Scene
+    trajectory: Trajectory
+    cost: CostBreakdown
+    t: Float[Array, " frame"]
+    poses: Poses
+    tool: Float[Array, "frame 3"]
+    risk_t: Float[Array, " moment"]
+    entities: tuple[str, ...]
+    by_entity: Float[Array, "moment entity"]
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.t[-1])
+
+    @property
+    def risk(self) -> Float[Array, " moment"]:
+        """Impact of a failure at each of `risk_t`."""
+        return self.by_entity.sum(axis=1)
+
+    def frame(self, t: float) -> int:
+        """Return the frame that is nearest to a time [s]; before the start the first one, after the end the last."""
+        return int(np.argmin(np.abs(self.t - t)))
+
+    def impact_at(self, t: float) -> Mapping[str, float]:
+        """Return the impact of a failure at a time [s] by entity, the worst first; those that are safe are left out."""
+        values = [float(np.interp(t, self.risk_t, column)) for column in self.by_entity.T]
+        found = sorted(zip(self.entities, values, strict=True), key=lambda pair: -pair[1])
+        return {name: value for name, value in found if value > 0.0}
+
+    def risk_at(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Return the impact of a failure at some times [s]."""
+        return np.interp(t, self.risk_t, self.risk)
+
+    def worst(self, count: int) -> tuple[str, ...]:
+        """Name those who are in most danger at some moment, at most so many; whoever is never in danger is not."""
+        peak = self.by_entity.max(axis=0, initial=0.0)
+        order = np.argsort(-peak, kind="stable")[:count]
+        return tuple(self.entities[k] for k in order if peak[k] > 0.0)
+
+
+def shown_motion(
+    label: str, trajectory: Trajectory, scene: Scene, impact: ImpactCost, cost: CostBreakdown
+) -> ShownMotion:
+    """Sample a motion.
+
+    Args:
+        label: What to call it.
+        trajectory: The motion.
+        scene: Where.
+        impact: What a failure costs.
+        cost: Of the motion.
+    """
+    frames = min(max(2, int(np.ceil(trajectory.duration / _STEP)) + 1), _MOST_FRAMES)
+    t = np.linspace(0.0, trajectory.duration, frames)
+    poses, X_WT = poses_along(scene, parts(scene), trajectory.positions(trajectory.t[0] + t), t)
+    risk_t = np.linspace(0.0, trajectory.duration, min(_RISKS, frames))
+    return ShownMotion(
+        label=label,
+        scene=scene,
+        trajectory=trajectory,
+        cost=cost,
+        t=t,
+        poses=poses,
+        tool=X_WT[:, :3, 3].copy(),
+        risk_t=risk_t,
+        entities=impact.hazards(scene),
+        by_entity=impact_by_entity(trajectory, scene, risk_t, impact),
+    )
+
+
+def impact_by_entity(
+    trajectory: Trajectory, scene: Scene, t: Float[Array, " n"], impact: ImpactCost
+) -> Float[Array, "n entity"]:
+    """Return P S of each of `impact.hazards(scene)`, given a failure at some times after the start [s]."""
+    batch = trajectory_batch(scene, trajectory, trajectory.t[0] + t, t)
+    return np.einsum("nce,ce->ne", impact.probability(batch), impact.hazard_severity(scene))

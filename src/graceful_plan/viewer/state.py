@@ -1,0 +1,150 @@
+"""What is shown, without saying how: the answer, the moment, the replay, and all that somebody may ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
+from graceful_plan.viewer.failing import Failure, FailureBench, Replay
+from graceful_plan.viewer.fall import Fall, GoingOn, fall_at, going_on_at
+from graceful_plan.viewer.question import PlanAnswer, Question, answered
+from graceful_plan.viewer.risk_layer import RiskLayer, risk_layer
+from graceful_plan.viewer.shown import ShownMotion
+from graceful_plan.viewer.worker import LatestWins
+
+Array = np.ndarray
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShownMoment:
+    """Everything that is shown at one time.
+
+    | field    | meaning                                                                    | unit | shape  |
+    |----------|----------------------------------------------------------------------------|------|--------|
+    | t        | time after the start                                                       | s    |        |
+    | position | of each part: of the chosen motion or of the replay                        | m    | part 3 |
+    | turned   | of each part, quaternion wxyz                                              |      | part 4 |
+    | beside   | position and quaternion of each part of the ordinary motion, if there is one |    |        |
+    | impact   | of a failure now, by entity, the worst first                               |      |        |
+    | fall     | footprint of a drop now; None during a failure                             |      |        |
+    | going_on | how far the base goes on if it fails now; None during a failure            |      |        |
+    | failed   | whether the failure of the replay has begun                                |      |        |
+    """
+
+    t: float
+    position: Float[Array, "part 3"]
+    turned: Float[Array, "part 4"]
+    beside: tuple[Array, Array] | None
+    impact: Mapping[str, float]
+    fall: Fall | None
+    going_on: GoingOn | None
+    failed: bool
+
+
+@final
+class ViewerState:
+    """Question, answer, replay and time. Changes of the question are planned in a worker, the latest wins.
+
+    Args:
+        question: What is asked first.
+        changed: Called when there is a new answer, in the worker's thread.
+        failed: Called with what went wrong with one, in the same thread.
+        answer: What is known already; nothing is planned then until somebody asks.
+    """
+
+    def __init__(
+        self,
+        question: Question,
+        changed: Callable[[], None] = lambda: None,
+        failed: Callable[[Exception], None] = lambda error: None,
+        answer: PlanAnswer | None = None,
+    ) -> None:
+        self.question, self.answer, self.replay = question, answer, None
+        self._changed, self._bench = changed, FailureBench()
+        self.worker: LatestWins[Question, PlanAnswer] = LatestWins(self._work, self._done, failed)
+
+    # --- what is asked ------------------------------------------------------------------------------------------------
+
+    def ask(self, question: Question) -> None:
+        """Ask the planner; the answer comes later, unless something else is asked before."""
+        self.question = question
+        self.worker.ask(question)
+
+    def fail(self, failure: Failure) -> Replay:
+        """Simulate a failure of the chosen motion; it is shown until `forget`.
+
+        Raises:
+            SettingError: If there is no motion yet.
+            GracefulPlanError: If FailBench cannot simulate it.
+        """
+        motion = self.motion
+        if motion is None:
+            raise SettingError("motion", None, "one that was found: there is nothing to fail along yet")
+        self.replay = self._bench.replay(failure, motion)
+        return self.replay
+
+    def forget(self) -> None:
+        """Show the healthy motion again."""
+        self.replay = None
+
+    def _work(self, question: Question, cancelled: Callable[[], bool]) -> PlanAnswer:
+        return answered(question, self.answer, cancelled)
+
+    def _done(self, answer: PlanAnswer) -> None:
+        self.answer, self.replay = answer, None
+        self._changed()
+
+    # --- what is shown ------------------------------------------------------------------------------------------------
+
+    @property
+    def motion(self) -> ShownMotion | None:
+        """The chosen motion, or the ordinary one where no other was found."""
+        motions = () if self.answer is None else self.answer.motions
+        return motions[0] if motions else None
+
+    @property
+    def duration(self) -> float:
+        """Time of the last frame that is shown [s]: of the longer motion, or of the replay."""
+        if self.replay is not None:
+            return self.replay.duration
+        return max((motion.duration for motion in (self.answer.motions if self.answer else ())), default=0.0)
+
+    def at(self, t: float) -> ShownMoment | None:
+        """Return what is shown at a time [s]; None before the first answer."""
+        answer, motion, replay = self.answer, self.motion, self.replay
+        if answer is None or motion is None:
+            return None
+        shown = motion if replay is None else replay
+        frame, failed = shown.frame(t), replay is not None and t >= replay.onset
+        other, beside = answer.ordinary, None
+        if other is not None and other is not motion:
+            there = other.frame(t)
+            beside = other.poses.position[there], other.poses.quaternion[there]
+        within = min(max(t, 0.0), motion.duration)
+        return ShownMoment(
+            t=t,
+            position=shown.poses.position[frame],
+            turned=shown.poses.quaternion[frame],
+            beside=beside,
+            impact={} if failed else motion.impact_at(within),
+            fall=None if failed else fall_at(motion.trajectory, motion.scene, within),
+            going_on=None if failed else going_on_at(motion.trajectory, motion.scene, within),
+            failed=failed,
+        )
+
+    def layer(self, t: float) -> RiskLayer | None:
+        """Return the risk map for the speed and height of a time [s], if there is one."""
+        motion = self.motion
+        if motion is None:
+            return None
+        return risk_layer(motion.trajectory, motion.scene, min(max(t, 0.0), motion.duration), self.question.impact)
+
+    def close(self) -> None:
+        """End the worker."""
+        self.worker.close()
