@@ -51,6 +51,20 @@ def _path(task, n=6, seed=0):
     return gp.Path(np.concatenate([task.start[None], middle, task.goal[:1]]))
 
 
+def test_sums_over_states_do_not_depend_on_how_many_are_in_memory(task, monkeypatch):
+    path = _path(task)
+    whole = gp.evaluate(path, task.scene)
+    monkeypatch.setattr("graceful_plan.costs.objective._AT_A_TIME", 7)
+    parts = gp.evaluate(path, task.scene)
+    assert parts.impact == pytest.approx(whole.impact, rel=1e-12) and whole.impact > 0.0
+
+
+@pytest.mark.parametrize("far", [1e4, 1e150])
+def test_a_path_of_too_many_states_is_refused(task, far):
+    with pytest.raises(SettingError, match="states of the path = .* expected at most 150000"):
+        gp.evaluate(np.stack([task.start, task.start + far]), task.scene)
+
+
 def test_a_constant_impact_is_proportional_to_length(task):
     path = _path(task)
     cost = gp.evaluate(path, task.scene, gp.Objective(impact=Constant(2.0), w=3.0, exposure="length"))
