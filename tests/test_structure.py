@@ -334,8 +334,9 @@ ELSEWHERE = {
     "explain.md": "analysis/test_explanation.py",
     "problem-files.md": "compare/problems/test_problem_files.py",
     "risk.md": "analysis/test_risk_measures.py",
+    "viewer.md": "viewer/test_view_command.py",
 }
-"""Guides whose snippets need files or long budgets, and the tests that run them."""
+"""Guides whose snippets need files, long budgets or an extra, and the tests that run them."""
 GUIDES = sorted(
     file.name for file in (ROOT / "docs").glob("*.md") if guide_snippets(file.name) and file.name not in ELSEWHERE
 )

@@ -20,7 +20,8 @@ FUZZER = Path(__file__).parents[2] / ".ci" / "fuzz_native.py"
 @pytest.mark.long
 def test_broken_arguments_are_refused_or_do_no_harm() -> None:
     """In a process of its own, which a crash would end."""
-    run = subprocess.run([sys.executable, str(FUZZER), "--calls", "600"], capture_output=True, text=True, timeout=300)
+    command = [sys.executable, str(FUZZER), "--calls", "600"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
     assert "0 wrong" in run.stdout
 

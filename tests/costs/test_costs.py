@@ -61,7 +61,7 @@ def test_sums_over_states_do_not_depend_on_how_many_are_in_memory(task, monkeypa
 
 @pytest.mark.parametrize("far", [1e4, 1e150])
 def test_a_path_of_too_many_states_is_refused(task, far):
-    with pytest.raises(SettingError, match="states of the path = .* expected at most 150000"):
+    with pytest.raises(SettingError, match=r"states of the path = .* expected at most 150000"):
         gp.evaluate(np.stack([task.start, task.start + far]), task.scene)
 
 
