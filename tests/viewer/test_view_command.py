@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import urllib.request
-from pathlib import Path
 
 import pytest
 
@@ -83,11 +82,3 @@ viewer._page.state.worker.wait(30.0)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=_LONG)
     assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)
-
-
-@needs_viser
-@pytest.mark.long
-def test_the_guide_runs():
-    guide = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
-    snippet = guide.split("```python\n")[1].split("```")[0]
-    exec(compile(snippet, "viewer.md", "exec"), {})
