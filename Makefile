@@ -13,7 +13,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long test-robots test-viewer lint docs bench wheel lock clean
+.PHONY: help demo picture sheet test test-long test-robots test-viewer fuzz lint docs bench wheel lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make test-long  run further cases, and tests that take longer"
 	@echo "make test-robots  run tests with robots from packages, which are 130 MB"
 	@echo "make test-viewer  run tests of the viewer, in a browser if there are chromium and its driver"
+	@echo "make fuzz   break 20,000 files and 15,000 native calls, about 20 minutes"
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/, without a warning"
 	@echo "make bench  run the benchmarks"
@@ -55,6 +56,11 @@ test-robots: $(VENV)/.package $(VENV)/.robots
 
 test-viewer: $(VENV)/.package $(VENV)/.viewer
 	$(PYTEST) tests/viewer $(ARGS)
+
+# Broken files for every reader, and broken calls of the native core.
+fuzz: $(VENV)/.package $(VENV)/.dev
+	$(BIN)/python .ci/fuzz_readers.py --files 20000 $(ARGS)
+	$(BIN)/python .ci/fuzz_native.py --calls 5000
 
 lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .

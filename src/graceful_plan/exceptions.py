@@ -9,6 +9,16 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(sorted(names)) or "none"
 
 
+NOT_READ = (OSError, ValueError)
+"""What opening a file raises; ValueError for names that no file can have, with a null in them."""
+
+
+def why_not_read(error: OSError | ValueError) -> str:
+    """Return why a file could not be opened, without its name."""
+    said = error.strerror if isinstance(error, OSError) else error
+    return f"cannot be read: {said}"
+
+
 class GracefulPlanError(Exception):
     """Base of every error that this library raises on purpose."""
 

@@ -14,7 +14,7 @@ from typing import ClassVar, TypeVar, final
 
 import yaml
 
-from graceful_plan.exceptions import SceneError
+from graceful_plan.exceptions import NOT_READ, SceneError, why_not_read
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 16
@@ -187,14 +187,15 @@ def read_yaml(file: Path) -> Block:
     """
     try:
         size = file.stat().st_size
-        if size > MAX_BYTES:
-            raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
-        text = file.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+        content = file.read_bytes() if size <= MAX_BYTES else b""
+    except NOT_READ as error:
+        raise SceneError(why_not_read(error), file=str(file)) from None
+    if size > MAX_BYTES:
+        raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
+    try:
+        return parse_yaml(content.decode("utf-8"), str(file))
     except UnicodeDecodeError as error:
         raise SceneError(f"is not UTF-8: {error.reason}", file=str(file)) from None
-    return parse_yaml(text, str(file))
 
 
 def parse_yaml(text: str, file: str) -> Block:

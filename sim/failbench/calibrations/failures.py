@@ -8,6 +8,7 @@ touched in the healthy run.
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
@@ -238,5 +239,5 @@ def read_failures(file: str | FilePath) -> list[Failures]:
             ]
     except FormatError:
         raise
-    except (ValueError, KeyError, TypeError, OSError, EOFError, BadZipFile) as error:
+    except (ValueError, KeyError, TypeError, OSError, EOFError, BadZipFile, zlib.error) as error:
         raise FormatError(str(file), f"no file of failures: {error}") from None

@@ -130,6 +130,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         manifest = json.loads(file.read_bytes())
     except FileNotFoundError:
         raise FormatError(str(file), "missing: no dataset, or one that was never finished") from None
+    except OSError as error:
+        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise FormatError(str(file), f"damaged: {error}") from None
     if not isinstance(manifest, dict) or manifest.get("schema") != _SCHEMA:

@@ -7,6 +7,7 @@ any moment; `resume` goes on, and what comes out is the same as if nothing had h
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -70,7 +71,7 @@ def generate(
 
     Args:
         sweep: What to do; motions without a trajectory are planned first.
-        folder: Where journal and dataset go.
+        folder: Where journal and dataset go. An empty journal there is warned of, and begun anew.
         executor: Who does it; by default processes on this machine, one for each core.
         callback: Called after each chunk.
 
@@ -85,9 +86,12 @@ def generate(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     # Planned before there is a journal, so that one that is there was begun but for a kill within milliseconds.
-    about = None if (folder / JOURNAL).exists() else _prepared(sweep)
+    is_there = (folder / JOURNAL).exists()
+    about = None if is_there else _prepared(sweep)
     with SweepJournal(folder / JOURNAL) as journal:
         if not journal.begun:
+            if is_there:
+                warnings.warn(f"{journal.file} is empty: the sweep begins anew", stacklevel=2)
             journal.begin(about or _prepared(sweep))
         _check_same(journal, sweep)
         return _finish(journal, folder, executor, callback)

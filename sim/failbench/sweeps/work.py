@@ -205,7 +205,7 @@ class Sweep:
         """Read a document from a file.
 
         Raises:
-            FormatError: If the file holds no such document, or a setting is out of its range.
+            FormatError: If the file cannot be read or holds no such document, or a setting is out of its range.
         """
         try:
             return cls.from_document(json.loads(Path(file).read_text(encoding="utf-8")), str(file))
@@ -213,6 +213,8 @@ class Sweep:
             raise FormatError(str(file), error.problem) from None
         except GracefulPlanError as error:
             raise FormatError(str(file), str(error)) from None
+        except OSError as error:
+            raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
         except (ValueError, RecursionError) as error:
             raise FormatError(str(file), f"not JSON: {error}") from None
 

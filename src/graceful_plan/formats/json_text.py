@@ -53,10 +53,10 @@ def _check(name: str, document: Any) -> None:
     if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
         raise FormatError(name, "joints must be a list of names")
     for key in UNITS:
-        if not isinstance(document[key], list) or not _only_numbers(document[key]):
-            raise FormatError(name, f"{key} must be a list of numbers")
+        rows = [document[key]] if key == "t" else document[key]
+        if not isinstance(rows, list) or not all(isinstance(row, list) and _only_numbers(row) for row in rows):
+            raise FormatError(name, f"{key} must be a list of {'numbers' if key == 't' else 'lists of numbers'}")
 
 
 def _only_numbers(values: Sequence[Any]) -> bool:
-    leaves = (_only_numbers(x) if isinstance(x, list) else type(x) in (int, float) for x in values)
-    return all(leaves)
+    return all(type(x) in (int, float) for x in values)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graceful_plan.exceptions import FormatError, GracefulPlanError
+from graceful_plan.exceptions import NOT_READ, FormatError, GracefulPlanError, why_not_read
 from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, from_columns
 
 _KEYS = {b"schema": SCHEMA.encode(), b"version": str(VERSION).encode()}
@@ -49,18 +49,20 @@ def from_parquet(file: str | Path) -> TimedSamples:
 
     Raises:
         MissingArrow: If pyarrow is not installed.
-        FormatError: If the file is no such table, of another version or in other units.
-        OSError: If it cannot be read.
+        FormatError: If the file cannot be read, is no such table, of another version or in other units.
     """
     check_arrow()
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with Path(file).open("rb") as stream:
-        try:
-            table = pq.read_table(stream)
-        except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
-            raise FormatError(str(file), f"not Parquet: {error}") from None
+    try:
+        content = Path(file).read_bytes()
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error)) from None
+    try:
+        table = pq.read_table(pa.BufferReader(content))
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, OSError) as error:
+        raise FormatError(str(file), f"not Parquet: {error}") from None
     found = table.schema.metadata or {}
     for key, value in _KEYS.items():
         if found.get(key) != value:

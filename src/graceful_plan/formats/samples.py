@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
 
 Array = np.ndarray
 
@@ -59,11 +59,15 @@ def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str) -> tu
         kind: What the text is, such as "JSON".
 
     Raises:
-        FormatError: If the file is no text.
+        FormatError: If the file cannot be read, or is no text.
     """
     if isinstance(source, str) and is_text(source):
         return f"{kind} text", source
     try:
-        return str(source), Path(source).read_text(encoding="utf-8")
+        content = Path(source).read_bytes()
+    except NOT_READ as error:
+        raise FormatError(str(source), why_not_read(error)) from None
+    try:
+        return str(source), content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise FormatError(str(source), f"not {kind}: {error}") from None

@@ -17,7 +17,7 @@ from xml.parsers import expat
 
 import mujoco
 
-from graceful_plan.exceptions import SceneError, TooLargeError
+from graceful_plan.exceptions import NOT_READ, SceneError, TooLargeError, why_not_read
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
@@ -157,7 +157,11 @@ class _Screen:
 
     def text(self, text: str) -> None:
         """Screen a model that is not in a file, so that there is no folder to find others in."""
-        _XmlReader(self, "<text>", 1).read(text.encode())
+        try:
+            content = text.encode()
+        except UnicodeEncodeError as error:
+            raise SceneError(f"no text that UTF-8 has: {error.reason}", file="<text>") from None
+        _XmlReader(self, "<text>", 1).read(content)
         for asset in self.assets:
             self.asset(asset)
 
@@ -165,11 +169,11 @@ class _Screen:
         """Screen a file that is wanted so many times."""
         try:
             size = file.stat().st_size
-            if size > MAX_BYTES:
-                raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
-            content = file.read_bytes()
-        except OSError as error:
-            raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+            content = file.read_bytes() if size <= MAX_BYTES else b""
+        except NOT_READ as error:
+            raise SceneError(why_not_read(error), file=str(file)) from None
+        if size > MAX_BYTES:
+            raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
         resolved = file.resolve()
         if resolved in self.reading:
             raise SceneError("includes itself", file=str(file))

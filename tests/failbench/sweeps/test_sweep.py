@@ -164,7 +164,8 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path):
 def test_a_kill_before_the_sweep_was_begun_is_nothing_to_generate(sweep, reference, tmp_path):
     with SweepJournal(tmp_path / JOURNAL):
         pass
-    generate(sweep, tmp_path, executor=InProcess())
+    with pytest.warns(UserWarning, match="is empty: the sweep begins anew"):
+        generate(sweep, tmp_path, executor=InProcess())
     assert files(tmp_path) == reference
 
 

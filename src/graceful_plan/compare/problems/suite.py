@@ -31,11 +31,13 @@ from typing import Any
 
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.problem_files import load_problems
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
 from graceful_plan.scene.loading.bundled import load_scene, scenes
 from graceful_plan.yaml_file import Block, read_yaml
 
 VERSION = 1
+MOST = 1_000_000
+"""Of seeds, problems and tasks in a suite."""
 _FOLDER = Path(__file__).parent / "suites"
 _ALL = "*"
 _KEYS = ("version", "description", "seconds", "w", "seeds", "problems", "best_known")
@@ -138,8 +140,11 @@ def load_suite(source: str | Path) -> Suite:
 
 def _is_suite(file: Path) -> bool:
     """Tell a suite file from a problem file, which can be too large to be read twice."""
-    with file.open("rb") as stream:
-        head = stream.read(65536).decode("utf-8", errors="replace")
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(65536).decode("utf-8", errors="replace")
+    except OSError as error:
+        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
     return any(line.startswith(("problems:", "version:")) for line in head.splitlines())
 
 
@@ -172,16 +177,16 @@ def _number(block: Block, *, above: bool) -> float:
     return value
 
 
-def _whole(block: Block, least: int) -> int:
+def _whole(block: Block, least: int, most: int = MOST) -> int:
     value = block.number()
-    if value != int(value) or value < least:
-        raise block.error(f"{block.name} = {value:g}, expected a whole number >= {least}")
+    if value != int(value) or not least <= value <= most:
+        raise block.error(f"{block.name} = {value:g}, expected a whole number in [{least}, {most}]")
     return int(value)
 
 
 def _seeds(block: Block) -> tuple[int, ...]:
     if block.is_list:
-        seeds = tuple(_whole(child, 0) for child in block.entries())
+        seeds = tuple(_whole(child, 0, 2**32 - 1) for child in block.entries())
         if not seeds or len(set(seeds)) < len(seeds):
             raise block.error(f"{block.name}: expected at least one seed, none twice")
         return seeds

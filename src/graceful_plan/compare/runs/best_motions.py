@@ -8,7 +8,9 @@ it. A motion is stored as its samples, a row each: time, positions, velocities. 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import final
 
@@ -30,6 +32,9 @@ _BETTER = 1e-9
 """Relative gain below which a motion is the same motion."""
 _SAME = 2e-6
 """Distance [rad] between the ends of a motion and of its task: a start outside a limit is moved onto it."""
+
+_BROKEN = (OSError, AttributeError, KeyError, TypeError, ValueError, OverflowError, RecursionError)
+"""What reading a broken file raises."""
 
 
 @final
@@ -119,10 +124,13 @@ class BestMotions:
                 raise StaleBestMotion(file.name, "another schema or weight")
             runs = tuple(Attempt(**run) for run in data.pop("runs"))
             samples = tuple(tuple(float(x) for x in row) for row in data.pop("samples"))
-            return BestMotion(**data, samples=samples, runs=runs)
+            best = BestMotion(**data, samples=samples, runs=runs)
+            if not all(map(math.isfinite, chain(*samples, (best.total, best.motion, best.impact)))):
+                raise StaleBestMotion(file.name, "a number that is not finite")
+            return best
         except StaleBestMotion:
             raise
-        except (OSError, AttributeError, KeyError, TypeError, ValueError) as error:
+        except _BROKEN as error:
             raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
 
     def load(self, name: str, task: Task) -> BestMotion | None:
@@ -231,7 +239,7 @@ class BestMotions:
 def _weight(file: Path) -> float:
     try:
         return float(json.loads(file.read_text(encoding="utf-8"))["w"])
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except _BROKEN as error:
         raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.suite import Suite, load_suite
 from graceful_plan.compare.runs import workers
-from graceful_plan.compare.runs.journal import NAME, RunJournal, read
+from graceful_plan.compare.runs.journal import NAME, RunJournal, check_head, read
 from graceful_plan.compare.runs.known import known_costs
 from graceful_plan.compare.runs.machine import describe
 from graceful_plan.compare.runs.planner_notes import PlannerNote, read_planners
@@ -218,7 +218,9 @@ def load_comparison(folder: str | Path, known: Mapping[str, float] | None = None
     Raises:
         FormatError: If there is no journal, or a damaged one.
     """
-    head, runs = read(Path(folder) / NAME)
+    file = Path(folder) / NAME
+    head, runs = read(file)
+    check_head(head, file)
     return _comparison(head, runs, known)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,15 @@ from graceful_plan.exceptions import FormatError, GracefulPlanError
 
 NAME = "journal.jsonl"
 _SCHEMA = {"schema": "graceful_plan.bench", "version": 3}
+_SETTINGS = {
+    "suite": str,
+    "problems": [{"name": str, "group": str}],
+    "planners": [{"label": str}],
+    "seeds": [int],
+    "seconds": float,
+    "w": float,
+}
+"""What is read of the settings; a list is one of such items."""
 
 
 class OtherSettings(GracefulPlanError, ValueError):
@@ -147,6 +157,31 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
         run = Run.from_document(_document(line, f"{file}:{number}"), f"{file}:{number}")
         runs[run.key] = run
     return head, list(runs.values())
+
+
+def check_head(head: Mapping[str, Any], file: Path) -> None:
+    """Raise FormatError if the first line of a journal lacks something that results are told with."""
+    if missing := next(_lacks(head["settings"], _SETTINGS), None):
+        raise FormatError(f"{file}:1", f"damaged: settings have no {missing}")
+    if not all(map(_is_number, head["known"].values())):
+        raise FormatError(f"{file}:1", "damaged: what is known has to be numbers")
+
+
+def _lacks(document: Any, shape: Any, name: str = "") -> Iterator[str]:
+    """Name what a document does not have of a shape: types by key, and in lists the shape of each item."""
+    if isinstance(shape, Mapping):
+        for key, inside in shape.items():
+            there = document.get(key) if isinstance(document, Mapping) else None
+            yield from _lacks(there, inside, f"{name}.{key}" if name else key)
+    elif isinstance(shape, list):
+        for i, item in enumerate(document if isinstance(document, list) and document else [None]):
+            yield from _lacks(item, shape[0], f"{name}[{i}]")
+    elif not (_is_number(document) if shape is float else isinstance(document, shape)):
+        yield name
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
 
 
 def _document(line: bytes, where: str) -> Any:

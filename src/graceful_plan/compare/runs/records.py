@@ -144,7 +144,7 @@ class Run:
             texts = all(isinstance(given[key], str) for key in ("problem", "planner", "status", "detail"))
             if not (texts and type(given["seed"]) is int):
                 raise TypeError("names have to be text, and the seed a whole number")
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise FormatError(source, f"not a run: {error}") from None
         return cls(**given)
 

@@ -16,7 +16,7 @@ from typing import final
 import mujoco
 import numpy as np
 
-from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
+from graceful_plan.exceptions import NOT_READ, SceneError, UnknownNameError, UnsupportedError, why_not_read
 from graceful_plan.scene.urdf.convex_parts import convex_parts, part_triangles
 from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content, mesh_triangles, obj_content
 
@@ -142,11 +142,14 @@ def _text(source: str | Path) -> tuple[str, Path | None]:
         return source, None
     file = Path(source)
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise SceneError(f"{file.stat().st_size} bytes, at most {_MOST_BYTES} are read", file=str(file))
-        return file.read_text(encoding="utf-8"), file.resolve().parent
-    except OSError as error:
-        raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+        size = file.stat().st_size
+        content = file.read_bytes() if size <= _MOST_BYTES else b""
+    except NOT_READ as error:
+        raise SceneError(why_not_read(error), file=str(file)) from None
+    if size > _MOST_BYTES:
+        raise SceneError(f"{size} bytes, at most {_MOST_BYTES} are read", file=str(file))
+    try:
+        return content.decode("utf-8"), file.resolve().parent
     except UnicodeDecodeError:
         raise SceneError("not UTF-8 text", file=str(file)) from None
 
@@ -159,6 +162,8 @@ def _parsed(text: str, source: str | Path) -> ET.Element:
         root = ET.fromstring(text)
     except ET.ParseError as error:
         raise SceneError(f"not XML: {error}", file=file, line=error.position[0]) from None
+    except UnicodeEncodeError as error:
+        raise SceneError(f"no text that UTF-8 has: {error.reason}", file=file) from None
     if root.tag != "robot":
         raise SceneError(f"a URDF has the root <robot>, not <{root.tag}>", file=file)
     if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -57,6 +58,10 @@ def _positions(state: ET.Element) -> dict[str, float]:
     try:
         # Joints of several degrees of freedom, such as floating bases, have several numbers and are left out.
         values = {joint.get("name", ""): joint.get("value", "").split() for joint in state.iterfind("joint")}
-        return {name: float(value[0]) for name, value in values.items() if len(value) == 1}
+        found = {name: float(value[0]) for name, value in values.items() if len(value) == 1}
     except ValueError as error:
         raise SceneError(f"group state {state.get('name')!r}: {error}") from None
+    for name, value in found.items():
+        if not math.isfinite(value):
+            raise SceneError(f"group state {state.get('name')!r}: the position of {name!r} is not finite")
+    return found
