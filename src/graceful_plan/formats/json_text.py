@@ -55,7 +55,7 @@ def _check(name: str, document: Any) -> None:
     for key in UNITS:
         rows = [document[key]] if key == "t" else document[key]
         if not isinstance(rows, list) or not all(isinstance(row, list) and _only_numbers(row) for row in rows):
-            raise FormatError(name, f"{key} must be a list of {'numbers' if key == 't' else 'lists of numbers'}")
+            raise FormatError(name, f"{key} must be a list of numbers")
 
 
 def _only_numbers(values: Sequence[Any]) -> bool:

@@ -1,0 +1,211 @@
+"""Break the code in one place at a time and see whether tests notice.
+
+python .ci/mutants.py [--each N] [--seed S] [--module NAME ...] [--processes N] [--journal FILE]
+
+Of every module below, N mutants that cosmic-ray knows are drawn; each is tried in a copy of the tree, by the tests that
+are named for the module. What was tried is kept in a journal of JSON lines, so that a run goes on where it was stopped.
+Mutants of annotations are left out: nothing reads those at run time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+
+import cosmic_ray.plugins
+from cosmic_ray.ast import ast_nodes, get_ast_from_path
+from cosmic_ray.mutating import apply_mutation
+
+ROOT = Path(__file__).parents[1]
+LIBRARY = "src/graceful_plan"
+MODULES = {
+    "costs/objective.py": (
+        "tests/costs/test_costs.py",
+        "tests/costs/test_own_loss.py",
+        "tests/analysis",
+        "tests/judge",
+    ),
+    "timing/retiming.py": ("tests/timing",),
+    "timing/trajectory.py": ("tests/timing", "tests/formats"),
+    "judge/verification.py": ("tests/judge",),
+    "judge/exact.py": ("tests/judge", "tests/query/test_goals.py", "tests/analysis"),
+    "judge/motion_samples.py": ("tests/judge",),
+    "judge/passing.py": ("tests/judge", "tests/scene/test_moving.py"),
+    "analysis/certificate.py": ("tests/analysis",),
+    "query/goals.py": ("tests/query/test_goals.py", "tests/query/test_ik.py", "tests/query/test_cancel.py"),
+    "scene/scene.py": ("tests/scene",),
+    "scene/screening.py": ("tests/scene",),
+}
+"""Modules that a wrong verdict would come from, and the tests that are there for them."""
+LIMIT = 240
+"""Seconds for the tests of one mutant; what takes longer hangs, which is noticed, too."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change: an operator of cosmic-ray at one of the places where it applies."""
+
+    module: str
+    operator: str
+    occurrence: int
+    line: int
+
+
+def mutants_of(module: str) -> Iterator[Mutant]:
+    """Yield every mutant of a module outside of annotations and docstrings."""
+    file = ROOT / LIBRARY / module
+    left_out = annotated_lines(ast.parse(file.read_text(encoding="utf-8")))
+    tree = get_ast_from_path(file)
+    for name in sorted(cosmic_ray.plugins.operator_names()):
+        kind = cosmic_ray.plugins.get_operator(name)
+        if kind.arguments():
+            continue
+        operator = kind()
+        places = (place for node in ast_nodes(tree) for place in operator.mutation_positions(node))
+        for occurrence, ((line, column), _) in enumerate(places):
+            if (line, column) not in left_out:
+                yield Mutant(module, name, occurrence, line)
+
+
+class Places(set[tuple[int, int]]):
+    """Places in a text, as line and column."""
+
+    def add_all(self, node: ast.expr | None) -> None:
+        """Add every place of an expression."""
+        if node is not None and node.end_lineno is not None and node.end_col_offset is not None:
+            for line in range(node.lineno, node.end_lineno + 1):
+                first = node.col_offset if line == node.lineno else 0
+                last = node.end_col_offset if line == node.end_lineno else 200
+                self.update((line, column) for column in range(first, last))
+
+
+def annotated_lines(tree: ast.Module) -> Places:
+    """Return where annotations are."""
+    found = Places()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.arg | ast.AnnAssign):
+            found.add_all(node.annotation)
+        elif isinstance(node, ast.FunctionDef):
+            found.add_all(node.returns)
+    return found
+
+
+# --- trying ----------------------------------------------------------------------------------------------------------
+
+
+def copied(place: Path) -> Path:
+    """Copy what git tracks, and beside it the native core that is installed."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_file():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, place / name)
+    core = Path("graceful_plan", "core")
+    (native,) = (Path(sysconfig.get_path("platlib")) / core).glob("_native*")
+    shutil.copy(native, place / "src" / core)
+    return place
+
+
+def tests_pass(place: Path, tests: Sequence[str]) -> tuple[bool, str]:
+    """Run tests in a copy; return whether they pass, and the last line that was said."""
+    # Without site, since the editable install's own importer would come before the copy.
+    paths = (place / "src", place / "sim", sysconfig.get_path("platlib"))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths)), "OPENBLAS_NUM_THREADS": "1"}
+    options = ["-q", "-x", "-m", "not long", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    command = [sys.executable, "-S", "-m", "pytest", *options, *tests]
+    try:
+        run = subprocess.run(
+            command, cwd=place, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return False, f"took more than {LIMIT} s"
+    said = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return run.returncode == 0, (said or run.stdout.splitlines()[-1:] or [run.stderr[-200:]])[0][:200]
+
+
+def tried(mutant: Mutant, place: Path) -> dict[str, object]:
+    """Try a mutant in a copy of the tree, and put back what it changed."""
+    file = place / LIBRARY / mutant.module
+    original = file.read_text(encoding="utf-8")
+    try:
+        _, text = apply_mutation(file, cosmic_ray.plugins.get_operator(mutant.operator)(), mutant.occurrence)
+        before, after = next(
+            (a, b) for a, b in zip(original.splitlines(), str(text).splitlines(), strict=False) if a != b
+        )
+        survived, said = tests_pass(place, MODULES[mutant.module])
+    finally:
+        file.write_text(original, encoding="utf-8")
+    return {**asdict(mutant), "survived": survived, "said": said, "before": before.strip(), "after": after.strip()}
+
+
+def main() -> int:
+    """Try mutants and print the share that was noticed, and those that were not."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--each", type=int, default=20, help="mutants of each module")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--module", nargs="*", default=list(MODULES), choices=list(MODULES), metavar="NAME")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--journal", type=Path, default=ROOT / "build" / "mutants.jsonl")
+    args = parser.parse_args()
+    args.journal.parent.mkdir(exist_ok=True)
+    args.journal.touch()
+    known = {(r["module"], r["operator"], r["occurrence"]): r for r in map(json.loads, args.journal.open())}
+    drawn = []
+    for module in args.module:
+        every = list(mutants_of(module))
+        drawn += random.Random(args.seed).sample(every, min(args.each, len(every)))
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(args.processes) as pool:
+        free: SimpleQueue[Path] = SimpleQueue()
+        for i in range(args.processes):
+            free.put(copied(Path(scratch) / str(i)))
+        for module in args.module:
+            if not (found := tests_pass(Path(scratch) / "0", MODULES[module]))[0]:
+                raise SystemExit(f"tests of {module} fail as it is: {found[1]}")
+
+        def attempt(mutant: Mutant) -> dict[str, object]:
+            key = mutant.module, mutant.operator, mutant.occurrence
+            if key in known:
+                return known[key]
+            place = free.get()
+            try:
+                return tried(mutant, place)
+            finally:
+                free.put(place)
+
+        results = []
+        for result in pool.map(attempt, drawn):
+            results.append(result)
+            if (result["module"], result["operator"], result["occurrence"]) not in known:
+                with args.journal.open("a") as out:
+                    out.write(json.dumps(result) + "\n")
+    return told(results)
+
+
+def told(results: Sequence[dict[str, object]]) -> int:
+    """Print scores and survivors; return how many survived."""
+    survivors = [result for result in results if result["survived"]]
+    total, left = (Counter(str(result["module"]) for result in some) for some in (results, survivors))
+    for module, count in total.items():
+        print(f"{module}: {count - left[module]} of {count} noticed")
+    for result in survivors:
+        print(f"{result['module']}:{result['line']}: {result['before']}  ->  {result['after']}")
+    print(f"{len(results) - len(survivors)} of {len(results)} mutants noticed")
+    return len(survivors)
+
+
+if __name__ == "__main__":
+    main()
