@@ -349,7 +349,7 @@ NUMBERS = (
     b"true", b"\"1\"", b"[]", b"{}", b"0x10", b"1_000", b"1:30", b"2020-01-01", b"[[1]]", b"",
 )  # fmt: skip
 WORDS = (
-    b"", b"null", b"\\ud800", b"\\u0000", b"..", b"/etc/passwd", b"../../secret", b"file:///etc/passwd", b"x" * 100_000,
+    b"", b"null", b"\\ud800", b"\\u0000", b"..", b"/etc/passwd", b"../../secret", b"file:///etc/passwd", b"x" * 10_000,
     b"\xff\xfe", b"\xed\xa0\x80", b"%s%n", b"<", b"&lol;", b"*a", b"&a", b"!!python/object:os.system", b"NaN",
     b"true", b"1",
 )  # fmt: skip
@@ -476,7 +476,7 @@ def judge(name: str, reader: Reader, folder: Path, seen: Counter[str]) -> str | 
     except TooSlow:
         return f"took more than {SLOW} s"
     except Exception:
-        return traceback.format_exc(limit=-3)
+        return traceback.format_exc(limit=-3)[-2000:]
     finally:
         signal.alarm(0)
         grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before

@@ -90,7 +90,9 @@ def judged(bases: list[gp.Scene], rng: np.random.Generator, seen: Counter[str]) 
         start, goal = free[2 * i], free[2 * i + 1]
         planner, seed = str(rng.choice(PLANNERS)), int(rng.integers(2**31))
         first = rng.random() < 0.85
-        given: dict[str, Any] = {"w": 0.0, "callback": lambda _: True} if first else {"w": float(rng.choice([0.3, 3.0]))}
+        given: dict[str, Any] = (
+            {"w": 0.0, "callback": lambda _: True} if first else {"w": float(rng.choice([0.3, 3.0]))}
+        )
         # Constraints are not what is judged here; free states seldom keep them.
         result = gp.plan(start, goal, scene, planner=planner, seed=seed, time_limit=0.1, constraints=[], **given)
         seen[result.status.name] += 1
@@ -170,7 +172,6 @@ class Checker:
                 if frozenset((a, b)) not in self.may_touch:
                     yield f"geoms {a} and {b} touch at {t:.3f} s"
                     return
-
 
     def contacts(self, q: Array) -> tuple[Array, Array]:
         """Return the geoms of all contacts and their distances [m], with the object where the tool holds it."""

@@ -24,7 +24,17 @@ Array = np.ndarray
 
 _LOG = logging.getLogger(__name__)
 _OFF = "GRACEFUL_PLAN_NO_CACHE"
-_BROKEN = (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error)
+_BROKEN = (
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    AttributeError,
+    TypeError,
+    zipfile.BadZipFile,
+    zlib.error,
+    NotImplementedError,
+)
 
 
 def folder() -> Path | None:

@@ -55,3 +55,13 @@ def test_a_text_that_no_file_can_hold_is_refused() -> None:
             gp.Scene.from_mjcf(text, robot="arm/", tool="tool") if "mujoco" in text else gp.Scene.from_urdf(
                 text, tool="hand", acceleration=1.0
             )
+
+
+@pytest.mark.parametrize("mesh", ["x" * 10_000, "%00.obj", "absent.obj"])
+def test_a_mesh_that_no_file_can_be_is_refused(mesh: str, tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    collision = f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision>'
+    file.write_text(f'<robot name="arm"><link name="hand">{collision}</link></robot>')
+    with pytest.raises(gp.GracefulPlanError, match="is not to be found") as caught:
+        gp.Scene.from_urdf(file, tool="hand", acceleration=1.0)
+    assert len(str(caught.value)) < 1000

@@ -239,5 +239,5 @@ def read_failures(file: str | FilePath) -> list[Failures]:
             ]
     except FormatError:
         raise
-    except (ValueError, KeyError, TypeError, OSError, EOFError, BadZipFile, zlib.error) as error:
+    except (ValueError, KeyError, TypeError, OSError, EOFError, BadZipFile, zlib.error, NotImplementedError) as error:
         raise FormatError(str(file), f"no file of failures: {error}") from None

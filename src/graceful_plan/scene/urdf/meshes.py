@@ -11,7 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import SceneError, UnsupportedError
+from graceful_plan.exceptions import NOT_READ, SceneError, UnsupportedError
 
 Array = np.ndarray
 
@@ -42,9 +42,16 @@ def found_mesh(name: str, folder: Path | None, packages: Sequence[Path]) -> Path
         tried = [Path(rest)] if kind == "file" or folder is None else [folder / rest]
         wanted = "the file there"
     for place in tried:
-        if place.is_file():
+        if _is_file(place):
             return place
-    raise SceneError(f"the mesh {name!r} is not to be found; give {wanted}")
+    raise SceneError(f"the mesh {name[:200]!r} is not to be found; give {wanted}")
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except NOT_READ:  # such as a name that is too long
+        return False
 
 
 def _places(root: Path, package: str, inside: str) -> Iterable[Path]:
