@@ -33,12 +33,7 @@ from cosmic_ray.mutating import apply_mutation
 ROOT = Path(__file__).parents[1]
 LIBRARY = "src/graceful_plan"
 MODULES = {
-    "costs/objective.py": (
-        "tests/costs/test_costs.py",
-        "tests/costs/test_own_loss.py",
-        "tests/analysis",
-        "tests/judge",
-    ),
+    "costs/objective.py": ("tests/costs", "tests/analysis", "tests/judge"),
     "timing/retiming.py": ("tests/timing",),
     "timing/trajectory.py": ("tests/timing", "tests/formats"),
     "judge/verification.py": ("tests/judge",),

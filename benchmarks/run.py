@@ -41,6 +41,7 @@ SUBJECTS = (
     "optimisers",
     "roadmap",
     "startup",
+    "hardening",
     "viewer",
     "discretisation",
     "motions",

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -117,7 +118,8 @@ def plan(
             spheres do not prove that nothing is near.
         callback: Called with every improvement, at last with the motion itself; returning True ends the search.
         cancelled: Asked every few milliseconds, such as `threading.Event().is_set`; once it returns True the search
-            ends, and the best path so far is timed and judged as ever. Without one the status is CANCELLED.
+            ends, and a motion near the best path so far is timed and judged, which takes some hundredths of a second.
+            Without one the status is CANCELLED.
 
     Returns:
         The result, SOLVED only if the independent judge passed the timed trajectory.
@@ -217,9 +219,11 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         known_is_enough = bool(known) and request.preference is None and is_enough(request.objective)
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        soon, first = wants_it_soon(found), None
+        cancelled, first = budget.cancelled(), None
+        soon = cancelled or wants_it_soon(found)
         if found.paths and (soon or drives or clock.can_insure):
-            first = first_verified(_quick_motions(found, request, ends, problem, budget), request)
+            quick = _quick_motions(found, request, ends, problem, budget)
+            first = first_verified(chain(known if cancelled else (), quick), request)
             # Now it is known what timing and judging take here.
             budget.time_limit = min(budget.time_limit, _until_last_steps(request))
         judged = first if soon else None

@@ -77,6 +77,15 @@ def test_cancelled_at_random_moments(task: gp.Task, pose: PoseGoal):
     assert gp.PlanStatus.SOLVED in statuses
 
 
+def test_who_cancels_gets_a_smooth_motion(task: gp.Task):
+    """A coarse descent is always worth its millisecond: polylines cost half as much again."""
+    cancelled = After(40)
+    result = gp.plan(task.start, task.goal, task.scene, w=0.3, cancelled=cancelled, **_ENDLESS)
+    assert cancelled.asked == 41
+    _check(result, task, task.goal)
+    assert "estimated_total" in result.stats  # of the descent that it ended with
+
+
 @pytest.mark.parametrize("settings", [{"risk": "cvar"}, {"w": 0.0}])
 def test_every_stage_listens(task: gp.Task, settings: dict):
     goal = task.goal[0]

@@ -1,4 +1,4 @@
-"""A first motion soon: for who stops a search at its first path, and for calls that have little time left.
+"""A first motion soon: for who stops a search at its first path or cancels it, and for calls with little time left.
 
 A coarse descent from the path takes a millisecond or two, where descents to the end take twenty. Its curve is as good
 as any if the judge passes it; if not, the polyline itself is timed.
@@ -20,6 +20,9 @@ from graceful_plan.timing.spline import Spline
 SOON = 0.1
 """Who stops a search earlier than this wants a motion soon [s]; later, 20 to 40 ms of finer descents hardly count."""
 
+_COARSE = 0.01
+"""Limit of a coarse descent after a search was cancelled [s]."""
+
 
 def wants_it_soon(found: Search) -> bool:
     """Whether the search was stopped so early that what follows should not take longer."""
@@ -35,7 +38,8 @@ def quick_motions(
     descents = motion_descents(request, problem, Effort(bends=0, hops=0))
     if descents is not None and whole.length > 0.0 and request.clock.has_room("timing", "judging"):
         start = start_of(whole, arrival, ends)
-        descent = descents.descended(start, COARSE, budget)
+        # Who cancelled left nothing of the budget, but a coarse descent hardly counts.
+        descent = descents.descended(start, COARSE, Budget(time_limit=_COARSE) if budget.cancelled() else budget)
         if descent is not None and descents.is_free(curve := Spline(descent.controls), start):
             with request.clock.measured("timing"):
                 motion = timed_curve(Landed(curve, descent.value, 0), arrival, request)

@@ -1,0 +1,203 @@
+"""Is it hard to break: interruptions at any moment, many goals, a hundred thousand motions, broken files and calls."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import graceful_plan as gp
+from benchmarks import report, suite
+from graceful_plan.core.compile import compile_scene
+
+Array = np.ndarray
+
+TITLE = "Hardening: interruptions, many goals, many motions, broken files and calls"
+ROOT = Path(__file__).parents[2]
+WITHIN = 0.05
+"""Of an interruption, until the call is over [s]."""
+MEASURED = """\
+"Interruptions": `plan` with 60 s to go is told to stop at a random moment of its first half second, by `cancelled` or
+by Ctrl-C, for every planner in turn, on a task of `tabletop` and where a wall makes the goal unreachable. "Late" is how
+long the call took from then on. What is returned is either SOLVED and judged anew, or CANCELLED; Ctrl-C raises
+KeyboardInterrupt. "Goals": configurations of which a tenth is free, `time_limit=.3`. "Motions": the log of
+`benchmarks/many_motions.py`, which judges by its own means. "Files" and "calls": `.ci/fuzz_readers.py` and
+`.ci/fuzz_native.py` (the latter with ASan and UBSan in CI, here without).
+"""
+WALLED = """<mujoco model="walled">
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="wall" pos="0 0 0"><geom type="box" size=".05 2 2"/></body>
+    <body name="cart/x">
+      <joint name="cart/x" type="slide" axis="1 0 0" range="-1 1"/>
+      <joint name="cart/y" type="slide" axis="0 1 0" range="-1 1"/>
+      <joint name="cart/z" type="slide" axis="0 0 1" range="-1 1"/>
+      <geom type="sphere" size=".05" mass="1"/><site name="cart/tool"/>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interruption:
+    """What came of one."""
+
+    planner: str
+    place: str
+    how: str
+    late: float
+    """From the interruption until the call was over [s]; negative if it ended by itself before."""
+    ended: str
+    honest: bool
+
+
+def run(options: suite.Options) -> str:
+    """Interrupt, plan to many goals, and read logs; return Markdown."""
+    count = options.pick(1000, quick=60)
+    found = [interrupted(*what) for what in draws(count)]
+    in_time = [x for x in found if x.late >= 0.0]
+    late = np.array([x.late for x in in_time])
+    goals = {n: many_goals(n) for n in options.pick((1000, 20_000), quick=(1000,))}
+    rows = [
+        report.Target(
+            what="interruptions after which there was no verified path, CANCELLED or KeyboardInterrupt",
+            wanted="0",
+            measured=f"{sum(not x.honest for x in found)} of {len(found)}",
+            met=all(x.honest for x in found),
+        ),
+        report.Target(
+            what=f"late by more than {1000 * WITHIN:.0f} ms",
+            wanted="0",
+            measured=f"{np.sum(late > WITHIN)} of {len(late)}",
+            met=bool((late <= WITHIN).all()),
+        ),
+        *(goal_rows(goals)),
+        motions(),
+        *fuzzed(options),
+    ]
+    return "\n".join([MEASURED, report.targets(rows), by_planner(in_time)])
+
+
+def draws(count: int) -> Iterator[tuple[str, str, str, float, int]]:
+    """Yield planner, place, manner, moment and seed of interruptions."""
+    rng = np.random.default_rng(0)
+    every = [(planner, place, how) for planner in gp.PLANNERS for place in PLACES for how in ("cancelled", "Ctrl-C")]
+    for i in range(count):
+        yield (*every[i % len(every)], float(rng.uniform(0.0, 0.5)), i)
+
+
+def tabletop() -> tuple[Any, Any, gp.Scene]:
+    """Return a task that can be solved."""
+    task = suite.scene("tabletop").tasks["right_to_left"]
+    return task.start, task.goal, task.scene
+
+
+def walled() -> tuple[Any, Any, gp.Scene]:
+    """Return a task whose goal is behind a wall."""
+    given = {"velocity": [1.0] * 3, "acceleration": [2.0] * 3}
+    scene = gp.Scene.from_mjcf(WALLED, robot="cart/", tool="cart/tool", entities={"wall": "robust"}, **given)
+    return [-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], scene
+
+
+PLACES = {"tabletop": tabletop, "behind a wall": walled}
+
+
+def interrupted(planner: str, place: str, how: str, moment: float, seed: int) -> Interruption:
+    """Interrupt one call."""
+    start, goal, scene = PLACES[place]()
+    compile_scene(scene)
+    event, told = threading.Event(), [np.inf]
+
+    def interrupt() -> None:
+        told[0] = time.perf_counter()
+        if how == "cancelled":
+            event.set()
+        else:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    timer = threading.Timer(moment, interrupt)
+    try:
+        timer.start()
+        result = gp.plan(start, goal, scene, planner=planner, seed=seed, time_limit=60.0, cancelled=event.is_set)
+        over = time.perf_counter()
+        timer.cancel()
+        timer.join()
+        ended = result.status.name
+        solved = ended == "SOLVED" and gp.verify(result.unwrap(), scene, start=start, goal=goal).passed
+        honest = solved or ended == "CANCELLED" or over < told[0]
+    except KeyboardInterrupt:
+        over, ended, honest = time.perf_counter(), "KeyboardInterrupt", how == "Ctrl-C"
+        timer.join()
+    return Interruption(planner=planner, place=place, how=how, late=over - told[0], ended=ended, honest=honest)
+
+
+def by_planner(found: list[Interruption]) -> str:
+    """Tabulate how late calls were."""
+    groups: dict[tuple[str, str], list[Interruption]] = {}
+    for x in found:
+        groups.setdefault((x.planner, x.place), []).append(x)
+    rows = []
+    for (planner, place), some in groups.items():
+        late = 1000.0 * np.array([x.late for x in some])
+        ended = {word: sum(x.ended == word for x in some) for word in sorted({x.ended for x in some})}
+        told = ", ".join(f"{n} {word}" for word, n in ended.items())
+        rows.append((planner, place, len(some), f"{np.median(late):.1f}", f"{late.max():.1f}", told))
+    return report.table(("planner", "place", "n", "late, median [ms]", "most [ms]", "ended"), rows)
+
+
+def many_goals(count: int) -> tuple[str, float]:
+    """Plan to the nearest of many goals, a tenth of them free; return the status and the seconds it took."""
+    start, _, scene = tabletop()
+    low, high = scene.limits.position.T
+    q = np.random.default_rng(1).uniform(low, high, (12 * count, len(low)))
+    free = gp.clearance(scene, q) > 0.0
+    goals = np.concatenate([q[free][: count // 10], q[~free][: count - count // 10]])
+    begun = time.perf_counter()
+    result = gp.plan(start, list(goals), scene, time_limit=0.3, constraints=[])
+    return result.status.name, time.perf_counter() - begun
+
+
+def goal_rows(goals: dict[int, tuple[str, float]]) -> Iterator[report.Target]:
+    """Yield what is said of many goals."""
+    for count, (status, seconds) in goals.items():
+        yield report.Target(
+            what=f"{count} goals within .3 s",
+            wanted="SOLVED",
+            measured=f"{status} after {seconds:.2f} s",
+            met=status == "SOLVED" and seconds < 0.35,
+        )
+
+
+def motions() -> report.Target:
+    """Say what the log of many motions says."""
+    log = ROOT / "benchmarks" / "many_motions.jsonl"
+    so_far = json.loads(log.read_text().splitlines()[-1])["so far"] if log.exists() else {}
+    solved, wrong = so_far.get("SOLVED", 0), so_far.get("wrong", 0)
+    return report.Target(
+        what="motions in collision, over a limit by their cubics, or with wrong ends",
+        wanted="0 of 100000",
+        measured=f"{wrong} of {solved}",
+        met=wrong == 0 and solved >= 100_000,
+    )
+
+
+def fuzzed(options: suite.Options) -> Iterator[report.Target]:
+    """Break files and calls, and yield how many were taken wrongly."""
+    files, calls = options.pick((20_000, 5000), quick=(400, 100))
+    for what, name, given in (
+        (f"{files} broken files", "fuzz_readers.py", ["--files", str(files)]),
+        (f"{calls} broken calls for each instruction set", "fuzz_native.py", ["--calls", str(calls)]),
+    ):
+        command = [sys.executable, str(ROOT / ".ci" / name), *given]
+        last = subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()[-1:]
+        met = bool(last) and last[0].endswith(" 0 wrong")
+        yield report.Target(what=what, wanted="0 wrong", measured=last[0][-40:] if last else "crashed", met=met)
