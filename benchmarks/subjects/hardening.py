@@ -62,6 +62,8 @@ class Interruption:
 
 def run(options: suite.Options) -> str:
     """Interrupt, plan to many goals, and read logs; return Markdown."""
+    # A shell that puts a command in the background has it ignore Ctrl-C, and Python then does, too.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     count = options.pick(1000, quick=60)
     found = [interrupted(*what) for what in draws(count)]
     in_time = [x for x in found if x.late >= 0.0]

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
-from graceful_plan.timing.blend import rounded, sampled
-from graceful_plan.timing.retiming import ACCEPTED_SLOWDOWN, retime, slowed
+from graceful_plan.timing.blend import Polyline, rounded, sampled
+from graceful_plan.timing.retiming import ACCEPTED_SLOWDOWN, retime, slowed, timed
 from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.topp import fastest, fastest_with_toppra
 from graceful_plan.timing.trajectory import Trajectory
@@ -190,6 +190,25 @@ def test_misuse_raises() -> None:
         retime(path, limits, ("a", "b"))
     with pytest.raises(ShapeError, match=r"limits\.velocity"):
         retime(path, _limits([1.0, 1.0], [1.0, 1.0]))
+
+
+@pytest.mark.parametrize("vertices", [2, 3, 4, 5])
+def test_a_deviation_of_each_corner_or_one_of_all(vertices: int) -> None:
+    path = _zigzag(1, vertices, 0.4)
+    corners = vertices - 2
+    same = retime(path, _PANDA, deviation=0.03)
+    assert retime(path, _PANDA, deviation=np.full(corners, 0.03)).duration == pytest.approx(same.duration, rel=1e-12)
+    for wrong in {corners - 1, corners + 1, vertices, 2 * corners} - {corners, -1}:
+        with pytest.raises(ShapeError, match=rf"\({corners},\), the inner vertices"):
+            retime(path, _PANDA, deviation=np.full(wrong, 0.03))
+
+
+def test_full_speed_unless_told_otherwise() -> None:
+    path = _zigzag(1, 4, 0.4)
+    curve = Polyline(rounded(path, 0.05), path.q[-1])
+    joints = tuple("abcdefg"[: path.q.shape[1]])
+    assert timed(curve, _PANDA, joints).duration == retime(path, _PANDA, joints).duration
+    assert retime(path, _PANDA, speed=1.0).duration == retime(path, _PANDA).duration
 
 
 def test_slowed_keeps_the_geometry() -> None:

@@ -40,6 +40,30 @@ def test_a_cubic_motion_is_reproduced_exactly(seed: int) -> None:
         np.testing.assert_allclose(value, of(order, times), atol=1e-8)
 
 
+@given(st.integers(0, 10**6))
+def test_positions_are_those_of_the_states(seed: int) -> None:
+    trajectory = _random(seed)
+    times = np.append(np.random.default_rng(seed).uniform(-1.0, 4.0, 50), trajectory.t)
+    np.testing.assert_allclose(trajectory.positions(times), trajectory.at(times).q, atol=_TOLERANCE)
+
+
+def test_who_moves_cannot_wait() -> None:
+    moving = _random(3)
+    with pytest.raises(SettingError, match=r"qd\[0\].*a moving robot cannot wait"):
+        moving.delayed(1.0)
+    for wait in (-1.0, np.nan, np.inf):
+        with pytest.raises(SettingError, match="seconds"):
+            moving.delayed(wait)
+    at_rest = np.where(np.arange(len(moving))[:, None] == 0, 0.0, moving.qd)
+    still = Trajectory(moving.t, moving.q, at_rest, moving.qdd, moving.joints)
+    later = still.delayed(0.5)
+    assert later.duration == pytest.approx(still.duration + 0.5) and not later.qd[0].any()
+    np.testing.assert_array_equal(later.at(later.t[0] + np.array([0.0, 0.2, 0.5])).q, np.repeat(still.q[:1], 3, axis=0))
+    times = np.linspace(still.t[0], still.t[-1], 40)
+    np.testing.assert_allclose(later.at(times + 0.5).q, still.at(times).q, atol=_TOLERANCE)
+    assert still.delayed(0.0) is still
+
+
 def test_samples_are_met() -> None:
     trajectory = _random(0)
     state = trajectory.at(trajectory.t)

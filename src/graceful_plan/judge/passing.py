@@ -38,7 +38,7 @@ def passing(
         The check, and the times at which they are passed [s]; its worst value is in shares of the tolerance.
     """
     samples = motion_samples(trajectory, scene, step)
-    worst, since, times = 0.0, -np.inf, []
+    worst, since, times = 0.0, float(trajectory.t[0]), []
     for number, one in enumerate(via):
         error = _error(one, scene)
         found = _first(error, trajectory, samples.q, samples.at, since)
@@ -75,19 +75,18 @@ def _first(
     since: float,
 ) -> tuple[float, float]:
     """Return the first time from `since` on when an error is within its tolerance, else the best, and the error."""
-    errors = np.array([error(x) for x in q])
+    later = at > since
+    t = np.append(since, at[later])
+    errors = np.array([error(x) for x in (trajectory.at(np.array(since)).q, *q[later])])
     around = np.pad(errors, 1, constant_values=np.inf)
     valleys = np.flatnonzero((errors <= around[:-2]) & (errors <= around[2:]))
-    best = (float(at[-1]), np.inf)
+    found = []
     for k in valleys:
-        lower, upper = max(since, float(at[max(k - 1, 0)])), float(at[min(k + 1, len(at) - 1)])
-        if lower > upper:
-            continue
-        found = _narrowed(lambda t: error(trajectory.at(np.array(t)).q), lower, upper)
-        if found[1] <= 1.0:
-            return found
-        best = min(best, found, key=lambda one: one[1])
-    return best
+        lower, upper = float(t[max(k - 1, 0)]), float(t[min(k + 1, len(t) - 1)])
+        found.append(_narrowed(lambda t: error(trajectory.at(np.array(t)).q), lower, upper))
+        if found[-1][1] <= 1.0:
+            return found[-1]
+    return min(found, key=lambda one: one[1])
 
 
 def _narrowed(value: Callable[[float], float], lower: float, upper: float) -> tuple[float, float]:

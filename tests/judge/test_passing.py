@@ -1,0 +1,115 @@
+"""The judge of poses on the way: motions of which it is known when they pass what, and by how much they miss it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.judge.passing import NEAR, passing
+from graceful_plan.path import Path
+from graceful_plan.scene.scene import Scene
+from graceful_plan.timing.retiming import retime
+from graceful_plan.timing.trajectory import Trajectory
+
+_GANTRY = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="arm/x"><joint name="arm/x" type="slide" axis="1 0 0" range="-2 2"/>
+      <geom name="arm/x" size=".02" mass="1"/>
+      <body name="arm/y"><joint name="arm/y" type="slide" axis="0 1 0" range="-2 2"/>
+        <geom name="arm/y" size=".02" mass="1" pos="0 0 .1"/>
+        <body name="arm/turn"><joint name="arm/turn" axis="0 0 1" range="-3 3"/>
+          <geom name="arm/turn" size=".02" mass="1" pos="0 0 .2"/>
+          <site name="arm/tool" pos="0 0 .2"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def gantry() -> Scene:
+    return Scene.from_mjcf(_GANTRY, robot="arm/", tool="arm/tool", velocity=[1.0] * 3, acceleration=[1.0] * 3)
+
+
+def straight_on(end: tuple[float, float, float]) -> Trajectory:
+    """From zero to `end` at an even speed within 1 s."""
+    q = np.array([np.zeros(3), end])
+    return Trajectory(np.array([0.0, 1.0]), q, np.repeat(q[1:], 2, axis=0), np.zeros((2, 3)), ("x", "y", "turn"))
+
+
+def out_and_back(gantry: Scene) -> Trajectory:
+    """To x = 1 and back, as fast as the limits allow: 2 s each way, and symmetric in time."""
+    return retime(Path(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])), gantry.limits, deviation=0.0)
+
+
+@pytest.mark.parametrize("share", [0.0371, 0.25, 0.5003, 0.9999])
+def test_a_configuration_is_passed_when_the_motion_is_nearest(gantry, share):
+    """Also between two samples; the least error is found to rounding and the time to its square root."""
+    motion = straight_on((1.0, -0.4, 0.3))
+    check, times = passing(motion, [share * motion.q[1]], gantry)
+    assert check.passed and check.worst < 1e-3 and check.limit == 1.0
+    assert times == pytest.approx((share,), abs=1e-6)
+    assert check.detail.endswith(f"passed at {share:.3f} s")
+
+
+@pytest.mark.parametrize("off", [0.5, 0.99, 1.01, 2.0, 30.0])
+def test_a_configuration_may_be_off_by_so_much(gantry, off):
+    check, times = passing(straight_on((1.0, 0.0, 0.0)), [np.array([0.4, 0.0, off * NEAR])], gantry)
+    assert check.worst == pytest.approx(off, rel=1e-6) and check.passed == (off < 1.0)
+    assert times == (pytest.approx((0.4,), abs=1e-3) if off < 1.0 else ())
+    if not check.passed:
+        # Where it is nearest is as wide as it is off: joints count by the largest error.
+        assert check.first == pytest.approx(0.4, abs=1.01 * off * NEAR)
+        assert f"via 0 is missed by {off:.3g} times" in check.detail
+
+
+@pytest.mark.parametrize("off", [0.5, 0.99, 1.01, 3.0])
+def test_a_pose_may_be_off_by_its_tolerances(gantry, off):
+    motion, tolerances = straight_on((1.0, 0.5, 0.4)), {"position_tolerance": 0.004, "orientation_tolerance": 0.02}
+    beside = gp.PoseGoal.from_tool(np.array([0.6, 0.3, 0.24]), gantry, **tolerances)
+    X_WT = beside.X_WT.copy()
+    X_WT[2, 3] += off * 0.004
+    check, times = passing(motion, [gp.PoseGoal(X_WT, **tolerances)], gantry)
+    assert check.worst == pytest.approx(off, rel=1e-4) and check.passed == (off < 1.0)
+    assert times == (pytest.approx((0.6,), abs=1e-3) if off < 1.0 else ())
+
+
+@pytest.mark.parametrize("off", [0.9, 1.1])
+def test_orientation_counts_by_itself(gantry, off):
+    motion = straight_on((1.0, 0.0, 0.0))
+    via = gp.PoseGoal.from_tool(np.array([0.3, 0.0, off * 0.02]), gantry, orientation_tolerance=0.02)
+    check, times = passing(motion, [via], gantry)
+    assert check.worst == pytest.approx(off, rel=1e-6) and check.passed == (off < 1.0)
+    # Anywhere within a millimetre the angle is all that is left.
+    assert times == (pytest.approx((0.3,), abs=2e-3) if off < 1.0 else ())
+
+
+def test_order_counts(gantry):
+    motion = straight_on((1.0, 0.0, 0.0))
+    near, far = np.array([0.2, 0.0, 0.0]), np.array([0.7, 0.0, 0.0])
+    assert passing(motion, [near, far], gantry)[1] == pytest.approx((0.2, 0.7), abs=1e-6)
+    check, times = passing(motion, [far, near], gantry)
+    assert not check.passed and "via 1" in check.detail and times == pytest.approx((0.7,), abs=1e-6)
+    # From then on it is nearest where the last one was passed.
+    assert check.worst == pytest.approx(0.5 / NEAR, rel=1e-3) and check.first == pytest.approx(0.7, abs=1e-3)
+
+
+def test_what_is_passed_twice_is_passed_the_first_time_that_is_left(gantry):
+    motion, x = out_and_back(gantry), np.array([0.3, 0.0, 0.0])
+    (first,) = passing(motion, [x], gantry)[1]
+    assert first < 1.0 < motion.duration - first
+    end = np.array([1.0, 0.0, 0.0])
+    assert passing(motion, [x, end, x], gantry)[1] == pytest.approx((first, 2.0, motion.duration - first), abs=1e-4)
+    assert passing(motion, [x, x], gantry)[1] == pytest.approx((first, first), abs=1e-5)
+    assert not passing(motion, [x, end, x, end], gantry)[0].passed
+
+
+def test_both_ends_count(gantry):
+    motion = straight_on((1.0, 0.0, 0.0))
+    assert passing(motion, list(motion.q), gantry)[1] == pytest.approx((0.0, 1.0), abs=1e-4)
+    assert passing(motion, [], gantry)[0].passed
