@@ -51,6 +51,7 @@ SUBJECTS = (
     "failure_prediction",
     "trajectory_prediction",
     "prevention",
+    "harm_curves",
     "damage_energy",
     "own_loss",
     "stops",
@@ -64,7 +65,9 @@ SUBJECTS = (
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops", "lattice"})
+ON_REQUEST = frozenset(
+    {"best_known", "auto", "trajectory_prediction", "prevention", "harm_curves", "constraints", "stops", "lattice"}
+)
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 TAKEN_OUT = "taken_out"
 """Section written by hand: what was measured, did not help and is gone."""
@@ -80,10 +83,8 @@ def main(arguments: list[str] | None = None) -> int:
         seconds=args.seconds,
         calls=args.calls,
         tasks=tuple(args.tasks or ("*",)),
-        phase=args.phase,
         drops=args.drops,
         mixed=args.mixed,
-        curve_drops=args.curve_drops,
         weights=tuple(args.weights) if args.weights else None,
     )
     # Of the processes that are started from here: with one each, threads of linear algebra only stand in the way.
@@ -125,13 +126,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seconds", type=float, help="time limit of a run, for best_known, planners and optima")
     parser.add_argument("--calls", type=int, metavar="N", help="calls of each time limit, for first_motion")
-    own = parser.add_argument_group("of prevention")
+    own = parser.add_argument_group("of prevention and harm_curves")
     own.add_argument("--tasks", action="append", metavar="PATTERN", help="of scene/task; may be given again")
-    own.add_argument("--phase", choices=("headline", "curves"), help="do only that one (default: both)")
-    own.add_argument("--drops", type=int, metavar="N", help="drops along each motion of the headline")
-    own.add_argument("--mixed", type=int, metavar="N", help="mixed failures along each of them")
-    own.add_argument("--curve-drops", type=int, metavar="N", help="drops along each motion of the curves")
-    own.add_argument("--weights", type=float, nargs="+", metavar="W", help="of the impact models in the curves")
+    own.add_argument("--drops", type=int, metavar="N", help="drops along each motion")
+    own.add_argument("--mixed", type=int, metavar="N", help="mixed failures along each motion of prevention")
+    own.add_argument("--weights", type=float, nargs="+", metavar="W", help="of the impact models in harm_curves")
     return parser
 
 

@@ -37,17 +37,13 @@ class Options:
     calls: int | None = None
     """Calls of each time limit of `first_motion`; its own numbers if None."""
     tasks: tuple[str, ...] = ("*",)
-    """Patterns of "scene/task" with * and ?: those of `prevention`, as are all below."""
-    phase: str | None = None
-    """"headline" or "curves"; both if None."""
+    """Patterns of "scene/task" with * and ?: those of `prevention` and `harm_curves`, as are all below."""
     drops: int | None = None
-    """Drops along each motion of the headline; the subject's own number if None, as below."""
+    """Drops along each motion; the subject's own number if None, as below."""
     mixed: int | None = None
-    """Mixed failures along each of them."""
-    curve_drops: int | None = None
-    """Drops along each motion of the curves."""
+    """Mixed failures along each motion of `prevention`."""
     weights: tuple[float, ...] | None = None
-    """Weights of the impact models in the curves."""
+    """Weights of the impact models in `harm_curves`."""
 
     def pick(self, full: T, *, quick: T) -> T:
         """Return sizes for a full or for a quick run."""

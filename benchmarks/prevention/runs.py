@@ -1,8 +1,8 @@
 """Motions planned with different costs, and what failures do along them; done in jobs, kept a line of JSON each.
 
-Two phases. "headline": for each task, motions at w = 0 and at the default w of the impact models, with all failures;
-their harm is paired with that at w = 0. "curves": for each task and cost, motions over a grid of weights, with fewer
-failures. The second needs the first, which finds out what holds the object.
+Two kinds of jobs. "headline": for a task, motions at w = 0 and at the default w of the impact models; their harm is
+paired with that at w = 0. "curve": for a task and a cost, motions over a grid of weights, with what was found to hold
+the object along those of the headline.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Headline:
-    """A task of the first phase.
+    """A task with a motion of each model.
 
     Args:
         task: "scene/task".
@@ -111,7 +111,7 @@ class Headline:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """A task and a cost of the second phase.
+    """A task and a cost over its weights.
 
     Args:
         task: "scene/task".
@@ -126,16 +126,17 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class HeadlineJob:
-    """What to do of the first phase."""
+    """What to do for a task: motions of these labels, so many failures along each; mixed ones only if there are any."""
 
-    task: str
+    task: str = ""
     drops: int
     mixed: int
+    labels: tuple[str, ...] = (NONE, *MODELS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveJob:
-    """What to do of the second phase."""
+    """What to do for a task and a cost."""
 
     task: str
     cost: str
@@ -144,16 +145,17 @@ class CurveJob:
     drops: int
 
 
-# --- the two phases --------------------------------------------------------------------------------------------------
+# --- jobs -----------------------------------------------------------------------------------------------------------
 
 
 def do_headline(job: HeadlineJob) -> Headline:
     """Plan at w = 0 and with each impact model at the default w, and let all of them fail alike."""
     task = suite.task(job.task)
     objectives = {NONE: gp.Objective(w=0.0), **{label: gp.Objective(impact=x) for label, x in MODELS.items()}}
+    objectives = {label: objectives[label] for label in job.labels}
     results = {label: _planned(task, objective, SECONDS) for label, objective in objectives.items()}
     grasp, refused = _held(job.task, results)
-    counts = {"drops": job.drops, "mixed": job.mixed}
+    counts = {"drops": job.drops, **({"mixed": job.mixed} if job.mixed else {})}
     reference: dict[str, ValidationReport] | None = None
     motions: dict[str, Motion] = {}
     for label, result in results.items():

@@ -1,4 +1,4 @@
-"""The report of `prevention`: targets and tables."""
+"""The reports of `prevention` and `harm_curves`: targets and tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from benchmarks.prevention.figures import (
     typical_less,
 )
 from benchmarks.prevention.harm_curves import Typical, typical
-from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline
+from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline, HeadlineJob
 from failbench.report import FAILURES_PER_HOUR
 
 KINDS = ("drops", "mixed")
@@ -36,47 +36,53 @@ LESS, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 4.0, 0.2, 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """How many failures along how many motions."""
+    """How many drops along motions of how many weights."""
 
     drops: int
-    mixed: int
-    curve_drops: int
     weights: tuple[float, ...]
     relative: tuple[float, ...]
 
-    @property
-    def enough(self) -> bool:
-        """Whether figures mean what targets ask."""
-        return self.drops >= DROPS and self.mixed >= MIXED
 
-
-def sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator[str]:
-    """Yield the parts of the report.
+def headline_sections(found: Found, asked: Sequence[str], job: HeadlineJob) -> Iterator[str]:
+    """Yield the parts of the report on motions at the default w.
 
     Args:
         found: What is done.
         asked: Names of the tasks that were asked for.
-        sizes: How many failures along how many motions.
+        job: What was to be done for each of them.
     """
-    left = set(asked) - {done.task for done in found.heads}
     yield (
-        f"{len(found.heads)} of {len(asked)} tasks, {sizes.drops} drops and {sizes.mixed} mixed failures or more "
-        f"a motion; {len(found.curves)} of {len(asked) * len(CURVES)} curves, {sizes.curve_drops} drops a motion.\n"
+        f"{len(found.heads)} of {len(asked)} tasks, {job.drops} drops and {job.mixed} mixed failures or more "
+        "a motion.\n"
     )
-    yield _told("Not done", sorted(left))
-    yield _told("Held by a weld", [done.task for done in found.heads if done.grasp == "weld"])
-    yield _told("Not in", _refused(found))
-    for label in (NONE, *MODELS):
+    yield from _remarks(found, asked)
+    for label in job.labels:
         yield _told(f"Healthy motions that spill more than 1 %, {label}", spilt_on_the_way(found.heads, label))
-    yield report.targets(_targets(found, sizes, len(asked)))
+    yield report.targets(_headline_targets(found, job, len(asked)))
     for kind in KINDS:
         yield f"{kind.capitalize()}, at the default w:\n"
         yield report.table(_SUMMARY_HEADER, _summary(found, kind))
-    yield from _equal_tables(found)
-    yield "Default model over w, drops:\n"
-    yield report.table(_WEIGHT_HEADER, _over_w(found, sizes))
     yield f"Task by task; harm per failure, and per million tasks at one failure in {1.0 / FAILURES_PER_HOUR:g} h:\n"
     yield report.table(_HEADER, (row for kind in KINDS for row in _rows(found, kind)))
+
+
+def curve_sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator[str]:
+    """Yield the parts of the report on motions over weights."""
+    yield (
+        f"{len(found.heads)} of {len(asked)} tasks, {len(found.curves)} of {len(asked) * len(CURVES)} curves, "
+        f"{sizes.drops} drops a motion.\n"
+    )
+    yield from _remarks(found, asked)
+    yield report.targets(_curve_targets(found, sizes))
+    yield "Default model over w:\n"
+    yield report.table(_WEIGHT_HEADER, _over_w(found, sizes))
+    yield from _equal_tables(found)
+
+
+def _remarks(found: Found, asked: Sequence[str]) -> Iterator[str]:
+    yield _told("Not done", sorted(set(asked) - {done.task for done in found.heads}))
+    yield _told("Held by a weld", [done.task for done in found.heads if done.grasp == "weld"])
+    yield _told("Not in", _refused(found))
 
 
 def _told(what: str, entries: Sequence[str]) -> str:
@@ -90,9 +96,9 @@ def _refused(found: Found) -> list[str]:
     return [f"{task} ({label}): {motion.refused}" for task, label, motion in heads + curves if motion.refused]
 
 
-def _targets(found: Found, sizes: Sizes, asked: int) -> Iterator[report.Target]:
+def _headline_targets(found: Found, job: HeadlineJob, asked: int) -> Iterator[report.Target]:
     compared = [done for done in found.heads if done.motions[NONE].harm and done.motions[OURS].harm]
-    complete = sizes.enough and len(compared) == asked
+    complete = job.drops >= DROPS and job.mixed >= MIXED and len(compared) == asked
     for group in found.groups:
         heads = tasks_of(found, group)
         if "," in group.name or not heads:
@@ -117,17 +123,20 @@ def _targets(found: Found, sizes: Sizes, asked: int) -> Iterator[report.Target]:
             met=_met(share <= LONGER, complete),
         )
         yield from _prediction_targets(heads, group, complete)
-        yield from _curve_targets(found, group, sizes, complete)
 
 
-def _curve_targets(found: Found, group: Group, sizes: Sizes, complete: bool) -> Iterator[report.Target]:
-    best = [at_weight(found, group, w)[2].median for w in sizes.weights]
-    what = f"{group.name}: x less harm per task, drops, median, at the best w"
-    yield _at_least(what, max((x for x in best if not math.isnan(x)), default=math.nan), LESS_AT_CHOICE, complete)
-    for cost in CURVES[1:]:
-        value = typical(against_ours(found, group, cost, "duration", 1.0 + LONGER)).median
-        what = f"{group.name}: harm per task, {cost} over default, at {report.percent(LONGER, 0)} more duration, median"
-        yield _at_least(what, value, LESS_THAN_OTHERS, complete)
+def _curve_targets(found: Found, sizes: Sizes) -> Iterator[report.Target]:
+    for group in found.groups:
+        if "," in group.name or not tasks_of(found, group):
+            continue
+        best = [at_weight(found, group, w)[2].median for w in sizes.weights]
+        what = f"{group.name}: x less harm per task, drops, median, at the best w"
+        yield _at_least(what, max((x for x in best if not math.isnan(x)), default=math.nan), LESS_AT_CHOICE, True)
+        for cost in CURVES[1:]:
+            value = typical(against_ours(found, group, cost, "duration", 1.0 + LONGER)).median
+            more = report.percent(LONGER, 0)
+            what = f"{group.name}: harm per task, {cost} over default, at {more} more duration, median"
+            yield _at_least(what, value, LESS_THAN_OTHERS, True)
 
 
 def _at_least(what: str, value: float, wanted: float, complete: bool) -> report.Target:

@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from benchmarks.prevention import common_sense, figures, runs, tables
+from benchmarks.prevention import common_sense, figures, runs, tables, work
 from benchmarks.prevention.harm_curves import Offer, floored, harm_at, lower_envelope, typical
 from benchmarks.prevention.runs import NONE, OURS, PUBLISHED, Curve, CurveJob, Harm, Headline, HeadlineJob, Motion
-from benchmarks.subjects import prevention
+from benchmarks.subjects import harm_curves, prevention
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -178,16 +178,16 @@ def test_points_of_a_curve_may_come_in_parts(tmp_path):
 
 
 def test_only_what_is_left_is_done(tmp_path):
-    sizes = tables.Sizes(drops=10, mixed=19, curve_drops=5, weights=(0.1, 1.0), relative=(3.0,))
+    job, sizes = HeadlineJob(drops=10, mixed=19), tables.Sizes(drops=5, weights=(0.1, 1.0), relative=(3.0,))
     names = {"bundled": ["desk/bring_coffee", "desk/water_plant", "desk/put_book_away"]}
     heads, curves = tmp_path / "heads.jsonl", tmp_path / "curves.jsonl"
-    assert len(prevention.headline_jobs(names, heads, sizes)) == 3
-    assert prevention.curve_jobs(names, heads, curves, sizes) == []  # what holds the objects is not known
+    assert len(work.headline_jobs(names, heads, job)) == 3
+    assert harm_curves.curve_jobs(names, heads, curves, sizes) == []  # what holds the objects is not known
     lost = head("desk/water_plant", **{NONE: Motion(w=0.0, refused="slips")})
     heads.write_text(runs.line(head()) + runs.line(lost))
-    assert [job.task for job in prevention.headline_jobs(names, heads, sizes)] == ["desk/put_book_away"]
+    assert [job.task for job in work.headline_jobs(names, heads, job)] == ["desk/put_book_away"]
     curves.write_text(runs.line(curve(OURS, (2.2, 4.0))))
-    jobs = prevention.curve_jobs(names, heads, curves, sizes)
+    jobs = harm_curves.curve_jobs(names, heads, curves, sizes)
     assert {job.cost for job in jobs} == set(runs.CURVES) and {job.task for job in jobs} == {"desk/bring_coffee"}
     weights = {job.cost: job.weights for job in jobs}
     assert weights[OURS] == (1.0,) and weights[PUBLISHED] == (0.1, 1.0) and weights["carry low"] == (3.0,)
@@ -225,10 +225,14 @@ def test_planners_are_compared_at_equal_duration():
 
 
 def test_the_report_loses_nothing(tmp_path):
-    sizes = tables.Sizes(drops=1000, mixed=500, curve_drops=200, weights=(0.1, 1.0), relative=(3.0,))
+    sizes = tables.Sizes(drops=200, weights=(0.1, 1.0), relative=(3.0,))
     all_of = found(head(), curves=(curve(OURS, (2.2, 4.0)), curve(PUBLISHED, (2.2, 4.0))))
-    text = "\n".join(tables.sections(all_of, ["desk/bring_coffee", "desk/water_plant"], sizes))
-    assert "1 of 2 tasks" in text and "2 of 10 curves" in text
+    asked = ["desk/bring_coffee", "desk/water_plant"]
+    curves = "\n".join(tables.curve_sections(all_of, asked, sizes))
+    assert "1 of 2 tasks" in curves and "2 of 10 curves" in curves
+    assert "| bundled | 0.1 | +10 % | +10 % | 2.27 | 2.27 [2.27, 2.27] |" in curves
+    text = "\n".join(tables.headline_sections(all_of, asked, HeadlineJob(drops=1000, mixed=500)))
+    assert "1 of 2 tasks" in text
     assert "Not done: desk/water_plant." in text
     assert "Held by a weld: desk/bring_coffee." in text
     assert "desk/bring_coffee (service robot): the object 'mug' at 1 s: slips" in text
@@ -241,12 +245,12 @@ def test_the_report_loses_nothing(tmp_path):
 
 def test_sizes_and_tasks_are_as_they_are_asked_for():
     options = suite.Options(drops=5, weights=(0.5,), tasks=("desk/*", "bedside/bring_*"))
-    sizes = prevention.sizes_of(options)
-    assert (sizes.drops, sizes.mixed, sizes.weights) == (5, tables.MIXED, (0.5,))
-    assert not sizes.enough
-    names = prevention.task_names(options)
+    job, sizes = prevention.asked_job(options), harm_curves.sizes_of(options)
+    assert (job.drops, job.mixed) == (5, tables.MIXED)
+    assert (sizes.drops, sizes.weights, sizes.relative) == (5, (0.5,), harm_curves.RELATIVE)
+    names = work.task_names(options)
     assert len(names["bundled"]) == 5 and names["unseen"] == ["bedside/bring_pills", "bedside/bring_water"]
-    quick = prevention.task_names(suite.Options(quick=True))
+    quick = work.task_names(suite.Options(quick=True))
     assert {suite.is_tabletop(name) for name in quick["unseen"]} == {True, False} and len(quick["unseen"]) == 2
 
 
@@ -254,7 +258,7 @@ def test_sizes_and_tasks_are_as_they_are_asked_for():
 
 
 @pytest.mark.long
-def test_both_phases_run(monkeypatch):
+def test_both_kinds_of_jobs_run(monkeypatch):
     monkeypatch.setattr(runs, "SECONDS", 0.4)
     monkeypatch.setattr(runs, "OWN_SECONDS", 0.4)
     name = "play_table/crown_tower"
