@@ -9,7 +9,8 @@ from typing import Any
 import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.costs.objective import DEFAULT_WEIGHT
-from graceful_plan.tools.console import DONE, add_command, chosen_task, show
+from graceful_plan.tools.console import add_command, chosen_task, show
+from graceful_plan.tools.parsing import DONE
 from graceful_plan.viewer.opening import HOST, PORT
 
 
