@@ -22,8 +22,8 @@ MEASURED = """\
 "Import": `import graceful_plan` in a new process, files in the cache of the system; the interpreter's own start is
 not in it. Names are imported when they are first asked for, so that this says little: "everything for planning" is the
 same with `plan` and `load_scene` asked for, numpy and MuJoCo in it, which are a line of their own: nothing that plans
-can be had sooner. "Version" and "scenes" are whole processes of `graceful-plan --version` and `scenes`, which loads them
-all. "First plan": from the import on, in the same process, `load_scene`, the task's scene with its object, and
+can be had sooner. "Version" and "scenes" are whole processes of `graceful-plan --version` and `scenes`, which loads
+all of them. "First plan": from the import on, in the same process, `load_scene`, the task's scene with its object, and
 `plan(w=0)` until SOLVED, so everything compiled, timed and verified for the first time; "anytime" is stopped at its
 first path by a callback. "Memory": what the process holds after many plans on all tasks of `tabletop` in turn, above
 what it held after 100 of them; 300 iterations each. "Build": `pip wheel` of the source tree, without isolation and
