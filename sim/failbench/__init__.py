@@ -3,27 +3,78 @@
 It uses what is public in `graceful_plan`, which never imports it.
 """
 
-from failbench.basics.errors import ExecutionRefused
-from failbench.basics.onset import AtFraction, AtTime, Uniform
-from failbench.basics.statistics import Estimate
-from failbench.comparison import compare, harm_ratio
-from failbench.fault.fault import Fault
-from failbench.fault.registry import faults, reactions
-from failbench.front_validation import FrontValidation, validate_front
-from failbench.pictures.playback import replay
-from failbench.recording.healthy import HealthyHarm
-from failbench.recording.records import ContactEvent, Job, Rollout
-from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
-from failbench.report import EntityReport, ValidationReport
-from failbench.rollouts.execution import Execution, ObjectLost, execute
-from failbench.rollouts.rollout import run
-from failbench.rollouts.single import steps
-from failbench.scenario import Scenario, scenarios
-from failbench.simulated.plant import Plant
-from failbench.simulated.world import SimSettings, World, build_world
-from failbench.sweeps.dataset import Dataset, read_dataset
-from failbench.sweeps.sweep import generate, resume
-from failbench.validation import validate
+from typing import TYPE_CHECKING
+
+from graceful_plan import on_demand
+
+# What a name needs is imported when it is first asked for; type checkers read where each comes from.
+if TYPE_CHECKING:
+    from failbench.basics.errors import ExecutionRefused
+    from failbench.basics.onset import AtFraction, AtTime, Uniform
+    from failbench.basics.statistics import Estimate
+    from failbench.comparison import compare, harm_ratio
+    from failbench.fault.fault import Fault
+    from failbench.fault.registry import faults, reactions
+    from failbench.front_validation import FrontValidation, validate_front
+    from failbench.pictures.playback import replay
+    from failbench.recording.healthy import HealthyHarm
+    from failbench.recording.records import ContactEvent, Job, Rollout
+    from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
+    from failbench.report import EntityReport, ValidationReport
+    from failbench.rollouts.execution import Execution, ObjectLost, execute
+    from failbench.rollouts.rollout import run
+    from failbench.rollouts.single import steps
+    from failbench.scenario import Scenario, scenarios
+    from failbench.simulated.plant import Plant
+    from failbench.simulated.world import SimSettings, World, build_world
+    from failbench.sweeps.dataset import Dataset, read_dataset
+    from failbench.sweeps.sweep import generate, resume
+    from failbench.validation import validate
+else:
+    on_demand.install(
+        __name__,
+        {
+            "AtFraction": "failbench.basics.onset",
+            "AtTime": "failbench.basics.onset",
+            "ContactEvent": "failbench.recording.records",
+            "Dataset": "failbench.sweeps.dataset",
+            "EntityReport": "failbench.report",
+            "Estimate": "failbench.basics.statistics",
+            "Execution": "failbench.rollouts.execution",
+            "ExecutionRefused": "failbench.basics.errors",
+            "Fault": "failbench.fault.fault",
+            "FrontValidation": "failbench.front_validation",
+            "HealthyHarm": "failbench.recording.healthy",
+            "Job": "failbench.recording.records",
+            "ObjectLost": "failbench.rollouts.execution",
+            "Plant": "failbench.simulated.plant",
+            "Rollout": "failbench.recording.records",
+            "Scenario": "failbench.scenario",
+            "SimSettings": "failbench.simulated.world",
+            "Uniform": "failbench.basics.onset",
+            "ValidationReport": "failbench.report",
+            "World": "failbench.simulated.world",
+            "build_world": "failbench.simulated.world",
+            "compare": "failbench.comparison",
+            "energy_impact": "failbench.recording.score",
+            "execute": "failbench.rollouts.execution",
+            "faults": "failbench.fault.registry",
+            "generate": "failbench.sweeps.sweep",
+            "harm_ratio": "failbench.comparison",
+            "observed_impact": "failbench.recording.score",
+            "own_loss": "failbench.recording.score",
+            "reactions": "failbench.fault.registry",
+            "read_dataset": "failbench.sweeps.dataset",
+            "replay": "failbench.pictures.playback",
+            "resume": "failbench.sweeps.sweep",
+            "run": "failbench.rollouts.rollout",
+            "scenarios": "failbench.scenario",
+            "secondary_impact": "failbench.recording.score",
+            "steps": "failbench.rollouts.single",
+            "validate": "failbench.validation",
+            "validate_front": "failbench.front_validation",
+        },
+    )
 
 __all__ = [
     "AtFraction",

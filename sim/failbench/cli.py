@@ -10,23 +10,23 @@ import os
 import sys
 from collections.abc import Sequence
 
-import graceful_plan as gp
-from failbench.basics.errors import SweepFailed
-from failbench.commands import calibrating, judging, rollouts, sweeping
-from failbench.sweeps.sweep import JOURNAL
-from graceful_plan import GracefulPlanError, PlanningFailed, documents
-from graceful_plan.tools.parsing import Parser, UsageError
+from graceful_plan import GracefulPlanError
+from graceful_plan.tools.parsing import DONE, FAILED, INTERRUPTED, MISUSE, Parser, UsageError, program
 
-DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
+__all__ = ["DONE", "FAILED", "INTERRUPTED", "MISUSE", "main", "parser"]
+
+NAME, ABOUT = "failbench", "Break a simulated robot on its way and see what it hits, and how hard."
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
-    name, as_json, args = "failbench", "--json" in words, None
+    name, as_json, args = NAME, "--json" in words, None
+    if words == ["--version"]:  # before anything is imported that simulates
+        program(NAME, ABOUT).parse_args(words)
     try:
         args = parser().parse_args(words)
-        name = f"failbench {args.command}"
+        name = f"{NAME} {args.command}"
         print(args.run(args).shown(args.json))
         return DONE
     except BrokenPipeError:
@@ -37,29 +37,38 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(error.usage, file=sys.stderr)
         return _complain(name, error, MISUSE, as_json)
     except (GracefulPlanError, OSError, ImportError) as error:
-        code = FAILED if isinstance(error, SweepFailed | PlanningFailed) else MISUSE
-        return _complain(name, error, code, as_json)
+        return _complain(name, error, _code(error), as_json)
     except KeyboardInterrupt:
+        from failbench.sweeps.sweep import JOURNAL
+
         folder = getattr(args, "folder", None)
         begun = folder is not None and (folder / JOURNAL).exists()
         said = "interrupted" + (f"; to go on: failbench resume {folder}" if begun else "")
         return _complain(name, KeyboardInterrupt(said), INTERRUPTED, as_json)
 
 
+def _code(error: BaseException) -> int:
+    from failbench.basics.errors import SweepFailed
+    from graceful_plan import PlanningFailed
+
+    return FAILED if isinstance(error, SweepFailed | PlanningFailed) else MISUSE
+
+
 def _complain(name: str, error: BaseException, code: int, as_json: bool) -> int:
     """Say what went wrong on standard error, and as a document on standard output if JSON was asked for."""
     print(f"{name}: {error}", file=sys.stderr)
     if as_json:
+        from graceful_plan import documents
+
         print(documents.to_json(documents.error_document(name, error, code)))
     return code
 
 
 def parser() -> Parser:
     """Return the parser of all commands."""
-    made = Parser(
-        prog="failbench", description="Break a simulated robot on its way and see what it hits, and how hard."
-    )
-    made.add_argument("--version", action="version", version=gp.__version__)
+    from failbench.commands import calibrating, judging, rollouts, sweeping
+
+    made = program(NAME, ABOUT)
     commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for group in (rollouts, judging, sweeping, calibrating):
         group.add(commands)

@@ -10,49 +10,55 @@ import os
 import sys
 from collections.abc import Sequence
 
-import graceful_plan as gp
 from graceful_plan.exceptions import GracefulPlanError
-from graceful_plan.tools import (
-    bench_command,
-    impact_commands,
-    listing_commands,
-    motion_commands,
-    tune_command,
-    view_command,
-)
-from graceful_plan.tools.completion import command
-from graceful_plan.tools.console import DONE, FAILED, INTERRUPTED, MISUSE, complain
-from graceful_plan.tools.parsing import Parser, UsageError
+from graceful_plan.tools.parsing import DONE, FAILED, INTERRUPTED, MISUSE, Parser, UsageError, program
 
 __all__ = ["DONE", "FAILED", "INTERRUPTED", "MISUSE", "main", "parser"]
+
+NAME, ABOUT = "graceful-plan", "Plan motions along which a failure at any moment does little harm."
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
-    name, as_json = "graceful-plan", "--json" in words
+    name, as_json = NAME, "--json" in words
+    if words == ["--version"]:  # before anything is imported that plans
+        program(NAME, ABOUT).parse_args(words)
     try:
         args = parser().parse_args(words)
-        name = f"graceful-plan {args.command}"
+        name = f"{NAME} {args.command}"
         return args.run(args)
     except UsageError as error:
-        return complain(name, error, MISUSE, as_json=as_json, before=error.usage)
+        return _complain(name, error, MISUSE, as_json, before=error.usage)
     except BrokenPipeError:
         # The reader went away, as `head` does; a second complaint at shutdown is kept from it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except (GracefulPlanError, OSError) as error:
-        return complain(name, error, MISUSE, as_json=as_json)
+        return _complain(name, error, MISUSE, as_json)
     except KeyboardInterrupt:
-        return complain(name, KeyboardInterrupt("interrupted"), INTERRUPTED, as_json=as_json)
+        return _complain(name, KeyboardInterrupt("interrupted"), INTERRUPTED, as_json)
+
+
+def _complain(name: str, error: BaseException, code: int, as_json: bool, before: str = "") -> int:
+    from graceful_plan.tools.console import complain
+
+    return complain(name, error, code, as_json=as_json, before=before)
 
 
 def parser() -> Parser:
     """Return the parser of all commands."""
-    made = Parser(
-        prog="graceful-plan", description="Plan motions along which a failure at any moment does little harm."
+    from graceful_plan.tools import (
+        bench_command,
+        impact_commands,
+        listing_commands,
+        motion_commands,
+        tune_command,
+        view_command,
     )
-    made.add_argument("--version", action="version", version=gp.__version__)
+    from graceful_plan.tools.completion import command
+
+    made = program(NAME, ABOUT)
     commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
     groups = (motion_commands, tune_command, impact_commands, view_command, bench_command, listing_commands)
     for group in groups:

@@ -16,7 +16,6 @@ from graceful_plan import documents
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
 from graceful_plan.scene.scene import Scene
 
-DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
 DEFAULT_SCENE = "tabletop"
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import graceful_plan as gp
 from graceful_plan.tools.console import (
-    DONE,
     add_command,
     add_model,
     add_scene,
@@ -19,6 +18,7 @@ from graceful_plan.tools.console import (
     motion_in,
     show,
 )
+from graceful_plan.tools.parsing import DONE
 from graceful_plan.tools.progress import ProgressLine
 
 _PICTURES = (".png", ".pdf", ".svg")

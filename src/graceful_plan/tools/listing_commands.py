@@ -8,7 +8,8 @@ from typing import Any
 
 import graceful_plan as gp
 from graceful_plan import documents
-from graceful_plan.tools.console import DONE, FAILED, add_command, show
+from graceful_plan.tools.console import add_command, show
+from graceful_plan.tools.parsing import DONE, FAILED
 
 
 def add_to(commands: Any) -> None:

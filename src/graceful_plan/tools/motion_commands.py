@@ -12,8 +12,6 @@ from graceful_plan.costs.objective import DEFAULT_WEIGHT
 from graceful_plan.exceptions import SettingError
 from graceful_plan.formats.parquet_file import check_arrow
 from graceful_plan.tools.console import (
-    DONE,
-    FAILED,
     add_budget,
     add_command,
     add_planner,
@@ -31,6 +29,7 @@ from graceful_plan.tools.console import (
     sentence,
     show,
 )
+from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 from graceful_plan.tools.validation import Validation, check_failures, validate_motion
 

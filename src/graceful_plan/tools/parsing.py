@@ -1,4 +1,4 @@
-"""The parser of command lines.
+"""The parser of command lines, and the codes that programs end with. Importing it imports nothing that plans.
 
 Its complaints are raised, so that whoever asked for JSON gets them as JSON; and it can be asked what it takes.
 """
@@ -9,7 +9,10 @@ import argparse
 from collections.abc import Mapping
 from typing import Any, NoReturn, final
 
+from graceful_plan._version import __version__
 from graceful_plan.exceptions import GracefulPlanError
+
+DONE, FAILED, MISUSE, INTERRUPTED = 0, 1, 2, 130
 
 
 @final
@@ -49,3 +52,10 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Complain."""
         raise UsageError(message, self.format_usage().rstrip())
+
+
+def program(name: str, description: str) -> Parser:
+    """Return the parser of a program that has no commands yet and can only say its version."""
+    made = Parser(prog=name, description=description)
+    made.add_argument("--version", action="version", version=__version__)
+    return made

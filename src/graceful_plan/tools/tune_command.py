@@ -10,8 +10,6 @@ import graceful_plan as gp
 from graceful_plan.exceptions import SettingError
 from graceful_plan.tools.console import (
     DEFAULT_SCENE,
-    DONE,
-    FAILED,
     add_budget,
     add_command,
     add_planner,
@@ -24,6 +22,7 @@ from graceful_plan.tools.console import (
     chosen_task,
     show,
 )
+from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 from graceful_plan.tuning.fronts import ChoiceStatus
 

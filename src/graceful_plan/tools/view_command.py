@@ -9,15 +9,19 @@ from typing import Any
 import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.costs.objective import DEFAULT_WEIGHT
-from graceful_plan.tools.console import DONE, add_command, chosen_task, show
+from graceful_plan.tools.console import add_command, chosen_task, show
+from graceful_plan.tools.parsing import DONE
 from graceful_plan.viewer.opening import HOST, PORT
 
 
 def add_to(commands: Any) -> None:
     """Add this command to those of the parser."""
-    parser = add_command(commands, "view", _view, "look at a scene and its motions in a browser")
-    what = "bundled scene or scene file, or a JSON file with a motion, as `plan --json` prints it (default tabletop)"
-    parser.add_argument("what", nargs="?", default="tabletop", metavar="SCENE|RESULT.json", help=what)
+    parser = add_command(commands, "view", _view, "look at a scene and its motions, or at failures, in a browser")
+    what = (
+        "bundled scene or scene file, a JSON file with a motion, as `plan --json` prints it, or the folder of a dataset"
+        " of FailBench (default tabletop)"
+    )
+    parser.add_argument("what", nargs="?", default="tabletop", metavar="SCENE|RESULT.json|DATASET", help=what)
     parser.add_argument("--scene", default="tabletop", help="of a motion: bundled scene or scene file")
     parser.add_argument("--task", help="task of the scene; default: its first")
     parser.add_argument(

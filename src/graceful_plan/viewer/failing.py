@@ -22,6 +22,7 @@ from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.poses import Poses
+from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.shapes import Part, parts
 from graceful_plan.viewer.shown import ShownMotion, impact_by_entity
 
@@ -31,6 +32,8 @@ _HORIZON, _COASTING = 1.5, 4.0
 """How long is simulated after the failure of an arm, and of a base [s]."""
 _STEP = 1.0 / 60.0
 """Time between frames [s]."""
+_SAME_HARM = 1e-6
+"""By how much harm may differ that is the same."""
 
 
 @final
@@ -128,13 +131,44 @@ class FailureBench:
             raise UnknownNameError("fault", failure.fault, known)
         if motion.scene.base is not None:
             return _base_replay(failure, motion)
+        kind = _failbench().faults()[failure.fault]
+        if set(kind.TARGETS) == {"gripper"} and motion.scene.carried is None:
+            raise SettingError("fault", failure.fault, "another one: nothing is in the gripper")
+        job = _failbench().Job(
+            fault=kind(degree=failure.degree), onset=failure.moment * motion.duration, seed=failure.seed
+        )
         execution, notes = self._execution(motion)
-        return _arm_replay(failure, motion, execution, notes)
+        return _arm_replay(failure, motion, (execution, job, _HORIZON), notes)
 
     def _execution(self, motion: ShownMotion) -> tuple[Any, tuple[str, ...]]:
         if self._kept is None or self._kept[0] is not motion:
             self._kept = (motion, *_executed(motion))
         return self._kept[1:]
+
+
+def recorded_replay(rollouts: RecordedRollouts, number: int) -> Replay:
+    """Let a rollout of a dataset happen once more, as it was simulated for it.
+
+    Raises:
+        SettingError: If its fault is in a file of somebody's own, which is not run here.
+    """
+    work, row = importlib.import_module("failbench.sweeps.work"), rollouts[number]
+    motion_index, fault_index, i = rollouts.sweep.place(number)
+    if file := work.own_file(rollouts.sweep.faults[fault_index]):
+        what = f"a fault of FailBench's; `failbench replay` runs {file}, if you trust it"
+        raise SettingError(f"fault of rollout {number}", row.fault, what)
+    motion = rollouts.shown(number)[1].motions[0]
+    job = work.jobs_of(rollouts.sweep, motion_index, fault_index)[i]
+    failure = Failure(
+        fault=row.fault, degree=row.degree, moment=min(1.0, row.onset / motion.duration), seed=int(job.seed)
+    )
+    execution = work.execution_of(rollouts.sweep, motion_index)
+    replay = _arm_replay(failure, motion, (execution, job, rollouts.sweep.horizon), ())
+    again = sum(replay.observed.values())
+    if row.impact is None or abs(again - row.impact) <= _SAME_HARM:
+        return replay
+    said = f"The dataset has {row.impact:.2f}: it was made by other versions, or on another machine."
+    return replace(replay, notes=(*replay.notes, said))
 
 
 def _failbench() -> Any:
@@ -151,15 +185,15 @@ def _executed(motion: ShownMotion) -> tuple[Any, tuple[str, ...]]:
         return fb.execute(motion.trajectory, world), (f"The healthy grip slips ({lost}); here a constraint holds it.",)
 
 
-def _arm_replay(failure: Failure, motion: ShownMotion, execution: Any, notes: tuple[str, ...]) -> Replay:
+def _arm_replay(
+    failure: Failure, motion: ShownMotion, simulated: tuple[Any, Any, float], notes: tuple[str, ...]
+) -> Replay:
+    """Simulate a job of an execution for so many seconds after its onset."""
     fb, scene = _failbench(), motion.scene
-    kind = fb.faults()[failure.fault]
-    job = fb.Job(fault=kind(degree=failure.degree), onset=failure.moment * motion.duration, seed=failure.seed)
-    if set(job.fault.targets or kind.TARGETS) == {"gripper"} and scene.carried is None:
-        raise SettingError("fault", failure.fault, "another one: nothing is in the gripper")
-    (rollout,) = fb.run(execution, [job], horizon=_HORIZON)
+    execution, job, horizon = simulated
+    (rollout,) = fb.run(execution, [job], horizon=horizon)
     each = max(1, round(_STEP / execution.dt))
-    states = (data for _, data in fb.steps(execution, job, horizon=_HORIZON))
+    states = (data for _, data in fb.steps(execution, job, horizon=horizon))
     frames = [(data.xpos.copy(), data.xquat.copy()) for i, data in enumerate(states) if i % each == 0]
     score = importlib.import_module("failbench.recording.score")
     prior = FaultPrior({failure.fault: 1.0}, shipped_effects(failure.degree), failure.fault)

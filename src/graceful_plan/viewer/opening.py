@@ -17,11 +17,12 @@ from graceful_plan.exceptions import GracefulPlanError, SettingError, UnknownNam
 from graceful_plan.path import Path, finite_array
 from graceful_plan.query.goals import Goal
 from graceful_plan.result import PlanResult
-from graceful_plan.scene.loading.bundled import load_scene
+from graceful_plan.scene.loading.bundled import load_scene, mobile_scenes, scenes
 from graceful_plan.scene.scene import Scene, Task
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 from graceful_plan.viewer.question import CHOSEN, DRIVING_LIMIT, TIME_LIMIT, PlanAnswer, Question
+from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.shown import shown_motion
 
 if TYPE_CHECKING:
@@ -83,7 +84,8 @@ def view(
     """Open a page with a scene and its motions: risk along them, replanning while things are dragged, failures.
 
     Args:
-        what: A scene, its name or file, a task; or a motion, such as the result of `plan`.
+        what: A scene, its name or file, a task; a motion, such as the result of `plan`; or the folder of a dataset of
+            FailBench, of which a rollout is chosen on the page. Everything but `time_limit` is the dataset's then.
         scene: Where, for a motion.
         task: Which task of the scene; its first one by default.
         start: Configuration or keyframe to begin at; the task's by default.
@@ -103,15 +105,21 @@ def view(
         UnknownNameError: If there is no such scene, task or keyframe.
         SettingError: If there is neither a task nor start and goal, or a motion without its scene.
         PlanningFailed: If `what` is the result of a plan that failed.
+        FormatError: If a dataset is unfinished or damaged.
     """
     if importlib.util.find_spec("viser") is None:
         raise ViewerMissing
-    question, answer = asked(
-        what, scene, task=task, start=start, goal=goal, w=w, objective=objective, time_limit=time_limit
-    )
+    rollouts = None
+    if isinstance(what, str | FilePath) and what not in (*scenes(), *mobile_scenes()) and FilePath(what).is_dir():
+        rollouts = RecordedRollouts(FilePath(what), TIME_LIMIT if time_limit is None else time_limit)
+        question, answer = rollouts.shown(int(rollouts.worst_first()[0]))
+    else:
+        question, answer = asked(
+            what, scene, task=task, start=start, goal=goal, w=w, objective=objective, time_limit=time_limit
+        )
     from graceful_plan.viewer.browser.page import Page
 
-    return Viewer(Page(question, answer, host=host, port=port, dark=dark))
+    return Viewer(Page(question, answer, host=host, port=port, dark=dark, rollouts=rollouts))
 
 
 def asked(

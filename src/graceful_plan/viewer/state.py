@@ -10,9 +10,10 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.viewer.failing import Failure, FailureBench, Replay
+from graceful_plan.viewer.failing import Failure, FailureBench, Replay, recorded_replay
 from graceful_plan.viewer.fall import Fall, GoingOn, fall_at, going_on_at
 from graceful_plan.viewer.question import PlanAnswer, Question, answered
+from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.risk_layer import RiskLayer, risk_layer
 from graceful_plan.viewer.shown import ShownMotion
 from graceful_plan.viewer.worker import LatestWins
@@ -89,6 +90,20 @@ class ViewerState:
         self.replay = self._bench.replay(failure, motion)
         return self.replay
 
+    def happen_again(self, rollouts: RecordedRollouts, number: int) -> Replay:
+        """Show a rollout of a dataset on its motion; of another motion than before, the ordinary one is planned beside.
+
+        Raises:
+            SettingError: If there is no such rollout, or its fault is in a file of somebody's own.
+            UnknownNameError: If its scene or task is not here.
+        """
+        replay, (question, answer) = recorded_replay(rollouts, number), rollouts.shown(number)
+        if question is not self.question:
+            self.answer = answer
+            self.ask(question)
+        self.replay = replay
+        return replay
+
     def forget(self) -> None:
         """Show the healthy motion again."""
         self.replay = None
@@ -97,7 +112,9 @@ class ViewerState:
         return answered(question, self.answer, cancelled)
 
     def _done(self, answer: PlanAnswer) -> None:
-        self.answer, self.replay = answer, None
+        before, self.answer = self.motion, answer
+        if self.motion is not before:
+            self.replay = None
         self._changed()
 
     # --- what is shown ------------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ from typing import Any
 
 import graceful_plan as gp
 from graceful_plan.tools.completion.scripts import SHELLS, Offer
-from graceful_plan.tools.console import DONE, add_command, show
-from graceful_plan.tools.parsing import Parser
+from graceful_plan.tools.console import add_command, show
+from graceful_plan.tools.parsing import DONE, Parser
 
 
 def add_to(commands: Any, program: Parser) -> None:

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from graceful_plan.costs.fault_prior import DEGREES
+from graceful_plan.viewer.browser.recorded_tab import RecordedTab
+from graceful_plan.viewer.recorded import RecordedRollouts
 
 HIDDEN, GHOST, BESIDE = "hidden", "as a ghost", "beside it"
 """How the ordinary motion is shown."""
 _MOST_WEIGHT = 2.0
+_NONE = ("none",)
 
 
 @final
@@ -43,9 +46,26 @@ class Controls:
     renew: Any
     names: Any
     dark: Any
+    recorded: RecordedTab | None
+
+    def offer(self, entities: Sequence[str], faults: Sequence[str]) -> None:
+        """Offer the entities and faults of a scene to choose from."""
+        for handle, names in ((self.entity, tuple(entities) or _NONE), (self.fault, tuple(faults))):
+            if tuple(handle.options) != names:
+                handle.options = names
+        for handle in (self.entity, self.severity, self.move):
+            handle.disabled = not entities
 
 
-def build(server: Any, *, w: float, entities: Sequence[str], faults: Sequence[str], dark: bool) -> Controls:
+def build(
+    server: Any,
+    *,
+    w: float,
+    entities: Sequence[str],
+    faults: Sequence[str],
+    dark: bool,
+    rollouts: RecordedRollouts | None = None,
+) -> Controls:
     """Put all controls on the page."""
     gui = server.gui
     found: dict[str, Any] = {
@@ -57,6 +77,7 @@ def build(server: Any, *, w: float, entities: Sequence[str], faults: Sequence[st
         "now_text": gui.add_html(""),
     }
     tabs = gui.add_tab_group()
+    found["recorded"] = None if rollouts is None else RecordedTab(gui, tabs, rollouts)
     with tabs.add_tab("Plan"):
         found |= {
             "other": gui.add_dropdown("w = 0 is", (GHOST, BESIDE, HIDDEN), initial_value=GHOST),
@@ -66,7 +87,7 @@ def build(server: Any, *, w: float, entities: Sequence[str], faults: Sequence[st
             "speed": gui.add_slider("Speed", 0.1, 2.0, 0.1, 1.0),
         }
     with tabs.add_tab("Things"):
-        names = tuple(entities) or ("none",)
+        names = tuple(entities) or _NONE
         found |= {
             "entity": gui.add_dropdown("Entity", names, disabled=not entities),
             "severity": gui.add_number("Severity", 0.0, min=0.0, step=0.5, disabled=not entities),

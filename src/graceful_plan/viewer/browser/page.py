@@ -21,9 +21,10 @@ from graceful_plan.viewer.browser.chart import ImpactChart
 from graceful_plan.viewer.browser.controls import build
 from graceful_plan.viewer.browser.drawn_scene import DrawnScene
 from graceful_plan.viewer.browser.plans import DrawnPlans
-from graceful_plan.viewer.failing import Failure, faults_of
+from graceful_plan.viewer.failing import Failure, Replay, faults_of
 from graceful_plan.viewer.poses import pose_of, poses_along, quaternion_of
 from graceful_plan.viewer.question import PlanAnswer, Question
+from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.state import ViewerState
 
@@ -48,10 +49,18 @@ class Page:
         host: Address to listen at.
         port: Port to listen at; the next free one if it is taken.
         dark: Whether the page is dark.
+        rollouts: Of a dataset, to choose from.
     """
 
     def __init__(
-        self, question: Question, answer: PlanAnswer | None, *, host: str, port: int, dark: bool = False
+        self,
+        question: Question,
+        answer: PlanAnswer | None,
+        *,
+        host: str,
+        port: int,
+        dark: bool = False,
+        rollouts: RecordedRollouts | None = None,
     ) -> None:
         viser: Any = importlib.import_module("viser")
         with contextlib.redirect_stdout(io.StringIO()):  # it greets on the terminal
@@ -74,6 +83,7 @@ class Page:
             entities=tuple(question.scene.entities),
             faults=faults_of(question.scene),
             dark=dark,
+            rollouts=rollouts,
         )
         self._footprints = marks.Footprints(self.server)
         self._start, self._goal = (self._handle(name) for name in ("start", "goal"))
@@ -136,6 +146,7 @@ class Page:
         poses, _ = poses_along(question.scene, parts(question.scene), question.start[None], np.zeros(1))
         self._stage.put(poses.position[0], poses.quaternion[0])
         self._drawn = question.scene
+        self._controls.offer(tuple(question.scene.entities), faults_of(question.scene))
         self._name_things()
 
     def _name_things(self) -> None:
@@ -172,6 +183,8 @@ class Page:
         c.fail.on_click(lambda _: self._guarded(self._fail))
         c.heal.on_click(lambda _: self._guarded(self._heal))
         c.renew.on_click(lambda _: self._guarded(self._lay_map))
+        if c.recorded is not None:
+            c.recorded.on_chosen(lambda number: self._guarded(lambda: self._happen_again(number)))
         self._dragged(self._start, Question.starting_at)
         self._dragged(self._goal, Question.going_to)
         self._pick()
@@ -278,7 +291,7 @@ class Page:
         with self._lock:
             if self.state.answer is not None and self.state.answer.question.scene is not self._drawn:
                 self._draw_scene()
-            self._controls.heal.visible = False
+            self._controls.heal.visible = self.state.replay is not None
             self._show_handles()
             self._draw_plans()
             self._new_chart()
@@ -314,8 +327,24 @@ class Page:
     def _fail(self) -> None:
         c = self._controls
         failure = Failure(fault=c.fault.value, degree=c.degree.value, moment=c.moment.value / 100.0)
-        replay = self.state.fail(failure)
-        c.heal.visible = True
+        self._watch(self.state.fail(failure))
+
+    def _happen_again(self, number: int) -> None:
+        """Show a rollout of the dataset, on its own motion."""
+        recorded, before = self._controls.recorded, self.state.question
+        if recorded is None:
+            return
+        replay = self.state.happen_again(recorded.rollouts, number)
+        if self.state.question is not before:
+            self._draw_scene()
+            self._place_handles()
+            self._controls.w.value = self.state.question.w
+            self._draw_plans()
+            self._new_chart()
+        self._watch(replay)
+
+    def _watch(self, replay: Replay) -> None:
+        self._controls.heal.visible = True
         self._seek(max(0.0, replay.onset - 0.3))
         self._say(busy=not self.state.worker.idle)
         self._toggle(True)

@@ -8,6 +8,7 @@ from html import escape
 from graceful_plan.viewer.browser.marks import RISK, greatest_risk
 from graceful_plan.viewer.failing import Replay
 from graceful_plan.viewer.question import PlanAnswer
+from graceful_plan.viewer.recorded import Recorded
 from graceful_plan.viewer.shown import ShownMotion
 
 _STYLE = "font-size:0.85em;line-height:1.35;padding:0.2em 0.75em"
@@ -75,6 +76,29 @@ def failure_words(replay: Replay | None, motion: ShownMotion | None) -> str:
     text += "".join(f"<p>{escape(note)}</p>" for note in replay.notes)
     text += "<p>Predicted: expected harm of this fault at this moment. Observed: one simulated failure.</p>"
     return _page(text)
+
+
+def recorded_words(row: Recorded | None, count: int) -> str:
+    """Say what became of a rollout of a dataset, as the dataset has it.
+
+    Args:
+        row: The rollout; None if none fits.
+        count: How many there are to choose from.
+    """
+    if row is None:
+        return _page("There is no such rollout.")
+    impact = "the simulation blew up" if row.diverged else _number(row.impact)
+    cells: list[tuple[str, list[str]]] = [
+        ("rollout", [f"{row.number}, of {count}"]),
+        ("motion", [escape(row.motion)]),
+        ("fault", [f"{escape(row.fault)}, {escape(row.degree)}"]),
+        ("onset [s]", [_number(row.onset)]),
+        ("observed harm", [impact]),
+        ("touches", [str(row.contacts)]),
+        ("object dropped", ["yes" if row.dropped else "no"]),
+        ("spilt", [f"{row.spilled:.0%}"]),
+    ]
+    return _page(_table(["", "in the dataset"], cells))
 
 
 def _larger(replay: Replay, name: str) -> float:

@@ -1,0 +1,56 @@
+"""The tab on which somebody chooses a rollout of a dataset: filters, a place in the order of harm, what it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, final
+
+from graceful_plan.viewer.browser import words
+from graceful_plan.viewer.recorded import RecordedRollouts
+
+_ANY = "any"
+
+
+@final
+class RecordedTab:
+    """Controls to choose a rollout with.
+
+    Args:
+        tabs: The group of tabs that it is added to.
+        rollouts: To choose from.
+    """
+
+    def __init__(self, gui: Any, tabs: Any, rollouts: RecordedRollouts) -> None:
+        self.rollouts = rollouts
+        with tabs.add_tab("Rollouts"):
+            self._motion = gui.add_dropdown("Motion", (_ANY, *rollouts.motions))
+            self._fault = gui.add_dropdown("Fault", (_ANY, *rollouts.faults))
+            self._place = gui.add_slider("Place by harm", 1, len(rollouts), 1, 1, hint="1 is the most harmful one")
+            self._text = gui.add_html("")
+            self._show = gui.add_button("Let it happen again", color="red")
+        self._filter()
+        self._motion.on_update(lambda _: self._filter())
+        self._fault.on_update(lambda _: self._filter())
+        self._place.on_update(lambda _: self._describe())
+
+    def on_chosen(self, act: Callable[[int], None]) -> None:
+        """Call a function with the number of the rollout that somebody wants to see."""
+        self._show.on_click(lambda _: act(self.number) if len(self._order) else None)
+
+    @property
+    def number(self) -> int:
+        """Of the rollout that is described."""
+        return int(self._order[min(int(self._place.value), len(self._order)) - 1])
+
+    def _filter(self) -> None:
+        motions, faults = (() if field.value == _ANY else (field.value,) for field in (self._motion, self._fault))
+        self._order = self.rollouts.worst_first(motions, faults)
+        self._show.disabled = not len(self._order)
+        self._place.disabled = len(self._order) < 2
+        self._place.max = max(2, len(self._order))  # a slider needs two places
+        self._place.value = 1
+        self._describe()
+
+    def _describe(self) -> None:
+        row = self.rollouts[self.number] if len(self._order) else None
+        self._text.content = words.recorded_words(row, len(self._order))

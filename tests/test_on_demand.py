@@ -1,0 +1,120 @@
+"""Names that are imported when they are first asked for are found wherever they would be without that."""
+
+import ast
+import importlib
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import failbench
+import graceful_plan as gp
+from graceful_plan import on_demand
+
+PACKAGES = (gp, failbench)
+names = pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+
+
+def declared(package):
+    """Return where type checkers read that each name comes from."""
+    tree = ast.parse(Path(package.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    assert isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING"
+    found = {}
+    for node in block.body:
+        assert isinstance(node, ast.ImportFrom)
+        for alias in node.names:
+            home = f"{node.module}.{alias.name}" if node.module == package.__name__ else node.module
+            found[alias.name] = home
+    return found
+
+
+def fresh(code):
+    """Run code in a new process and return what it prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stderr, done.returncode) == ("", 0)
+    return done.stdout.split()
+
+
+@names
+def test_what_type_checkers_read_is_what_is_imported(package):
+    assert declared(package) == package._homes
+    assert set(package.__all__) == {*package._homes, *(["__version__"] if package is gp else [])}
+
+
+@names
+def test_every_name_is_what_its_module_calls_so(package):
+    for name in package.__all__:
+        value = getattr(package, name)
+        home = importlib.import_module(package._homes.get(name, package.__name__))
+        assert value is (home if inspect.ismodule(value) else getattr(home, name))
+
+
+@names
+def test_it_lists_its_names_and_knows_no_others(package):
+    assert set(package.__all__) <= set(dir(package))
+    assert not hasattr(package, "plam")
+    with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'plam'") as caught:
+        _ = package.plam
+    assert (caught.value.name, caught.value.obj) == ("plam", package)
+
+
+@pytest.mark.parametrize(
+    "first", ["import graceful_plan.plan", "import graceful_plan.tuning.fronts", "from graceful_plan import *", ""]
+)
+def test_the_module_plan_never_hides_the_function(first):
+    code = f"{first}\nimport graceful_plan as gp, graceful_plan.plan\nprint(callable(gp.plan), gp.plan.__module__)"
+    assert fresh(code) == ["True", "graceful_plan.plan"]
+
+
+@pytest.mark.parametrize("module", ["graceful_plan", "failbench", "graceful_plan.tools.cli", "failbench.cli"])
+def test_importing_imports_nothing_that_takes_time(module):
+    assert fresh(f"import sys, {module}\nprint(*{{'numpy', 'mujoco', 'yaml'}} & set(sys.modules))") == []
+
+
+@pytest.mark.parametrize("program", ["graceful_plan.tools", "failbench"])
+def test_the_version_is_said_without_anything_that_takes_time(program):
+    code = f"""
+import sys
+from {program}.cli import main
+try:
+    main(["--version"])
+except SystemExit as end:
+    print(end.code, *{{"numpy", "mujoco", "yaml"}} & set(sys.modules))
+"""
+    assert fresh(code) == [gp.__version__, "0"]
+
+
+def test_what_planning_needs_is_not_all_there_is():
+    code = "import sys, graceful_plan as gp\ngp.plan, gp.load_scene\nprint(*sys.modules)"
+    rooms = {name.split(".")[1] for name in fresh(code) if name.startswith("graceful_plan.")}
+    assert "query" in rooms and not rooms & {"compare", "roadmap", "testing", "tools", "tuning", "viewer", "viz"}
+
+
+def test_other_packages_can_do_the_same(tmp_path, monkeypatch):
+    folder = tmp_path / "lazy_one"
+    folder.mkdir()
+    (folder / "__init__.py").write_text(
+        "from graceful_plan import on_demand\n"
+        "on_demand.install(__name__, {'lift': 'lazy_one.lift', 'parts': 'lazy_one.parts'})\n"
+    )
+    (folder / "lift.py").write_text("def lift(): return 1\n")
+    (folder / "parts.py").write_text("HEIGHT = 2\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    lazy = importlib.import_module("lazy_one")
+    assert isinstance(lazy, on_demand.PackageOnDemand)
+    assert (lazy.parts.HEIGHT, lazy.lift()) == (2, 1)
+    monkeypatch.setattr(lazy, "lift", len)  # what tests put in its place stays
+    assert lazy.lift is len
+
+
+@pytest.mark.long
+def test_type_checkers_know_the_names_and_refuse_others(tmp_path):
+    file = tmp_path / "robot_code.py"
+    file.write_text("import graceful_plan as gp\n\nreveal_type(gp.load_scene)\ngp.plam\n")
+    checker = [sys.executable, "-m", "basedpyright", str(file)]
+    said = subprocess.run(checker, capture_output=True, text=True, check=False).stdout
+    assert 'Type of "gp.load_scene" is "(name_or_path: str | Path) -> Scene"' in said
+    assert '"plam" is not a known attribute of module "graceful_plan"' in said
