@@ -47,6 +47,15 @@ def test_positions_are_those_of_the_states(seed: int) -> None:
     np.testing.assert_allclose(trajectory.positions(times), trajectory.at(times).q, atol=_TOLERANCE)
 
 
+def test_places_are_times_by_piece() -> None:
+    trajectory = _random(3)
+    pieces = len(trajectory) - 1
+    place = np.append(np.random.default_rng(0).uniform(0.0, pieces, 200), np.arange(pieces + 1.0))
+    t, q = trajectory.at_places(place)
+    np.testing.assert_allclose(t, np.interp(place, np.arange(pieces + 1), trajectory.t), atol=_TOLERANCE)
+    np.testing.assert_allclose(q, trajectory.positions(t), atol=_TOLERANCE)
+
+
 def test_who_moves_cannot_wait() -> None:
     moving = _random(3)
     with pytest.raises(SettingError, match=r"qd\[0\].*a moving robot cannot wait"):

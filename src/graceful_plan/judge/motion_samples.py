@@ -109,8 +109,8 @@ def joint_travel(motion: Path | Trajectory) -> Float[Array, "piece nq"]:
 def at_places(motion: Path | Trajectory, place: Float[Array, " sample"]) -> MotionSamples:
     """Evaluate a motion at fractional piece numbers."""
     if isinstance(motion, Trajectory):
-        t = np.interp(place, np.arange(len(motion)), motion.t)
-        return MotionSamples.of(motion.positions(t), t)
+        at, q = motion.at_places(place)
+        return MotionSamples.of(q, at)
     index = np.minimum(place.astype(int), len(motion) - 2)
     share = (place - index)[:, None]
     along = np.concatenate([[0.0], np.cumsum(motion.segment_lengths)])
@@ -128,12 +128,15 @@ def _levers_near(q: Float[Array, "n nq"], scene: Scene) -> Float[Array, "n nq"]:
     slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
     centre = np.empty((len(q), len(geoms), 3))
     anchor, axis = np.empty((2, len(q), len(joints), 3))
+    data = placement.data
+    read = ((data.geom_xpos, geoms, centre), (data.xanchor, joints, anchor), (data.xaxis, joints, axis))
     for i, configuration in enumerate(q):
-        data = placement.place(configuration)
-        centre[i], anchor[i], axis[i] = data.geom_xpos[geoms], data.xanchor[joints], data.xaxis[joints]
+        placement.place(configuration)
+        for values, rows, kept in read:
+            values.take(rows, axis=0, out=kept[i], mode="clip")  # any mode but the default writes without a copy
     # |axis x r|^2 = |r|^2 - (axis . r)^2
     r = centre[:, None] - anchor[:, :, None]
-    squared = (r * r).sum(axis=3) - np.matmul(r, axis[..., None])[..., 0] ** 2
+    squared = np.einsum("njgx,njgx->njg", r, r) - np.einsum("njgx,njx->njg", r, axis) ** 2
     levers = np.where(carries, np.sqrt(np.maximum(squared, 0.0)) + model.geom_rbound[geoms], 0.0).max(axis=2)
     return np.where(slides, 1.0, np.minimum(levers + _FARTHEST, reach(scene)))
 

@@ -204,7 +204,7 @@ class MotionDescents:
             felt=self.felt,
             points=float(grid_points(stage.controls)) if self.counts_points else 1.0,
         )
-        _go_on(descent, stage.evaluations, budget)
+        go_on(descent, stage.evaluations, budget)
         return descent
 
     def landed(self, start: Start, index: int, budget: Budget) -> Landed | None:
@@ -218,7 +218,7 @@ class MotionDescents:
                 return Landed(curve, descent.value, index)
             if hardening < _HARDENINGS:
                 descent.harden()
-                _go_on(descent, _MORE, budget)
+                go_on(descent, _MORE, budget)
         return None
 
 
@@ -355,7 +355,8 @@ def _fitted(curve: Spline, controls: int) -> Float[Array, "control nq"]:
     return fitted
 
 
-def _go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:
+def go_on(descent: _native.MotionDescent, evaluations: int, budget: Budget) -> None:
+    """Let a descent evaluate its motion so many times more, as far as the budget lasts."""
     done = 0
     while done < evaluations and not _out(budget):
         if descent.run(_ROUND, budget.remaining_seconds) < _ROUND:

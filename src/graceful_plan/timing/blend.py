@@ -165,20 +165,28 @@ def sampled(pieces: tuple[Piece, ...], end: Float[Array, " nq"], spacing: float,
         spacing: Largest distance of grid points [rad].
         density: Multiplies the smallest number of intervals on a piece.
     """
-    s, q, slope, bend, stop = [np.zeros(1)], [], [], [], [np.array([True])]
-    for piece in pieces:
-        turn = float(np.linalg.norm(piece.turn))
-        least = 4 if turn == 0.0 else 2 + int(np.ceil(4.0 * min(1.0, turn)))
-        n = max(density * least, 2 * int(np.ceil(piece.length / (2.0 * spacing))))
-        u = places(n, from_rest=bool(stop[-1][-1]), to_rest=piece.stops_after) * piece.length
-        at = piece.tangent + np.outer(u / piece.length, piece.turn)
-        q.append((piece.start + np.outer(u, piece.tangent) + np.outer(u * u / (2.0 * piece.length), piece.turn))[:-1])
-        n = len(u) - 1
-        slope.append(np.stack([at[:-1], at[1:]], axis=1))
-        bend.append(np.broadcast_to(piece.turn / piece.length, (n, 2, len(end))))
-        s.append(s[-1][-1] + u[1:])
-        stop.append(np.append(np.zeros(n - 1, dtype=bool), piece.stops_after))
-    return CurveGrid(np.concatenate(s), np.concatenate([*q, end[None]]), *map(np.concatenate, (slope, bend, stop)))
+    length = np.array([piece.length for piece in pieces])
+    start, tangent, turn = (np.array([getattr(p, name) for p in pieces]) for name in ("start", "tangent", "turn"))
+    stops = np.array([piece.stops_after for piece in pieces])
+    turned = np.linalg.norm(turn, axis=1)
+    least = np.where(turned == 0.0, 4, 2 + np.ceil(4.0 * np.minimum(1.0, turned)).astype(int))
+    count = np.maximum(density * least, 2 * np.ceil(length / (2.0 * spacing)).astype(int))
+    rests = zip(count.tolist(), [True, *stops[:-1].tolist()], stops.tolist(), strict=True)
+    shares = [places(n, from_rest=before, to_rest=after) for n, before, after in rests]
+    # All intervals of all pieces, one after the other: where each begins and ends as a share of its piece.
+    begin, finish = (np.concatenate([share[part] for share in shares]) for part in (slice(-1), slice(1, None)))
+    intervals = np.array([len(share) - 1 for share in shares])
+    of = np.repeat(np.arange(len(pieces)), intervals)
+    u = (begin * length[of])[:, None]
+    q = start[of] + u * (tangent[of] + (0.5 * begin[:, None]) * turn[of])
+    slope = tangent[of][:, None] + np.stack([begin, finish], axis=1)[:, :, None] * turn[of][:, None]
+    bend = np.repeat((turn / length[:, None])[of][:, None], 2, axis=1)
+    before = np.append(0.0, np.cumsum(length))
+    stop = np.zeros(len(of) + 1, dtype=bool)
+    stop[np.cumsum(intervals)] = stops
+    stop[0] = True
+    s = np.append(0.0, before[of] + finish * length[of])
+    return CurveGrid(s, np.concatenate([q, end[None]]), slope, bend, stop)
 
 
 def places(n: int, *, from_rest: bool, to_rest: bool) -> Float[Array, " point"]:

@@ -110,6 +110,20 @@ class Trajectory:
         i, u, v0, a0, jerk = self._pieces_at(np.clip(t, self.t[0], self.t[-1]))
         return self.q[i] + u * (v0 + u * (0.5 * a0 + u * (jerk / 6.0)))
 
+    def at_places(self, place: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
+        """Evaluate times [s] and positions [rad or m] at fractional piece numbers, from 0 to the number of pieces."""
+        i = np.minimum(place.astype(np.intp), len(self) - 2)
+        h = np.diff(self.t)
+        u = (place - i) * h[i]
+        a0, a1 = self.piece_accelerations
+        q = ((a1 - a0) / (6.0 * h[:, None]))[i]
+        # Horner's scheme, in place: this is done for thousands of samples of every motion.
+        column = u[:, None]
+        for coefficient in (0.5 * a0, self.qd[:-1], self.q[:-1]):
+            q *= column
+            q += coefficient[i]
+        return self.t[i] + u, q
+
     def _cubic(self, t: Float[Array, " n"]) -> list[Float[Array, "n nq"]]:
         i, u, v0, a0, jerk = self._pieces_at(t)
         return [

@@ -125,9 +125,11 @@ class Core {
     add_hazards(hazards);
     add_bounds(bounds);
     tables_.n_joint = robot.n_joint, tables_.n_link = int(link_.size()), tables_.n_group = int(group_.size());
+    tables_.n_cluster = int(cluster_.size());
     tables_.n_obstacle = int(obstacle_.size()), tables_.n_pair = int(pair_.size() / 2);
     tables_.link = link_.data(), tables_.group = group_.data(), tables_.cluster = cluster_.data();
-    tables_.sphere = sphere_.data(), tables_.obstacle = obstacle_.data();
+    pack_clusters();
+    tables_.sphere = sphere_.data(), tables_.packed = packed_.data(), tables_.obstacle = obstacle_.data();
     tables_.triangle = triangle_.data(), tables_.pair = pair_.data(), tables_.slack = slack_.data(),
     tables_.part = part_.data(), tables_.target = target_.data();
     tables_.harmed = harmed_.data();
@@ -424,6 +426,15 @@ class Core {
     }
     cluster_.push_back(cluster);
   }
+  void pack_clusters() {
+    packed_.assign(cluster_.size() * 4 * kPackedSize, 0.f);
+    for (size_t c = 0; c < cluster_.size(); ++c) {
+      float* row = packed_.data() + c * 4 * kPackedSize;
+      std::fill_n(row + 3 * kPackedSize, kPackedSize, -1e30f);
+      for (int k = 0; k < cluster_[c].count; ++k)
+        for (int i = 0; i < 4; ++i) row[i * kPackedSize + k] = sphere_[size_t(4 * (cluster_[c].first + k) + i)];
+    }
+  }
   void add_triangles(const Reals& triangles) {
     require(triangles.size() % 9 == 0 && triangles.size() < size_t(kMaxNumber), "corners of triangles");
     require_numbers(triangles, "corners of triangles", kMaxExtent);
@@ -603,6 +614,7 @@ class Core {
   std::vector<Cluster> cluster_;
   std::vector<int> group_of_;
   std::vector<float> sphere_;
+  std::vector<float> packed_;
   std::vector<Obstacle> obstacle_;
   std::vector<Cell> cell_;
   std::vector<int32_t> order_;

@@ -37,7 +37,7 @@ template <> struct Content<D> {
 template <class V> using Scalar = typename Content<V>::type;
 template <class V> constexpr int kAbreast = kLanes<Scalar<V>>;
 
-// Not 0 if any lane is set.
+// A bit for each lane, set where that is.
 #if defined(__AVX512F__)
 static inline int lanes_set(MaskF m) { return _mm512_movepi32_mask((__m512i)m); }
 static inline int lanes_set(Mask<double> m) { return _mm512_movepi64_mask((__m512i)m); }
@@ -50,7 +50,7 @@ static inline int lanes_set(Mask<double> m) { return _mm_movemask_pd((__m128d)m)
 #else
 template <class M> static inline int lanes_set(M m) {
   int set = 0;
-  for (size_t i = 0; i < sizeof(m) / sizeof(m[0]); ++i) set |= m[i] != 0;
+  for (size_t i = 0; i < sizeof(m) / sizeof(m[0]); ++i) set |= int(m[i] != 0) << i;
   return set;
 }
 #endif

@@ -10,6 +10,8 @@ constexpr int kMaxJoints = 32;
 constexpr int kMaxSpheres = 2048;
 constexpr int kMaxObstacles = 4096;  // where the body model is used
 constexpr int kClusterSize = 12;     // spheres at most
+constexpr int kPackedSize = 16;      // of rows that hold as many, whatever the width of vectors
+constexpr int kMaxClusters = kMaxSpheres / (kClusterSize / 2) + kMaxLinks;
 constexpr int kMaxParts = 128;
 constexpr int kMaxComponents = 3;
 constexpr int kMaxEntities = 512;
@@ -87,11 +89,12 @@ struct Harmed {  // an entity: its targets, and the box around them
 };
 
 struct Tables {
-  int32_t n_joint, n_link, n_group, n_obstacle, n_pair, n_part, n_target, n_component, n_entity;
+  int32_t n_joint, n_link, n_group, n_cluster, n_obstacle, n_pair, n_part, n_target, n_component, n_entity;
   const Link* link;
   const Group* group;
   const Cluster* cluster;
   const float* sphere;  // x y z r, in the frame of the group's link
+  const float* packed;  // per cluster: rows of all x, y, z and r; r is far below 0 where there is no sphere
   const Obstacle* obstacle;
   int32_t n_boundless, n_cell;
   const Cell* cell;

@@ -7,8 +7,9 @@ as any if the judge passes it; if not, the polyline itself is timed.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
-from graceful_plan.planners.motion_descent import COARSE, Effort, Landed
+from graceful_plan.planners.motion_descent import COARSE, Effort, Landed, MotionDescents, Start, go_on
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.ends import Ends
@@ -20,6 +21,7 @@ from graceful_plan.timing.spline import Spline
 SOON = 0.1
 """Who stops a search earlier than this wants a motion soon [s]; later, 20 to 40 ms of finer descents hardly count."""
 
+_HALF = replace(COARSE, evaluations=COARSE.evaluations // 2)
 _COARSE = 0.01
 """Limit of a coarse descent after a search was cancelled [s]."""
 
@@ -39,10 +41,22 @@ def quick_motions(
     if descents is not None and whole.length > 0.0 and request.clock.has_room("timing", "judging"):
         start = start_of(whole, arrival, ends)
         # Who cancelled left nothing of the budget, but a coarse descent hardly counts.
-        descent = descents.descended(start, COARSE, Budget(time_limit=_COARSE) if budget.cancelled() else budget)
-        if descent is not None and descents.is_free(curve := Spline(descent.controls), start):
+        landed = _landed(descents, start, Budget(time_limit=_COARSE) if budget.cancelled() else budget)
+        if landed is not None:
             with request.clock.measured("timing"):
-                motion = timed_curve(Landed(curve, descent.value, 0), arrival, request)
+                motion = timed_curve(landed, arrival, request)
             if motion is not None:
                 yield motion
     yield from along(path, request, ends)
+
+
+def _landed(descents: MotionDescents, start: Start, budget: Budget) -> Landed | None:
+    """Descend coarsely; None if the curve is not free halfway: then it hardly ever is at the end."""
+    landed = None
+    descent = descents.descended(start, _HALF, budget)
+    while descent is not None and descents.is_free(curve := Spline(descent.controls), start):
+        if landed is not None:
+            return Landed(curve, descent.value, 0)
+        landed = Landed(curve, descent.value, 0)
+        go_on(descent, COARSE.evaluations - _HALF.evaluations, budget)
+    return landed

@@ -168,19 +168,29 @@ static inline MaskF touches(const Tables& tables, const Obstacle& o, const Vec<F
   return x * x + y * y + z * z < radius * radius;
 }
 
-// World positions of bounding spheres, and of spheres as far as somebody asked for them.
+// World positions of bounding spheres, and of clusters and spheres as far as somebody asked for them.
 struct Placed {
   const Tables& tables;
   const Frame<F>* X_W;
   Vec<F> bound[kMaxLinks];
+  Vec<F> cluster[kMaxClusters];
   Vec<F> sphere[kMaxSpheres];
-  bool ready[kMaxLinks];
+  bool ready[kMaxLinks], ready_clusters[kMaxLinks];
 
   Placed(const Tables& t, const Frame<F>* X) : tables(t), X_W(X) {
     for (int g = 0; g < t.n_group; ++g) {
       bound[g] = transform(X[t.group[g].frame], t.group[g].bound);
-      ready[g] = false;
+      ready[g] = ready_clusters[g] = false;
     }
+  }
+  // Centres of the bounding spheres of clusters, by their numbers.
+  const Vec<F>* clusters(int g) {
+    const Group& group = tables.group[g];
+    if (!ready_clusters[g])
+      for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c)
+        cluster[c] = transform(X_W[group.frame], tables.cluster[c].bound);
+    ready_clusters[g] = true;
+    return cluster;
   }
   const Vec<F>* spheres(int g) {
     const Group& group = tables.group[g];
@@ -213,6 +223,44 @@ static inline bool for_each_obstacle_near(const Tables& tables, const Vec<F>& p,
   return false;
 }
 
+// Adds the lanes in which spheres of two links come closer to each other than they may.
+template <bool first_hit> static inline void touching_links(Placed& placed, int p, float margin, MaskF& hit) {
+  const Tables& tables = placed.tables;
+  const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
+  const Group &ga = tables.group[a], &gb = tables.group[b];
+  const float kept = margin + tables.slack[p], reach = relu(ga.bound[3] + gb.bound[3] + kept);
+  if (!any(squared_distance(placed.bound[a], placed.bound[b]) < reach * reach)) return;
+  const Vec<F>*ca = placed.clusters(a), *cb = placed.clusters(b);
+  for (int c = ga.first_cluster; c < ga.first_cluster + ga.n_cluster; ++c) {
+    const Cluster& mine = tables.cluster[c];
+    const float r = relu(mine.bound[3] + gb.bound[3] + kept);
+    if (ga.n_cluster > 1 && !any(squared_distance(ca[c], placed.bound[b]) < r * r)) continue;
+    for (int d = gb.first_cluster; d < gb.first_cluster + gb.n_cluster; ++d) {
+      const Cluster& other = tables.cluster[d];
+      const float rc = relu(mine.bound[3] + other.bound[3] + kept);
+      const int near = lanes_set((squared_distance(ca[c], cb[d]) < rc * rc) & ~hit);
+      if (!near) continue;
+      if (are_few(near)) {
+        for_each_lane(near, [&](int lane) {
+          const InOneLane one(tables, placed.X_W[ga.frame], c, lane), two(tables, placed.X_W[gb.frame], d, lane);
+          if (touch(one, mine.count, two, kept)) hit[lane] = -1;
+        });
+      } else {
+        const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
+        for (int k = mine.first; k < mine.first + mine.count; ++k) {
+          const float ra = tables.sphere[4 * k + 3] + kept, rb = relu(ra + other.bound[3]);
+          if (mine.count > 1 && !any(squared_distance(sa[k], cb[d]) < rb * rb)) continue;
+          for (int m = other.first; m < other.first + other.count; ++m) {
+            const float r = relu(ra + tables.sphere[4 * m + 3]);
+            hit |= squared_distance(sa[k], sb[m]) < r * r;
+          }
+        }
+      }
+      if (first_hit ? any(hit) : all(hit)) return;
+    }
+  }
+}
+
 // Which lanes collide. With `first_hit` it returns as soon as any lane does: one bad state spoils an edge.
 template <bool first_hit> static inline MaskF collides(const Tables& tables, const Frame<F>* X_W, float margin) {
   Placed placed(tables, X_W);
@@ -227,12 +275,10 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
       const float kept = margin + o.keep;
       if (!any(near_bound(o, placed.bound[g], F{} + (group.bound[3] + kept)))) return false;
       if (!any(touches(tables, o, placed.bound[g], group.bound[3] + kept))) return false;
-      const Vec<F>* sphere = placed.spheres(g);
+      const Vec<F>*sphere = placed.spheres(g), *centre = placed.clusters(g);
       for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
         const Cluster& cluster = tables.cluster[c];
-        if (group.n_cluster > 1 &&
-            !any(touches(tables, o, transform(X_W[group.frame], cluster.bound), cluster.bound[3] + kept)))
-          continue;
+        if (group.n_cluster > 1 && !any(touches(tables, o, centre[c], cluster.bound[3] + kept))) continue;
         for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
           hit |= touches(tables, o, sphere[k], tables.sphere[4 * k + 3] + kept);
         if (first_hit ? any(hit) : all(hit)) return true;
@@ -242,99 +288,8 @@ template <bool first_hit> static inline MaskF collides(const Tables& tables, con
     if (enough) return hit;
   }
   for (int p = 0; p < tables.n_pair; ++p) {
-    const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
-    const Group &ga = tables.group[a], &gb = tables.group[b];
-    const float kept = margin + tables.slack[p], reach = relu(ga.bound[3] + gb.bound[3] + kept);
-    if (!any(squared_distance(placed.bound[a], placed.bound[b]) < reach * reach)) continue;
-    const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
-    for (int k = ga.first; k < ga.first + ga.count; ++k) {
-      const float ra = tables.sphere[4 * k + 3] + kept, rb = relu(ra + gb.bound[3]);
-      if (!any(squared_distance(sa[k], placed.bound[b]) < rb * rb)) continue;
-      for (int c = gb.first_cluster; c < gb.first_cluster + gb.n_cluster; ++c) {
-        const Cluster& cluster = tables.cluster[c];
-        const float rc = relu(ra + cluster.bound[3]);
-        if (gb.n_cluster > 1 && !any(squared_distance(sa[k], transform(X_W[gb.frame], cluster.bound)) < rc * rc))
-          continue;
-        for (int m = cluster.first; m < cluster.first + cluster.count; ++m) {
-          const float r = relu(ra + tables.sphere[4 * m + 3]);
-          hit |= squared_distance(sa[k], sb[m]) < r * r;
-        }
-      }
-    }
+    touching_links<first_hit>(placed, p, margin, hit);
     if (first_hit ? any(hit) : all(hit)) return hit;
   }
   return hit;
-}
-
-// Who is nearest in each lane: sphere `a` against obstacle `b`, or against sphere -1 - b; bound -2 - a if a < -1.
-struct Nearest {
-  F distance;
-  MaskF a, b;
-
-  void update(F d, int sphere, int other) {
-    MaskF closer = d < distance;
-    distance = closer ? d : distance;
-    a = closer ? MaskF{} + sphere : a;
-    b = closer ? MaskF{} + other : b;
-  }
-};
-
-// Of those nearer than `far`, and nobody if there are none.
-static inline Nearest nearest(const Tables& tables, const Frame<F>* X_W, float far) {
-  Placed placed(tables, X_W);
-  Nearest best = {F{} + far, MaskF{} - 1, MaskF{}};
-  for_each_bound(tables, X_W, [&](int k, F clearance) { best.update(clearance, -2 - k, 0); });
-  for (int p = 0; p < tables.n_pair; ++p) {
-    const int a = tables.pair[2 * p], b = tables.pair[2 * p + 1];
-    const Group &ga = tables.group[a], &gb = tables.group[b];
-    const float slack = tables.slack[p];
-    F gap = square_root(squared_distance(placed.bound[a], placed.bound[b])) - (ga.bound[3] + gb.bound[3] + slack);
-    if (!any(gap < best.distance)) continue;
-    const Vec<F>*sa = placed.spheres(a), *sb = placed.spheres(b);
-    // Whether a sphere and a bound may be nearer than what was found so far, in any lane.
-    const auto near = [&](const Vec<F>& p, const Vec<F>& q, float radii) {
-      const F within = relu(best.distance + (radii + slack));
-      return any(squared_distance(p, q) < within * within);
-    };
-    for (int c = ga.first_cluster; c < ga.first_cluster + ga.n_cluster; ++c) {
-      const Cluster& mine = tables.cluster[c];
-      const Vec<F> centre = transform(X_W[ga.frame], mine.bound);
-      if (ga.n_cluster > 1 && !near(centre, placed.bound[b], mine.bound[3] + gb.bound[3])) continue;
-      for (int d = gb.first_cluster; d < gb.first_cluster + gb.n_cluster; ++d) {
-        const Cluster& other = tables.cluster[d];
-        const Vec<F> facing = transform(X_W[gb.frame], other.bound);
-        if (!near(centre, facing, mine.bound[3] + other.bound[3])) continue;
-        for (int k = mine.first; k < mine.first + mine.count; ++k) {
-          const float radius = tables.sphere[4 * k + 3];
-          if (mine.count > 1 && !near(sa[k], facing, radius + other.bound[3])) continue;
-          for (int m = other.first; m < other.first + other.count; ++m)
-            best.update(square_root(squared_distance(sa[k], sb[m])) - (radius + tables.sphere[4 * m + 3] + slack), k,
-                        -1 - m);
-        }
-      }
-    }
-  }
-  for (int g = tables.n_group - 1; g >= 0; --g) {
-    const Group& group = tables.group[g];
-    if (group.frame == 0) continue;  // the base does not move
-    const auto reach = [&](float keep) { return relu(best.distance + (group.bound[3] + keep)); };
-    for_each_obstacle_near(tables, placed.bound[g], reach, [&](int j) {
-      const Obstacle& o = tables.obstacle[j];
-      if (o.ignores >> group.link & 1) return false;
-      if (!any(near_bound(o, placed.bound[g], reach(o.keep)))) return false;
-      if (!any(signed_distance(tables, o, placed.bound[g]) - (group.bound[3] + o.keep) < best.distance)) return false;
-      const Vec<F>* sphere = placed.spheres(g);
-      for (int c = group.first_cluster; c < group.first_cluster + group.n_cluster; ++c) {
-        const Cluster& cluster = tables.cluster[c];
-        const Vec<F> centre = transform(X_W[group.frame], cluster.bound);
-        if (group.n_cluster > 1 &&
-            !any(signed_distance(tables, o, centre) - (cluster.bound[3] + o.keep) < best.distance))
-          continue;
-        for (int k = cluster.first; k < cluster.first + cluster.count; ++k)
-          best.update(signed_distance(tables, o, sphere[k]) - (tables.sphere[4 * k + 3] + o.keep), k, j);
-      }
-      return false;
-    });
-  }
-  return best;
 }
