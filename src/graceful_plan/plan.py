@@ -264,7 +264,7 @@ def _motions(
 ) -> tuple[list[Motion], str]:
     """Return motions along or near the paths, the best first, and why there is none if so."""
     if request.objective.scene.base is not None:
-        return driven(found, request, ends, problem, means[0])
+        return driven(found, request, ends, problem, means)
     return motions(found, request, ends, problem, means, known)
 
 

@@ -13,6 +13,7 @@ from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.driving.reposed import reposed
 from graceful_plan.query.driving.slowing import slower_where_it_pays
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.query.driving.stages import DriveStage, Move, stages
@@ -33,12 +34,20 @@ _SPACINGS = (0.8, 0.4, 0.2, 0.1)
 """Between control points [m], tried until a curve is free: the wider, the smoother."""
 _FEWEST, _MOST = DEGREE + 3, 60
 """Control points."""
+_PLANE_SHARE = 0.5
+"""Of the time that is left, for one curve of the base alone."""
+_REPOSED = 2
+"""Motions along which postures are chosen."""
 _JOINED = 0.45 * np.pi
 """Turns at either end up to which a curve may turn instead [rad]."""
 
 
 def driven(
-    searched: Search, request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+    searched: Search,
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
 ) -> tuple[list[Motion], str]:
     """Return motions near paths, the best first, and why there is none if so.
 
@@ -49,19 +58,26 @@ def driven(
         request: What they were found for.
         ends: Both ends.
         problem: What was searched in.
-        budget: Time for descents.
+        means: Time for descents, and chance for postures.
     """
-    found: list[Motion] = []
-    why_not = ""
-    for path, smoother in _chosen(searched.paths, _smoother(request, problem)):
+    found: list[tuple[Motion, Drive]] = []
+    (budget, rng), smoother = means, _smoother(request, problem)
+    for path, follows in _chosen(searched.paths, smoother):
         whole, arrival = ends.joined(path)
         if whole.length == 0.0 or (found and not request.clock.has_plenty("timing", "judging")):
             continue
         for parts in _joined_ends(stages(whole)):
-            with budget.share(0.5 * budget.remaining_seconds) as part:
-                drive = connected([one for stage in parts for one in _smooth(stage, smoother, problem, part)])
-            found += _timed(drive, whole, arrival, request)
-    return [*sorted(found, key=lambda motion: motion.ranking), *stops(searched, request, ends)], why_not
+            with budget.share(_PLANE_SHARE * budget.remaining_seconds) as part:
+                drive = connected([one for stage in parts for one in _smooth(stage, follows, problem, part)])
+            found += [(motion, drive) for motion in _timed(drive, whole, arrival, request)]
+    found.sort(key=lambda one: one[0].ranking)
+    for motion, drive in found[:_REPOSED]:
+        if budget.exhausted or not request.clock.has_plenty("timing", "judging"):
+            break
+        for better in reposed(drive, smoother, problem, budget, rng):
+            found += [(other, better) for other in _timed(better, motion.path, motion.arrival, request)]
+    found.sort(key=lambda one: one[0].ranking)
+    return [*(motion for motion, _ in found), *stops(searched, request, ends)], ""
 
 
 def _chosen(paths: Sequence[Path], smoother: Smoother) -> Iterator[tuple[Path, Smoother]]:
@@ -91,7 +107,7 @@ def _smoother(request: Request, problem: SceneProblem) -> Smoother:
     return Smoother(
         objective=request.objective,
         base=base,
-        clearance=lambda q: problem.clearance_gradient(q)[0],
+        clearance=problem.clearance_gradient,
         time_price=price_of_time(request),
         speed=request.speed,
     )
