@@ -1,4 +1,4 @@
-"""What of a curve may move in a descent, and how far a step in each direction bends it."""
+"""What of a curve may move in a descent, how far a step in each direction bends it, and what slopes tell of others."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from graceful_plan.timing.drive_curve import Roll
 
 Array = np.ndarray
 
+_REMEMBERED = 8
+"""Steps that directions follow from."""
+_CONVEX = 1e-6
+"""Cosine between a step and the change of slope along it, at least."""
 _STIFF = 1e-3
 """Added to what measures bending, so that moving everything together costs something too."""
 
@@ -54,6 +58,46 @@ class MovingCurve:
     def roll(self, x: Float[Array, " variable"]) -> Roll:
         """Return one of the curves."""
         return Roll(self.controls(x[None])[0], self.of.begin, self.of.end, self.of.forward)
+
+
+@final
+class Curvature:
+    """Directions of a descent from the slopes before: limited-memory BFGS, from a metric.
+
+    J. Nocedal, "Updating quasi-Newton matrices with limited storage", Mathematics of Computation 35 (1980).
+
+    Args:
+        metric: From slopes to steps, before anything is known.
+    """
+
+    def __init__(self, metric: Float[Array, "variable variable"]) -> None:
+        self._metric = metric
+        self._last: tuple[Array, Array] | None = None
+        self._pairs: list[tuple[Array, Array]] = []
+
+    @property
+    def known(self) -> bool:
+        """Whether directions follow from more than the metric."""
+        return bool(self._pairs)
+
+    def direction(self, x: Float[Array, " variable"], slope: Float[Array, " variable"]) -> Float[Array, " variable"]:
+        """Return where to go from x, and remember it."""
+        if self._last is not None:
+            step, change = x - self._last[0], slope - self._last[1]
+            if step @ change > _CONVEX * np.linalg.norm(step) * np.linalg.norm(change):
+                self._pairs = [*self._pairs, (step, change)][-_REMEMBERED:]
+        self._last = x, slope
+        d, shares = slope.copy(), []
+        for step, change in reversed(self._pairs):
+            shares.append((step @ d) / (step @ change))
+            d -= shares[-1] * change
+        d = self._metric @ d
+        if self._pairs:
+            step, change = self._pairs[-1]
+            d *= (step @ change) / (change @ self._metric @ change)
+        for (step, change), share in zip(self._pairs, reversed(shares), strict=True):
+            d += (share - (change @ d) / (step @ change)) * step
+        return -d
 
 
 def _unbent(n: int) -> Float[Array, "n n"]:

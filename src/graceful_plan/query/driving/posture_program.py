@@ -21,12 +21,16 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.driving.postures import BASE
-from graceful_plan.query.driving.smoothing import Smoother
+from graceful_plan.query.driving.smoothing import Room, Smoother
 
 Array = np.ndarray
 
 _STAND = 1e-3
 """Speed of a base that stands, for the direction in which it does [m/s]."""
+
+
+_BETWEEN = (0.25, 0.5, 0.75)
+"""Of a move of the arm, where it is seen how close it comes to something."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +83,7 @@ def chosen(
     offsets: Float[Array, " offset"],
     postures: Float[Array, "posture arm"],
     ends: tuple[int, int],
-    room: float,
+    room: Room,
     charged: tuple[Smoother, SceneProblem],
 ) -> Choice | None:
     """Return the cheapest way along the stations; None if there is none.
@@ -89,12 +93,12 @@ def chosen(
         offsets: Of the base beside the middle line [m]; one of them 0.
         postures: Of the arm.
         ends: Postures at the first and the last station.
-        room: Clearance below which being close is charged [m].
+        room: What is charged for being close.
         charged: What is charged, and what has to be free.
     """
     smoother, problem = charged
     rate, free = _rates(stations, offsets, postures, room, charged)
-    reach = _reachable(stations, postures, problem)
+    crowded = _crowded(stations, postures, room, charged)
     middle = int(np.argmin(np.abs(offsets)))
     n, m, k = rate.shape
     best = np.full((m, k), np.inf)
@@ -102,8 +106,7 @@ def chosen(
     came = np.zeros((n, m, k), dtype=int)
     arm = _ArmSteps(postures, smoother)
     for i in range(1, n):
-        step = _step_costs(stations, i, offsets, arm, rate, smoother)
-        total = best[:, :, None, None] + np.where(reach[None, :, None, :], step, np.inf)
+        total = best[:, :, None, None] + _step_costs(stations, i, offsets, arm, rate, crowded, smoother)
         flat = total.reshape(m * k, m, k)
         came[i] = np.argmin(flat, axis=0)
         best = np.where(free[i], np.take_along_axis(flat, came[i][None], axis=0)[0], np.inf)
@@ -132,7 +135,7 @@ def _rates(
     stations: Stations,
     offsets: Float[Array, " offset"],
     postures: Float[Array, "posture arm"],
-    room: float,
+    room: Room,
     charged: tuple[Smoother, SceneProblem],
 ) -> tuple[Float[Array, "station offset posture"], Bool[Array, "station offset posture"]]:
     """Return what a second costs in each state, and which states are free."""
@@ -151,24 +154,33 @@ def _rates(
     free = problem.states_free(rows)
     price = np.full(len(rows), smoother.time_price)
     speed = np.repeat(stations.speed, m * k)
-    price[free] += speed[free] * smoother.crowding(smoother.clearance(rows[free])[0], room)
+    price[free] += speed[free] * room.charge(smoother.clearance(rows[free])[0])
     if smoother.objective.w > 0.0 and free.any():
         price[free] += smoother.objective.w * smoother.objective.quick_states(rows[free], rates[free])
     return price.reshape(n, m, k), free.reshape(n, m, k)
 
 
-def _reachable(
-    stations: Stations, postures: Float[Array, "posture arm"], problem: SceneProblem
-) -> Bool[Array, "posture posture"]:
-    """Tell between which postures the arm may move straight; where it is free at one of three stations, it may."""
+def _crowded(
+    stations: Stations, postures: Float[Array, "posture arm"], room: Room, charged: tuple[Smoother, SceneProblem]
+) -> Float[Array, "posture posture"]:
+    """Return what a metre costs beside while the arm moves straight from one posture to another; infinite if it cannot.
+
+    Seen at one of three stations, at which most of it is free: how links come close to each other, and to the floor.
+    """
+    smoother, problem = charged
     k = len(postures)
     a, b = np.triu_indices(k, 1)
-    found = np.eye(k, dtype=bool)
+    found = np.full((k, k), np.inf)
+    np.fill_diagonal(found, 0.0)
+    share = np.array(_BETWEEN)[:, None, None]
     for i in {0, len(stations) // 2, len(stations) - 1}:
         base = np.tile(stations.base[i], (len(a), 1))
         ends = [np.column_stack([base, postures[of]]) for of in (a, b)]
         free = problem.edges_free(ends[0], ends[1])
-        found[a[free], b[free]] = found[b[free], a[free]] = True
+        between = (1.0 - share) * ends[0][free] + share * ends[1][free]
+        clearance = smoother.clearance(between.reshape(-1, between.shape[-1]))[0].reshape(len(share), -1)
+        price = room.charge(clearance).mean(axis=0)
+        found[a[free], b[free]] = found[b[free], a[free]] = np.minimum(found[a[free], b[free]], price)
     return found
 
 
@@ -178,6 +190,7 @@ def _step_costs(
     offsets: Float[Array, " offset"],
     arm: _ArmSteps,
     rate: Float[Array, "station offset posture"],
+    crowded: Float[Array, "posture posture"],
     smoother: Smoother,
 ) -> Float[Array, "offset posture offset posture"]:
     """Return what steps to station i cost, between all offsets and postures."""
@@ -190,7 +203,9 @@ def _step_costs(
     speed = 0.5 * (stations.speed[i - 1] + stations.speed[i])
     seconds = np.maximum(metres / max(speed, _STAND), turn / (smoother.speed * smoother.base.omega_max))
     seconds = np.maximum(seconds[:, None, :, None], arm.seconds[None, :, None, :])
-    length = np.sqrt((metres**2)[:, None, :, None] + turn**2 + (arm.length**2)[None, :, None, :])
+    metres = metres[:, None, :, None]
+    length = np.sqrt(metres**2 + turn**2 + (arm.length**2)[None, :, None, :])
+    length = length + np.maximum(metres, _STAND) * crowded[None, :, None, :]
     return length + 0.5 * seconds * (rate[i - 1][:, :, None, None] + rate[i][None, None])
 
 

@@ -24,7 +24,7 @@ MOST = 14
 """Postures, besides those that a drive has to pass."""
 _DRAWN = 200
 """Candidates of a round."""
-_SCALES = (1.0, 0.7, 0.4, 0.25)
+SCALES = (1.0, 0.7, 0.4)
 """By how much joints move in a round [rad, or share of a shorter range]: around what was chosen in the rounds before."""
 _MOVED = 0.4
 """Share of the joints that do."""
@@ -58,8 +58,9 @@ def posture_set(
     smoother: Smoother,
     problem: SceneProblem,
     rng: np.random.Generator,
+    scales: Sequence[float] = SCALES,
 ) -> Float[Array, "posture arm"]:
-    """Return postures, the known ones first.
+    """Return postures, the known ones among them.
 
     Args:
         known: What the drive begins and ends with and passes on its way; all of these are returned.
@@ -67,12 +68,13 @@ def posture_set(
         smoother: What a drive is charged for.
         problem: What has to be free, and to be kept level.
         rng: For candidates.
+        scales: By how much joints move in each round [rad, or share of a shorter range].
     """
     arms = np.unique(np.array(known), axis=0)
     first, ends = len(arms), np.array(known)[[0, -1]]
     cost = _costs(arms, ends, places, smoother, problem)
     chosen = list(range(first))
-    for scale in _SCALES if smoother.objective.w > 0.0 else ():
+    for scale in scales if smoother.objective.w > 0.0 else ():
         around = arms[chosen]
         new = _reached(_candidates(around, scale, problem, rng), ends, places, problem)
         arms = np.concatenate([arms, new])

@@ -16,8 +16,8 @@ from graceful_plan.array_types import Float
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.driving.posture_program import Choice, Stations, chosen, nearest
-from graceful_plan.query.driving.postures import BASE, Places, posture_set
-from graceful_plan.query.driving.smoothing import Smoother
+from graceful_plan.query.driving.postures import BASE, SCALES, Places, posture_set
+from graceful_plan.query.driving.smoothing import Room, Smoother
 from graceful_plan.timing.drive_curve import Drive, Roll, Straight, Stretch, connected
 
 Array = np.ndarray
@@ -26,6 +26,10 @@ OFFSETS = np.array([0.0, -0.2, 0.2, -0.4, 0.4, -0.6, 0.6])
 """Of the base beside its line [m]."""
 _PLACES = 6
 """Along a drive, by which postures are chosen."""
+_CLOSER = (0.3, 0.2, 0.15, 0.1, 0.07)
+"""By how much the joints of further postures differ from those that were chosen before [rad]."""
+_WORTH = 2e-3
+"""Relative gain below which no further ones are tried."""
 _STILL = 1e-9
 """Movements below which a joint stands still [rad or m]."""
 
@@ -45,18 +49,38 @@ def reposed(
     line = _Line.of(drive)
     if line is None or drive.stretches[0].samples(1)[1].shape[2] <= BASE:
         return
-    stations, known = line.stations(smoother), line.known
-    room = smoother.room(np.stack([line.start, line.end]))
-    postures = posture_set(known, _places(stations, known[0], room), smoother, problem, rng)
-    ends = int(nearest(postures, known[0])), int(nearest(postures, known[-1]))
+    room = smoother.room(np.stack([line.start, line.end]), moves_arm=True)
+    asked = smoother, problem
     for offsets in (OFFSETS, OFFSETS[:1]):
-        choice = chosen(stations, offsets, postures, ends, room, (smoother, problem))
+        choice = _refined(line, offsets, room, asked, (budget, rng))
         if choice is None or budget.exhausted:
             return
         found = _freed(line.along(choice), smoother, problem, budget)
         if found is not None:
             yield found
             return
+
+
+def _refined(
+    line: _Line,
+    offsets: Float[Array, " offset"],
+    room: Room,
+    asked: tuple[Smoother, SceneProblem],
+    means: tuple[Budget, np.random.Generator],
+) -> Choice | None:
+    """Choose along a line, then again and again among postures that are closer and closer to those that were chosen."""
+    stations, known = line.stations(asked[0]), line.known
+    places, best = _places(stations, known[0], room), None
+    for scales in ((*SCALES,), *((scale,) for scale in _CLOSER)):
+        postures = posture_set(known, places, *asked, means[1], scales)
+        ends = int(nearest(postures, line.known[0])), int(nearest(postures, line.known[-1]))
+        choice = chosen(stations, offsets, postures, ends, room, asked)
+        if choice is None or (best is not None and choice.value > (1.0 - _WORTH) * best.value):
+            break
+        best, known = choice, (line.known[0], *np.unique(choice.arm, axis=0), line.known[-1])
+        if means[0].exhausted:
+            break
+    return best
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +90,9 @@ class _Line:
     Args:
         moves: Curves and turns.
         rests: How many steps the arm may take alone before each of them, and after the last.
-        known: Postures that the drive takes, from the first to the last.
-        heading: At the beginning; of all that follows as it goes on from there.
+        known: Postures that the drive takes, first those that it begins with, at last those that it ends with.
+        start: First configuration.
+        end: Last configuration.
     """
 
     moves: tuple[Stretch, ...]
@@ -84,6 +109,8 @@ class _Line:
         for stretch in drive.stretches:
             q = stretch.samples(1)[1][0]
             known += [q[0, BASE:], q[-1, BASE:]]
+            if isinstance(stretch, Roll):
+                known += list(stretch.controls[:, 2:] if stretch.controls.shape[1] > 2 else ())
             if np.abs(q[-1, :BASE] - q[0, :BASE]).max() > _STILL or isinstance(stretch, Roll):
                 moves.append(stretch)
                 rests.append(1)
@@ -92,6 +119,7 @@ class _Line:
         if not moves:
             return None
         first, last = (drive.stretches[k].samples(1)[1][0, k] for k in (0, -1))
+        known = [first[BASE:], *np.unique(known, axis=0), last[BASE:]]
         return cls(tuple(moves), tuple(rests), tuple(known), first, last)
 
     def stations(self, smoother: Smoother) -> Stations:
@@ -124,7 +152,7 @@ class _Line:
         return found
 
 
-def _places(stations: Stations, arm: Float[Array, " arm"], room: float) -> Places:
+def _places(stations: Stations, arm: Float[Array, " arm"], room: Room) -> Places:
     """Return some of the stations, each for as long as what is around it takes."""
     moving = np.flatnonzero(stations.speed > 0.0)
     at = moving if len(moving) else np.arange(len(stations))
@@ -135,7 +163,7 @@ def _places(stations: Stations, arm: Float[Array, " arm"], room: float) -> Place
     q = np.column_stack([base[some], np.tile(arm, (len(some), 1))])
     qd = np.zeros_like(q)
     qd[:, :BASE] = stations.velocity()[some]
-    return Places(q, qd, np.full(len(some), total / len(some)), float(steps.sum()), room)
+    return Places(q, qd, np.full(len(some), total / len(some)), float(steps.sum()), room.clear)
 
 
 def _inner(roll: Roll, smoother: Smoother) -> Float[Array, "control 7"]:
@@ -148,7 +176,7 @@ def _inner(roll: Roll, smoother: Smoother) -> Float[Array, "control 7"]:
     turn = np.gradient(np.concatenate([roll.begin[2:3], heading, heading[-1:]]))[1:-1]
     bend = turn / np.maximum(0.5 * (steps[:-1] + steps[1:]), 1e-9)
     done = np.concatenate([[0.0], np.cumsum(steps)])
-    speed = smoother.pace(np.abs(np.concatenate([bend[:1], bend, bend[-1:]])), done)[1:-1]
+    speed = smoother.pace(np.abs(np.concatenate([bend[:1], bend, bend[-1:]])), done, done[-1])[1:-1]
     aside = np.ones(len(way))
     aside[[0, -1]] = 0.0
     return np.column_stack([C[1:-1], heading, np.full(len(way), sign), speed, bend * speed, aside])

@@ -19,7 +19,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.planner import Budget
-from graceful_plan.query.driving.moving_curve import MovingCurve
+from graceful_plan.query.driving.moving_curve import Curvature, MovingCurve
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.timing.bspline import basis
 from graceful_plan.timing.drive_curve import Roll, rolled
@@ -38,11 +38,12 @@ _WORTH = 1e-3
 _CLEAR = 0.05
 """Clearance below which a curve is charged for being close [m]."""
 _ROOM, _LEAST_ROOM = 0.03, 1e-3
-"""The same of an arm that moves on the way, and what it is at least where the ends are closer [m]."""
+"""The same if the arm moves, and what it is at least where the ends are closer [m]."""
 _BENT = 0.02
 """Price of curvature squared over length [m]: the time law needs its rate of change to be small."""
-_WALL = 1e3
-"""Price of being closer than the margin, by the square of the lack over the margin and length."""
+_WALL, _ARM_WALL = 1e3, 30.0
+"""Price of being closer, by the square of the lack over that clearance and length: of curves whose arm stays and moves.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,23 @@ class _Travelled:
     metres: Float[Array, "curve u"]
     bend: Float[Array, "curve u"]
     duration: Float[Array, "curve u"]
+
+
+@dataclass(frozen=True)
+class Room:
+    """What is charged for being close to something.
+
+    Args:
+        clear: Clearance from which on nothing is [m].
+        price: Of a metre of the base without any.
+    """
+
+    clear: float
+    price: float
+
+    def charge(self, clearance: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Return what a metre of the base costs."""
+        return self.price * np.maximum(0.0, 1.0 - clearance / self.clear) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,44 +111,51 @@ class Smoother:
     def descended(self, roll: Roll, budget: Budget) -> Roll:
         """Return a better curve with the same ends and headings there."""
         moving = MovingCurve(roll, self.objective.scene.limits.position)
-        x, clear = moving.first, self.room(np.stack([roll.begin, roll.end])) if roll.controls.shape[1] > 2 else _CLEAR
-        value, gained = float(self._values(moving, x[None], clear)[0]), np.inf
+        x, room = moving.first, self.room(np.stack([roll.begin, roll.end]), moves_arm=roll.controls.shape[1] > 2)
+        value, gained = float(self._values(moving, x[None], room)[0]), np.inf
+        curved = Curvature(moving.metric)
         for _ in range(_ROUNDS):
             if budget.exhausted or gained < _WORTH or len(x) == 0:
                 break
-            direction = -moving.metric @ self._slope(moving, x, clear)
+            direction = curved.direction(x, self._slope(moving, x, room))
             longest = float(np.abs(direction).max())
             if longest < 1e-9:
                 break
-            tried = x + (_STEPS / longest)[:, None] * direction
-            values = self._values(moving, tried, clear)
+            tried = x + np.append(_STEPS / longest, min(1.0, _STEPS[0] / longest))[:, None] * direction
+            values = self._values(moving, tried, room)
             best = int(np.argmin(values))
             if values[best] >= value:
+                if curved.known:
+                    curved = Curvature(moving.metric)
+                    continue
                 break
             gained = (value - values[best]) / max(abs(value), 1e-9)
             x, value = tried[best], float(values[best])
         return moving.roll(x)
 
-    def room(self, ends: Float[Array, "n nq"]) -> float:
-        """Return the clearance below which an arm that moves on the way is charged for being close [m].
+    def room(self, ends: Float[Array, "n nq"], *, moves_arm: bool) -> Room:
+        """Return what is charged for being close; links of an arm may be as close to each other as they are at the ends.
 
-        Links may be as close to each other as they are at the ends.
+        Args:
+            ends: Configurations at the ends of a curve.
+            moves_arm: Whether the arm moves along it.
         """
-        return float(np.clip(self.clearance(ends)[0].min(), _LEAST_ROOM, _ROOM))
+        most, price = (_ROOM, _ARM_WALL) if moves_arm else (_CLEAR, _WALL)
+        has_arm = ends.shape[1] > len(self.base.joints)
+        return Room(float(np.clip(self.clearance(ends)[0].min(), _LEAST_ROOM, most)) if has_arm else most, price)
 
-    def crowding(self, clearance: Float[Array, "*n"], clear: float) -> Float[Array, "*n"]:
-        """Return what a metre of the base costs for clearance that is below what it should be [m]."""
-        return _WALL * np.maximum(0.0, 1.0 - clearance / clear) ** 2
-
-    def pace(self, bend: Float[Array, "*curve u"], done: Float[Array, "*curve u"]) -> Float[Array, "*curve u"]:
+    def pace(
+        self, bend: Float[Array, "*curve u"], done: Float[Array, "*curve u"], length: Float[Array, "*curve"]
+    ) -> Float[Array, "*curve u"]:
         """Return speeds along the heading that bends allow, and acceleration from rest to rest [m/s].
 
         Args:
             bend: Curvature [rad/m].
             done: How far the base has come [m].
+            length: Of the whole curve [m].
         """
         base, least = self.base, 1e-3
-        left = np.minimum(done, done[..., -1:] - done) + least
+        left = np.minimum(done, length[..., None] - done) + least
         fastest = np.minimum.reduce(
             [
                 np.full_like(bend, base.v_max),
@@ -143,7 +168,7 @@ class Smoother:
         return self.speed * fastest
 
     def _slope(
-        self, moving: MovingCurve, x: Float[Array, " variable"], clear: float
+        self, moving: MovingCurve, x: Float[Array, " variable"], room: Room
     ) -> Float[Array, " variable"]:
         """Return the derivative of the charge: geometry by differences, impact and clearance by their gradients."""
         at, near = self._travelled(moving, x[None]), self._travelled(moving, x + _NUDGE * np.eye(len(x)))
@@ -156,15 +181,15 @@ class Smoother:
         if self.objective.w > 0.0:
             impact, by_q, by_qd = self._impact_slopes(rows, rates)
             harm = impact + np.einsum("kun,un->ku", dq, by_q) + np.einsum("kun,un->ku", dqd, by_qd)
-        value = self._charge(at, impact[None], clearance[None], clear)
-        return (self._charge(near, harm, close, clear) - value) / _NUDGE
+        value = self._charge(at, impact[None], clearance[None], room)
+        return (self._charge(near, harm, close, room) - value) / _NUDGE
 
     def _impact_slopes(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> tuple[Array, Array, Array]:
         kernel = self.objective.kernel
         return self.objective.impact_slopes(q, qd) if kernel is None else kernel.state_slopes(q, qd)
 
     def _values(
-        self, moving: MovingCurve, x: Float[Array, "curve variable"], clear: float
+        self, moving: MovingCurve, x: Float[Array, "curve variable"], room: Room
     ) -> Float[Array, " curve"]:
         """Charge curves."""
         at = self._travelled(moving, x)
@@ -172,14 +197,14 @@ class Smoother:
         impact = np.zeros(at.bend.shape)
         if self.objective.w > 0.0:
             impact = self.objective.quick_states(rows, rates).reshape(at.bend.shape)
-        return self._charge(at, impact, self.clearance(rows)[0].reshape(at.bend.shape), clear)
+        return self._charge(at, impact, self.clearance(rows)[0].reshape(at.bend.shape), room)
 
     def _charge(
-        self, at: _Travelled, impact: Float[Array, "curve u"], clearance: Float[Array, "curve u"], clear: float
+        self, at: _Travelled, impact: Float[Array, "curve u"], clearance: Float[Array, "curve u"], room: Room
     ) -> Float[Array, " curve"]:
         total = at.length + self.time_price * at.duration + _BENT * at.metres * at.bend**2
         harm = self.objective.w * at.duration * impact
-        return (total + harm + at.metres * self.crowding(clearance, clear)).mean(axis=1)
+        return (total + harm + at.metres * room.charge(clearance)).mean(axis=1)
 
     def _travelled(self, moving: MovingCurve, x: Float[Array, "curve variable"]) -> _Travelled:
         n = max(_PLACES, 4 * len(moving.of.controls))
@@ -189,7 +214,7 @@ class Smoother:
         flat = rolled(P[..., :2], moving.of.forward)
         metres, turn = np.linalg.norm(flat[1, ..., :2], axis=-1), np.abs(flat[1, ..., 2])
         bend = turn / np.maximum(metres, 1e-9)
-        pace = self.pace(bend, np.cumsum(metres, axis=1) / n)
+        pace = self.pace(bend, (np.cumsum(metres, axis=1) - 0.5 * metres) / n, metres.mean(axis=1))
         q = np.broadcast_to(moving.of.begin, (*bend.shape, len(moving.of.begin))).copy()
         rate = np.zeros_like(q)
         q[..., :3], rate[..., :3] = flat[:2]
