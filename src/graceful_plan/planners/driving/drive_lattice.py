@@ -28,6 +28,8 @@ Array = np.ndarray
 
 _BASE = 3
 """Joints of the base: along x, along y, heading."""
+_MOST_ARMS = 2
+"""Postures of goals that are taken before the base moves."""
 
 
 @final
@@ -111,8 +113,10 @@ def _postures(problem: Problem) -> list[Path]:
     """Return what to begin with: nothing, or moving the arm to where it has to be at a goal."""
     start = problem.start
     begins = [Path(start[None])]
-    arms = np.unique(problem.goals[:, _BASE:], axis=0)
-    for arm in arms[np.any(arms != start[_BASE:], axis=1)] if arms.shape[1] else ():
+    arms, first = np.unique(problem.goals[:, _BASE:], axis=0, return_index=True)
+    others = np.any(arms != start[_BASE:], axis=1)
+    # The first goals are those that are wanted most.
+    for arm in arms[others][np.argsort(first[others])][:_MOST_ARMS] if arms.shape[1] else ():
         moved = _with_arm(start, arm)
         if problem.edges_free(start[None], moved[None])[0]:
             begins.append(Path(np.stack([start, moved])))
