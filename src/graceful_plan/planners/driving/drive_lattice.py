@@ -37,14 +37,15 @@ _MOST_ARMS = 2
 class DriveLattice(Planner):
     """Paths of straight stretches and turns in place, better and better ones on finer and finer lattices.
 
-    The arm keeps its posture while the base moves: that of the start, and it moves at the goal; or that of the goal,
-    and it moves at the start. One iteration is one node that is expanded.
+    In paths, the arm keeps its posture while the base moves: that of the start, and it moves at the goal; or that of the
+    goal, and it moves at the start. Motions near them move both together. One iteration is one node that is expanded.
 
     Args:
         cells: Lengths of a move of the base [m], one lattice after the other.
         weights: Of the heuristic, one search after the other on each lattice: the first is quick and finds a path that
             costs at most so many times the best of its lattice, the last has to be 1.
         max_nodes: A lattice is given up when it holds more nodes.
+        moves_arm: Whether the arm may move while the base does, in motions near the paths.
     """
 
     name: ClassVar[str] = "drive_lattice"
@@ -53,9 +54,12 @@ class DriveLattice(Planner):
     cells: tuple[float, ...] = (0.2, 0.1, 0.05)
     weights: tuple[float, ...] = (2.5, 1.0)
     max_nodes: int = 2_000_000
+    moves_arm: bool = True
 
     def __post_init__(self) -> None:
         count("max_nodes", self.max_nodes, 100)
+        if not isinstance(self.moves_arm, bool):
+            raise SettingError("moves_arm", self.moves_arm, "True or False")
         for cell in self.cells:
             positive("cells", cell)
         decreasing = all(a > b for a, b in zip(self.weights, self.weights[1:], strict=False))

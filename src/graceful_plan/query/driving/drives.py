@@ -10,6 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
+from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
@@ -64,7 +65,8 @@ def driven(
         means: Time for descents, and chance for postures.
     """
     budget, rng = means
-    smoother, moves_arm = _smoother(request, problem), problem.start.size > BASE
+    smoother, has_arm = _smoother(request, problem), problem.start.size > BASE
+    moves_arm = has_arm and isinstance(request.planner, DriveLattice) and request.planner.moves_arm
     with budget.share((_PLANE_SHARE if moves_arm else 1.0) * budget.remaining_seconds) as part:
         found = list(_in_the_plane(searched, request, ends, problem, part))
     found.sort(key=lambda one: one[0].ranking)
