@@ -179,7 +179,7 @@ class PoseSolver:
     def settled(
         self, seeds: Float[Array, "n nq"], iterations: int, held: slice
     ) -> tuple[Float[Array, "m nq"], tuple[float, float]]:
-        """Iterate from seeds near the pose until it is exact, some joints held; return what reached it, and the least errors.
+        """Iterate from seeds near the pose until it is exact, some joints held; return what reached it, and errors.
 
         Where no limit is in the way this is Newton's method, and mink has nothing to add.
         """

@@ -1,9 +1,9 @@
 """Where to stand and how to reach: configurations of a base with an arm that bring the tool to a pose.
 
-A base that stands anywhere, at any heading, leaves only the height and the tilt of the tool to the arm. Random postures
-are kept for each robot, with where they have the tool as seen from the base; those that have it at the wanted height and
-tilt say where the base has to stand, in closed form. The nearest of these that are free are taken to the exact pose by
-damped least squares in all joints. Besides, the base may stay where it is, or turn there.
+A base that stands anywhere, at any heading, leaves only the height and the tilt of the tool to the arm. Random
+postures are kept for each robot, with where they have the tool as seen from the base; those that have it at the wanted
+height and tilt say where the base has to stand, in closed form. The nearest of these that are free are taken to the
+exact pose by damped least squares in all joints. Besides, the base may stay where it is, or turn there.
 
 N. Vahrenkamp, T. Asfour, R. Dillmann, "Robot placement based on reachability inversion", ICRA 2013.
 """
@@ -149,7 +149,7 @@ def _standing(goal: PoseGoal, start: Float[Array, " nq"], reach: Reach) -> Float
 def _placed(
     goal: PoseGoal, scene: Scene, start: Float[Array, " nq"], reach: Reach, rng: np.random.Generator
 ) -> Float[Array, "n nq"]:
-    """Return where the base has to stand for postures with the tool at about the right height and tilt, nearest first."""
+    """Return where the base has to stand for postures with the tool at about the right height and tilt."""
     k = _matching(goal, reach)
     X, R = reach.X_BT[k], goal.X_WT[:3, :3]
     turn = np.einsum("ij,nkj->nik", R, X[:, :3, :3])

@@ -37,8 +37,8 @@ _MOST_ARMS = 2
 class DriveLattice(Planner):
     """Paths of straight stretches and turns in place, better and better ones on finer and finer lattices.
 
-    In paths, the arm keeps its posture while the base moves: that of the start, and it moves at the goal; or that of the
-    goal, and it moves at the start. Motions near them move both together. One iteration is one node that is expanded.
+    In paths, the arm keeps its posture while the base moves: that of the start, and it moves at the goal; or that of
+    the goal, and it moves at the start. Motions near them move both together. One iteration expands one node.
 
     Args:
         cells: Lengths of a move of the base [m], one lattice after the other.

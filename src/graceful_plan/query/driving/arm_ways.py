@@ -1,4 +1,4 @@
-"""How an arm gets to a goal's posture where the base stands, if the straight way there is not free: round one corner."""
+"""How an arm gets to a goal's posture where the base stands, if the straight way is not free: round one corner."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BASE = 3
 _CORNERS = 400
 """Random corners that are tried."""
 _SPREAD = (0.2, 1.5)
-"""Standard deviation of theirs around both ends and what is between them [rad or m], from the nearest to the farthest."""
+"""Standard deviation of theirs around what is between both ends [rad or m], from the nearest to the farthest."""
 
 
 def with_arm_ways(ends: Ends) -> Ends:

@@ -96,7 +96,7 @@ def chosen(
         room: What is charged for being close.
         charged: What is charged, and what has to be free.
     """
-    smoother, problem = charged
+    smoother = charged[0]
     rate, free = _rates(stations, offsets, postures, room, charged)
     crowded = _crowded(stations, postures, room, charged)
     middle = int(np.argmin(np.abs(offsets)))

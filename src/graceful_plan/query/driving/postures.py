@@ -1,8 +1,8 @@
 """Postures of the arm that are worth having along a drive: few, from many, by what a failure would do there.
 
-Candidates are drawn around what the drive begins and ends with, and moved to where what has to stay level does. Of these
-the few are chosen that together cost least at places along the way: each place takes the one that is best for it, and
-being far from where the arm begins and ends costs the way there. The next candidates are drawn around these.
+Candidates are drawn around what the drive begins and ends with, and moved to where what has to stay level does. Of
+these the few are chosen that together cost least at places along the way: each place takes the one that is best for it,
+and being far from where the arm begins and ends costs the way there. The next candidates are drawn around these.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST = 14
 _DRAWN = 200
 """Candidates of a round."""
 SCALES = (1.0, 0.7, 0.4)
-"""By how much joints move in a round [rad, or share of a shorter range]: around what was chosen in the rounds before."""
+"""By how much joints move in a round [rad, or share of a shorter range], around what was chosen in those before."""
 _MOVED = 0.4
 """Share of the joints that do."""
 _BLOCKED = 1e6

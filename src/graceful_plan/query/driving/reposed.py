@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -140,7 +141,7 @@ class _Line:
         for move, rests in zip((*self.moves, None), self.rests, strict=True):
             q = self.end if move is None else move.samples(1)[1][0, 0]
             arms = choice.arm[at : at + 1 + rests]
-            found += [Straight(_with(q, a), _with(q, b)) for a, b in zip(arms[:-1], arms[1:], strict=True)]
+            found += [Straight(_with(q, a), _with(q, b)) for a, b in pairwise(arms)]
             at += 1 + rests
             inner = len(move.controls) - 2 if isinstance(move, Roll) else 0
             if isinstance(move, Roll):

@@ -1,10 +1,10 @@
 """Curves of a base that descend along J: control points move together, so that what is smooth stays smooth.
 
-A curve is charged for its length, for the time that it takes at speeds that bends and arm allow, for the impact at these
-speeds, for coming too close to something and for its curvature. The arm moves with the base where the curve has control
-points for it too. All candidates of a step are evaluated in one batch; slopes are differences of the geometry, times the
-derivatives of impact and clearance at the states of the curve. Steps are measured by curvature, as in CHOMP: a slope at
-one place bends the whole curve.
+A curve is charged for its length, for the time that it takes at speeds that bends and arm allow, for the impact at
+these speeds, for coming too close to something and for its curvature. The arm moves with the base where the curve has
+control points for it too. All candidates of a step are evaluated in one batch; slopes are differences of the geometry,
+times the derivatives of impact and clearance at the states of the curve. Steps are measured by curvature, as in CHOMP:
+a slope at one place bends the whole curve.
 
 N. Ratliff et al., "CHOMP: gradient optimization techniques for efficient motion planning", ICRA 2009.
 """
@@ -134,7 +134,7 @@ class Smoother:
         return moving.roll(x)
 
     def room(self, ends: Float[Array, "n nq"], *, moves_arm: bool) -> Room:
-        """Return what is charged for being close; links of an arm may be as close to each other as they are at the ends.
+        """Return what is charged for being close: links of an arm may be as close to each other as at the ends.
 
         Args:
             ends: Configurations at the ends of a curve.
@@ -167,9 +167,7 @@ class Smoother:
         )
         return self.speed * fastest
 
-    def _slope(
-        self, moving: MovingCurve, x: Float[Array, " variable"], room: Room
-    ) -> Float[Array, " variable"]:
+    def _slope(self, moving: MovingCurve, x: Float[Array, " variable"], room: Room) -> Float[Array, " variable"]:
         """Return the derivative of the charge: geometry by differences, impact and clearance by their gradients."""
         at, near = self._travelled(moving, x[None]), self._travelled(moving, x + _NUDGE * np.eye(len(x)))
         rows, rates = at.q[0], at.qd[0]
@@ -188,9 +186,7 @@ class Smoother:
         kernel = self.objective.kernel
         return self.objective.impact_slopes(q, qd) if kernel is None else kernel.state_slopes(q, qd)
 
-    def _values(
-        self, moving: MovingCurve, x: Float[Array, "curve variable"], room: Room
-    ) -> Float[Array, " curve"]:
+    def _values(self, moving: MovingCurve, x: Float[Array, "curve variable"], room: Room) -> Float[Array, " curve"]:
         """Charge curves."""
         at = self._travelled(moving, x)
         rows, rates = (of.reshape(-1, of.shape[-1]) for of in (at.q, at.qd))
