@@ -91,7 +91,7 @@ def _in_the_plane(
     kept = KEPT if problem.start.size == BASE else 1
     for path, smoother in _chosen(searched.paths, _smoother(request, problem), kept):
         whole, arrival = ends.joined(path)
-        if whole.length == 0.0 or (yielded and (budget.exhausted or not _has_plenty(request))):
+        if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not _has_plenty(request))):
             continue
         for parts in _joined_ends(stages(whole)):
             with budget.share(_CURVE_SHARE * budget.remaining_seconds) as part:
