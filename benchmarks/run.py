@@ -58,6 +58,7 @@ SUBJECTS = (
     "transcription",
     "moving_entities",
     "driving",
+    "whole_body",
     "lattice",
     "tuning",
     "failbench_speed",

@@ -37,6 +37,7 @@ from graceful_plan.query.deadline.clock import Clock, paces_of
 from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
 from graceful_plan.query.driving.drives import driven, stops
+from graceful_plan.query.driving.postures import BASE
 from graceful_plan.query.driving.tight import rolling_ends
 from graceful_plan.query.ends import Ends, find_ends
 from graceful_plan.query.finish import Judged, first_verified
@@ -58,8 +59,8 @@ _CAUTION = ((0.002, CHECK_STEP), (0.005, FINE_STEP), (0.01, FINE_STEP))
 _TIMING_RESERVE = RESERVE + 0.2
 """Seconds kept besides to time candidates and to evaluate the chosen one if something moves, at most a quarter of all.
 """
-_DRIVE_SHARE = 0.5
-"""Of the time, for the search of a base's path; the rest is for curves near it."""
+_DRIVE_SHARE, _ARM_DRIVE_SHARE = 0.5, 0.3
+"""Of the time, for the search of a base's path, of one without and with an arm; the rest is for curves near it."""
 _COMPILED_SOON = 0.1
 """Compiling is not worth a word if it took less [s]: several times what bundled scenes take."""
 _UNVERIFIED = "a path was found, but there was no time to judge a motion along it: it is NOT verified"
@@ -264,7 +265,7 @@ def _motions(
 ) -> tuple[list[Motion], str]:
     """Return motions along or near the paths, the best first, and why there is none if so."""
     if request.objective.scene.base is not None:
-        return driven(found, request, ends, problem, means[0])
+        return driven(found, request, ends, problem, means)
     return motions(found, request, ends, problem, means, known)
 
 
@@ -272,7 +273,8 @@ def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budge
     """Search by J; by a measure of risk or at the times of what moves where these decide."""
     if request.objective.scene.base is not None:
         means = budget, rng, request.callback
-        return search(request.planner, problem, request.objective, *means, kept=ALL, share=_DRIVE_SHARE)
+        share = _DRIVE_SHARE if problem.start.size == BASE else _ARM_DRIVE_SHARE
+        return search(request.planner, problem, request.objective, *means, kept=ALL, share=share)
     if request.preference is not None:
         return request.preference.search(request.planner, problem, budget, rng, request.callback)
     if request.objective.scene.moving:

@@ -19,6 +19,7 @@ from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free, state_contacts
 from graceful_plan.path import finite_array
 from graceful_plan.query.ik import solve_ik
+from graceful_plan.query.whole_body import solve_whole_body
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
@@ -292,6 +293,11 @@ def _pose(
         blocked.extend(q[~ok])
         return ok
 
+    if scene.base is not None and len(scene.joints) > len(scene.base.joints):
+        begin = np.asarray(start, dtype=float)
+        found = solve_whole_body(goal, scene, begin, free=free, seed=seed, cancelled=cancelled)
+        if len(found.q):
+            return Resolved(found.q, (0,) * len(found.q))
     found = solve_ik(goal, scene, start, free=free, seed=seed, cancelled=cancelled, **effort)
     if len(found.q):
         return Resolved(found.q, (0,) * len(found.q))

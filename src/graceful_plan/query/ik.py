@@ -176,6 +176,29 @@ class PoseSolver:
         error, _ = self._linearised(q)
         return q[_within(error, *_NEAR)], q[_best_first(error)]
 
+    def settled(
+        self, seeds: Float[Array, "n nq"], iterations: int, held: slice
+    ) -> tuple[Float[Array, "m nq"], tuple[float, float]]:
+        """Iterate from seeds near the pose until it is exact, some joints held; return what reached it, and errors.
+
+        Where no limit is in the way this is Newton's method, and mink has nothing to add.
+        """
+        q = seeds.copy()
+        error, jacobian = self._linearised(q)
+        for _ in range(iterations):
+            going = ~self._exact(error)
+            if not going.any() or self.cancelled():
+                break
+            jacobian[:, :, held] = 0.0
+            q[going] = np.clip(q[going] + _short_step(error[going], jacobian[going]), self.lower, self.upper)
+            error, jacobian = self._linearised(q)
+        best = q[_best_first(error)[0]]
+        return q[self._exact(error)], self.errors(best)
+
+    def _exact(self, error: Float[Array, "n 6"]) -> Bool[Array, " n"]:
+        goal = self.goal
+        return _within(error, _PRECISION * goal.position_tolerance, _PRECISION * goal.orientation_tolerance)
+
     def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
         """Move configurations to the pose by mink; return what reached it, and where all of them ended, the best first.
 
@@ -194,10 +217,7 @@ class PoseSolver:
                 if error <= _EXACT:
                     break
         error, _ = self._linearised(ended)
-        reached = _within(
-            error, _PRECISION * self.goal.position_tolerance, _PRECISION * self.goal.orientation_tolerance
-        )
-        return ended[reached], ended[_best_first(error)]
+        return ended[self._exact(error)], ended[_best_first(error)]
 
     @cached_property
     def _mink_step(self) -> Callable[[Float[Array, " nq"]], Float[Array, " nq"]]:

@@ -61,20 +61,21 @@ class Roll:
     """A smooth curve of the base in one gear.
 
     Args:
-        controls: Control points of a clamped quintic B-spline in the plane, at least `DEGREE` + 1 [m].
-        begin: First configuration [rad or m]; x and y are those of the first control point, and the arm stays.
+        controls: Control points of a clamped quintic B-spline, at least `DEGREE` + 1: in the plane [m], and of the arm
+            [rad or m]; with x and y alone the arm stays as it is at the beginning.
+        begin: First configuration [rad or m]; x, y and arm are those of the first control point.
         end: Last configuration.
         forward: Whether the heading is that of the tangent, or the opposite.
     """
 
-    controls: Float[Array, "control 2"]
+    controls: Float[Array, "control axis"]
     begin: Float[Array, " nq"]
     end: Float[Array, " nq"]
     forward: bool
 
     def samples(self, density: int) -> tuple[Float[Array, " u"], Float[Array, "3 u nq"]]:
         """See `Stretch`."""
-        length = np.linalg.norm(np.diff(self.controls, axis=0), axis=1).sum()
+        length = np.linalg.norm(np.diff(self.controls[:, :2], axis=0), axis=1).sum()
         spans = len(self.controls) - DEGREE
         intervals = density * max(_LEAST_INTERVALS, _BY_SPAN * spans, int(np.ceil(_BY_METRE * length)))
         u = places(intervals, from_rest=True, to_rest=True)
@@ -84,10 +85,13 @@ class Roll:
 
     def at(self, u: Float[Array, " u"]) -> Float[Array, "3 u nq"]:
         """Return configurations at parameters from 0 to 1, with their first and second derivatives."""
-        flat = rolled(basis(len(self.controls), tuple(u.tolist())) @ self.controls, self.forward)
+        P = basis(len(self.controls), tuple(u.tolist())) @ self.controls
+        flat = rolled(P[..., :2], self.forward)
         found = np.zeros((3, len(u), len(self.begin)))
         found[0] = self.begin
         found[:, :, :3] = flat
+        if P.shape[-1] > 2:
+            found[:, :, 3:] = P[:3, :, 2:]
         # The heading goes on from that of the beginning, whole turns included.
         heading = np.unwrap(np.concatenate([self.begin[2:3], flat[0, :, 2]]))
         found[0, :, 2] = heading[1:]

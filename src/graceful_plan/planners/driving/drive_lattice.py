@@ -28,6 +28,8 @@ Array = np.ndarray
 
 _BASE = 3
 """Joints of the base: along x, along y, heading."""
+_MOST_ARMS = 2
+"""Postures of goals that are taken before the base moves."""
 
 
 @final
@@ -35,14 +37,15 @@ _BASE = 3
 class DriveLattice(Planner):
     """Paths of straight stretches and turns in place, better and better ones on finer and finer lattices.
 
-    The arm keeps its posture while the base moves: that of the start, and it moves at the goal; or that of the goal,
-    and it moves at the start. One iteration is one node that is expanded.
+    In paths, the arm keeps its posture while the base moves: that of the start, and it moves at the goal; or that of
+    the goal, and it moves at the start. Motions near them move both together. One iteration expands one node.
 
     Args:
         cells: Lengths of a move of the base [m], one lattice after the other.
         weights: Of the heuristic, one search after the other on each lattice: the first is quick and finds a path that
             costs at most so many times the best of its lattice, the last has to be 1.
         max_nodes: A lattice is given up when it holds more nodes.
+        moves_arm: Whether the arm may move while the base does, in motions near the paths.
     """
 
     name: ClassVar[str] = "drive_lattice"
@@ -51,9 +54,12 @@ class DriveLattice(Planner):
     cells: tuple[float, ...] = (0.2, 0.1, 0.05)
     weights: tuple[float, ...] = (2.5, 1.0)
     max_nodes: int = 2_000_000
+    moves_arm: bool = True
 
     def __post_init__(self) -> None:
         count("max_nodes", self.max_nodes, 100)
+        if not isinstance(self.moves_arm, bool):
+            raise SettingError("moves_arm", self.moves_arm, "True or False")
         for cell in self.cells:
             positive("cells", cell)
         decreasing = all(a > b for a, b in zip(self.weights, self.weights[1:], strict=False))
@@ -111,8 +117,10 @@ def _postures(problem: Problem) -> list[Path]:
     """Return what to begin with: nothing, or moving the arm to where it has to be at a goal."""
     start = problem.start
     begins = [Path(start[None])]
-    arms = np.unique(problem.goals[:, _BASE:], axis=0)
-    for arm in arms[np.any(arms != start[_BASE:], axis=1)] if arms.shape[1] else ():
+    arms, first = np.unique(problem.goals[:, _BASE:], axis=0, return_index=True)
+    others = np.any(arms != start[_BASE:], axis=1)
+    # The first goals are those that are wanted most.
+    for arm in arms[others][np.argsort(first[others])][:_MOST_ARMS] if arms.shape[1] else ():
         moved = _with_arm(start, arm)
         if problem.edges_free(start[None], moved[None])[0]:
             begins.append(Path(np.stack([start, moved])))

@@ -10,9 +10,12 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
+from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.driving.postures import BASE
+from graceful_plan.query.driving.reposed import reposed
 from graceful_plan.query.driving.slowing import slower_where_it_pays
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.query.driving.stages import DriveStage, Move, stages
@@ -33,12 +36,22 @@ _SPACINGS = (0.8, 0.4, 0.2, 0.1)
 """Between control points [m], tried until a curve is free: the wider, the smoother."""
 _FEWEST, _MOST = DEGREE + 3, 60
 """Control points."""
+_PLANE_SHARE = 0.35
+"""Of the time for motions, for those whose arm stays while the base moves."""
+_CURVE_SHARE = 0.5
+"""Of the time that is left, for one curve."""
+_REPOSED, _LINES = 8, 2
+"""How often postures are chosen along a motion, and along how many that the arm stays in."""
 _JOINED = 0.45 * np.pi
 """Turns at either end up to which a curve may turn instead [rad]."""
 
 
 def driven(
-    searched: Search, request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+    searched: Search,
+    request: Request,
+    ends: Ends,
+    problem: SceneProblem,
+    means: tuple[Budget, np.random.Generator],
 ) -> tuple[list[Motion], str]:
     """Return motions near paths, the best first, and why there is none if so.
 
@@ -49,29 +62,57 @@ def driven(
         request: What they were found for.
         ends: Both ends.
         problem: What was searched in.
-        budget: Time for descents.
+        means: Time for descents, and chance for postures.
     """
-    found: list[Motion] = []
-    why_not = ""
-    for path, smoother in _chosen(searched.paths, _smoother(request, problem)):
+    budget, rng = means
+    smoother, has_arm = _smoother(request, problem), problem.start.size > BASE
+    moves_arm = has_arm and isinstance(request.planner, DriveLattice) and request.planner.moves_arm
+    with budget.share((_PLANE_SHARE if moves_arm else 1.0) * budget.remaining_seconds) as part:
+        found = list(_in_the_plane(searched, request, ends, problem, part))
+    found.sort(key=lambda one: one[0].ranking)
+    for number in range(_REPOSED if moves_arm and found else 0):
+        if budget.exhausted or not _has_plenty(request):
+            break
+        # The second best may be on a better line than the best; what comes of them is gone on with.
+        motion, drive = found[number if number < min(_LINES, len(found)) else 0]
+        for better in reposed(drive, smoother, problem, budget, rng):
+            found += [(other, better) for other in _timed(better, motion.path, motion.arrival, request)]
+        if number >= _LINES - 1:
+            found.sort(key=lambda one: one[0].ranking)
+    found.sort(key=lambda one: one[0].ranking)
+    return [*(motion for motion, _ in found), *stops(searched, request, ends)], ""
+
+
+def _in_the_plane(
+    searched: Search, request: Request, ends: Ends, problem: SceneProblem, budget: Budget
+) -> Iterator[tuple[Motion, Drive]]:
+    """Yield motions whose arm stays while the base moves, and what they are along."""
+    yielded = False
+    kept = KEPT if problem.start.size == BASE else 1
+    for path, smoother in _chosen(searched.paths, _smoother(request, problem), kept):
         whole, arrival = ends.joined(path)
-        if whole.length == 0.0 or (found and not request.clock.has_plenty("timing", "judging")):
+        if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not _has_plenty(request))):
             continue
         for parts in _joined_ends(stages(whole)):
-            with budget.share(0.5 * budget.remaining_seconds) as part:
+            with budget.share(_CURVE_SHARE * budget.remaining_seconds) as part:
                 drive = connected([one for stage in parts for one in _smooth(stage, smoother, problem, part)])
-            found += _timed(drive, whole, arrival, request)
-    return [*sorted(found, key=lambda motion: motion.ranking), *stops(searched, request, ends)], why_not
+            for motion in _timed(drive, whole, arrival, request):
+                yielded = True
+                yield motion, drive
 
 
-def _chosen(paths: Sequence[Path], smoother: Smoother) -> Iterator[tuple[Path, Smoother]]:
+def _has_plenty(request: Request) -> bool:
+    return request.clock.has_plenty("timing", "judging")
+
+
+def _chosen(paths: Sequence[Path], smoother: Smoother, kept: int) -> Iterator[tuple[Path, Smoother]]:
     """Yield paths, and what curves near them descend along.
 
     First what an ordinary planner would return, which takes little time: nobody is to get less.
     """
     if smoother.objective.w > 0.0 and paths:
         yield paths[0], smoother.shortest()
-    yield from ((path, smoother) for path in reversed(paths[-KEPT:]))
+    yield from ((path, smoother) for path in reversed(paths[-kept:]))
 
 
 def stops(searched: Search, request: Request, ends: Ends) -> list[Motion]:
@@ -91,7 +132,7 @@ def _smoother(request: Request, problem: SceneProblem) -> Smoother:
     return Smoother(
         objective=request.objective,
         base=base,
-        clearance=lambda q: problem.clearance_gradient(q)[0],
+        clearance=problem.clearance_gradient,
         time_price=price_of_time(request),
         speed=request.speed,
     )

@@ -1,8 +1,10 @@
 """Curves of a base that descend along J: control points move together, so that what is smooth stays smooth.
 
-A curve is charged for its length, for the time that it takes at speeds that the bends allow, for the impact at these
-speeds, for coming too close to something and for its curvature. All candidates of a step are evaluated in one batch;
-slopes are differences. Steps are measured by curvature, as in CHOMP: a slope at one place bends the whole curve.
+A curve is charged for its length, for the time that it takes at speeds that bends and arm allow, for the impact at
+these speeds, for coming too close to something and for its curvature. The arm moves with the base where the curve has
+control points for it too. All candidates of a step are evaluated in one batch; slopes are differences of the geometry,
+times the derivatives of impact and clearance at the states of the curve. Steps are measured by curvature, as in CHOMP:
+a slope at one place bends the whole curve.
 
 N. Ratliff et al., "CHOMP: gradient optimization techniques for efficient motion planning", ICRA 2009.
 """
@@ -17,6 +19,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.planner import Budget
+from graceful_plan.query.driving.moving_curve import Curvature, MovingCurve
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.timing.bspline import basis
 from graceful_plan.timing.drive_curve import Roll, rolled
@@ -26,18 +29,60 @@ Array = np.ndarray
 _PLACES = 64
 """Where a curve is looked at, at least; four by control point."""
 _NUDGE = 1e-4
-"""Of a control point, for a slope [m]."""
+"""Of a control point, for a slope [m or rad]."""
 _STEPS = 0.3 * 0.5 ** np.arange(8)
-"""How far control points move at most in a step [m]; the best of these is taken."""
+"""How far control points move at most in a step [m or rad]; the best of these is taken."""
 _ROUNDS = 40
 _WORTH = 1e-3
 """Relative gain of a round below which a descent ends."""
 _CLEAR = 0.05
 """Clearance below which a curve is charged for being close [m]."""
+_ROOM, _LEAST_ROOM = 0.03, 1e-3
+"""The same if the arm moves, and what it is at least where the ends are closer [m]."""
 _BENT = 0.02
 """Price of curvature squared over length [m]: the time law needs its rate of change to be small."""
-_WALL = 1e3
-"""Price of being closer than the margin, by the square of the lack over the margin and length."""
+_WALL, _ARM_WALL = 1e3, 30.0
+"""Price of being closer, by the square of the lack over that clearance and length: of curves whose arm stays and moves.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Travelled:
+    """Curves as they are travelled, at the same parameters; derivatives are by these.
+
+    | field    | meaning                                | unit       | shape      |
+    |----------|----------------------------------------|------------|------------|
+    | q        | configurations                         | rad or m   | curve u nq |
+    | qd       | their velocities                       | rad/s, m/s | curve u nq |
+    | length   | of base and arm in all joints          |            | curve u    |
+    | metres   | of the base                            | m          | curve u    |
+    | bend     | curvature                              | rad/m      | curve u    |
+    | duration |                                        | s          | curve u    |
+    """
+
+    q: Float[Array, "curve u nq"]
+    qd: Float[Array, "curve u nq"]
+    length: Float[Array, "curve u"]
+    metres: Float[Array, "curve u"]
+    bend: Float[Array, "curve u"]
+    duration: Float[Array, "curve u"]
+
+
+@dataclass(frozen=True)
+class Room:
+    """What is charged for being close to something.
+
+    Args:
+        clear: Clearance from which on nothing is [m].
+        price: Of a metre of the base without any.
+    """
+
+    clear: float
+    price: float
+
+    def charge(self, clearance: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Return what a metre of the base costs."""
+        return self.price * np.maximum(0.0, 1.0 - clearance / self.clear) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +92,14 @@ class Smoother:
     Args:
         objective: V and w I.
         base: How the robot drives.
-        clearance: Signed clearance of configurations [m].
+        clearance: Signed clearance of configurations [m], and its gradient.
         time_price: What a second costs besides.
         speed: Fraction of the limits of speed to use.
     """
 
     objective: SceneObjective
     base: DiffDrive
-    clearance: Callable[[Float[Array, "n nq"]], Float[Array, " n"]]
+    clearance: Callable[[Float[Array, "n nq"]], tuple[Float[Array, " n"], Float[Array, "n nq"]]]
     time_price: float
     speed: float
 
@@ -65,52 +110,52 @@ class Smoother:
 
     def descended(self, roll: Roll, budget: Budget) -> Roll:
         """Return a better curve with the same ends and headings there."""
-        moving = _Moving(roll)
-        x = moving.first
-        value, gained = float(self._values(moving, x[None])[0]), np.inf
+        moving = MovingCurve(roll, self.objective.scene.limits.position)
+        x, room = moving.first, self.room(np.stack([roll.begin, roll.end]), moves_arm=roll.controls.shape[1] > 2)
+        value, gained = float(self._values(moving, x[None], room)[0]), np.inf
+        curved = Curvature(moving.metric)
         for _ in range(_ROUNDS):
             if budget.exhausted or gained < _WORTH or len(x) == 0:
                 break
-            nudged = self._values(moving, x + _NUDGE * np.eye(len(x)))
-            direction = -moving.metric @ ((nudged - value) / _NUDGE)
+            direction = curved.direction(x, self._slope(moving, x, room))
             longest = float(np.abs(direction).max())
             if longest < 1e-9:
                 break
-            tried = x + (_STEPS / longest)[:, None] * direction
-            values = self._values(moving, tried)
+            tried = x + np.append(_STEPS / longest, min(1.0, _STEPS[0] / longest))[:, None] * direction
+            values = self._values(moving, tried, room)
             best = int(np.argmin(values))
             if values[best] >= value:
+                if curved.known:
+                    curved = Curvature(moving.metric)
+                    continue
                 break
             gained = (value - values[best]) / max(abs(value), 1e-9)
             x, value = tried[best], float(values[best])
         return moving.roll(x)
 
-    def _values(self, moving: _Moving, x: Float[Array, "curve variable"]) -> Float[Array, " curve"]:
-        """Charge curves."""
-        n = max(_PLACES, 4 * len(moving.of.controls))
-        u = (np.arange(n) + 0.5) / n
-        controls = moving.controls(x)
-        P = np.einsum("duc,kcx->dkux", basis(controls.shape[1], tuple(u.tolist())), controls)
-        flat = rolled(P, moving.of.forward)
-        length, turn = np.linalg.norm(flat[1, ..., :2], axis=-1), np.abs(flat[1, ..., 2])
-        bend = turn / np.maximum(length, 1e-9)
-        pace = self._pace(bend, np.cumsum(length, axis=1) / n)
-        q = np.broadcast_to(moving.of.begin, (*bend.shape, len(moving.of.begin))).copy()
-        q[..., :3] = flat[0]
-        qd = np.zeros_like(q)
-        qd[..., :3] = flat[1] * (pace / np.maximum(length, 1e-9))[..., None]
-        rows, rates = q.reshape(-1, q.shape[-1]), qd.reshape(-1, q.shape[-1])
-        duration = length / pace
-        total = np.hypot(length, turn) + self.time_price * duration + _BENT * length * bend**2
-        if self.objective.w > 0.0:
-            total += self.objective.w * duration * self.objective.quick_states(rows, rates).reshape(bend.shape)
-        lack = np.maximum(0.0, 1.0 - self.clearance(rows).reshape(bend.shape) / _CLEAR)
-        return (total + _WALL * length * lack**2).mean(axis=1)
+    def room(self, ends: Float[Array, "n nq"], *, moves_arm: bool) -> Room:
+        """Return what is charged for being close: links of an arm may be as close to each other as at the ends.
 
-    def _pace(self, bend: Float[Array, "curve u"], done: Float[Array, "curve u"]) -> Float[Array, "curve u"]:
-        """Return speeds along the heading that bends allow, and acceleration from rest to rest [m/s]."""
+        Args:
+            ends: Configurations at the ends of a curve.
+            moves_arm: Whether the arm moves along it.
+        """
+        most, price = (_ROOM, _ARM_WALL) if moves_arm else (_CLEAR, _WALL)
+        has_arm = ends.shape[1] > len(self.base.joints)
+        return Room(float(np.clip(self.clearance(ends)[0].min(), _LEAST_ROOM, most)) if has_arm else most, price)
+
+    def pace(
+        self, bend: Float[Array, "*curve u"], done: Float[Array, "*curve u"], length: Float[Array, "*curve"]
+    ) -> Float[Array, "*curve u"]:
+        """Return speeds along the heading that bends allow, and acceleration from rest to rest [m/s].
+
+        Args:
+            bend: Curvature [rad/m].
+            done: How far the base has come [m].
+            length: Of the whole curve [m].
+        """
         base, least = self.base, 1e-3
-        left = np.minimum(done, done[:, -1:] - done) + least
+        left = np.minimum(done, length[..., None] - done) + least
         fastest = np.minimum.reduce(
             [
                 np.full_like(bend, base.v_max),
@@ -122,35 +167,58 @@ class Smoother:
         )
         return self.speed * fastest
 
+    def _slope(self, moving: MovingCurve, x: Float[Array, " variable"], room: Room) -> Float[Array, " variable"]:
+        """Return the derivative of the charge: geometry by differences, impact and clearance by their gradients."""
+        at, near = self._travelled(moving, x[None]), self._travelled(moving, x + _NUDGE * np.eye(len(x)))
+        rows, rates = at.q[0], at.qd[0]
+        dq, dqd = near.q - rows, near.qd - rates
+        dq[..., 2] = np.remainder(dq[..., 2] + np.pi, 2.0 * np.pi) - np.pi
+        clearance, steeper = self.clearance(rows)
+        close = clearance + np.einsum("kun,un->ku", dq, steeper)
+        impact, harm = np.zeros(len(rows)), np.zeros(dq.shape[:2])
+        if self.objective.w > 0.0:
+            impact, by_q, by_qd = self._impact_slopes(rows, rates)
+            harm = impact + np.einsum("kun,un->ku", dq, by_q) + np.einsum("kun,un->ku", dqd, by_qd)
+        value = self._charge(at, impact[None], clearance[None], room)
+        return (self._charge(near, harm, close, room) - value) / _NUDGE
 
-class _Moving:
-    """A curve, and what of it may move: inner control points, and how far those next to the ends are from these."""
+    def _impact_slopes(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> tuple[Array, Array, Array]:
+        kernel = self.objective.kernel
+        return self.objective.impact_slopes(q, qd) if kernel is None else kernel.state_slopes(q, qd)
 
-    def __init__(self, roll: Roll) -> None:
-        self.of = roll
-        C = roll.controls
-        self._first, self._last = C[1] - C[0], C[-1] - C[-2]
-        n = max(0, len(C) - 4)
-        self._inner = n
-        self.first = np.concatenate([C[2:-2].ravel(), [0.0, 0.0]])
-        bending = np.zeros((n + 2, n))
-        for k in range(n):
-            bending[k : k + 3, k] = 1.0, -2.0, 1.0
-        stiffness = bending.T @ bending + 1e-3 * np.eye(n)
-        inverse = np.linalg.inv(stiffness) if n else np.zeros((0, 0))
-        self.metric = np.zeros((2 * n + 2, 2 * n + 2))
-        self.metric[: 2 * n, : 2 * n] = np.kron(inverse, np.eye(2))
-        self.metric[2 * n :, 2 * n :] = np.eye(2)
+    def _values(self, moving: MovingCurve, x: Float[Array, "curve variable"], room: Room) -> Float[Array, " curve"]:
+        """Charge curves."""
+        at = self._travelled(moving, x)
+        rows, rates = (of.reshape(-1, of.shape[-1]) for of in (at.q, at.qd))
+        impact = np.zeros(at.bend.shape)
+        if self.objective.w > 0.0:
+            impact = self.objective.quick_states(rows, rates).reshape(at.bend.shape)
+        return self._charge(at, impact, self.clearance(rows)[0].reshape(at.bend.shape), room)
 
-    def controls(self, x: Float[Array, "curve variable"]) -> Float[Array, "curve control 2"]:
-        """Return the control points of curves; the ends and the directions there stay."""
-        C = np.broadcast_to(self.of.controls, (len(x), *self.of.controls.shape)).copy()
-        n = self._inner
-        C[:, 2 : 2 + n] = x[:, : 2 * n].reshape(len(x), n, 2)
-        first, last = (np.exp(np.clip(x[:, k], -2.0, 2.0))[:, None] for k in (2 * n, 2 * n + 1))
-        C[:, 1], C[:, -2] = C[:, 0] + first * self._first, C[:, -1] - last * self._last
-        return C
+    def _charge(
+        self, at: _Travelled, impact: Float[Array, "curve u"], clearance: Float[Array, "curve u"], room: Room
+    ) -> Float[Array, " curve"]:
+        total = at.length + self.time_price * at.duration + _BENT * at.metres * at.bend**2
+        harm = self.objective.w * at.duration * impact
+        return (total + harm + at.metres * room.charge(clearance)).mean(axis=1)
 
-    def roll(self, x: Float[Array, " variable"]) -> Roll:
-        """Return one of the curves."""
-        return Roll(self.controls(x[None])[0], self.of.begin, self.of.end, self.of.forward)
+    def _travelled(self, moving: MovingCurve, x: Float[Array, "curve variable"]) -> _Travelled:
+        n = max(_PLACES, 4 * len(moving.of.controls))
+        u = (np.arange(n) + 0.5) / n
+        controls = moving.controls(x)
+        P = np.einsum("duc,kcx->dkux", basis(controls.shape[1], tuple(u.tolist())), controls)
+        flat = rolled(P[..., :2], moving.of.forward)
+        metres, turn = np.linalg.norm(flat[1, ..., :2], axis=-1), np.abs(flat[1, ..., 2])
+        bend = turn / np.maximum(metres, 1e-9)
+        pace = self.pace(bend, (np.cumsum(metres, axis=1) - 0.5 * metres) / n, metres.mean(axis=1))
+        q = np.broadcast_to(moving.of.begin, (*bend.shape, len(moving.of.begin))).copy()
+        rate = np.zeros_like(q)
+        q[..., :3], rate[..., :3] = flat[:2]
+        if P.shape[-1] > 2:
+            q[..., 3:], rate[..., 3:] = P[:2, ..., 2:]
+            fastest = self.speed * self.objective.scene.limits.velocity[3:]
+            slowest = (np.abs(rate[..., 3:]) / fastest).max(axis=-1)
+            pace = np.minimum(pace, metres / np.maximum(slowest, 1e-9))
+        duration = metres / np.maximum(pace, 1e-9)
+        qd = rate / np.maximum(duration, 1e-9)[..., None]
+        return _Travelled(q, qd, np.linalg.norm(rate, axis=-1), metres, bend, duration)

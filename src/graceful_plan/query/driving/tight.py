@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from graceful_plan.query.driving.arm_ways import with_arm_ways
 from graceful_plan.query.ends import Ends
 from graceful_plan.result import PlanResult, PlanStatus
 
@@ -18,4 +19,4 @@ def rolling_ends(ends: Ends) -> Ends | PlanResult:
     if not clear:
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_TIGHT.format("goal"))
     arrivals, index = (tuple(of[k] for k in clear) for of in (ends.arrivals, ends.goal_index))
-    return replace(ends, arrivals=arrivals, goal_index=index)
+    return with_arm_ways(replace(ends, arrivals=arrivals, goal_index=index))
