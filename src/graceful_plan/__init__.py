@@ -25,6 +25,7 @@ from graceful_plan.costs.models.published.box_overlap import BoxOverlap
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.exceptions import GracefulPlanError
+from graceful_plan.floor.floor_map import FloorMap
 from graceful_plan.judge.verification import Verification, verify
 from graceful_plan.path import Path
 from graceful_plan.plan import plan
@@ -68,6 +69,7 @@ __all__ = [
     "Dry",
     "EntityNote",
     "FaultPrior",
+    "FloorMap",
     "Footprint",
     "GracefulPlanError",
     "GraspHolds",
