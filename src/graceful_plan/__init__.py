@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from graceful_plan.costs.motion import JointLength
     from graceful_plan.costs.objective import Objective, evaluate
     from graceful_plan.exceptions import GracefulPlanError
+    from graceful_plan.floor.floor_map import FloorMap
     from graceful_plan.judge.verification import Verification, verify
     from graceful_plan.path import Path
     from graceful_plan.plan import plan
@@ -87,6 +88,7 @@ else:
             "Dry": "graceful_plan.scene.elements",
             "EntityNote": "graceful_plan.scene.elements",
             "FaultPrior": "graceful_plan.costs.fault_prior",
+            "FloorMap": "graceful_plan.floor.floor_map",
             "Footprint": "graceful_plan.costs.models.mixture.mixture",
             "GracefulPlanError": "graceful_plan.exceptions",
             "GraspHolds": "graceful_plan.constraints.grasp",
@@ -107,8 +109,8 @@ else:
             "PlanResult": "graceful_plan.result",
             "PlanStatus": "graceful_plan.result",
             "Planner": "graceful_plan.planners",
-            "PointCloud": "graceful_plan.scene.sensed.cloud",
             "PlanningFailed": "graceful_plan.result",
+            "PointCloud": "graceful_plan.scene.sensed.cloud",
             "PoseGoal": "graceful_plan.scene.pose_goal",
             "RRTConnect": "graceful_plan.planners",
             "RRTStar": "graceful_plan.planners",
@@ -166,6 +168,7 @@ __all__ = [
     "Dry",
     "EntityNote",
     "FaultPrior",
+    "FloorMap",
     "Footprint",
     "GracefulPlanError",
     "GraspHolds",
@@ -186,8 +189,8 @@ __all__ = [
     "PlanResult",
     "PlanStatus",
     "Planner",
-    "PointCloud",
     "PlanningFailed",
+    "PointCloud",
     "PoseGoal",
     "RRTConnect",
     "RRTStar",

@@ -1,0 +1,137 @@
+// Dijkstra and A* over the eight neighbours of cells, exact: least costs in the order of buckets.
+#pragma once
+
+#include <array>
+#include <cstring>
+
+#include "grid/bucket_queue.hpp"
+#include "grid/grid_map.hpp"
+
+namespace gp::grid {
+
+struct GridPath {
+  bool found = false, stopped = false;
+  double cost = kInfinity;
+  std::vector<uint32_t> cells;  // indices of the padded map
+  int64_t expansions = 0;
+};
+
+class GridSearch {
+ public:
+  explicit GridSearch(const GridMap& map) : map_(map) {}
+
+  // Least costs to all cells that can be reached; `out` is padded like the map.
+  template <class Late> bool flood(size_t from, const Late& late) {
+    begin(from);
+    const auto none = [](size_t) { return 0.0; };
+    return run(BucketQueue(map_.least()), kNowhere, none, late);
+  }
+  template <class Late> GridPath path(size_t from, size_t to, bool informed, const Late& late) {
+    GridPath found;
+    if (!map_.free(from) || !map_.free(to)) return found;
+    begin(from);
+    const auto none = [](size_t) { return 0.0; };
+    const auto octile = [&](size_t at) { return this->octile(at, to); };
+    const BucketQueue queue(map_.least());
+    found.stopped = !(informed ? run(queue, to, octile, late) : run(queue, to, none, late));
+    found.expansions = expansions_;
+    if (cost_[to] == kInfinity || found.stopped) return found;
+    found.found = true, found.cost = cost_[to];
+    for (size_t at = to; at != from; at = before(at)) found.cells.push_back(uint32_t(at));
+    found.cells.push_back(uint32_t(from));
+    std::reverse(found.cells.begin(), found.cells.end());
+    return found;
+  }
+  const std::vector<double>& costs() const { return cost_; }
+  int64_t expansions() const { return expansions_; }
+
+ private:
+  static constexpr size_t kNowhere = ~size_t(0);
+  static constexpr int64_t kClockEvery = 16384;
+  using Four [[gnu::vector_size(32)]] = double;
+
+  void begin(size_t from) {
+    // What is closed costs less than anything, so that no step into it is an improvement.
+    cost_.resize(map_.size());
+    for (size_t k = 0; k < map_.size(); ++k) cost_[k] = map_.free(k) ? kInfinity : -kInfinity;
+    expansions_ = 0, from_ = from;
+  }
+  double octile(size_t a, size_t b) const {
+    const int dx = std::abs(map_.x(a) - map_.x(b)), dy = std::abs(map_.y(a) - map_.y(b));
+    return map_.least() * (std::max(dx, dy) + (kDiagonal - 1.0) * std::min(dx, dy)) * (1.0 - 1e-12);
+  }
+  // The neighbour that a cell was reached from: the one whose cost and step add up best.
+  size_t before(size_t at) const {
+    size_t best = at;
+    double least = kInfinity;
+    for (int k = 0; k < GridMap::kSteps; ++k) {
+      if (!(map_.steps()[at] >> k & 1)) continue;
+      const size_t near = size_t(std::ptrdiff_t(at) + map_.by()[k]);
+      const double cost = cost_[near] + step(at, near, k);
+      if (cost < least) least = cost, best = near;
+    }
+    return best;
+  }
+  double step(size_t a, size_t b, int k) const {
+    const double sum = double(map_.half()[a]) + double(map_.half()[b]);
+    return GridMap::kDx[k] != 0 && GridMap::kDy[k] != 0 ? kDiagonal * sum : sum;
+  }
+
+  template <class Bound, class Late> bool run(BucketQueue queue, size_t to, const Bound& bound, const Late& late) {
+    const std::ptrdiff_t stride = map_.stride();
+    const float* half = map_.half();
+    std::vector<uint8_t> left = map_.steps();  // 0 once a cell has been expanded
+    const bool informed = bound(from_) > 0.0;
+    cost_[from_] = 0.0;
+    queue.push(bound(from_), uint32_t(from_));
+    while (!queue.empty()) {
+      queue.advance();
+      if (to != kNowhere && queue.floor() > cost_[to]) return true;
+      while (queue.more()) {
+        const size_t at = queue.pop();
+        uint32_t ways = left[at];
+        if (ways == 0) continue;  // a copy of one that was cheaper
+        left[at] = 0;
+        if (++expansions_ % kClockEvery == 0 && late()) return false;
+        const double here = cost_[at];
+        const double h = double(half[at]);
+        double* cost = &cost_[at];
+        const auto relax = [&](std::ptrdiff_t row, int shift, Four length) {
+          Four now, price;
+          std::memcpy(&now, cost + row - 1, sizeof now);
+          const float* p = half + std::ptrdiff_t(at) + row - 1;
+          price = Four{double(p[0]), double(p[1]), double(p[2]), 0.0};
+          const Four next = here + (price + h) * length;
+          uint32_t better = 0;
+          for (int k = 0; k < 3; ++k) better |= uint32_t(next[k] < now[k]) << k;
+          return std::pair{next, better << shift};
+        };
+        const Four aslant = {kDiagonal, 1.0, kDiagonal, 0.0}, level = {1.0, 0.0, 1.0, 0.0};
+        const auto [below, low] = relax(-stride, 0, aslant);
+        const auto [beside, middle] = relax(0, 3, level);
+        const auto [above, high] = relax(stride, 6, aslant);
+        // Nine places, without the one in the middle.
+        const uint32_t nine = low | middle | high;
+        uint32_t improved = ((nine & 15U) | (nine >> 1 & 240U)) & ways;
+        double found[9];
+        for (int k = 0; k < 3; ++k) found[k] = below[k], found[3 + k] = beside[k], found[6 + k] = above[k];
+        for (; improved != 0; improved &= improved - 1) {
+          const int k = __builtin_ctz(improved);
+          const double g = found[k < 4 ? k : k + 1];
+          const size_t next = size_t(std::ptrdiff_t(at) + map_.by()[k]);
+          cost_[next] = g;
+          if (informed) left[next] = map_.steps()[next];
+          queue.push(informed ? g + bound(next) : g, uint32_t(next));
+        }
+      }
+    }
+    return true;
+  }
+
+  const GridMap& map_;
+  std::vector<double> cost_;
+  int64_t expansions_ = 0;
+  size_t from_ = 0;
+};
+
+}  // namespace gp::grid

@@ -1,0 +1,1 @@
+"""Files that maps of floors come in."""

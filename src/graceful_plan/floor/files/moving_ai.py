@@ -1,0 +1,145 @@
+"""Maps and scenarios of the MovingAI benchmarks: the first row is the uppermost, x and y count from its left end.
+
+N. R. Sturtevant, "Benchmarks for grid-based pathfinding", IEEE Transactions on Computational Intelligence and AI in
+Games 4, 2012. Optimal lengths are octile, in cells, and no corner is cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graceful_plan.array_types import Bool
+from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+
+Array = np.ndarray
+
+_FREE = b".GS"
+_KNOWN = b".GS@OTW"
+_MOST_HEAD = 4096
+_MOST_SCENARIOS = 1_000_000
+
+
+@dataclass(frozen=True)
+class MovingAIScenario:
+    """A start and a goal on a map, and how long the shortest path is.
+
+    Args:
+        start: Column and row of a FloorMap, whose row 0 is the lowest.
+        goal: Likewise.
+        length: Of the shortest octile path [cells].
+    """
+
+    start: tuple[int, int]
+    goal: tuple[int, int]
+    length: float
+
+
+def read_moving_ai(file: Path, most_cells: int) -> Bool[Array, "row column"]:
+    """Read which cells of a .map are blocked, the lowest row first.
+
+    Raises:
+        FormatError: If the file is broken, truncated or too large, or not there.
+    """
+    text = _content(file, 2 * most_cells + _MOST_HEAD)
+    lines = text.splitlines()
+    height, width = _head(file, lines[:4])
+    if not (height > 0 and width > 0 and height * width <= most_cells):
+        raise FormatError(str(file), f"{width} x {height} cells; from 1 to {most_cells} are read")
+    rows = lines[4:]
+    if len(rows) < height:
+        raise FormatError(str(file), f"is truncated: {len(rows)} of {height} rows")
+    for k, row in enumerate(rows[:height]):
+        if len(row) != width:
+            raise FormatError(str(file), f"row {k} has {len(row)} cells, expected {width}")
+    cells = np.frombuffer(b"".join(rows[:height]), dtype=np.uint8).reshape(height, width)
+    if not np.isin(cells, np.frombuffer(_KNOWN, dtype=np.uint8)).all():
+        unknown = chr(int(cells[~np.isin(cells, np.frombuffer(_KNOWN, dtype=np.uint8))][0]))
+        raise FormatError(str(file), f"unknown kind of cell {unknown!r}; valid: {', '.join(_KNOWN.decode())}")
+    return ~np.isin(cells, np.frombuffer(_FREE, dtype=np.uint8))[::-1]
+
+
+def read_scenarios(file: str | Path) -> list[MovingAIScenario]:
+    """Read a .scen.
+
+    Raises:
+        FormatError: If the file is broken or too large, or not there.
+    """
+    file = Path(file)
+    found = []
+    for number, line in enumerate(_content(file, 200 * _MOST_SCENARIOS).splitlines(), start=1):
+        words = line.split()
+        if not words or words[0] == b"version":
+            continue
+        try:
+            if len(words) != 9:
+                raise ValueError(f"{len(words)} words")
+            _, rows, x0, y0, x1, y1 = (int(word) for word in words[2:8])
+            length = float(words[8])
+            if not (0 <= y0 < rows and 0 <= y1 < rows and x0 >= 0 and x1 >= 0 and 0.0 <= length < np.inf):
+                raise ValueError("numbers out of their range")
+        except ValueError as error:
+            raise FormatError(f"{file}:{number}", f"is no scenario: {error}") from None
+        found.append(MovingAIScenario((x0, rows - 1 - y0), (x1, rows - 1 - y1), length))
+    return found
+
+
+def write_moving_ai(file: Path, blocked: Bool[Array, "row column"]) -> None:
+    """Write a .map.
+
+    Raises:
+        FormatError: If it cannot be written.
+    """
+    rows, columns = blocked.shape
+    cells = np.where(blocked[::-1], ord("@"), ord(".")).astype(np.uint8)
+    lines = np.concatenate([cells, np.full((rows, 1), ord("\n"), dtype=np.uint8)], axis=1)
+    _write(file, f"type octile\nheight {rows}\nwidth {columns}\nmap\n".encode() + lines.tobytes())
+
+
+def write_scenarios(
+    file: str | Path, scenarios: Iterable[MovingAIScenario], map_name: str, shape: tuple[int, int]
+) -> None:
+    """Write a .scen for a map of some rows and columns.
+
+    Raises:
+        FormatError: If it cannot be written.
+    """
+    rows, columns = shape
+    lines = ["version 1"]
+    for one in scenarios:
+        (x0, y0), (x1, y1) = one.start, one.goal
+        numbers = columns, rows, x0, rows - 1 - y0, x1, rows - 1 - y1, repr(float(one.length))
+        lines.append("\t".join(str(word) for word in (int(one.length / 4.0), map_name, *numbers)))
+    _write(Path(file), ("\n".join(lines) + "\n").encode())
+
+
+def _head(file: Path, lines: list[bytes]) -> tuple[int, int]:
+    words = [line.split() for line in lines]
+    if len(words) < 4 or words[0] != [b"type", b"octile"] or words[3] != [b"map"]:
+        raise FormatError(str(file), 'does not begin with "type octile", height, width and "map"')
+    try:
+        told = {name: int(value) for name, value in words[1:3] if len(value) <= 10}
+        return told[b"height"], told[b"width"]
+    except (ValueError, KeyError):
+        raise FormatError(str(file), "its height and width are no numbers of at most 10 digits") from None
+
+
+def _content(file: Path, most: int) -> bytes:
+    try:
+        size = file.stat().st_size
+        content = file.read_bytes() if size <= most else b""
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error)) from None
+    if size > most:
+        raise FormatError(str(file), f"{size} bytes, at most {most} are read")
+    return content
+
+
+def _write(file: Path, content: bytes) -> None:
+    try:
+        file.write_bytes(content)
+    except OSError as error:
+        raise FormatError(str(file), f"cannot be written: {error.strerror}") from None

@@ -1,0 +1,110 @@
+"""Grey pictures from strangers: sizes are bounded before anything is made room for, and nothing is guessed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+
+Array = np.ndarray
+
+_TOKEN = re.compile(rb"(?:\s|#[^\n]*\n)*(\d{1,10})(?![0-9])")
+"""A number in the head of a PGM, after white space and comments."""
+_MOST_HEAD = 4096
+"""Bytes of the head, comments included."""
+
+
+@dataclass(frozen=True, eq=False)
+class GreyPicture:
+    """A picture, the uppermost row first.
+
+    Args:
+        grey: Values of the pixels, from 0 to `most`.
+        most: What white is.
+        transparent: Where a pixel is not opaque; None if none can be.
+    """
+
+    grey: Int[Array, "row column"]
+    most: int
+    transparent: Bool[Array, "row column"] | None = None
+
+    @property
+    def share(self) -> Float[Array, "row column"]:
+        """How white the pixels are, from 0 to 1."""
+        return self.grey / float(self.most)
+
+
+def read_picture(file: Path, most_pixels: int) -> GreyPicture:
+    """Read a PGM, plain or not, or a PNG.
+
+    Raises:
+        FormatError: If it is broken, truncated or too large, or not there.
+    """
+    try:
+        size = file.stat().st_size
+        with file.open("rb") as stream:
+            head = stream.read(_MOST_HEAD)
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error)) from None
+    if head.startswith(b"\x89PNG\r\n\x1a\n"):
+        return _read_png(file, head, most_pixels)
+    # Five digits and a space for each pixel of a plain one, two bytes for those of others.
+    if size > 6 * most_pixels + _MOST_HEAD:
+        raise FormatError(str(file), f"{size} bytes, more than {most_pixels} pixels can have")
+    return _read_pgm(file, head, most_pixels)
+
+
+def _read_pgm(file: Path, head: bytes, most_pixels: int) -> GreyPicture:
+    if head[:2] not in (b"P2", b"P5"):
+        raise FormatError(str(file), "is neither a PGM (P2, P5) nor a PNG")
+    numbers, at = [], 2
+    for what in ("width", "height", "greatest value"):
+        match = _TOKEN.match(head, at)
+        if match is None:
+            raise FormatError(str(file), f"the head of this PGM has no {what}")
+        numbers.append(int(match[1]))
+        at = match.end()
+    width, height, most = numbers
+    if not (width > 0 and height > 0 and width * height <= most_pixels):
+        raise FormatError(str(file), f"{width} x {height} pixels; from 1 to {most_pixels} are read")
+    if not 0 < most < 65536:
+        raise FormatError(str(file), f"its greatest value is {most}, expected 1 to 65535")
+    content = file.read_bytes()
+    found = _plain(file, content[at:]) if head[:2] == b"P2" else _binary(content[at + 1 :], most)
+    if found.size < width * height:
+        raise FormatError(str(file), f"is truncated: {found.size} of {width * height} pixels")
+    grey = found[: width * height].reshape(height, width)
+    if grey.max() > most:
+        raise FormatError(str(file), f"a pixel of {int(grey.max())} is above the greatest value {most}")
+    return GreyPicture(grey.astype(np.int32), most)
+
+
+def _binary(content: bytes, most: int) -> Int[Array, " pixel"]:
+    kind = np.dtype(np.uint8) if most < 256 else np.dtype(">u2")
+    return np.frombuffer(content[: len(content) - len(content) % kind.itemsize], dtype=kind)
+
+
+def _plain(file: Path, content: bytes) -> Int[Array, " pixel"]:
+    if re.search(rb"[^0-9\s]|[0-9]{6}", content):
+        raise FormatError(str(file), "the pixels of this plain PGM are not whole numbers of at most 5 digits")
+    return np.array(content.split(), dtype=np.int32)
+
+
+def _read_png(file: Path, head: bytes, most_pixels: int) -> GreyPicture:
+    width, height = (int.from_bytes(head[k : k + 4], "big") for k in (16, 20))
+    if len(head) < 33 or not (width > 0 and height > 0 and width * height <= most_pixels):
+        raise FormatError(str(file), f"{width} x {height} pixels; from 1 to {most_pixels} are read")
+    from PIL import Image  # comes with matplotlib; importing the library must not import it
+
+    try:
+        with Image.open(file, formats=("PNG",)) as image:
+            clear = np.asarray(image.getchannel("A")) < 255 if "A" in image.getbands() else None
+            grey = np.asarray(image.convert("L"), dtype=np.int32)
+    except (*NOT_READ, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise FormatError(str(file), f"is a broken PNG: {error}") from None
+    return GreyPicture(grey, 255, clear)
