@@ -208,12 +208,16 @@ class CoastModel:
         self,
         core: Core,
         *,
-        disc: Reals,
         entity: Integers,
         shape: Reals,
         n_entity: int,
+        disc: Reals,
         stops: Reals,
         constants: Reals,
+        share: Reals,
+        speeds: Reals,
+        rates: Reals,
+        places: Reals,
     ) -> None: ...
     def probability(self, q: Reals, qd: Reals) -> Reals: ...
 
@@ -433,3 +437,32 @@ class LatticeAnswer(TypedDict):
     expansions: int
     first_cost: float
     first_expansions: int
+
+@final
+class DynamicWindow:
+    def __init__(
+        self,
+        *,
+        disc: Reals,
+        stops: Reals,
+        constants: Reals,
+        share: Reals,
+        speeds: Reals,
+        rates: Reals,
+        places: Reals,
+        limits: Reals,
+        settings: Reals,
+        n_v: int,
+        n_omega: int,
+    ) -> None: ...
+    def choose(
+        self,
+        *,
+        state: Reals,
+        path: Reals,
+        entity: Integers,
+        shape: Reals,
+        velocity: Reals,
+        severity: Reals,
+        every: bool = False,
+    ) -> tuple[float, float, float, float, float, bool, int]: ...

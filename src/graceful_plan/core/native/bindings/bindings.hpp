@@ -10,5 +10,6 @@ void bind_core(nb::module_&);
 void bind_impact(nb::module_&);  // after bind_core
 void bind_search(nb::module_&);  // after bind_impact
 void bind_lattice(nb::module_&);
+void bind_control(nb::module_&);
 
 }  // namespace gp

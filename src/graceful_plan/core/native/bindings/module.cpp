@@ -7,4 +7,5 @@ NB_MODULE(_native, m) {
   gp::bind_impact(m);
   gp::bind_search(m);
   gp::bind_lattice(m);
+  gp::bind_control(m);
 }
