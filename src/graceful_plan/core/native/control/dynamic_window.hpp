@@ -118,7 +118,7 @@ class DynamicWindow {
   // What is near enough to matter, and where the base stands now.
   struct Scene {
     Scene(const DynamicWindow& of, const Coasting::State& at, const Around& around)
-        : all(around), work(of.coasting_, around.shape.size(), around.severity.size()) {
+        : all(around), work(of.coasting_, around.severity.size()) {
       const double reach = of.coasting_.footprint().reach();
       const double far = (of.limits_.v + of.limits_.a * of.set_.period) * of.set_.horizon + reach + of.set_.near;
       for (const FloorShape& shape : around.shape) {
@@ -186,7 +186,9 @@ class DynamicWindow {
       const FloorPath::Foot place = path.nearest(end.x, end.y, foot.s - kBack, foot.s + limits_.v * set_.horizon + kBack);
       const auto carrot = path.at(place.s + set_.ahead);
       const double wanted = std::atan2(carrot[1] - end.y, carrot[0] - end.x) - end.yaw;
-      const double whole = std::min(limits_.v * set_.horizon, std::max(left, kBack));
+      // What the fastest that it can reach would make of the horizon: a base that stands is drawn on like one that drives.
+      const double reached = std::min(limits_.v, std::fabs(at.v) + limits_.a * set_.period);
+      const double whole = std::min(reached * set_.horizon, std::max(left, 1e-3));
       progress += 0.5 * std::min(1.0, (place.s - foot.s) / (part * whole));
       off += 0.5 * std::min(place.distance, kBack);
       heading += 0.5 * (1 - std::fabs(std::remainder(wanted, kTurn)) / (0.5 * kTurn));

@@ -15,7 +15,7 @@ class CoastModel {
 
   const Core& core() const { return core_; }
   size_t n_entity() const { return n_entity_; }
-  Coasting::Work work() const { return {coasting_, shape_.size(), n_entity_}; }
+  Coasting::Work work() const { return {coasting_, n_entity_}; }
 
   // P by entity.
   auto probability(Reals q, Reals qd) const {

@@ -80,13 +80,19 @@ struct CoastingArrays {
 };
 
 class Coasting {
+  // Places of one way, in the order in which the base comes there.
+  struct Place {
+    double at[4], time, spread, worth;
+  };
+
  public:
   // What is written to for each state.
   struct Work {
-    Work(const Coasting& of, size_t n_shape, size_t n_entity)
-        : near(n_shape), hit(n_entity), most(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
-    std::vector<char> near;
-    std::vector<double> hit, most, free, braked;
+    Work(const Coasting& of, size_t n_entity)
+        : hit(n_entity), most(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
+    std::vector<double> hit, most, free, braked, touched;
+    std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
+    std::vector<Place> place;
   };
   struct State {
     double x, y, yaw, v, omega;
@@ -127,14 +133,14 @@ class Coasting {
       longest = std::max(longest, stop.delay + speed / stop.a);
     }
     const double most = std::max(far, farthest_) + footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far);
-    bool any = false;
+    work.whom.clear(), work.what.clear();
     for (size_t k = 0; k < shape.size(); ++k) {
       const bool counts = shape[k].entity < 0 || !severity || severity[shape[k].entity] > 0;
       const double moves = std::hypot(shape[k].vx, shape[k].vy) * std::max(longest, lasts_);
-      work.near[k] = counts && shape[k].distance(at.x, at.y, 0) < most + moves;
-      any |= work.near[k] && shape[k].entity >= 0;
+      if (counts && shape[k].distance(at.x, at.y, 0) < most + moves)
+        (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
     }
-    if (!any) return false;
+    if (work.whom.empty()) return false;
     const double sign = at.v < 0 ? -1 : 1, bend = at.omega / at.v * sign;
     const double straightens = turn_ * at.omega * at.omega;
     // Released wheels go along the others' arc if nothing turns so far.
@@ -174,18 +180,28 @@ class Coasting {
     const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
     return 0.5 * std::erfc(d / spread * 0.7071067811865476);
   }
-  // Raise work.most by what is met at a place, unless it is behind what stopped the base.
-  void meet(const std::vector<FloorShape>& shape, const double at[4], double time, double spread, double worth,
-            double& stopped, Work& work) const {
-    for (size_t j = 0; j < shape.size(); ++j)
-      if (work.near[j] && shape[j].entity < 0) stopped = std::max(stopped, touch(shape[j], at, time, spread));
-    for (size_t j = 0; j < shape.size(); ++j) {
-      if (!work.near[j] || shape[j].entity < 0) continue;
-      double& most = work.most[size_t(shape[j].entity)];
-      most = std::max(most, worth * (1 - stopped) * touch(shape[j], at, time, spread));
+  // Raise work.hit by what is met along a way before an obstacle stops the base. Obstacles are asked for only as far as
+  // there is somebody to be met.
+  void meet(const std::vector<FloorShape>& shape, double share, Work& work) const {
+    size_t last = 0;
+    work.touched.assign(work.place.size() * work.whom.size(), 0.0);
+    for (size_t k = 0; k < work.place.size(); ++k) {
+      const Place& place = work.place[k];
+      for (size_t j = 0; j < work.whom.size(); ++j) {
+        const double touches = touch(shape[work.whom[j]], place.at, place.time, place.spread);
+        work.touched[k * work.whom.size() + j] = touches;
+        if (touches > kHardly) last = k + 1;
+      }
     }
-  }
-  static void add(Work& work, double share) {
+    double stopped = 0;
+    for (size_t k = 0; k < last; ++k) {
+      const Place& place = work.place[k];
+      for (const size_t j : work.what) stopped = std::max(stopped, touch(shape[j], place.at, place.time, place.spread));
+      for (size_t j = 0; j < work.whom.size(); ++j) {
+        double& most = work.most[size_t(shape[work.whom[j]].entity)];
+        most = std::max(most, place.worth * (1 - stopped) * work.touched[k * work.whom.size() + j]);
+      }
+    }
     for (size_t e = 0; e < work.hit.size(); ++e) work.hit[e] += share * work.most[e], work.most[e] = 0;
   }
 
@@ -193,7 +209,8 @@ class Coasting {
   void follow(const State& q, const Way& way, const std::vector<FloorShape>& shape, Work& work) const {
     const double worth = way.speed * way.speed / (unit_ * unit_);
     const double arc = way.bend != 0 ? way.most / std::fabs(way.bend) : std::numeric_limits<double>::infinity();
-    double stopped = 0, time = 0, before = 0;
+    double time = 0, before = 0;
+    work.place.clear();
     for (int k = 0; k < kSamples && kSpacing * (k - 1) < way.far; ++k) {
       const double done = std::min(way.far, kSpacing * k), curved = std::min(done, arc), straight = done - curved;
       const double turned = way.bend * curved, half = 0.5 * turned;
@@ -213,9 +230,9 @@ class Coasting {
       }
       if (energy <= 0) break;
       time += (done - before) / (way.speed * std::max(std::sqrt(left_of / moving), kSlowest)), before = done;
-      meet(shape, at, time, std::hypot(spread_, drift_ * done), energy, stopped, work);
+      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done), energy});
     }
-    add(work, 1.0);
+    meet(shape, 1.0, work);
   }
 
   // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned round.
@@ -223,7 +240,7 @@ class Coasting {
     const Node v = node(speeds_, std::fabs(q.v)), w = node(rates_, q.omega);
     const double sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
     for (size_t f = 0; f < share_.size(); ++f) {
-      double stopped = 0;
+      work.place.clear();
       for (size_t k = 0; k < samples_; ++k) {
         double p[kPlace] = {};
         for (int i = 0; i < 2; ++i) {
@@ -236,11 +253,13 @@ class Coasting {
           }
         }
         const double x = sign * p[0], y = sign * p[1], ch = std::cos(q.yaw + p[2]), sh = std::sin(q.yaw + p[2]);
-        const double at[4] = {q.x + c * x - s * y, q.y + s * x + c * y, ch, sh};
         const double worth = std::min(1.0, p[3] * p[3] / (unit_ * unit_));
-        meet(shape, at, p[4], std::hypot(spread_, drift_ * std::hypot(x, y)), worth, stopped, work);
+        work.place.push_back({{q.x + c * x - s * y, q.y + s * x + c * y, ch, sh},
+                              p[4],
+                              std::hypot(spread_, drift_ * std::hypot(x, y)),
+                              worth});
       }
-      add(work, share_[f]);
+      meet(shape, share_[f], work);
     }
   }
   struct Node {
@@ -280,6 +299,7 @@ class Coasting {
   static constexpr double kSpacing = 0.1;  // between them [m]
   static constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
   static constexpr double kFarOff = 6;     // spreads beyond which nothing is touched
+  static constexpr double kHardly = 1e-9;  // probability of a touch that is none
   static constexpr double kSlowest = 0.1;  // share of the speed below which time is not stretched further
 
   Footprint2d footprint_;
