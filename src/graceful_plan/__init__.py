@@ -15,6 +15,7 @@ from graceful_plan.constraints.distance import KeepDistance
 from graceful_plan.constraints.grasp import GraspHolds
 from graceful_plan.constraints.standing import KeepStanding
 from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
+from graceful_plan.control.dwa import DWA
 from graceful_plan.costs.blocks.clearance_cost import ClearanceCost
 from graceful_plan.costs.cost import Cost, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
@@ -63,6 +64,7 @@ __all__ = [
     "Constraint",
     "Cost",
     "CostBreakdown",
+    "DWA",
     "DiffDrive",
     "DriveLattice",
     "Dry",

@@ -28,7 +28,7 @@ PERIOD = 0.02
 """Between commands of controllers that have no period of their own [s]."""
 _SETTLES = 0.5
 """How long the robot is watched after the end [s]."""
-_THERE = 0.05
+_THERE = 0.08
 """Distance to the end of a path at which it counts as reached [m]."""
 _SLOW = 0.02
 
@@ -109,7 +109,7 @@ def drive(
     else:
         at = np.minimum(np.round(t / TIMESTEP).astype(int), len(goal.wanted) - 1)
         error = np.linalg.norm(pose[:, :2] - goal.wanted[at, :2], axis=1)
-    ended = np.linalg.norm(pose[-1, :2] - dense[-1]) < max(_THERE, 2e-2) and abs(speed[-1]) < 5 * _SLOW
+    ended = np.linalg.norm(pose[-1, :2] - dense[-1]) < _THERE and abs(speed[-1]) < 5 * _SLOW
     return Driven(
         t=t,
         pose=pose,

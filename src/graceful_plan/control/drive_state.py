@@ -68,12 +68,12 @@ class Surroundings:
         shape: ArrayLike,
         entity: ArrayLike | None = None,
         velocity: ArrayLike | None = None,
-        severity: ArrayLike = (),
+        severity: ArrayLike | tuple[()] = (),
     ) -> None:
         rows = finite_array("shape", np.asarray(shape, dtype=float).reshape(-1, 7), ndim=2)
         owner = np.full(len(rows), -1) if entity is None else np.asarray(entity)
         moves = np.zeros((len(rows), 2)) if velocity is None else finite_array("velocity", velocity, ndim=2)
-        worth = finite_array("severity", severity, ndim=1)
+        worth = finite_array("severity", np.asarray(severity, dtype=float), ndim=1)
         for name, given, expected in (("entity", owner, (len(rows),)), ("velocity", moves, (len(rows), 2))):
             if given.shape != expected:
                 raise ShapeError(name, given.shape, f"{expected}, a row for each shape")
@@ -93,10 +93,10 @@ class Surroundings:
     def discs(
         cls,
         centre: ArrayLike,
-        radius: ArrayLike,
+        radius: ArrayLike | float,
         *,
         velocity: ArrayLike | None = None,
-        severity: ArrayLike | None = None,
+        severity: ArrayLike | float | None = None,
     ) -> Surroundings:
         """Return surroundings of discs.
 

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.control.diff_drive_controller import limited
 from graceful_plan.control.drive_state import DriveCommand, DriveState, Surroundings
 from graceful_plan.core import _native
 from graceful_plan.costs.models.coast.coast import coasting_arrays
@@ -61,6 +62,7 @@ class DWA:
         near: Clearance that is enough [m].
         margin: Clearance that is needed [m].
         ahead: How far ahead of an arc's end the path is headed for [m].
+        tolerance: Distance to the end of the path at which it comes to a stop [m].
         speeds: Speeds that are looked at.
         rates: Rates of turning that are looked at, besides straight on and the arc to the path ahead.
 
@@ -77,13 +79,14 @@ class DWA:
     horizon: float = 1.2
     period: float = 0.05
     near: float = 0.3
-    margin: float = 0.02
+    margin: float = 0.04
     ahead: float = 0.3
+    tolerance: float = 0.05
     speeds: int = 7
     rates: int = 15
 
     def __post_init__(self) -> None:
-        for name in ("heading", "velocity", "path", "clearance", "impact", "margin", "ahead"):
+        for name in ("heading", "velocity", "path", "clearance", "impact", "margin", "ahead", "tolerance"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise SettingError(f"DWA.{name}", value, "a finite number of at least 0")
@@ -173,9 +176,13 @@ class DynamicWindow:
             around: What stands and moves there.
             every: Whether all candidates are looked at, which changes nothing but the time that it takes.
         """
+        places = np.ascontiguousarray(np.asarray(path, dtype=float)[:, :2])
+        if np.hypot(*(places[-1] - [state.x, state.y])) <= self.settings.tolerance and self.scene.base is not None:
+            told = limited(DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period)
+            return Choice(told, 0.0, self.settings.near, 0.0, True, 0)
         found = self._native.choose(
             state=np.array(state, dtype=float),
-            path=np.ascontiguousarray(np.asarray(path, dtype=float)[:, :2]),
+            path=places,
             entity=around.entity,
             shape=around.shape,
             velocity=around.velocity,

@@ -112,7 +112,8 @@ void bind_impact(nb::module_& m) {
           "__init__",
           [](CoastModel* self, const Core& core, Integers entity, Reals shape, int n_entity, Reals disc, Reals stops,
              Reals constants, Reals share, Reals speeds, Reals rates, Reals places) {
-            new (self) CoastModel(core, {disc, stops, constants, share, speeds, rates, places}, entity, shape, n_entity);
+            new (self)
+                CoastModel(core, {disc, stops, constants, share, speeds, rates, places}, entity, shape, n_entity);
           },
           "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "disc"_a, "stops"_a, "constants"_a, "share"_a,
           "speeds"_a, "rates"_a, "places"_a, nb::keep_alive<1, 2>())

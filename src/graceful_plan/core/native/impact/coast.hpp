@@ -8,7 +8,10 @@ namespace gp {
 class CoastModel {
  public:
   CoastModel(const Core& core, const CoastingArrays& of, const Integers& entity, const Reals& shape, int n_entity)
-      : core_(core), coasting_(of), shape_(floor_shapes(entity, shape, nullptr, n_entity)), n_entity_(size_t(n_entity)) {
+      : core_(core),
+        coasting_(of),
+        shape_(floor_shapes(entity, shape, nullptr, n_entity)),
+        n_entity_(size_t(n_entity)) {
     require(core.tables().n_joint >= 3, "joints of a base");
     require(n_entity >= 0 && n_entity <= kMaxEntities, "number of entities");
   }

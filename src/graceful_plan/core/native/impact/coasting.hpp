@@ -223,8 +223,7 @@ class Coasting {
       double energy = 0, moving = 0, left_of = 0;
       for (size_t i = 0; i < stop_.size(); ++i) {
         if (stop_[i].bend != way.family.bend || (stop_[i].released != way.family.released && !way.alike)) continue;
-        const double left =
-            std::clamp(1 - (met - work.free[i]) / std::max(work.braked[i], 1e-12), 0.0, 1.0);
+        const double left = std::clamp(1 - (met - work.free[i]) / std::max(work.braked[i], 1e-12), 0.0, 1.0);
         energy += stop_[i].p * std::min(1.0, left * worth);
         if (left > 0) moving += stop_[i].p, left_of += stop_[i].p * left;
       }
@@ -235,7 +234,8 @@ class Coasting {
     meet(shape, 1.0, work);
   }
 
-  // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned round.
+  // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned
+  // round.
   void tabulated(const State& q, const std::vector<FloorShape>& shape, Work& work) const {
     const Node v = node(speeds_, std::fabs(q.v)), w = node(rates_, q.omega);
     const double sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
