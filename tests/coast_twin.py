@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 from scipy.special import erfc
 
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.coast.four_wheel import one_sided_ways
 from graceful_plan.costs.models.coast.tables import CoastTables
 
 SPACING, SAMPLES = 0.1, 64
@@ -15,16 +17,50 @@ _STILL = 1e-6
 
 def hits(batch: StateBatch, tables: CoastTables, settings: CoastSettings, turns_on: float) -> np.ndarray:
     """Return P for each entity; `turns_on` is the angle by rate squared once wheels are let go."""
-    stops = settings.stops
-    total = np.zeros((len(batch.q), len(batch.scene.entities)))
-    for released in (0.0, 1.0):
-        chosen = stops[stops[:, 4] == released]
+    stops = settings.stops(batch.scene.base.load)
+    total = _one_sided(batch, tables, settings)
+    for released, bend in sorted(set(map(tuple, stops[:, 4:]))):
+        chosen = stops[(stops[:, 4] == released) & (stops[:, 5] == bend)]
         most = turns_on * batch.qd[:, 2] ** 2 if released else np.full(len(batch.q), np.inf)
-        total += _family(batch, tables, settings, chosen, stops, most)
+        total += _family(batch, tables, settings, chosen, (stops, bend, most))
     return total
 
 
-def _family(batch, tables, settings, stops, every, most):
+def _one_sided(batch, tables, settings):
+    """Places from the tables, between them in a straight line, one state after the other."""
+    ways = one_sided_ways(tables.body, settings)
+    table = RegularGridInterpolator((ways.speeds, ways.rates), ways.places, bounds_error=False, fill_value=None)
+    total = np.zeros((len(batch.q), len(batch.scene.entities)))
+    for i, (q, qd) in enumerate(zip(batch.q, batch.qd, strict=True)):
+        c, s = np.cos(q[2]), np.sin(q[2])
+        v = qd[0] * c + qd[1] * s
+        if abs(v) <= _STILL:
+            continue
+        at = np.clip([abs(v), qd[2]], [0.0, ways.rates[0]], [ways.speeds[-1], ways.rates[-1]])
+        x, y, turned, speed, _ = np.moveaxis(table(at)[0], -1, 0)
+        x, y = np.sign(v) * x, np.sign(v) * y
+        ch, sh = np.cos(q[2] + turned), np.sin(q[2] + turned)
+        touch = _touch(tables, (q[0] + c * x - s * y, q[1] + s * x + c * y, ch, sh), settings, np.hypot(x, y))
+        wall = np.maximum.accumulate(touch[..., tables.entity < 0].max(axis=-1, initial=0.0), axis=1)
+        worth = np.minimum(1.0, speed**2 / settings.reference_speed**2)
+        met = (worth * (1.0 - wall))[..., None] * touch
+        for shape, entity in enumerate(tables.entity.tolist()):
+            if entity >= 0:
+                total[i, entity] += ways.share @ met[..., shape].max(axis=1)
+    return total
+
+
+def _touch(tables, at, settings, way):
+    x, y, ch, sh = at
+    d = np.full((*np.shape(x), len(tables.shape)), np.inf)
+    for bx, by, r in tables.disc:
+        d = np.minimum(d, _distance(np.stack([x + ch * bx - sh * by, y + sh * bx + ch * by]), tables.shape) - r)
+    spread = np.hypot(settings.position_spread, settings.drift * way)[..., None]
+    return 0.5 * erfc(d / spread / np.sqrt(2.0))
+
+
+def _family(batch, tables, settings, stops, which):
+    every, added, most = which
     q, qd = batch.q[:, :3], batch.qd[:, :3]
     c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
     v = qd[:, 0] * c + qd[:, 1] * s
@@ -40,7 +76,7 @@ def _family(batch, tables, settings, stops, every, most):
     worth = np.clip(left, 0.0, 1.0) * (speed**2)[:, :, None] / settings.reference_speed**2
     energy = (stops[:, 0] * np.minimum(1.0, worth)).sum(axis=2)
     moves, sign = np.abs(v) > _STILL, np.sign(v)[:, None]
-    bend = (np.where(moves, qd[:, 2], 0.0) / np.where(moves, v, 1.0))[:, None] * sign
+    bend = (np.where(moves, qd[:, 2], 0.0) / np.where(moves, v, 1.0))[:, None] * sign + added
     arc = np.where(bend != 0.0, most[:, None] / np.where(bend != 0.0, np.abs(bend), 1.0), np.inf)
     curved = np.minimum(way, arc)
     turned, straight = bend * curved, way - curved
@@ -49,12 +85,7 @@ def _family(batch, tables, settings, stops, every, most):
     ch, sh = np.cos(heading), np.sin(heading)
     x = q[:, 0:1] + chord * np.cos(middle) + sign * straight * ch
     y = q[:, 1:2] + chord * np.sin(middle) + sign * straight * sh
-    d = np.full((len(q), places, len(tables.shape)), np.inf)
-    for bx, by, r in tables.disc:
-        at = np.stack([x + ch * bx - sh * by, y + sh * bx + ch * by])
-        d = np.minimum(d, _distance(at, tables.shape) - r)
-    spread = np.hypot(settings.position_spread, settings.drift * way)[..., None]
-    touch = 0.5 * erfc(d / spread / np.sqrt(2.0))
+    touch = _touch(tables, (x, y, ch, sh), settings, way)
     wall = touch[:, :, tables.entity < 0].max(axis=2, initial=0.0)
     reached = (energy * (1.0 - np.maximum.accumulate(wall, axis=1)))[..., None] * touch
     P = np.zeros((len(q), len(batch.scene.entities)))
@@ -66,7 +97,7 @@ def _family(batch, tables, settings, stops, every, most):
 
 def _ways(speed, stops):
     """How far at full speed, and while it slows down."""
-    _, a, k, delay, _ = stops.T
+    _, a, k, delay, *_ = stops.T
     with np.errstate(divide="ignore", invalid="ignore"):
         dragged = speed / k - a / k**2 * np.log1p(k * speed / a)
     return speed * delay, np.where(k > 0.0, dragged, speed**2 / (2.0 * a))

@@ -40,7 +40,7 @@ FLOORS = (
     {"documents"},
     {"costs"},
     {"constraints"},
-    {"planners", "judge"},
+    {"planners", "judge", "control"},
     {"analysis", "transcription"},
     {"query"},
     {"plan", "roadmap"},

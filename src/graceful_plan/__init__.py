@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from graceful_plan.constraints.grasp import GraspHolds
     from graceful_plan.constraints.standing import KeepStanding
     from graceful_plan.constraints.tool import ToolSpeed, ToolWithin
+    from graceful_plan.control.dwa import DWA
     from graceful_plan.costs.blocks.clearance_cost import ClearanceCost
     from graceful_plan.costs.cost import Cost, StateBatch
     from graceful_plan.costs.fault_prior import FaultPrior
@@ -83,6 +84,7 @@ else:
             "Constraint": "graceful_plan.constraints.constraint",
             "Cost": "graceful_plan.costs.cost",
             "CostBreakdown": "graceful_plan.result",
+            "DWA": "graceful_plan.control.dwa",
             "DiffDrive": "graceful_plan.scene.mobile.diff_drive",
             "DriveLattice": "graceful_plan.planners.driving.drive_lattice",
             "Dry": "graceful_plan.scene.elements",
@@ -163,6 +165,7 @@ __all__ = [
     "Constraint",
     "Cost",
     "CostBreakdown",
+    "DWA",
     "DiffDrive",
     "DriveLattice",
     "Dry",

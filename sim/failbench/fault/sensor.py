@@ -70,7 +70,7 @@ class ControlDelay(Fault):
 
     def apply(self, plant: Plant, level: float) -> None:
         """Send what was meant for some steps ago."""
-        steps = round(level * self.amount / plant.dt)
+        plant.lag = steps = round(level * self.amount / plant.dt)
         before = plant.past[len(plant.past) - min(steps, len(plant.past)) :]
         known = np.concatenate([before, plant.healthy])
         at_rest = np.repeat(known[:1], steps - len(before), axis=0)  # nothing was commanded before the motion began

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 
 from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
+from failbench.rollouts.base_loop import TICK, BasePlan
+from failbench.simulated.rolling import PLANAR, lifted
 from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
@@ -29,6 +31,8 @@ _REST = 0.2
 """Part of it [s] during which the fingers hold alone."""
 _TRACKING = 0.05
 """A joint farther [rad or m] than this from where it should be does not follow."""
+_STRAYING = (0.15, 0.15, 0.3)
+"""A base farther than this from where it should be along x, y [m] or in its heading [rad] does not follow."""
 _SLIP = 0.02
 """An object that moved farther [m] than this in the tool frame is not held."""
 _FALL = 1.0
@@ -49,6 +53,8 @@ class Execution:
     | tracking_error | greatest distance of each joint from where it should be [rad or m]         | nq               |
     | slip           | greatest distance of the carried object from where it was in the tool [m]  |                  |
     | healthy        | what is spilt and hit without any failure                                  |                  |
+    | base           | what a base that drives follows; None if the robot stands                  |                  |
+    | loop           | what its wheels' servos are told at each tick, and the integral beside it  | tick wheel+1     |
     """
 
     world: World
@@ -59,6 +65,8 @@ class Execution:
     tracking_error: Float[Array, " nq"]
     slip: float
     healthy: HealthyHarm
+    base: BasePlan | None = None
+    loop: Float[Array, "tick wheel_and_1"] | None = None
 
     @property
     def dt(self) -> float:
@@ -158,12 +166,17 @@ def execute(
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
     _check_range(wanted, tolerance, world, dt)
     command = _commands(trajectory, world, steps)
+    base = BasePlan.of(world, trajectory, steps)
+    loop = None
     with warnings_counted_only():
         start = _settled(trajectory, world, command[0])
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
-        run = _simulated(batch, command[:steps], start[None])
-        error = np.abs(run.qpos[:, world.robot.qpos] - wanted)
+        if base is None:
+            run = _simulated(batch, command[:steps], start[None])
+        else:
+            run, loop = _driven(batch, command, start[None], base)
+        error = np.abs(run.qpos[:, _planned(world)] - wanted)
         _check_tracking(error, tolerance, world, dt)
         slip = _slip(run.xpos, run.xquat, world)
         stays = slip <= _SLIP
@@ -186,7 +199,14 @@ def execute(
         tracking_error=error.max(axis=0),
         slip=float(slip.max()),
         healthy=healthy,
+        base=base,
+        loop=loop,
     )
+
+
+def _planned(world: World) -> Array:
+    """Return the addresses in qpos of the planned joints."""
+    return world.robot.qpos if world.rolling is None else world.rolling.planned
 
 
 class _Run(NamedTuple):
@@ -206,6 +226,24 @@ def _simulated(batch: Batch, command: Float[Array, "step actuator"], start: Floa
     out = batch.rollout(len(command), command[None], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
     qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
     return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
+
+
+def _driven(
+    batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"], base: BasePlan
+) -> tuple[_Run, Float[Array, "tick wheel_and_1"]]:
+    """Drive a base: its loop is closed tick by tick, and what it sends is written into the commands."""
+    qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+    loop, runs, told = base.loop(qpos[0, base.wheel]), [], []
+    steps = len(command) - 1
+    for step in range(0, steps, TICK):
+        told.append([*loop.angles, loop.summed])
+        rows = loop.commands(step, qpos[0], qvel[0])
+        until = min(step + TICK, steps)
+        command[step:, base.motor] = rows[-1]  # the last one is held
+        command[step:until, base.motor] = rows[: until - step]
+        runs.append(_simulated(batch, command[step:until], start if not runs else runs[-1].states[-1:]))
+    parts = [part if i == 0 else part._replace(states=part.states[1:]) for i, part in enumerate(runs)]
+    return _Run._make(map(np.concatenate, zip(*parts, strict=True))), np.array(told)
 
 
 def _joined(first: _Run, second: _Run) -> _Run:
@@ -263,14 +301,22 @@ def _joint_commands(
             for a, b, c in zip(q, qd, qdd, strict=True)
         ]
     )
-    return (robot.kp * q + robot.kd * qd + torque) / robot.gain
+    if world.rolling is None:
+        return (robot.kp * q + robot.kd * qd + torque) / robot.gain
+    # Wheels are told by the loop of the base; here they are told to go on as at the rims' speeds.
+    n = len(world.rolling.base.wheels)
+    arm = slice(n, None)
+    told = np.zeros((len(q), len(robot.joints)))
+    joints = robot.kp[arm] * q[:, PLANAR:] + robot.kd[arm] * qd[:, PLANAR:] + torque[:, PLANAR:]
+    told[:, arm] = joints / robot.gain[arm]
+    return told
 
 
 def _standing(world: World) -> Float[Array, " actuator"]:
     """Return commands with which every position servo holds its joint where the scene has it."""
     model = world.model
     data = mujoco.MjData(model)
-    data.qpos[:] = world.scene.home_qpos
+    data.qpos[:] = lifted(world.scene, model, world.scene.home_qpos)
     mujoco.mj_fwdPosition(model, data)
     gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
     servo = (bias[:, 1] < 0.0) & (gain != 0.0)
@@ -283,15 +329,12 @@ def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actua
     """Return the state from which the motion begins: the object in the fingers, everything at rest."""
     model, scene = world.model, world.scene
     data = mujoco.MjData(model)
-    data.qpos[:] = scene.data_at(trajectory.q[0]).qpos
-    hold = command.copy()
-    robot = world.robot
-    still = np.zeros(len(robot.joints))
-    weight = RobotDynamics(scene)(trajectory.q[0], still, still)
-    hold[robot.actuators] = (robot.kp * trajectory.q[0] + weight) / robot.gain
+    data.qpos[:] = lifted(scene, model, scene.data_at(trajectory.q[0]).qpos)
+    hold, still = command.copy(), np.zeros((1, len(scene.joints)))
+    hold[world.robot.actuators] = _joint_commands(world, trajectory.q[:1], still, still)[0]
     steps = round(_SETTLE / model.opt.timestep)
     for step in range(steps):
-        if world.hold >= 0 and robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:
+        if world.hold >= 0 and world.robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:
             data.eq_active[world.hold] = 0
         data.ctrl[:] = hold
         mujoco.mj_step(model, data)
@@ -311,10 +354,13 @@ def _check_range(wanted: Float[Array, "step nq"], tolerance: float, world: World
 
 
 def _check_tracking(error: Float[Array, "step nq"], tolerance: float, world: World, dt: float) -> None:
-    off = np.argwhere(~(error <= tolerance))
+    most = np.full(error.shape[1], tolerance)
+    if world.rolling is not None:
+        most[:PLANAR] = np.maximum(tolerance, _STRAYING)
+    off = np.argwhere(~(error <= most))
     if len(off):
         step, joint = (int(i) for i in off[0])
-        problem = f"{error[step, joint]:.3g} rad from the trajectory, {tolerance:g} are allowed; slow the motion down"
+        problem = f"{error[step, joint]:.3g} rad from the trajectory, {most[joint]:g} are allowed; slow the motion down"
         raise ExecutionRefused(f"joint {world.scene.joints[joint]!r}", (step + 1) * dt, problem)
 
 

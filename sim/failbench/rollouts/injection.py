@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from failbench.recording.records import Job
+from failbench.rollouts.base_loop import TICK
 from failbench.rollouts.execution import Execution
 from failbench.simulated.plant import Plant
 from failbench.simulated.states import CHECKPOINT
@@ -67,9 +68,20 @@ class Injection:
             fields={name: fields[name] for name in fault.FIELDS},
         )
         self._model = execution.world.model
+        self._wheels = _Wheels(execution, self.plant, onset, qpos, qvel) if execution.base is not None else None
         self._end = steps if fault.duration is None else max(1, round(fault.duration / execution.dt))
         self.next = 0
         """The step before which the fault acts next."""
+
+    @property
+    def ticks(self) -> int | None:
+        """Steps from one call of `steer` to the next; None if the robot does not drive."""
+        return None if self._wheels is None else TICK
+
+    def steer(self, step: int) -> None:
+        """Let the controller of the base send what it sends before a step; call it before `act`."""
+        if self._wheels is not None:
+            self._wheels.steer(step, self.job.fault.CATEGORY == "sensor")
 
     def act(self) -> None:
         """Let the fault act, or end it, before step `next`."""
@@ -96,6 +108,51 @@ class Injection:
             values[...] = getattr(self._model, name)
         plant.ahead[...] = plant.healthy[plant.step :]
         plant.eq_active[plant.robot.locks] = 0
+        plant.lag = 0
+
+
+class _Wheels:
+    """The loop of a base that may be broken: it goes on from the onset, and faults act on what it sends."""
+
+    def __init__(self, execution: Execution, plant: Plant, onset: int, qpos: Array, qvel: Array) -> None:
+        assert execution.base is not None and execution.loop is not None
+        self._plan, self._plant, self._onset, self._qpos, self._qvel = execution.base, plant, onset, qpos, qvel
+        told = execution.loop[min(onset // TICK, len(execution.loop) - 1)]
+        self._loop = execution.base.loop(told[:-1], float(told[-1]))
+        self._sent = plant.past[:, execution.base.motor]
+        n = len(execution.base.wheel)
+        self._hurt = bool((plant.joints < n).any())
+        self._healthy = execution.world.model.actuator_biasprm[execution.base.motor, 1].copy()
+
+    def steer(self, step: int, encoders: bool) -> None:
+        plant, motor = self._plant, self._plan.motor
+        if encoders and self._hurt and plant.lag == 0:
+            self._loop.misread = lambda: self._wrong(step)
+        rows = self._loop.commands(self._onset + step, self._qpos, self._qvel)
+        rows = rows[: max(0, len(plant.command) - step)]
+        self._sent = np.concatenate([self._sent, rows])
+        late = self._sent
+        if plant.lag:
+            late = np.concatenate([np.repeat(self._sent[:1], plant.lag, axis=0), self._sent])
+        begin = self._onset + step
+        part = slice(step, step + len(rows))
+        told = late[begin : begin + len(rows)] if plant.lag else rows
+        before = plant.healthy[part][:, motor]
+        plant.healthy.flags.writeable = True
+        plant.healthy[part, motor] = told
+        plant.healthy.flags.writeable = False
+        plant.command[part, motor] += told - before
+
+    def _wrong(self, step: int) -> Array:
+        """Reading minus truth of the wheels' angles: what their servos see [rad]."""
+        plant, motor = self._plant, self._plan.motor
+        row = min(max(step - 1, 0), len(plant.command) - 1)
+        wrong = plant.healthy[row, motor] - plant.command[row, motor]
+        bias = plant.fields.get("actuator_biasprm")
+        if bias is not None:
+            angle = self._qpos[self._plan.wheel]
+            wrong = wrong + (bias[motor, 0] + bias[motor, 1] * angle) / self._healthy - angle
+        return wrong
 
 
 NEVER = int(np.iinfo(np.int32).max)

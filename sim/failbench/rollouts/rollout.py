@@ -147,11 +147,16 @@ def _simulate(
     sims, xpos = np.arange(count), simulations.bind("xpos")
     sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
     room = {name: np.empty(count * PERIOD * size) for name, size in sizes.items()}
+    tick = injections[0].ticks
     while step < steps:
         for injection in injections:
+            if tick is not None and step % tick == 0:
+                injection.steer(step)
             if injection.next == step:
                 injection.act()
         until = min(steps, step + PERIOD - step % PERIOD, *(injection.next for injection in injections))
+        if tick is not None:
+            until = min(until, step + tick - step % tick)
         commands = np.stack([injection.plant.command[step:until] for injection in injections])
         # Memory that is used again: fresh pages cost more than what is written into them.
         shapes = {name: (count, until - step, size) for name, size in sizes.items()}

@@ -34,6 +34,8 @@ def steps(execution: Execution, job: Job, *, horizon: float = 1.0) -> Iterator[t
         eq_active=data.eq_active,
     )
     for step in range(count):
+        if injection.ticks is not None and step % injection.ticks == 0:
+            injection.steer(step)
         if injection.next == step:
             injection.act()
         data.ctrl[:] = injection.plant.command[step]

@@ -35,6 +35,7 @@ class Plant:
     |             | the motion since the onset [s], pace, and how fast that changes [1/s]                    |
     | fields      | fields of this simulation's model that may be written                                    |
     | step        | steps since the onset                                                                    |
+    | lag         | steps by which what a controller closes on the way reaches the wheels late               |
     | memory      | whatever the fault wants to remember                                                     |
     """
 
@@ -52,6 +53,7 @@ class Plant:
     paced: Callable[[Array, Array, Array], Array]
     fields: Mapping[str, Array]
     step: int = 0
+    lag: int = 0
     memory: dict[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Array:

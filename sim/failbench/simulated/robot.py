@@ -39,6 +39,7 @@ class Robot:
     | grip_closed       | the one of a healthy robot: closed if the fingers hold something             |       |
     | pads              | ids of the geoms of the fingers                                              |       |
     | weld              | the equality constraint that holds the carried object; -1 if the fingers do  |       |
+    | together          | groups of joints that one motor drives: what strikes one strikes all                  |       |
     """
 
     joints: tuple[str, ...]
@@ -59,6 +60,7 @@ class Robot:
     grip_closed: Array
     pads: Array
     weld: int
+    together: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         for array in vars(self).values():
@@ -85,6 +87,9 @@ class Robot:
                 chosen.add(drawn)
             elif target != "gripper":
                 chosen.add(self.joints.index(target))
+        for group in self.together:
+            if chosen.intersection(group):
+                chosen.update(group)
         return np.array(sorted(chosen), dtype=int), any(t in ("gripper", "robot") for t in targets)
 
     def check_targets(self, targets: Sequence[str]) -> None:

@@ -14,6 +14,16 @@ import numpy as np
 
 from failbench.simulated.gripper import Gripper, find_gripper
 from failbench.simulated.robot import Robot
+from failbench.simulated.rolling import (
+    PLANAR,
+    Rolling,
+    driven_joints,
+    find_rolling,
+    kept_joints,
+    lifted,
+    put_on_wheels,
+    same_side,
+)
 from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
@@ -71,6 +81,7 @@ class World:
     | settings       | how                                                                                  |
     | model          | the model with servos, constraints and sensors; read only                            |
     | robot          | the parts that can break                                                             |
+    | rolling        | where a base that drives is; None if the robot stands                                |
     | pairs          | component and entity of each contact sensor; one for every body of an entity         |
     | sensor_adr     | where in sensordata each contact sensor begins: count, force in W, position in W     |
     | obstacle_adr   | the same of sensors of the carried object against what is no entity                  |
@@ -86,6 +97,7 @@ class World:
     settings: SimSettings
     model: mujoco.MjModel
     robot: Robot
+    rolling: Rolling | None
     pairs: tuple[tuple[str, str], ...]
     sensor_adr: Int[Array, " pair"]
     obstacle_adr: Int[Array, " obstacle"]
@@ -107,7 +119,9 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
     settings = SimSettings() if settings is None else settings
     model = scene.model
     gripper = find_gripper(scene)
-    actuators = [_actuator_of(model, model.joint(name).id, name) for name in scene.joints]
+    driven = driven_joints(scene)
+    arm = scene.joints if scene.base is None else scene.joints[PLANAR:]
+    actuators = [_actuator_of(model, model.joint(name).id, name) for name in arm]
     strikers = {
         name: tuple(sorted({int(model.geom_bodyid[g]) for g in scene.components[name].geoms}))
         for name in ("body", "carried")
@@ -119,24 +133,28 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
     }
     spec = scene.spec.copy()
     _name_bodies(spec)
+    put_on_wheels(spec, scene)
     _set_options(spec, scene, settings)
     pairs = _add_sensors(spec, model, strikers, entities)
     obstacles = _obstacles(scene, entities)
     carried = {name: bodies for name, bodies in strikers.items() if name == "carried"}
     landings = _add_sensors(spec, model, carried, {"": obstacles})
-    for name in scene.joints:
+    for name in driven:
         _add_lock(spec, name, settings.timestep)
     if scene.carried is not None:
         _add_weld(spec, scene, gripper, settings)
     simulated = spec.compile()
-    if simulated.nq != model.nq or simulated.ngeom != model.ngeom:
+    added = 0 if scene.base is None else PLANAR + len(scene.base.wheels)
+    if simulated.nq != model.nq + added or simulated.ngeom != model.ngeom:
         raise UnsupportedError("the carried object needs a free joint to be dropped")
-    robot = _tuned(simulated, scene, settings, actuators, gripper)
+    wheels = [] if scene.base is None else [int(simulated.actuator(name).id) for name in scene.base.wheels]
+    robot = _tuned(simulated, scene, settings, [*wheels, *actuators], gripper)
     return World(
         scene=scene,
         settings=settings,
         model=simulated,
         robot=robot,
+        rolling=find_rolling(scene, simulated),
         pairs=tuple(pair for pair, _ in pairs),
         sensor_adr=np.array([int(simulated.sensor(name).adr[0]) for _, name in pairs], dtype=int),
         obstacle_adr=np.array([int(simulated.sensor(name).adr[0]) for _, name in landings], dtype=int),
@@ -266,7 +284,10 @@ def _movable(model: mujoco.MjModel, entities: Mapping[str, tuple[int, ...]]) -> 
 
 def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators: list[int], gripper: Gripper) -> Robot:
     """Set the servos up in the model that is going to be simulated, and say where the robot's parts are in it."""
-    joints = [int(model.joint(name).id) for name in scene.joints]
+    driven = driven_joints(scene)
+    joints = [int(model.joint(name).id) for name in driven]
+    kept = kept_joints(scene, model)
+    fingers = [kept[j] for j in gripper.joints.tolist()]
     dofs = model.jnt_dofadr[joints].astype(int)
     _ungear(model, actuators)
     _limit_forces(model, scene, actuators, gripper)
@@ -285,30 +306,40 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
         model.actuator_biasprm[actuators, 1] = -(_BANDWIDTH**2) * inertia
         model.actuator_biasprm[actuators, 2] = -2.0 * _BANDWIDTH * inertia
     kp, kd = -model.actuator_biasprm[actuators, 1], -model.actuator_biasprm[actuators, 2]
-    for j, name in enumerate(scene.joints):
+    for j, name in enumerate(driven):
         if not kp[j] > 0.0:
             raise UnsupportedError(f"the actuator of {name!r} is no position servo; use SimSettings(control='torque')")
     grasps = settings.grasp == "fingers" and scene.carried is not None
     return Robot(
-        joints=scene.joints,
+        joints=driven,
         joint_ids=np.array(joints),
-        qpos=np.array(scene.qpos_adr),
-        reference=model.qpos0[scene.qpos_adr].copy(),
+        qpos=model.jnt_qposadr[joints].astype(int),
+        reference=model.qpos0[model.jnt_qposadr[joints]].copy(),
         dofs=dofs,
         actuators=np.array(actuators),
-        locks=np.array([int(model.equality(f"failbench/lock/{name}").id) for name in scene.joints]),
+        locks=np.array([int(model.equality(f"failbench/lock/{name}").id) for name in driven]),
         kp=kp,
         kd=kd,
         gain=model.actuator_gainprm[actuators, 0].copy(),
-        acceleration=scene.limits.acceleration.copy(),
-        gripper_joints=gripper.joints,
-        gripper_dofs=model.jnt_dofadr[gripper.joints].astype(int),
+        acceleration=_accelerations(scene),
+        together=same_side(scene.base),
+        gripper_joints=np.array(fingers, dtype=int),
+        gripper_dofs=model.jnt_dofadr[np.array(fingers, dtype=int)].astype(int),
         gripper_actuators=gripper.actuators,
         grip_open=gripper.open,
         grip_closed=gripper.closed if grasps else gripper.home,
         pads=gripper.pads,
         weld=-1 if grasps or scene.carried is None else int(model.equality("failbench/hold").id),
     )
+
+
+def _accelerations(scene: Scene) -> Float[Array, " driven"]:
+    """Return the greatest acceleration that motions have of each driven joint."""
+    arm = scene.limits.acceleration
+    if scene.base is None:
+        return arm.copy()
+    wheel = (scene.base.a_max + scene.base.lever * scene.base.alpha_max) / scene.base.radius
+    return np.concatenate([np.full(len(scene.base.wheels), wheel), arm[PLANAR:]])
 
 
 def _ungear(model: mujoco.MjModel, actuators: list[int]) -> None:
@@ -329,7 +360,10 @@ def _limit_forces(model: mujoco.MjModel, scene: Scene, actuators: list[int], gri
 
     Joints get the scene's torque limit, if it is known; fingers what their servos ask for at most.
     """
-    known = [(a, t) for a, t in zip(actuators, scene.limits.torque, strict=True) if np.isfinite(t)]
+    torque = scene.limits.torque
+    if scene.base is not None:  # drives of wheels have limits of their own
+        torque = np.concatenate([np.full(len(scene.base.wheels), np.inf), torque[PLANAR:]])
+    known = [(a, t) for a, t in zip(actuators, torque, strict=True) if np.isfinite(t)]
     stroke = np.abs(gripper.open - gripper.closed)
     known += zip(gripper.actuators.tolist(), -model.actuator_biasprm[gripper.actuators, 1] * stroke, strict=True)
     for actuator, force in known:
@@ -341,7 +375,7 @@ def _limit_forces(model: mujoco.MjModel, scene: Scene, actuators: list[int], gri
 def _inertia(model: mujoco.MjModel, scene: Scene) -> Float[Array, " nv"]:
     """Return the diagonal of the inertia matrix at home."""
     data = mujoco.MjData(model)
-    data.qpos[:] = scene.home_qpos
+    data.qpos[:] = lifted(scene, model, scene.home_qpos)
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)

@@ -10,13 +10,12 @@ import mujoco
 import numpy as np
 
 from failbench.wheels.wheeled import TIMESTEP, Wheeled
-from graceful_plan.array_types import Float
-from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.costs.models.coast.constants import ONE_SIDE, WHEELS, CoastSettings
+from graceful_plan.exceptions import UnknownNameError
 
 Array = np.ndarray
 
-LOCKED = "wheels_locked"
-FREE = "power_lost"
 _STILL = 0.02
 """Speed of the base below which it has come to rest [m/s]; it is looked at every `_LOOK` seconds."""
 _LOOK = 0.05
@@ -27,22 +26,35 @@ class BaseFailure:
     """One failure of a base.
 
     Args:
-        way: Its name in the coast settings: "power_lost" lets the wheels roll, "wheels_locked" holds them; any other
-            goes on as commanded for a while and then stops by the wheels' controllers.
-        deceleration: While it rolls, by friction in the drive, or while it stops [m/s^2]; with locked wheels the
+        wheels: What they do, one of the words of the coast settings: "released" wheels turn freely, "locked" ones are
+            held, "driven" ones go on as commanded for a while and then stop by their controllers; "side_locked" and
+            "side_dead": those of one side are held or turn freely while the others go on and then stop.
+        deceleration: While it rolls, by friction in the drive, or while it stops [m/s^2]; with held wheels the
             friction of tyres is this over gravity.
         drag: What is added while it rolls, per speed [1/s].
-        delay: How long it goes on before [s].
+        delay: How long what is driven goes on before [s].
         aside: How far to the left of where it was planned to be it fails [m].
         askew: By how much its heading is off there [rad].
+        bend: Curvature that is added to what is commanded [1/m].
+        left: Which side fails, if one does.
+        friction: Coefficient of tyres, if wheels of one side turn freely.
+        brakes: Deceleration of the rims of the side that works, once it is stopped [m/s^2].
     """
 
-    way: str
+    wheels: str
     deceleration: float
     drag: float
     delay: float
     aside: float = 0.0
     askew: float = 0.0
+    bend: float = 0.0
+    left: bool = True
+    friction: float = 0.6
+    brakes: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.wheels not in WHEELS:
+            raise UnknownNameError("what wheels do", self.wheels, WHEELS)
 
 
 @dataclass(frozen=True)
@@ -64,11 +76,20 @@ def drawn(settings: CoastSettings, rng: np.random.Generator) -> BaseFailure:
     """Draw a failure as the settings of the coast model say."""
     names = list(settings.ways)
     weights = np.array([settings.ways[name].weight for name in names])
-    name = names[int(rng.choice(len(names), p=weights / weights.sum()))]
-    way = settings.ways[name]
+    way = settings.ways[names[int(rng.choice(len(names), p=weights / weights.sum()))]]
     aside, askew = settings.position_spread * rng.normal(), settings.drift * rng.normal()
-    stops = float(rng.choice(way.deceleration)), way.drag, float(rng.choice(way.delay))
-    return BaseFailure(name, *stops, float(aside), float(askew))
+    return BaseFailure(
+        way.wheels,
+        float(rng.choice(way.deceleration)),
+        way.drag,
+        float(rng.choice(way.delay)),
+        float(aside),
+        float(askew),
+        bend=float(rng.choice(way.bend)),
+        left=bool(rng.integers(2)),
+        friction=settings.friction,
+        brakes=settings.brakes,
+    )
 
 
 def coasted(
@@ -104,24 +125,34 @@ def coasting(
         speed = float(np.hypot(*data.qvel[wheels.dof : wheels.dof + 2]))
         mujoco.mj_step(model, data)
         yield data, speed
-        waited = step * TIMESTEP > failure.delay
+        waited = step * TIMESTEP > failure.delay or failure.wheels in ("released", "locked")
         if waited and step % int(_LOOK / TIMESTEP) == 0 and speed < _STILL and abs(data.qvel[wheels.dof + 5]) < _STILL:
             return
 
 
 def _failing(wheels: Wheeled, failure: BaseFailure) -> mujoco.MjModel:
     """Return the model with friction and actuators as they are after the failure."""
-    model = copy.copy(wheels.model)
-    if failure.way == LOCKED:
+    model, broken = copy.copy(wheels.model), _broken(wheels, failure)
+    if failure.wheels in ("locked", "side_locked"):
         model.geom_friction[list(wheels.sphere), 0] = failure.deceleration / 9.81
-    if failure.way == FREE:
+    if failure.wheels in ("released", "side_dead"):
         n, r = len(wheels.wheel), wheels.base.radius
         mass = float(model.body_subtreemass[wheels.body])
         effective = mass + n * float(model.dof_M0[wheels.wheel[0]]) / r**2
-        model.dof_frictionloss[wheels.wheel] = failure.deceleration * effective * r / n
-        model.dof_damping[wheels.wheel] = failure.drag * effective * r**2 / n
-        model.actuator_gainprm[wheels.motor, 0] = model.actuator_biasprm[wheels.motor, 2] = 0.0
+        model.dof_frictionloss[wheels.wheel[broken]] = failure.deceleration * effective * r / n
+        model.dof_damping[wheels.wheel[broken]] = failure.drag * effective * r**2 / n
+        motors = wheels.motor[broken]
+        model.actuator_gainprm[motors, 0] = model.actuator_biasprm[motors, 2] = 0.0
+    if failure.wheels == "side_dead":
+        model.geom_friction[list(wheels.sphere), 0] = failure.friction
     return model
+
+
+def _broken(wheels: Wheeled, failure: BaseFailure) -> Bool[Array, " wheel"]:
+    """Which wheels do not work."""
+    if failure.wheels in ONE_SIDE:
+        return (wheels.sides < 0.0) == failure.left
+    return np.full(len(wheels.wheel), failure.wheels != "driven")
 
 
 def _moved(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
@@ -136,11 +167,16 @@ def _command(
     wheels: Wheeled, data: mujoco.MjData, failure: BaseFailure, driven: tuple[float, float], time: float
 ) -> None:
     v, omega = driven
-    if failure.way == LOCKED:
+    late = max(0.0, time - failure.delay)
+    if failure.wheels in ONE_SIDE:
+        rims = wheels.base.radius * wheels.wheel_rates(v, omega)
+        going = np.sign(rims) * np.maximum(0.0, np.abs(rims) - failure.brakes * late)
+        data.ctrl[wheels.motor] = np.where(_broken(wheels, failure), 0.0, going / wheels.base.radius)
+    elif failure.wheels == "locked":
         data.ctrl[wheels.motor] = 0.0
-    elif failure.way != FREE and time >= failure.delay:
-        left = max(0.0, 1.0 - failure.deceleration * (time - failure.delay) / max(abs(v), 1e-9))
-        data.ctrl[wheels.motor] = wheels.wheel_rates(left * v, left * omega)
+    elif failure.wheels == "driven":
+        left = max(0.0, 1.0 - failure.deceleration * late / max(abs(v), 1e-9))
+        data.ctrl[wheels.motor] = wheels.wheel_rates(left * v, left * (omega + failure.bend * abs(v)))
 
 
 def _note(wheels: Wheeled, data: mujoco.MjData, hits: dict[int, BaseHit], speed: float) -> None:

@@ -208,12 +208,16 @@ class CoastModel:
         self,
         core: Core,
         *,
-        disc: Reals,
         entity: Integers,
         shape: Reals,
         n_entity: int,
+        disc: Reals,
         stops: Reals,
         constants: Reals,
+        share: Reals,
+        speeds: Reals,
+        rates: Reals,
+        places: Reals,
     ) -> None: ...
     def probability(self, q: Reals, qd: Reals) -> Reals: ...
 
@@ -434,14 +438,11 @@ class LatticeAnswer(TypedDict):
     first_cost: float
     first_expansions: int
 
-def distance_field(
-    *, blocked: NDArray[np.uint8], resolution: float, outside: bool
-) -> NDArray[np.float32]: ...
+def distance_field(*, blocked: NDArray[np.uint8], resolution: float, outside: bool) -> NDArray[np.float32]: ...
+
 @final
 class FloorGrid:
-    def __init__(
-        self, *, closed: NDArray[np.uint8], resolution: float, charge: NDArray[np.float32] | None
-    ) -> None: ...
+    def __init__(self, *, closed: NDArray[np.uint8], resolution: float, charge: NDArray[np.float32] | None) -> None: ...
     def costs(self, column: int, row: int) -> Reals: ...
     def path(
         self, *, start: NDArray[np.int32], goal: NDArray[np.int32], method: str, time_limit: float
@@ -454,3 +455,32 @@ class GridAnswer(TypedDict):
     cost: float
     expansions: int
     cells: NDArray[np.int32]
+
+@final
+class DynamicWindow:
+    def __init__(
+        self,
+        *,
+        disc: Reals,
+        stops: Reals,
+        constants: Reals,
+        share: Reals,
+        speeds: Reals,
+        rates: Reals,
+        places: Reals,
+        limits: Reals,
+        settings: Reals,
+        n_v: int,
+        n_omega: int,
+    ) -> None: ...
+    def choose(
+        self,
+        *,
+        state: Reals,
+        path: Reals,
+        entity: Integers,
+        shape: Reals,
+        velocity: Reals,
+        severity: Reals,
+        every: bool = False,
+    ) -> tuple[float, float, float, float, float, bool, int]: ...

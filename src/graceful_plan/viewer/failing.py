@@ -230,7 +230,7 @@ def _base_replay(failure: Failure, motion: ShownMotion) -> Replay:
     settings = CoastSettings.shipped()
     way, onset = settings.ways[failure.fault], failure.moment * motion.duration
     middle = way.deceleration[len(way.deceleration) // 2], way.drag, way.delay[len(way.delay) // 2]
-    broken = coasting.BaseFailure(failure.fault, *middle)
+    broken = coasting.BaseFailure(way.wheels, *middle, bend=way.bend[len(way.bend) // 2])
     state = motion.trajectory.at(motion.trajectory.t[0] + onset)
     hits = coasting.coasted(wheels, state.q, state.qd, broken, _COASTING)
     each = max(1, round(_STEP / wheeled.TIMESTEP))

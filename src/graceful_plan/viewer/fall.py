@@ -110,7 +110,7 @@ def going_on_at(trajectory: Trajectory, scene: Scene, t: float) -> GoingOn | Non
 
 def _distances(v: float) -> tuple[float, float]:
     """How far half and nearly all failing bases go that drive at a speed [m]."""
-    probability, a, k, delay = CoastSettings.shipped().stops[:, :4].T
+    probability, a, k, delay = CoastSettings.shipped().stops()[:, :4].T
     drag = np.maximum(k, 1e-9)
     rolls = np.where(k > 0.0, v / drag - a / drag**2 * np.log1p(drag * v / a), v * v / (2.0 * a))
     way = v * delay + rolls

@@ -105,7 +105,7 @@ def test_arcs_lead_where_they_lead():
 
 
 def test_a_skid_steer_goes_straight_on_once_its_wheels_are_let_go():
-    settings = only(deceleration=(0.5,), released=True)
+    settings = only(deceleration=(0.5,), wheels="released")
     on_the_arc = {"y": -0.2, "yaw": np.pi / 2, "omega": -1.5, "settings": settings}
     assert hit(1.0, 1.5, **on_the_arc) < 1e-6
     assert hit(1.0, 1.5, **on_the_arc, scene=hall(replace(BASE, slip=1.0))) > 0.3

@@ -29,6 +29,8 @@ class DiffDrive:
     | lateral_max | greatest acceleration across the heading, speed times rate of turning            | m/s^2   |
     | wheel_max   | greatest rate of a wheel; default: that of `v_max` on the straight               | rad/s   |
     | reverse     | whether it may drive backwards                                                   |         |
+    | load        | share of the weight on the driven wheels; casters carry the rest                 |         |
+    | rotor       | inertia of a driven wheel with its motor and gears, about its axle               | kg m^2  |
     | wheels      | bodies of the driven wheels, left ones first; in simulations they turn about y   |         |
 
     Wheel rates are (v -+ omega slip track / 2) / radius, left with minus. For a skid-steer see A. Mandow et al.,
@@ -50,6 +52,8 @@ class DiffDrive:
     wheel_max: float | None = None
     reverse: bool = True
     wheels: tuple[str, ...] = ()
+    load: float = 1.0
+    rotor: float = 0.1
 
     def __post_init__(self) -> None:
         for name in ("joints", "wheels"):
@@ -66,6 +70,8 @@ class DiffDrive:
                 raise SettingError(f"DiffDrive.{item.name}", value, "a finite number above 0")
         if self.slip < 1.0:
             raise SettingError("DiffDrive.slip", self.slip, "at least 1, the share of wheels that do not slip")
+        if self.load > 1.0:
+            raise SettingError("DiffDrive.load", self.load, "a share of the weight, at most 1")
         if not isinstance(self.reverse, bool):
             raise SettingError("DiffDrive.reverse", self.reverse, "True or False")
 
@@ -73,6 +79,11 @@ class DiffDrive:
     def lever(self) -> float:
         """Half the effective track [m]: what one radian of turning moves a wheel."""
         return 0.5 * self.slip * self.track
+
+    @property
+    def wheel_base(self) -> float:
+        """Between front and rear wheels of a skid-steer, as its slip says; 0 for two wheels [m]."""
+        return self.track * math.sqrt(self.slip - 1.0)
 
     @property
     def joint_limits(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

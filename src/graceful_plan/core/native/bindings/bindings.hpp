@@ -11,5 +11,6 @@ void bind_impact(nb::module_&);  // after bind_core
 void bind_search(nb::module_&);  // after bind_impact
 void bind_lattice(nb::module_&);
 void bind_grid(nb::module_&);
+void bind_control(nb::module_&);
 
 }  // namespace gp

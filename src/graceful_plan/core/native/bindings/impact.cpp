@@ -110,10 +110,13 @@ void bind_impact(nb::module_& m) {
   nb::class_<CoastModel>(m, "CoastModel")
       .def(
           "__init__",
-          [](CoastModel* self, const Core& core, Reals disc, Integers entity, Reals shape, int n_entity, Reals stops,
-             Reals constants) { new (self) CoastModel(core, {disc, entity, shape, n_entity, stops, constants}); },
-          "core"_a, nb::kw_only(), "disc"_a, "entity"_a, "shape"_a, "n_entity"_a, "stops"_a, "constants"_a,
-          nb::keep_alive<1, 2>())
+          [](CoastModel* self, const Core& core, Integers entity, Reals shape, int n_entity, Reals disc, Reals stops,
+             Reals constants, Reals share, Reals speeds, Reals rates, Reals places) {
+            new (self)
+                CoastModel(core, {disc, stops, constants, share, speeds, rates, places}, entity, shape, n_entity);
+          },
+          "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "disc"_a, "stops"_a, "constants"_a, "share"_a,
+          "speeds"_a, "rates"_a, "places"_a, nb::keep_alive<1, 2>())
       .def("probability", &CoastModel::probability, "q"_a, "qd"_a);
   nb::class_<CoastImpact, Impact>(m, "CoastImpact")
       .def(nb::init<const CoastModel&, Reals, Reals, double, double>(), "model"_a, "severity"_a, "speed"_a, "slow"_a,

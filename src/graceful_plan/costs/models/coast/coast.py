@@ -31,6 +31,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.coast.four_wheel import one_sided_ways
 from graceful_plan.costs.models.coast.tables import coast_tables
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
@@ -108,18 +109,29 @@ def _turns_on(scene: Scene, settings: CoastSettings) -> float:
 @per_scene(most=4)
 def coast_model(scene: Scene, settings: CoastSettings) -> _native.CoastModel:
     """Return the model in the core, for a scene with a base."""
-    tables, s = coast_tables(scene), settings
+    tables = coast_tables(scene)
     return _native.CoastModel(
         compile_scene(scene).kernels.core,
-        disc=_reals(tables.disc),
         entity=np.ascontiguousarray(tables.entity, dtype=np.int32),
         shape=_reals(tables.shape),
         n_entity=len(scene.entities),
-        stops=_reals(s.stops),
-        constants=_reals(
+        **coasting_arrays(scene, settings),
+    )
+
+
+def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Array, "..."]]:
+    """Return what the core needs to know of a base and of how it fails, by the names that it has there."""
+    assert scene.base is not None
+    tables = coast_tables(scene)
+    ways = one_sided_ways(tables.body, settings)
+    return {
+        "disc": _reals(tables.disc),
+        "stops": _reals(settings.stops(scene.base.load)),
+        "constants": _reals(
             [settings.reference_speed, settings.position_spread, settings.drift, _turns_on(scene, settings)]
         ),
-    )
+        **{name: _reals(value) for name, value in ways._asdict().items()},
+    }
 
 
 def _reals(values: object) -> Float[Array, "..."]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +19,12 @@ from graceful_plan.yaml_file import Block, YamlTable
 Array = np.ndarray
 
 
+WHEELS = ("driven", "released", "locked", "side_locked", "side_dead")
+"""What wheels do: all go on as commanded and then stop, all turn freely, all are held; those of one side are held or
+turn freely while the other side goes on as commanded for the delay and then stops."""
+ONE_SIDE = ("side_locked", "side_dead")
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class Way:
@@ -26,10 +32,11 @@ class Way:
 
     Args:
         weight: How often, compared with other ways.
-        deceleration: At low speed [m/s^2].
+        deceleration: At low speed [m/s^2]; of wheels that are held the friction of tyres, times gravity.
         drag: What is added to it per speed [1/s].
-        delay: How long the base goes on at full speed before [s].
-        released: Whether the wheels turn freely: a skid-steer then goes straight on.
+        delay: How long what is driven goes on at full speed before [s].
+        wheels: What they do, one of `WHEELS`.
+        bend: Curvatures that are added to that of the motion, each as likely as each other [1/m].
 
     Raises:
         SettingError: If a number is out of its range.
@@ -39,9 +46,14 @@ class Way:
     deceleration: tuple[float, ...]
     drag: float
     delay: tuple[float, ...]
-    released: bool = False
+    wheels: str = "driven"
+    bend: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
+        if self.wheels not in WHEELS:
+            raise SettingError("way.wheels", self.wheels, f"one of {', '.join(WHEELS)}")
+        if not self.bend or not all(abs(b) < math.inf for b in self.bend):
+            raise SettingError("way.bend", self.bend, "finite numbers")
         for name, least in (("weight", 0.0), ("drag", 0.0)):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= least):
@@ -64,6 +76,8 @@ class CoastSettings(YamlTable):
         drift: How much farther it strays per metre [m/m].
         straightens: Angle by which a skid-steer turns on after its wheels were let go, by its rate of turning squared
             [s^2/rad].
+        friction: Coefficient of the tyres where only one side fails that turns freely.
+        brakes: Deceleration of the rims of the side that still works, once it is stopped [m/s^2].
         ways: How it comes to rest.
 
     Raises:
@@ -72,19 +86,21 @@ class CoastSettings(YamlTable):
 
     shipped_file = Path(__file__).with_name("coast.yaml")
     kind = "coast settings"
-    keys = ("share", "reference_speed", "position_spread", "drift", "straightens", "ways")
+    keys = ("share", "reference_speed", "position_spread", "drift", "straightens", "friction", "brakes", "ways")
 
     share: float
     reference_speed: float
     position_spread: float
     drift: float
     straightens: float
+    friction: float
+    brakes: float
     ways: Mapping[str, Way]
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
             raise SettingError("share", self.share, "a number in [0, 1]")
-        for name in ("reference_speed", "position_spread"):
+        for name in ("reference_speed", "position_spread", "friction", "brakes"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number above 0")
         for name in ("drift", "straightens"):
@@ -108,32 +124,56 @@ class CoastSettings(YamlTable):
         """Make them of the values in a file."""
         ways = {}
         for name, block in root["ways"].items():
-            block.only("weight", "released", "deceleration", "drag", "delay")
+            block.only("weight", "wheels", "deceleration", "drag", "delay", "bend")
+            bend = block.get("bend")
             ways[name] = Way(
                 weight=block["weight"].number(),
                 deceleration=block["deceleration"].numbers(),
                 drag=block["drag"].number(),
                 delay=block["delay"].numbers(),
-                released=_flag(block["released"]),
+                wheels=block["wheels"].string(),
+                bend=(0.0,) if bend is None else bend.numbers(),
             )
         return cls(**{key: root[key].number() for key in cls.keys if key != "ways"}, ways=ways)
 
-    @property
-    def stops(self) -> Float[Array, "stop 5"]:
-        """Every combination: probability, deceleration [m/s^2], drag [1/s], delay [s], and 1 if wheels are let go."""
-        total = sum(way.weight for way in self.ways.values())
-        return np.array(
-            [
-                (way.weight / total / (len(way.deceleration) * len(way.delay)), a, way.drag, delay, float(way.released))
-                for way in self.ways.values()
-                if way.weight > 0.0
-                for a in way.deceleration
-                for delay in way.delay
-            ]
+    def stops(self, load: float = 1.0) -> Float[Array, "stop 6"]:
+        """Return every combination of ways in which both sides do the same.
+
+        Args:
+            load: Share of the weight on the driven wheels, which is what held tyres brake with.
+
+        Returns:
+            Probability, deceleration [m/s^2], drag [1/s], delay [s], 1 if wheels are let go, curvature added [1/m].
+        """
+        rows = [
+            (p, a * (load if way.wheels == "locked" else 1.0), way.drag, delay, float(way.wheels == "released"), bend)
+            for way, p in self._each()
+            if way.wheels not in ONE_SIDE
+            for a in way.deceleration
+            for delay in way.delay
+            for bend in way.bend
+        ]
+        return np.array(rows).reshape(-1, 6)
+
+    def one_sided(self) -> tuple[tuple[float, Way, float, float], ...]:
+        """Return every combination of ways in which one side fails: probability, way, deceleration, delay."""
+        return tuple(
+            (p * len(way.bend), way, a, delay)
+            for way, p in self._each()
+            if way.wheels in ONE_SIDE
+            for a in way.deceleration
+            for delay in way.delay
         )
 
+    def only(self, *names: str) -> CoastSettings:
+        """Return settings with these ways alone."""
+        return replace(self, ways={name: self.ways[name] for name in names})
 
-def _flag(block: Block) -> bool:
-    if block.value not in ("true", "false"):
-        raise block.error(f"{block.name} is neither true nor false")
-    return block.value == "true"
+    def _each(self) -> list[tuple[Way, float]]:
+        """Return ways that happen and the probability of each of their combinations."""
+        total = sum(way.weight for way in self.ways.values())
+        return [
+            (way, way.weight / total / (len(way.deceleration) * len(way.delay) * len(way.bend)))
+            for way in self.ways.values()
+            if way.weight > 0.0
+        ]

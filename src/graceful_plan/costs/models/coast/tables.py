@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Float, Int
-from graceful_plan.scene.model_parts import colliding_geoms, rigid_group
+from graceful_plan.costs.models.coast.four_wheel import BaseBody
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.model_parts import colliding_geoms, rigid_group, subtree
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
@@ -32,11 +34,13 @@ class CoastTables:
     | disc   | of the base: centre in the frame of its joints, and radius                       | m    | disc 3  |
     | entity | which entity a shape is of; -1 for obstacles                                     |      | shape   |
     | shape  | rectangles from above: centre, direction, half sizes, and by how much rounded    | m    | shape 7 |
+    | body   | its mass, and where it is                                                        |      |         |
     """
 
     disc: Float[Array, "disc 3"]
     entity: Int[Array, " shape"]
     shape: Float[Array, "shape 7"]
+    body: BaseBody
 
 
 @per_scene
@@ -58,7 +62,25 @@ def coast_tables(scene: Scene) -> CoastTables:
         if bottom < high and top > low + _OVER_THE_FLOOR:
             entity.append(owner.get(geom, -1))
             shape.append(row)
-    return CoastTables(disc=_discs(*box), entity=np.array(entity, dtype=np.int32), shape=np.array(shape).reshape(-1, 7))
+    return CoastTables(
+        disc=_discs(*box),
+        entity=np.array(entity, dtype=np.int32),
+        shape=np.array(shape).reshape(-1, 7),
+        body=_body(scene.base, model, data, body),
+    )
+
+
+def _body(base: DiffDrive, model: mujoco.MjModel, data: mujoco.MjData, body: int) -> BaseBody:
+    """Add up the masses that move with the base, the arm where it is."""
+    bodies = sorted(subtree(model, body))
+    mass, x = model.body_mass[bodies], data.xipos[bodies][:, :2]
+    total = float(mass.sum())
+    centre = mass @ x / max(total, 1e-9)
+    R = data.ximat[bodies].reshape(-1, 3, 3)
+    about = (R[:, 2] ** 2 * model.body_inertia[bodies]).sum(axis=1) + mass * ((x - centre) ** 2).sum(axis=1)
+    turned = data.xmat[body].reshape(3, 3)[:2, :2].T @ (centre - data.xpos[body][:2])
+    gyration = float(np.sqrt(about.sum() / total)) if total > 0.0 else base.track
+    return BaseBody(base=base, mass=max(total, 1e-9), gyration=max(gyration, 1e-3), centre=(turned[0], turned[1]))
 
 
 def _footprint(

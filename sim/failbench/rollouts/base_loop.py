@@ -1,0 +1,158 @@
+"""The loop that keeps a base on its motion: what is sent to its wheels, from where it is believed to be.
+
+A healthy base knows where it is. From the onset of a fault of its encoders on it goes by odometry, which is right but for what
+the fault adds: where it is believed to be moves by what it really moves and by what the readings of the wheels are wrong by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from failbench.simulated.rolling import Rolling
+from failbench.simulated.world import World
+from failbench.wheels.slipping import fitted_tracking
+from graceful_plan import Trajectory
+from graceful_plan.array_types import Float
+from graceful_plan.control.diff_drive_controller import Tracking, drive_states
+from graceful_plan.control.drive_state import DriveState
+
+Array = np.ndarray
+
+TICK = 10
+"""Steps from one command of the loop to the next."""
+_SLACK = 0.5
+"""How far a wheel's servo may lag behind the angle that it is told [rad]: its integral does not wind up further."""
+
+
+class Misreadings(Protocol):
+    """What tells how wrong the readings of the wheels are."""
+
+    def __call__(self) -> Float[Array, " wheel"]:
+        """Return reading minus truth now [rad]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class BasePlan:
+    """What a base follows: made once for a motion.
+
+    | field    | meaning                                                            | shape       |
+    |----------|--------------------------------------------------------------------|-------------|
+    | rolling  | where the base is in the model                                     |             |
+    | wanted   | x, y, heading, speed, rate of turning at each step; the last holds | step 5      |
+    | tracking | gains                                                              |             |
+    | dt       | time step [s]                                                      |             |
+    | wheel    | addresses of the wheels in qpos                                    | wheel       |
+    | motor    | their actuators                                                    | wheel       |
+    | kp       | stiffness of their servos                                          | wheel       |
+    | kd       | their damping                                                      | wheel       |
+    """
+
+    rolling: Rolling
+    wanted: Float[Array, "step 5"]
+    tracking: Tracking
+    dt: float
+    wheel: Array
+    motor: Array
+    kp: Float[Array, " wheel"]
+    kd: Float[Array, " wheel"]
+
+    @classmethod
+    def of(cls, world: World, trajectory: Trajectory, steps: int) -> BasePlan | None:
+        """Return what a world's base follows; None if it does not drive."""
+        if world.rolling is None:
+            return None
+        n, robot, dt = len(world.rolling.base.wheels), world.robot, world.settings.timestep
+        state = trajectory.at(np.minimum(trajectory.t[0] + np.arange(steps + 1) * dt, trajectory.t[-1]))
+        wanted = drive_states(state.q, state.qd)
+        wanted[-1, 3:] = 0.0
+        scene = world.scene if world.scene.carried is None else world.scene.detach()
+        return cls(
+            rolling=world.rolling,
+            wanted=wanted,
+            tracking=fitted_tracking(scene),
+            dt=dt,
+            wheel=robot.qpos[:n],
+            motor=robot.actuators[:n],
+            kp=robot.kp[:n],
+            kd=robot.kd[:n],
+        )
+
+    def loop(self, angles: Float[Array, " wheel"], summed: float = 0.0) -> BaseLoop:
+        """Return a loop whose servos stand at these angles of the wheels [rad]."""
+        return BaseLoop(self, np.array(angles, dtype=float), summed)
+
+
+@dataclass(eq=False)
+class BaseLoop:
+    """One base that follows its plan.
+
+    Args:
+        plan: What it follows.
+        angles: What its servos are told that the wheels' angles should be [rad].
+        summed: Integral of commanded minus measured rate of turning [rad].
+        misread: How wrong the readings of the wheels are; None if they are right.
+    """
+
+    plan: BasePlan
+    angles: Float[Array, " wheel"]
+    summed: float = 0.0
+    misread: Misreadings | None = None
+    _believed: tuple[float, float, float] | None = field(default=None, init=False)
+    _before: tuple[tuple[float, float, float], Array] | None = field(default=None, init=False)
+
+    def commands(
+        self, step: int, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]
+    ) -> Float[Array, "tick wheel"]:
+        """Return what the wheels' servos are sent in the steps of this tick.
+
+        Args:
+            step: Steps since the motion began.
+            qpos: Positions of everything.
+            qvel: Velocities.
+        """
+        plan, base = self.plan, self.plan.rolling.base
+        x, y, yaw, v, omega = plan.rolling.drives(qpos, qvel)
+        state = DriveState(*self._place((x, y, yaw)), v, omega)
+        last = len(plan.wanted) - 1
+        now, ahead = plan.wanted[min(step, last)], plan.wanted[min(step + TICK // 2, last)]
+        command = plan.tracking.command(state, DriveState(*now[:3], *ahead[3:]))
+        self.summed += TICK * plan.dt * (command.omega - omega)
+        told = plan.tracking.held(command, state, self.summed)
+        half = len(plan.wheel) // 2
+        side = np.concatenate([-np.ones(half), np.ones(half)])
+        rates = np.clip((told.v + side * base.lever * told.omega) / base.radius, *_rim(base.rim_max / base.radius))
+        self.angles = np.clip(self.angles, qpos[plan.wheel] - _SLACK, qpos[plan.wheel] + _SLACK)
+        after = self.angles + rates * plan.dt * np.arange(1, TICK + 1)[:, None]
+        self.angles = after[-1]
+        return (plan.kp * after + plan.kd * rates) / plan.kp
+
+    def _place(self, truth: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return where the base is believed to be."""
+        if self.misread is None:
+            return truth
+        wrong = self.misread()
+        if self._believed is None or self._before is None:
+            self._believed = truth
+        else:
+            (x, y, yaw), before = self._before
+            c, s = np.cos(yaw), np.sin(yaw)
+            dx, dy = truth[0] - x, truth[1] - y
+            base, half = self.plan.rolling.base, len(wrong) // 2
+            rims = base.radius * (wrong - before)
+            left, right = float(rims[:half].mean()), float(rims[half:].mean())
+            along, across = c * dx + s * dy + 0.5 * (left + right), -s * dx + c * dy
+            bx, by, heading = self._believed
+            c, s = np.cos(heading), np.sin(heading)
+            turned = truth[2] - yaw + 0.5 * (right - left) / base.lever
+            self._believed = (bx + c * along - s * across, by + s * along + c * across, heading + turned)
+        self._before = truth, wrong
+        return self._believed
+
+
+def _rim(most: float) -> tuple[float, float]:
+    """Bounds of what is sent, with room for what tracking adds to the fastest motion."""
+    return -1.3 * most, 1.3 * most

@@ -1,0 +1,136 @@
+"""A base that drives, in the world of FailBench: it keeps the joints that are planned with, and gets wheels.
+
+Below the planned joints for x, y and heading the base gets three more, by which it stands on its wheels: up and down, and
+two that tilt it. So it is as free as a body with a free joint, and positions of planned joints are what they always
+were. Wheels turn on hinges and are driven by servos for their angle, which is what a controller of their speed with an
+integral is: faults of drives and encoders act on them as on the joints of an arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from graceful_plan import Scene
+from graceful_plan.array_types import Float, Int
+from graceful_plan.exceptions import UnsupportedError
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+from graceful_plan.scene.mobile.wheels import KEEP_OUT
+
+Array = np.ndarray
+
+PLANAR = 3
+"""Planned joints of a base."""
+_STANDS = ("z", "pitch", "roll")
+_INTEGRAL = 5.0
+"""Stiffness of a wheel's servo over its damping [1/s]."""
+_GAIN = 20.0
+"""Damping of the servos of wheels whose model says nothing [N m s/rad]."""
+_GRIP, _GRAVITY = 0.7, 9.81
+
+
+@dataclass(frozen=True, eq=False)
+class Rolling:
+    """Where the parts of a base that drives are in the simulated model.
+
+    | field   | meaning                                                             | shape |
+    |---------|---------------------------------------------------------------------|-------|
+    | base    | how it drives                                                       |       |
+    | qpos    | addresses of x, y and heading                                       | 3     |
+    | dofs    | the same in qvel                                                    | 3     |
+    | planned | addresses in qpos of all planned joints                             | nq    |
+    | tree    | dofs of everything that moves with the base                         |       |
+    """
+
+    base: DiffDrive
+    qpos: Int[Array, " 3"]
+    dofs: Int[Array, " 3"]
+    planned: Int[Array, " nq"]
+    tree: Int[Array, " dof"]
+
+    def drives(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> tuple[float, float, float, float, float]:
+        """Return x, y, heading, speed along it and rate of turning."""
+        (x, y, yaw), (vx, vy, omega) = qpos[self.qpos].tolist(), qvel[self.dofs].tolist()
+        return x, y, yaw, vx * float(np.cos(yaw)) + vy * float(np.sin(yaw)), omega
+
+
+def driven_joints(scene: Scene) -> tuple[str, ...]:
+    """Return what faults strike: planned joints; for a base its wheels instead of x, y and heading."""
+    if scene.base is None:
+        return scene.joints
+    if not scene.base.wheels or len(scene.base.wheels) % 2:
+        raise UnsupportedError("a base that drives needs a DiffDrive with `wheels`: left ones, then as many right ones")
+    return (*scene.base.wheels, *scene.joints[PLANAR:])
+
+
+def put_on_wheels(spec: mujoco.MjSpec, scene: Scene) -> None:
+    """Give a copy of a scene's model what it needs to drive."""
+    base = scene.base
+    if base is None:
+        return
+    body = spec.joint(base.joints[2]).parent
+    kinds = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_HINGE)
+    for name, kind, axis in zip(_STANDS, kinds, ([0, 0, 1], [0, 1, 0], [1, 0, 0]), strict=True):
+        body.add_joint(name=f"failbench/{name}", type=kind, axis=axis)
+    prefix = base.joints[0][: base.joints[0].rfind("/") + 1]
+    defaults = spec.find_default(f"{prefix}wheel")
+    force = _GRIP * float(scene.model.body_subtreemass[scene.model.body(body.name).id]) * _GRAVITY * base.radius
+    for name in base.wheels:
+        hinge = spec.body(name).add_joint(defaults, name=name) if defaults else spec.body(name).add_joint(name=name)
+        hinge.type, hinge.axis = mujoco.mjtJoint.mjJNT_HINGE, [0.0, 1.0, 0.0]
+        if defaults is None:
+            hinge.armature = base.rotor
+        motor = spec.add_actuator(defaults, name=name) if defaults else spec.add_actuator(name=name)
+        motor.trntype, motor.target = mujoco.mjtTrn.mjTRN_JOINT, name
+        damping = motor.gainprm[0] if defaults else _GAIN
+        motor.set_to_position(kp=_INTEGRAL * damping, kv=damping)
+        if not motor.forcerange[1] > motor.forcerange[0]:
+            motor.forcerange, motor.forcelimited = [-force, force], mujoco.mjtLimited.mjLIMITED_TRUE
+    for geom in spec.geoms:
+        if geom.name.startswith(KEEP_OUT):
+            geom.contype = geom.conaffinity = 0
+
+
+def find_rolling(scene: Scene, model: mujoco.MjModel) -> Rolling | None:
+    """Return where the parts of a base are; None if the robot does not drive."""
+    if scene.base is None:
+        return None
+    joints = [model.joint(name) for name in scene.joints]
+    body = int(model.jnt_bodyid[joints[0].id])
+    root = int(model.body_rootid[body])
+    return Rolling(
+        base=scene.base,
+        qpos=np.array([int(joint.qposadr[0]) for joint in joints[:PLANAR]]),
+        dofs=np.array([int(joint.dofadr[0]) for joint in joints[:PLANAR]]),
+        planned=np.array([int(joint.qposadr[0]) for joint in joints]),
+        tree=np.flatnonzero(model.body_rootid[model.dof_bodyid] == root),
+    )
+
+
+def lifted(scene: Scene, model: mujoco.MjModel, qpos: Float[Array, " qpos"]) -> Float[Array, " simulated"]:
+    """Return positions of a scene's model as those of the simulated one, wheels and stand at 0."""
+    if model.nq == len(qpos):
+        return qpos
+    out = model.qpos0.copy()
+    widths = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
+    for j, k in enumerate(kept_joints(scene, model)):
+        width = widths.get(int(scene.model.jnt_type[j]), 1)
+        here, there = int(scene.model.jnt_qposadr[j]), int(model.jnt_qposadr[k])
+        out[there : there + width] = qpos[here : here + width]
+    return out
+
+
+def kept_joints(scene: Scene, model: mujoco.MjModel) -> list[int]:
+    """Return which joint of the simulated model each joint of a scene's model is; their order is the same."""
+    added = {f"failbench/{name}" for name in _STANDS} | set(() if scene.base is None else scene.base.wheels)
+    return [j for j in range(model.njnt) if model.joint(j).name not in added]
+
+
+def same_side(base: DiffDrive | None) -> tuple[tuple[int, ...], ...]:
+    """Return which driven joints one motor drives: wheels of one side."""
+    if base is None:
+        return ()
+    half = len(base.wheels) // 2
+    return tuple(range(half)), tuple(range(half, 2 * half))

@@ -1,0 +1,1 @@
+"""Controllers of bases that drive: pure functions and frozen settings, without any simulation."""

@@ -1,0 +1,155 @@
+"""From what a base should do to what its wheels should: limits of body, accelerations and wheels, slip, tracking."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.control.drive_state import DriveCommand, DriveState, wrapped
+from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
+
+Array = np.ndarray
+
+_TURNS = 0.3
+"""Rate of turning from which on a base that turns in place is held behind its place [rad/s]."""
+
+
+def wheel_speeds(command: DriveCommand, base: DiffDrive) -> tuple[float, float]:
+    """Return the rates of left and right wheels [rad/s]: (v -+ omega slip track / 2) / radius."""
+    return (
+        (command.v - base.lever * command.omega) / base.radius,
+        (command.v + base.lever * command.omega) / base.radius,
+    )
+
+
+def body_speeds(left: float, right: float, base: DiffDrive) -> DriveCommand:
+    """Return what the base does whose wheels turn at these rates [rad/s]; inverse of `wheel_speeds`."""
+    return DriveCommand(
+        0.5 * (left + right) * base.radius, 0.5 * (right - left) * base.radius / base.lever
+    )
+
+
+def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: float) -> DriveCommand:
+    """Return what comes nearest to a command within the base's limits, a time after another command.
+
+    Speeds and accelerations of the body come first. Where wheels would be too fast, the speed gives way and not the
+    rate of turning, so that the base stays on its way.
+
+    Args:
+        wanted: What it should do.
+        before: What it was told before.
+        base: Its limits.
+        dt: Time between the two [s], above 0.
+    """
+    if not dt > 0.0:
+        raise SettingError("dt", dt, "a time above 0 s")
+    least = -base.v_max if base.reverse else 0.0
+    v = min(max(wanted.v, before.v - base.a_max * dt, least), before.v + base.a_max * dt, base.v_max)
+    omega = min(max(wanted.omega, before.omega - base.alpha_max * dt), before.omega + base.alpha_max * dt)
+    omega = min(max(omega, -base.omega_max), base.omega_max, base.rim_max / base.lever)
+    omega = max(omega, -base.rim_max / base.lever)
+    room = base.rim_max - base.lever * abs(omega)
+    return DriveCommand(min(max(v, -room), room), omega)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pivot:
+    r"""Where a base has no sideways speed: ahead of its origin by :math:`p_0 + p_1 v |\omega| / (|v \omega| + a)`.
+
+    A skid-steer whose centre of mass is not in the middle turns about another point than its origin, and in bends its tyres have to
+    carry it sideways: it drives at an angle to its heading. Measure it by driving (A. Mandow et al., IROS 2007).
+
+    Args:
+        still: p_0, where it turns in place [m].
+        bend: p_1, what fast bends add at most [m].
+        acceleration: a, acceleration across the heading at which that is half of it [m/s^2].
+    """
+
+    still: float = 0.0
+    bend: float = 0.0
+    acceleration: float = 1.0
+
+    def ahead(self, v: float, omega: float) -> float:
+        """Return how far ahead of the origin it is [m]."""
+        across = abs(v * omega)
+        return self.still + math.copysign(self.bend * across / (across + self.acceleration), v)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracking:
+    r"""Follows a motion: :math:`v = v_r \cos e_h + k_x e_x`, and a rate of turning that also heeds the rate it has.
+
+    :math:`\omega = \omega_r + v_r k_y e_y + (|v_r| k_h + k_x) \sin e_h`, to which :math:`k_r (\omega - \omega_m)` and its
+    integral are added, :math:`\omega_m` being the measured rate: a skid-steer slips less the faster it drives. In bends
+    the base is held at the angle to its way at which its origin does not leave it (`Pivot`). Where it turns in place,
+    its origin has to go round the pivot; it is kept `share` of that behind, so that it is off less to the side.
+
+    Y. Kanayama et al., "A stable tracking control method for an autonomous mobile robot", ICRA 1990.
+
+    Args:
+        k_x: Along the heading [1/s].
+        k_y: Across it [1/m^2].
+        k_h: Of the heading [1/m].
+        k_rate: Of the rate of turning as a gyro measures it.
+        k_integral: Of its integral [1/s].
+        lead: What motors need until they do as they are told [s]: speeds are looked up as much ahead.
+        pivot: Where the base has no sideways speed.
+        share: Of the distance to the pivot, where it turns in place.
+    """
+
+    k_x: float = 6.0
+    k_y: float = 60.0
+    k_h: float = 15.0
+    k_rate: float = 2.0
+    k_integral: float = 10.0
+    lead: float = 0.0
+    pivot: Pivot = Pivot()
+    share: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in ("k_x", "k_y", "k_h", "k_rate", "k_integral", "lead", "share"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise SettingError(f"Tracking.{name}", value, "a finite number of at least 0")
+
+    def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:
+        """Return what leads to a state that moves on, before the measured rate of turning counts.
+
+        Args:
+            state: Where the base is and how fast.
+            wanted: Where it should be now and how fast.
+        """
+        c, s = math.cos(state.yaw), math.sin(state.yaw)
+        dx, dy = wanted.x - state.x, wanted.y - state.y
+        ahead = self.pivot.ahead(wanted.v, wanted.omega)
+        sideways = ahead * wanted.omega
+        rolls = wanted.v**2 / (wanted.v**2 + sideways**2) if wanted.v else 0.0
+        turns = min(1.0, abs(wanted.omega) / _TURNS)
+        along = c * dx + s * dy - self.share * (1.0 - rolls) * turns * ahead
+        across = -s * dx + c * dy
+        slant = rolls * math.atan2(sideways, abs(wanted.v)) * math.copysign(1.0, wanted.v)
+        heading = wrapped(wanted.yaw + slant - state.yaw)
+        v = wanted.v * math.cos(heading - slant) + self.k_x * along
+        pull = wanted.v * self.k_y * across + (abs(wanted.v) * self.k_h + self.k_x) * math.sin(heading)
+        return DriveCommand(v, wanted.omega + pull)
+
+    def held(self, command: DriveCommand, state: DriveState, summed: float) -> DriveCommand:
+        """Return what to tell the wheels so that the base turns as commanded, though it slips.
+
+        Args:
+            command: What the base should do.
+            state: What it does.
+            summed: Integral of commanded minus measured rate of turning [rad].
+        """
+        off = command.omega - state.omega
+        return DriveCommand(command.v, command.omega + self.k_rate * off + self.k_integral * summed)
+
+
+def drive_states(q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, "n 5"]:
+    """Return x, y, yaw, speed along the heading and rate of turning of configurations whose first three joints drive."""
+    c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
+    return np.column_stack([q[:, :3], qd[:, 0] * c + qd[:, 1] * s, qd[:, 2]])

@@ -1,0 +1,313 @@
+// Where a base goes that fails while it drives, and whom it meets there. The equations are those of
+// costs/models/coast/coast.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "checks.hpp"
+
+namespace gp {
+
+// Rectangles from above that may be rounded and move: what is met.
+struct FloorShape {
+  int entity;  // -1: an obstacle
+  double x, y, ux, uy, a, b, round, vx, vy;
+
+  // Of a point at a time; inside of a rectangle minus the way to its nearest side.
+  double distance(double px, double py, double time) const {
+    const double dx = px - x - vx * time, dy = py - y - vy * time;
+    const double ex = std::fabs(ux * dx + uy * dy) - a, ey = std::fabs(-uy * dx + ux * dy) - b;
+    const double ox = std::max(ex, 0.0), oy = std::max(ey, 0.0);
+    return std::sqrt(ox * ox + oy * oy) + std::min(std::max(ex, ey), 0.0) - round;
+  }
+};
+
+inline std::vector<FloorShape> floor_shapes(const Integers& entity, const Reals& shape, const Reals* velocity,
+                                            int n_entity) {
+  require_numbers(shape, 7 * entity.size(), "shapes around a base", 2 * kMaxExtent);
+  if (velocity) require_numbers(*velocity, 2 * entity.size(), "velocities around a base", kMaxPosition);
+  std::vector<FloorShape> out;
+  for (size_t k = 0; k < entity.size(); ++k) {
+    const double* s = shape.data() + 7 * k;
+    const int of = entity.data()[k];
+    require(of >= -1 && of < n_entity, "entity of a shape");
+    const double vx = velocity ? velocity->data()[2 * k] : 0.0, vy = velocity ? velocity->data()[2 * k + 1] : 0.0;
+    out.push_back({of, s[0], s[1], s[2], s[3], s[4], s[5], s[6], vx, vy});
+  }
+  return out;
+}
+
+// A base from above: discs in its frame, and a circle around them all.
+class Footprint2d {
+ public:
+  struct Disc {
+    double x, y, r;
+  };
+  explicit Footprint2d(const Reals& disc) {
+    require_numbers(disc, "discs of a base", kMaxExtent);
+    require(disc.size() > 0 && disc.size() % 3 == 0, "discs of a base");
+    for (size_t k = 0; k < disc.size(); k += 3) {
+      const double* d = disc.data() + k;
+      require(d[2] > 0, "radius of a disc");
+      disc_.push_back({d[0], d[1], d[2]});
+      reach_ = std::max(reach_, std::hypot(d[0], d[1]) + d[2]);
+    }
+  }
+  double reach() const { return reach_; }
+  // Of the base at a place, with a heading of this cosine and sine, to a shape at a time.
+  double distance(const FloorShape& shape, double x, double y, double c, double s, double time) const {
+    double d = std::numeric_limits<double>::infinity();
+    for (const Disc& one : disc_)
+      d = std::min(d, shape.distance(x + c * one.x - s * one.y, y + s * one.x + c * one.y, time) - one.r);
+    return d;
+  }
+
+ private:
+  std::vector<Disc> disc_;
+  double reach_ = 0;
+};
+
+struct CoastingArrays {
+  Reals disc;       // centre in the frame of the base (2), radius
+  Reals stops;      // probability, deceleration, drag, delay, whether wheels are let go, curvature that is added
+  Reals constants;  // speed that severities are for, position spread, drift, angle by rate squared once let go
+  Reals share;      // probability of each of the tables of places
+  Reals speeds;     // speeds along the heading of the tables, from 0 on [m/s]
+  Reals rates;      // rates of turning of the tables [rad/s]
+  Reals places;     // (speed, rate, table, sample, 5): x, y, turned in the frame of the base; speed; time
+};
+
+class Coasting {
+  // Places of one way, in the order in which the base comes there.
+  struct Place {
+    double at[4], time, spread, worth;
+  };
+
+ public:
+  // What is written to for each state.
+  struct Work {
+    Work(const Coasting& of, size_t n_entity)
+        : hit(n_entity), most(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
+    std::vector<double> hit, most, free, braked, touched;
+    std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
+    std::vector<Place> place;
+  };
+  struct State {
+    double x, y, yaw, v, omega;
+  };
+
+  explicit Coasting(const CoastingArrays& of) : footprint_(of.disc) {
+    require_numbers(of.stops, "ways to come to rest"), require_numbers(of.constants, 4, "constants of a base");
+    require(of.stops.size() % kStop == 0, "ways to come to rest");
+    for (size_t k = 0; k < of.stops.size(); k += kStop) {
+      const double* s = of.stops.data() + k;
+      require(s[0] >= 0 && s[1] > 0 && s[2] >= 0 && s[3] >= 0, "way to come to rest");
+      stop_.push_back({s[0], s[1], s[2], s[3], s[4] != 0, s[5]});
+    }
+    for (const Stop& stop : stop_) {
+      const Family family{stop.released, stop.bend};
+      if (std::find(family_.begin(), family_.end(), family) == family_.end()) family_.push_back(family);
+    }
+    unit_ = of.constants.data()[0], spread_ = of.constants.data()[1], drift_ = of.constants.data()[2];
+    turn_ = of.constants.data()[3];
+    require(unit_ > 0 && spread_ > 0 && drift_ >= 0 && turn_ >= 0, "constants of a base");
+    tables(of);
+  }
+
+  const Footprint2d& footprint() const { return footprint_; }
+
+  // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all.
+  bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work) const {
+    std::fill(work.hit.begin(), work.hit.end(), 0.0);
+    const double speed = std::fabs(at.v);
+    if (speed <= kStill) return false;
+    double far = 0, longest = 0;
+    for (size_t i = 0; i < stop_.size(); ++i) {
+      const Stop& stop = stop_[i];
+      work.free[i] = speed * stop.delay;
+      work.braked[i] = stop.k > 0 ? speed / stop.k - stop.a / (stop.k * stop.k) * std::log1p(stop.k * speed / stop.a)
+                                  : speed * speed / (2 * stop.a);
+      far = std::max(far, work.free[i] + work.braked[i]);
+      longest = std::max(longest, stop.delay + speed / stop.a);
+    }
+    const double most = std::max(far, farthest_) + footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far);
+    work.whom.clear(), work.what.clear();
+    for (size_t k = 0; k < shape.size(); ++k) {
+      const bool counts = shape[k].entity < 0 || !severity || severity[shape[k].entity] > 0;
+      const double moves = std::hypot(shape[k].vx, shape[k].vy) * std::max(longest, lasts_);
+      if (counts && shape[k].distance(at.x, at.y, 0) < most + moves)
+        (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
+    }
+    if (work.whom.empty()) return false;
+    const double sign = at.v < 0 ? -1 : 1, bend = at.omega / at.v * sign;
+    const double straightens = turn_ * at.omega * at.omega;
+    // Released wheels go along the others' arc if nothing turns so far.
+    const bool alike = std::fabs(bend) * far <= straightens;
+    for (const Family& family : family_) {
+      if (alike && family.released && has({false, family.bend})) continue;
+      const double turns = family.released ? straightens : std::numeric_limits<double>::infinity();
+      follow(at, {sign, bend + family.bend, turns, speed, far, family, alike}, shape, work);
+    }
+    if (!share_.empty()) tabulated(at, shape, work);
+    return true;
+  }
+
+ private:
+  struct Family {
+    bool released;
+    double bend;
+    bool operator==(const Family&) const = default;
+  };
+  // Where a failing base goes: its gear, curvature, the angle by which it turns at most; its speed, and how far; which
+  // stops are meant, and whether it does not matter if wheels were let go.
+  struct Way {
+    double sign, bend, most, speed, far;
+    Family family;
+    bool alike;
+  };
+  struct Stop {
+    double p, a, k, delay;
+    bool released;
+    double bend;
+  };
+  bool has(const Family& family) const { return std::find(family_.begin(), family_.end(), family) != family_.end(); }
+
+  // How likely a base at a place touches a shape there.
+  double touch(const FloorShape& shape, const double at[4], double time, double spread) const {
+    if (shape.distance(at[0], at[1], time) > footprint_.reach() + kFarOff * spread) return 0.0;
+    const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
+    return 0.5 * std::erfc(d / spread * 0.7071067811865476);
+  }
+  // Raise work.hit by what is met along a way before an obstacle stops the base. Obstacles are asked for only as far as
+  // there is somebody to be met.
+  void meet(const std::vector<FloorShape>& shape, double share, Work& work) const {
+    size_t last = 0;
+    work.touched.assign(work.place.size() * work.whom.size(), 0.0);
+    for (size_t k = 0; k < work.place.size(); ++k) {
+      const Place& place = work.place[k];
+      for (size_t j = 0; j < work.whom.size(); ++j) {
+        const double touches = touch(shape[work.whom[j]], place.at, place.time, place.spread);
+        work.touched[k * work.whom.size() + j] = touches;
+        if (touches > kHardly) last = k + 1;
+      }
+    }
+    double stopped = 0;
+    for (size_t k = 0; k < last; ++k) {
+      const Place& place = work.place[k];
+      for (const size_t j : work.what) stopped = std::max(stopped, touch(shape[j], place.at, place.time, place.spread));
+      for (size_t j = 0; j < work.whom.size(); ++j) {
+        double& most = work.most[size_t(shape[work.whom[j]].entity)];
+        most = std::max(most, place.worth * (1 - stopped) * work.touched[k * work.whom.size() + j]);
+      }
+    }
+    for (size_t e = 0; e < work.hit.size(); ++e) work.hit[e] += share * work.most[e], work.most[e] = 0;
+  }
+
+  // Follow an arc and what comes after it, and raise work.hit.
+  void follow(const State& q, const Way& way, const std::vector<FloorShape>& shape, Work& work) const {
+    const double worth = way.speed * way.speed / (unit_ * unit_);
+    const double arc = way.bend != 0 ? way.most / std::fabs(way.bend) : std::numeric_limits<double>::infinity();
+    double time = 0, before = 0;
+    work.place.clear();
+    for (int k = 0; k < kSamples && kSpacing * (k - 1) < way.far; ++k) {
+      const double done = std::min(way.far, kSpacing * k), curved = std::min(done, arc), straight = done - curved;
+      const double turned = way.bend * curved, half = 0.5 * turned;
+      const double chord = way.sign * curved * (std::fabs(half) > 1e-9 ? std::sin(half) / half : 1.0);
+      const double ch = std::cos(q.yaw + turned), sh = std::sin(q.yaw + turned);
+      const double at[4] = {q.x + chord * std::cos(q.yaw + half) + way.sign * straight * ch,
+                            q.y + chord * std::sin(q.yaw + half) + way.sign * straight * sh, ch, sh};
+      // What is touched at a place may have been met anywhere since the place before.
+      const double met = k == 0 ? done : 0.5 * (done + kSpacing * (k - 1));
+      double energy = 0, moving = 0, left_of = 0;
+      for (size_t i = 0; i < stop_.size(); ++i) {
+        if (stop_[i].bend != way.family.bend || (stop_[i].released != way.family.released && !way.alike)) continue;
+        const double left = std::clamp(1 - (met - work.free[i]) / std::max(work.braked[i], 1e-12), 0.0, 1.0);
+        energy += stop_[i].p * std::min(1.0, left * worth);
+        if (left > 0) moving += stop_[i].p, left_of += stop_[i].p * left;
+      }
+      if (energy <= 0) break;
+      time += (done - before) / (way.speed * std::max(std::sqrt(left_of / moving), kSlowest)), before = done;
+      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done), energy});
+    }
+    meet(shape, 1.0, work);
+  }
+
+  // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned
+  // round.
+  void tabulated(const State& q, const std::vector<FloorShape>& shape, Work& work) const {
+    const Node v = node(speeds_, std::fabs(q.v)), w = node(rates_, q.omega);
+    const double sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
+    for (size_t f = 0; f < share_.size(); ++f) {
+      work.place.clear();
+      for (size_t k = 0; k < samples_; ++k) {
+        double p[kPlace] = {};
+        for (int i = 0; i < 2; ++i) {
+          for (int j = 0; j < 2; ++j) {
+            const double weight = (i ? v.part : 1 - v.part) * (j ? w.part : 1 - w.part);
+            if (weight == 0) continue;
+            const size_t cell = (v.low + size_t(i)) * rates_.size() + w.low + size_t(j);
+            const double* row = &place_[((cell * share_.size() + f) * samples_ + k) * kPlace];
+            for (size_t n = 0; n < kPlace; ++n) p[n] += weight * row[n];
+          }
+        }
+        const double x = sign * p[0], y = sign * p[1], ch = std::cos(q.yaw + p[2]), sh = std::sin(q.yaw + p[2]);
+        const double worth = std::min(1.0, p[3] * p[3] / (unit_ * unit_));
+        work.place.push_back({{q.x + c * x - s * y, q.y + s * x + c * y, ch, sh},
+                              p[4],
+                              std::hypot(spread_, drift_ * std::hypot(x, y)),
+                              worth});
+      }
+      meet(shape, share_[f], work);
+    }
+  }
+  struct Node {
+    size_t low;
+    double part;
+  };
+  static Node node(const std::vector<double>& grid, double value) {
+    const size_t last = grid.size() - 1;
+    const size_t above = size_t(std::upper_bound(grid.begin(), grid.end(), value) - grid.begin());
+    const size_t low = std::min(above > 0 ? above - 1 : 0, last - 1);
+    return {low, std::clamp((value - grid[low]) / (grid[low + 1] - grid[low]), 0.0, 1.0)};
+  }
+  static std::vector<double> ascending(const Reals& values, const char* what) {
+    require_numbers(values, what);
+    require(values.size() >= 2, what);
+    for (size_t k = 1; k < values.size(); ++k) require(values.data()[k] > values.data()[k - 1], what);
+    return {values.data(), values.data() + values.size()};
+  }
+  void tables(const CoastingArrays& of) {
+    require_numbers(of.share, "probability of a table"), require_numbers(of.places, "places of a base");
+    if (of.share.size() == 0) return;
+    share_.assign(of.share.data(), of.share.data() + of.share.size());
+    for (double p : share_) require(p >= 0, "probability of a table");
+    speeds_ = ascending(of.speeds, "speeds of the tables"), rates_ = ascending(of.rates, "rates of the tables");
+    const size_t whole = speeds_.size() * rates_.size() * share_.size() * kPlace;
+    require(of.places.size() > 0 && of.places.size() % whole == 0, "places of a base");
+    samples_ = of.places.size() / whole;
+    place_.assign(of.places.data(), of.places.data() + of.places.size());
+    for (size_t k = 0; k < place_.size(); k += kPlace) {
+      farthest_ = std::max(farthest_, std::hypot(place_[k], place_[k + 1]));
+      lasts_ = std::max(lasts_, place_[k + 4]);
+    }
+  }
+
+  static constexpr size_t kStop = 6, kPlace = 5;
+  static constexpr int kSamples = 64;      // places along the way at which is seen what it meets, at most
+  static constexpr double kSpacing = 0.1;  // between them [m]
+  static constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
+  static constexpr double kFarOff = 6;     // spreads beyond which nothing is touched
+  static constexpr double kHardly = 1e-9;  // probability of a touch that is none
+  static constexpr double kSlowest = 0.1;  // share of the speed below which time is not stretched further
+
+  Footprint2d footprint_;
+  std::vector<Stop> stop_;
+  std::vector<Family> family_;
+  std::vector<double> share_, speeds_, rates_, place_;
+  size_t samples_ = 0;
+  double unit_ = 1, spread_ = 1, drift_ = 0, turn_ = 0, farthest_ = 0, lasts_ = 0;
+};
+
+}  // namespace gp
