@@ -145,7 +145,7 @@ def struck_parts(execution: Execution, job: Job) -> str:
     """Return in words what a job's fault strikes."""
     robot = execution.world.robot
     rng = np.random.default_rng(job.seed)  # the draw that the injection makes
-    joints, gripper = robot.struck(job.fault.targets or job.fault.TARGETS, rng)
+    joints, gripper = robot.struck(job.fault.targets or job.fault.TARGETS, rng, job.fault.rates)
     if len(joints) == len(robot.joints):
         return "whole robot" if gripper else "all joints"
     return ", ".join([robot.joints[j].rpartition("/")[2] for j in joints] + ["gripper"] * gripper)

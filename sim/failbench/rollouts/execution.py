@@ -45,6 +45,7 @@ class Execution:
     | trajectory     | what                                                                       |                  |
     | states         | MuJoCo's integration state at each checkpoint                              | checkpoint state |
     | command        | commands of all actuators; the last is held after the end                  | step actuator    |
+    | measured       | positions and velocities of the joints before each step and after the last | step 2 nq        |
     | baseline       | components and entities that touch anyway                                  |                  |
     | tracking_error | greatest distance of each joint from where it should be [rad or m]         | nq               |
     | slip           | greatest distance of the carried object from where it was in the tool [m]  |                  |
@@ -55,6 +56,7 @@ class Execution:
     trajectory: Trajectory
     states: Float[Array, "checkpoint state"]
     command: Float[Array, "step actuator"]
+    measured: Float[Array, "state_and_step 2 nq"]
     baseline: frozenset[tuple[str, str]]
     tracking_error: Float[Array, " nq"]
     slip: float
@@ -176,12 +178,14 @@ def execute(
         problem = f"it has slipped by {slip[lost]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
         raise ObjectLost(f"the object {world.model.body(world.carried_body).name!r}", (lost + 1) * dt, problem, healthy)
     states = run.states[::CHECKPOINT].copy()
-    states.flags.writeable = command.flags.writeable = False
+    measured = _measured(world, run.states)
+    states.flags.writeable = command.flags.writeable = measured.flags.writeable = False
     return Execution(
         world=world,
         trajectory=trajectory,
         states=states,
         command=command,
+        measured=measured,
         baseline=_touched(world, run.sensordata),
         tracking_error=error.max(axis=0),
         slip=float(slip.max()),
@@ -206,6 +210,12 @@ def _simulated(batch: Batch, command: Float[Array, "step actuator"], start: Floa
     out = batch.rollout(len(command), command[None], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
     qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
     return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
+
+
+def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 2 nq"]:
+    """Return positions and velocities of the planned joints in some states, which begin with the time."""
+    robot, nq = world.robot, world.model.nq
+    return np.stack([states[:, 1 + robot.qpos], states[:, 1 + nq + robot.dofs]], axis=1)
 
 
 def _joined(first: _Run, second: _Run) -> _Run:

@@ -47,7 +47,7 @@ class Injection:
         self.checkpoint = execution.checkpoint(job.onset)
         onset = self.checkpoint * CHECKPOINT
         rng = np.random.default_rng(job.seed)
-        joints, gripper = robot.struck(fault.targets or fault.TARGETS, rng)
+        joints, gripper = robot.struck(fault.targets or fault.TARGETS, rng, fault.rates)
         healthy = execution.commands(onset, steps)
         past = execution.command[:onset]
         healthy.flags.writeable = False
@@ -63,6 +63,7 @@ class Injection:
             command=healthy.copy(),
             healthy=healthy,
             past=past,
+            measured=execution.measured[: onset + 1],
             paced=lambda time, pace, change: execution.paced(onset * execution.dt + time, pace, change),
             fields={name: fields[name] for name in fault.FIELDS},
         )
@@ -82,13 +83,13 @@ class Injection:
         ramp = round(fault.ramp / plant.dt)
         level = 1.0 if ramp == 0 else min(1.0, (self.next + _RAMP_STEPS) / ramp)
         fault.apply(plant, level)
-        if level < 1.0:
-            wait = _RAMP_STEPS
-        elif fault.PERIOD is not None:
-            wait = max(1, round(fault.PERIOD / plant.dt))
-        else:
-            wait = NEVER
-        self.next = min(self.next + wait, self._end)
+        wait = NEVER if fault.period is None else max(1, round(fault.period / plant.dt))
+        self.next = min(self.next + min(wait, _RAMP_STEPS if level < 1.0 else NEVER), self._end)
+
+    def restore(self, step: int) -> None:
+        """Let the fault be over before this step, whatever its duration."""
+        if self.next != NEVER or self._end > step:
+            self.next = self._end = step
 
     def _restore(self) -> None:
         plant = self.plant

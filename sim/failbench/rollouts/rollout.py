@@ -53,11 +53,11 @@ def run(
         if count < 1:
             raise SettingError(name, count, "at least 1")
     for job in jobs:
-        execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS)
+        execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS, job.fault.rates)
     if not jobs:
         return []
     # Faults of a kind act in the same steps, so they are kept together; those that act again and again take longest.
-    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.PERIOD is None, jobs[i].fault.NAME, i))
+    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.period is None, jobs[i].fault.NAME, i))
     size = min(batch, -(-len(jobs) // threads))
     groups = iter([order[first : first + size] for first in range(0, len(jobs), size)])
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))

@@ -34,6 +34,8 @@ class Plant:
     | paced       | commands of the joints if the motion goes on at another pace: from times on the clock of  |
     |             | the motion since the onset [s], pace, and how fast that changes [1/s]                    |
     | fields      | fields of this simulation's model that may be written                                    |
+    | measured    | positions and velocities of the joints in the healthy run up to the onset, the latest     |
+    |             | last; read only                                                                          |
     | step        | steps since the onset                                                                    |
     | memory      | whatever the fault wants to remember                                                     |
     """
@@ -51,6 +53,7 @@ class Plant:
     past: Array
     paced: Callable[[Array, Array, Array], Array]
     fields: Mapping[str, Array]
+    measured: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
     step: int = 0
     memory: dict[str, Any] = field(default_factory=dict)
 

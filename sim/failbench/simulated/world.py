@@ -12,7 +12,7 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
-from failbench.simulated.gripper import Gripper, find_gripper
+from failbench.simulated.gripper import Gripper, clear_opening, find_gripper
 from failbench.simulated.robot import Robot
 from graceful_plan import Scene
 from graceful_plan.array_types import Float, Int
@@ -306,6 +306,7 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
         gripper_actuators=gripper.actuators,
         grip_open=gripper.open,
         grip_closed=gripper.closed if grasps else gripper.home,
+        grip_clear=clear_opening(scene, gripper),
         pads=gripper.pads,
         weld=-1 if grasps or scene.carried is None else int(model.equality("failbench/hold").id),
     )
