@@ -21,6 +21,7 @@ from failbench.rollouts.single import steps
 from failbench.scenario import Scenario, scenarios
 from failbench.simulated.plant import Plant
 from failbench.simulated.world import SimSettings, World, build_world
+from failbench.surroundings.registry import staged_for, surroundings
 from failbench.sweeps.dataset import Dataset, read_dataset
 from failbench.sweeps.sweep import generate, resume
 from failbench.validation import validate
@@ -62,7 +63,9 @@ __all__ = [
     "run",
     "scenarios",
     "secondary_impact",
+    "staged_for",
     "steps",
+    "surroundings",
     "validate",
     "validate_front",
 ]

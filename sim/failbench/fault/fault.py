@@ -17,6 +17,8 @@ DEGREES = ("minor", "moderate", "severe", "critical")
 CATEGORIES = ("actuator", "sensor", "end_effector", "power")
 REACTION = "reaction"
 """Category of what the robot does on purpose: nothing is broken."""
+SURROUNDINGS = "surroundings"
+"""Category of what happens around a robot."""
 
 _PARTS = {"gripper": ("gripper",), "robot": ("joints", "gripper")}
 """The parts that a target stands for, if not joints alone."""
@@ -50,7 +52,7 @@ class Fault(ABC):
     NAME: ClassVar[str]
     """The fault's name, e.g. "loose_joint"."""
     CATEGORY: ClassVar[str]
-    """One of "actuator", "sensor", "end_effector", "power" and "reaction"."""
+    """One of "actuator", "sensor", "end_effector", "power", "reaction" and "surroundings"."""
     PARAMETER: ClassVar[str]
     """What the degree scales, in words, with its unit."""
     AMOUNTS: ClassVar[Mapping[str, float]]

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
-from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
+from failbench.simulated.states import CHECKPOINT, STATE, control_spec, put, warnings_counted_only
+from failbench.simulated.walkers import Walk, put_walkers
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
@@ -101,6 +102,32 @@ class Execution:
         q, qd, qdd = trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration))
         return _joint_commands(self.world, q, qd * rate, qdd * rate**2 + qd * change[:, None])
 
+    def planned(self, time: Float[Array, " n"]) -> Float[Array, "n nq"]:
+        """Return where the joints are to be at some times after the start of the trajectory [s]."""
+        trajectory = self.trajectory
+        return trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration)).q
+
+    def walk(self, step: int, count: int, seed: int) -> Float[Array, "step_and_next mocap"]:
+        """Return where those who move are before each of `count` steps from a step on, and after the last.
+
+        Args:
+            step: The first, in which the robot fails.
+            count: How many.
+            seed: Decides by how much they are off what was predicted.
+        """
+        if not self.world.model.nmocap:
+            return np.zeros((count + 1, 0))
+        walk = Walk(self.world.model, self.world.walkers, np.random.default_rng([seed, 1]))
+        rows = walk.rows(self.trajectory.t[0] + self.dt * np.arange(step, step + count + 1))
+        tool = self.states_tool(step)
+        return walk.reacted(rows, self.dt, self.world.settings.people, tool)
+
+    def states_tool(self, step: int) -> Float[Array, " 3"]:
+        """Return where the tool of the healthy robot is before a step, in W [m]."""
+        q = self.measured[min(step, len(self.measured) - 1), 0]
+        scene = self.world.scene
+        return scene.data_at(q).site_xpos[int(scene.model.site(scene.tool).id)].copy()
+
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
         """Return a copy of the commands of `count` steps from a step on, the last one held after the end."""
         return self.command[np.minimum(np.arange(step, step + count), len(self.command) - 1)]
@@ -164,7 +191,7 @@ def execute(
         start = _settled(trajectory, world, command[0])
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
-        run = _simulated(batch, command[:steps], start[None])
+        run = _simulated(world, batch, command[:steps], start[None])
         error = np.abs(run.qpos[:, world.robot.qpos] - wanted)
         _check_tracking(error, tolerance, world, dt)
         slip = _slip(run.xpos, run.xquat, world)
@@ -172,7 +199,7 @@ def execute(
         lost = None if stays.all() else int(stays.argmin())
         if lost is not None:
             fall = np.repeat(command[-1:], round(_FALL / dt), axis=0)
-            run = _joined(run, _simulated(batch, fall, run.states[-1:]))
+            run = _joined(run, _simulated(world, batch, fall, run.states[-1:]))
     healthy = _healthy(world, run, lost)
     if lost is not None:
         problem = f"it has slipped by {slip[lost]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
@@ -204,10 +231,15 @@ class _Run(NamedTuple):
     """At the beginning and after each step."""
 
 
-def _simulated(batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]) -> _Run:
+def _simulated(
+    world: World, batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]
+) -> _Run:
     """Go on with the only simulation of a batch."""
     record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
-    out = batch.rollout(len(command), command[None], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
+    if world.model.nmocap:
+        time = start[0, 0] + world.settings.timestep * np.arange(len(command))
+        command = np.hstack([command, Walk(world.model, world.walkers).rows(time)])
+    out = batch.rollout(len(command), command[None], control_spec(world.model), record=record)
     qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
     return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
 
@@ -299,13 +331,15 @@ def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actua
     still = np.zeros(len(robot.joints))
     weight = RobotDynamics(scene)(trajectory.q[0], still, still)
     hold[robot.actuators] = (robot.kp * trajectory.q[0] + weight) / robot.gain
+    if model.nmocap:
+        put_walkers(model, data, Walk(model, world.walkers).rows(trajectory.t[:1])[0])
     steps = round(_SETTLE / model.opt.timestep)
     for step in range(steps):
         if world.hold >= 0 and robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:
             data.eq_active[world.hold] = 0
         data.ctrl[:] = hold
         mujoco.mj_step(model, data)
-    data.time = 0.0
+    data.time = trajectory.t[0]  # the clock of those who move
     state = np.zeros(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state

@@ -11,6 +11,7 @@ from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import Injection
 from failbench.simulated.rest import PERIOD, let_sleep
 from failbench.simulated.states import STATE
+from failbench.simulated.walkers import put_walkers
 
 
 class Steps:
@@ -33,6 +34,7 @@ class Steps:
             qpos=self._data.qpos,
             qvel=self._data.qvel,
             eq_active=self._data.eq_active,
+            xfrc=self._data.xfrc_applied,
         )
 
     def __iter__(self) -> Steps:
@@ -47,6 +49,7 @@ class Steps:
         if injection.next == self._step:
             injection.act()
         data.ctrl[:] = injection.plant.command[self._step]
+        put_walkers(model, data, injection.plant.walk[self._step])
         mujoco.mj_step(model, data)
         self._step += 1
         if self._step % PERIOD == 0:

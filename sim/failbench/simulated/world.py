@@ -14,7 +14,8 @@ import numpy as np
 
 from failbench.simulated.gripper import Gripper, clear_opening, find_gripper
 from failbench.simulated.robot import Robot
-from graceful_plan import Scene
+from failbench.simulated.walkers import REACTIONS, set_free, staged
+from graceful_plan import MovingEntity, Scene
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.scene.roles import free_joint
@@ -43,12 +44,15 @@ class SimSettings:
         control: "servo" drives the model's own position servos with feed-forward of speed and gravity; "torque"
             computes the torques of the trajectory and adds a critically damped correction.
         sleep: Whether things at rest are left out of the computation until something touches them.
+        people: What people who move do once the robot fails: "walk" on as predicted; "stop" within a step, 0.4 s later;
+            or step "aside" besides, away from the tool.
     """
 
     timestep: float = 0.002
     grasp: str = "fingers"
     control: str = "servo"
     sleep: bool = True
+    people: str = "walk"
 
     def __post_init__(self) -> None:
         if not 1e-4 <= self.timestep <= 0.01:
@@ -56,6 +60,7 @@ class SimSettings:
         for name, value, valid in (
             ("grasp", self.grasp, ("fingers", "weld")),
             ("control", self.control, ("servo", "torque")),
+            ("people", self.people, REACTIONS),
         ):
             if value not in valid:
                 raise SettingError(name, value, f"one of {', '.join(valid)}")
@@ -67,7 +72,7 @@ class World:
 
     | field          | meaning                                                                              |
     |----------------|--------------------------------------------------------------------------------------|
-    | scene          | what is simulated                                                                    |
+    | scene          | what is simulated; entities that move are among its entities                         |
     | settings       | how                                                                                  |
     | model          | the model with servos, constraints and sensors; read only                            |
     | robot          | the parts that can break                                                             |
@@ -80,6 +85,7 @@ class World:
     | striker_bodies | bodies of the components "body" and "carried"                                        |
     | carried_body   | body of the carried object; -1 if there is none                                      |
     | hold           | the weld that holds the carried object until the fingers do; -1 if there is no object |
+    | walkers        | entities that move, the last of the scene's entities                                 |
     """
 
     scene: Scene
@@ -95,6 +101,7 @@ class World:
     striker_bodies: Mapping[str, tuple[int, ...]]
     carried_body: int
     hold: int
+    walkers: tuple[MovingEntity, ...]
 
 
 def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
@@ -105,6 +112,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
             cannot hold.
     """
     settings = SimSettings() if settings is None else settings
+    walkers, scene = tuple(scene.moving.values()), staged(scene)
     model = scene.model
     gripper = find_gripper(scene)
     actuators = [_actuator_of(model, model.joint(name).id, name) for name in scene.joints]
@@ -118,6 +126,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
         for entity in scene.entities.values()
     }
     spec = scene.spec.copy()
+    set_free(spec, walkers)
     _name_bodies(spec)
     _set_options(spec, scene, settings)
     pairs = _add_sensors(spec, model, strikers, entities)
@@ -146,6 +155,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
         striker_bodies=MappingProxyType(strikers),
         carried_body=-1 if scene.carried is None else int(model.body(scene.carried.body).id),
         hold=-1 if scene.carried is None else int(simulated.equality("failbench/hold").id),
+        walkers=walkers,
     )
 
 
