@@ -56,7 +56,7 @@ HARNESS_FLOORS = (
     {"basics"},
     {"simulated", "wheels"},
     {"fault"},
-    {"recording"},
+    {"surroundings", "recording"},
     {"rollouts"},
     {"scenario", "report"},
     {"validation"},

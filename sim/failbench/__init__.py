@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from failbench.scenario import Scenario, scenarios
     from failbench.simulated.plant import Plant
     from failbench.simulated.world import SimSettings, World, build_world
+    from failbench.surroundings.registry import staged_for, surroundings
     from failbench.sweeps.dataset import Dataset, read_dataset
     from failbench.sweeps.sweep import generate, resume
     from failbench.validation import validate
@@ -70,7 +71,9 @@ else:
             "run": "failbench.rollouts.rollout",
             "scenarios": "failbench.scenario",
             "secondary_impact": "failbench.recording.score",
+            "staged_for": "failbench.surroundings.registry",
             "steps": "failbench.rollouts.single",
+            "surroundings": "failbench.surroundings.registry",
             "validate": "failbench.validation",
             "validate_front": "failbench.front_validation",
         },
@@ -113,7 +116,9 @@ __all__ = [
     "run",
     "scenarios",
     "secondary_impact",
+    "staged_for",
     "steps",
+    "surroundings",
     "validate",
     "validate_front",
 ]

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import graceful_plan as gp
-from failbench.fault.fault import DEGREES, Fault
+from failbench.fault.fault import DEGREES, SURROUNDINGS, Fault
 from failbench.fault.registry import faults
+from failbench.surroundings.registry import surroundings
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.yaml_file import Block, read_yaml
 
@@ -45,14 +46,22 @@ class Scenario:
 def scenarios(pattern: str = "*") -> tuple[Scenario, ...]:
     """Return the scenarios whose name or one of whose tags matches a pattern such as "drop/*" or "desk/*/severe".
 
+    Faults of the surroundings are found by patterns that begin with "surroundings/", and by their whole names.
+
     Raises:
         UnknownNameError: If there are none, with what the first part of a pattern can be.
     """
     found = tuple(scenario for scenario in _registry() if scenario.matches(pattern))
+    found += tuple(s for s in _around() if s.name == pattern or (_asked_for(pattern) and s.matches(pattern)))
     if not found:
         labels = {label for scenario in _registry() for label in (scenario.scene, *_families(scenario))}
-        raise UnknownNameError("scenarios", pattern, {f"{label}/*" for label in labels})
+        raise UnknownNameError("scenarios", pattern, {f"{label}/*" for label in (*labels, SURROUNDINGS)})
     return found
+
+
+def _asked_for(pattern: str) -> bool:
+    """Whether a pattern means faults of the surroundings: it says so. All others are about the robot's own."""
+    return pattern.split("/")[0] == SURROUNDINGS
 
 
 def _families(scenario: Scenario) -> tuple[str, ...]:
@@ -82,6 +91,21 @@ def _registry() -> tuple[Scenario, ...]:
         for scene_name in gp.scenes()
         for task, holds in _tasks(scene_name).items()
         for scenario in _of_task(scene_name, task, holds, families)
+    )
+
+
+@cache
+def _around() -> tuple[Scenario, ...]:
+    """Return every fault of the surroundings, in every degree, on every task."""
+    return tuple(
+        Scenario(
+            f"{scene}/{task}/{name}/{degree}", scene, task, kind(degree=degree), (f"{SURROUNDINGS}/{name}/{degree}",)
+        )
+        for scene in gp.scenes()
+        for task, holds in _tasks(scene).items()
+        for name, kind in surroundings().items()
+        for degree in DEGREES
+        if "carried" in holds or name != "heavier_object"
     )
 
 

@@ -21,13 +21,15 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
-from failbench.fault.fault import CATEGORIES, DEGREES, REACTION, Fault
+from failbench.fault.fault import CATEGORIES, DEGREES, REACTION, SURROUNDINGS, Fault
 from failbench.fault.registry import faults, from_document, reactions, to_document
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.injection import Injection
 from failbench.simulated.states import STATE
+from failbench.simulated.walkers import put_walkers
 from failbench.simulated.world import build_world
+from failbench.surroundings.registry import staged_for, surroundings
 from graceful_plan import GracefulPlanError, load_scene
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.testing import ContractError
@@ -54,7 +56,7 @@ def check_fault(fault: object, execution: Execution | None = None) -> None:
         raise ContractError(fault, ("is not a failbench.Fault",))
     findings = list(_check_class(type(fault)))
     if not findings:  # without its class data a fault cannot be tried
-        trials = _Trials(_short_execution() if execution is None else execution)
+        trials = _Trials(_short_execution(fault) if execution is None else execution)
         for check in _CHECKS:
             findings += _tried(check, fault, trials)
     if findings:
@@ -73,9 +75,17 @@ def _tried(check: _Check, fault: Fault, trials: _Trials) -> list[str]:
 
 
 @cache
-def _short_execution() -> Execution:
+def _short_execution(fault: Fault) -> Execution:
+    """Return a short motion in a scene that has what the fault needs."""
     task = next(iter(load_scene("tabletop_l1").tasks.values()))
-    return execute(np.stack([task.start, np.atleast_2d(task.goal)[0]]), build_world(task.scene))
+    scene = staged_for(fault, task.scene)
+    if scene is task.scene and fault is not _NONE:
+        return _short_execution(_NONE)
+    return execute(np.stack([task.start, np.atleast_2d(task.goal)[0]]), build_world(scene))
+
+
+_NONE = faults()["noise"]()
+"""A fault that needs nothing in the scene."""
 
 
 def _check_class(cls: type[Fault]) -> Findings:
@@ -85,9 +95,9 @@ def _check_class(cls: type[Fault]) -> Findings:
     for name in ("NAME", "PARAMETER"):
         if not isinstance(getattr(cls, name, None), str) or not getattr(cls, name):
             yield f"has no {name} (ClassVar[str])"
-    if getattr(cls, "CATEGORY", None) not in (*CATEGORIES, REACTION):
-        yield f"has no CATEGORY that is one of {', '.join((*CATEGORIES, REACTION))}"
-    ours = {**faults(), **reactions()}.get(getattr(cls, "NAME", ""), cls)
+    if getattr(cls, "CATEGORY", None) not in (*CATEGORIES, REACTION, SURROUNDINGS):
+        yield f"has no CATEGORY that is one of {', '.join((*CATEGORIES, REACTION, SURROUNDINGS))}"
+    ours = {**faults(), **reactions(), **surroundings()}.get(getattr(cls, "NAME", ""), cls)
     if ours is not cls:
         yield f"has the NAME {cls.NAME!r} of another fault"
     yield from _check_amounts(getattr(cls, "AMOUNTS", None))
@@ -162,6 +172,7 @@ class _Trials:
             qpos=data.qpos,
             qvel=data.qvel,
             eq_active=data.eq_active,
+            xfrc=data.xfrc_applied,
         )
         healthy = _effect(injection, 0)
         effects, improper = [], []
@@ -174,6 +185,7 @@ class _Trials:
                 if effects[-1].not_numbers():
                     break  # it would only blow up
             data.ctrl[:] = injection.plant.command[step]
+            put_walkers(model, data, injection.plant.walk[step])
             mujoco.mj_step(model, data)
         state = np.concatenate([data.qpos, data.qvel])
         return _Trace(healthy=healthy, effects=tuple(effects), state=state, improper=tuple(improper))
@@ -184,7 +196,8 @@ def _effect(injection: Injection, step: int) -> _Effect:
     changed = {name: values.copy() for name, values in plant.fields.items()}
     sent = plant.command - plant.healthy
     sent[:step] = 0.0  # these are gone
-    return _Effect(changed, command=sent, eq_active=plant.eq_active.copy())
+    walk = plant.walk[step:][:1].copy()
+    return _Effect(changed, command=sent, eq_active=plant.eq_active.copy(), xfrc=plant.xfrc.copy(), walk=walk)
 
 
 def _untouchable(data: mujoco.MjData) -> dict[str, Array]:

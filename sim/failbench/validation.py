@@ -44,6 +44,7 @@ from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid
 from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.world import SimSettings, build_world
+from failbench.surroundings.registry import staged_for
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import trajectory_batch
@@ -109,6 +110,8 @@ def validate(
     check_whole("seed", seed, 0)
     check_confidence(confidence)
     _check_rate(rate)
+    for fault in faults:
+        scene = staged_for(fault, scene)
     execution = execute(motion, build_world(scene, settings))
     cost = ImpactCost() if prediction is None else prediction
 
@@ -166,14 +169,11 @@ def predicted_impact(
     """Predict the impact of a failure at some times after the start of a trajectory [s].
 
     Returns:
-        By entity of the scene, without those that move; last the carried object itself, if its loss counts.
+        By entity of the scene, then by entity that moves; last the carried object itself, if its loss counts.
     """
-    batch = trajectory_batch(scene, trajectory, trajectory.t[0] + times)
-    shares, own = np.einsum("nce,ce->ne", cost.interaction.probability(batch), cost.severity(scene)), cost.own(scene)
-    if own is None:
-        return shares
-    lost = np.asarray(sum(cost.interaction.own_loss(batch, own.fragility).values()))
-    return np.column_stack([shares, own.severity * lost])
+    clock = trajectory.t[0] + times
+    batch = trajectory_batch(scene, trajectory, clock, clock if scene.moving else None)
+    return np.einsum("nch,ch->nh", cost.probability(batch), cost.hazard_severity(scene))
 
 
 def _onsets(fault: Fault, duration: float) -> Float[Array, " n"]:

@@ -29,7 +29,7 @@ ROLLOUTS = (
     Column("scene", "string", "", "bundled scene or scene file"),
     Column("task", "string", "", "task whose object is carried; null if nothing is"),
     Column("fault", "string", "", "what broke"),
-    Column("category", "string", "", "actuator, sensor, end_effector or power"),
+    Column("category", "string", "", "actuator, sensor, end_effector, power or surroundings"),
     Column("degree", "string", "", "minor, moderate, severe or critical"),
     Column("fault_settings", "string", "", "all settings of the fault, as JSON"),
     Column("onset", "double", "s", "when it broke, after the start of the motion"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,6 +12,7 @@ import numpy as np
 from failbench.fault.drive import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, scale_response, weaken
 from failbench.fault.fault import Fault
 from failbench.simulated.plant import Plant
+from graceful_plan.exceptions import SettingError
 
 _SEIZED = 100.0
 """Inertia of a seized joint [kg m^2 or kg]: the lock alone would let it tremble when the other joints brake."""
@@ -35,19 +37,54 @@ class CompleteShutdown(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class LooseJoint(Fault):
-    """A transmission comes loose: little of the motor's stiffness and damping reaches the joint; it sags and sways."""
+    """A transmission comes loose: little of the motor's stiffness and damping reaches the joint; it sags and sways.
+
+    Its gears have backlash, too: a motor that turns back has to cross the gap before the joint feels anything.
+
+    Args:
+        backlash: Width of the gap [rad or m], half of it on either side; None for what the degree says, `BACKLASH`.
+    """
+
+    ramp: float = 0.2
+    backlash: float | None = None
 
     NAME: ClassVar[str] = "loose_joint"
     CATEGORY: ClassVar[str] = "actuator"
     PARAMETER: ClassVar[str] = "stiffness that is left, as a share of the healthy one"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.3, "moderate": 0.1, "severe": 0.03, "critical": 0.01}
+    BACKLASH: ClassVar[Mapping[str, float]] = {"minor": 0.005, "moderate": 0.01, "severe": 0.02, "critical": 0.04}
     FIELDS: ClassVar[tuple[str, ...]] = (*DRIVE, *GRIP)
+    PERIOD: ClassVar[float | None] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.backlash is not None and not (math.isfinite(self.backlash) and self.backlash >= 0.0):
+            raise SettingError("backlash", self.backlash, "a finite width >= 0 rad, or None for that of the degree")
+
+    @property
+    def gap(self) -> float:
+        """Width of the gap between the gears [rad or m]."""
+        return self.BACKLASH[self.degree] if self.backlash is None else self.backlash
+
+    @property
+    def period(self) -> float | None:
+        """Every step, to see on which side of the gap the gears are; without a gap once is enough."""
+        return self.PERIOD if self.gap else None
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Weaken the coupling of motor and joint."""
+        """Weaken the coupling of motor and joint, and let it pass nothing while the gears are within the gap."""
         share = 1.0 + level * (self.amount - 1.0)
         scale_response(plant, share)
         cut_overloaded_weld(plant, share)
+        if self.gap and len(plant.ahead):
+            robot, bias, joints = plant.robot, plant["actuator_biasprm"], plant.joints
+            struck, half = robot.actuators[joints], level * self.gap / 2.0
+            # By how much the servo would twist a shaft without a gap: its torque over its stiffness.
+            asked = robot.gain[joints] * plant.ahead[0, struck] - robot.kd[joints] * plant.qd[joints]
+            twist = asked / robot.kp[joints] - plant.q[joints]
+            bias[struck, 0] += bias[struck, 1] * half * np.sign(twist)
+            within = struck[np.abs(twist) <= half]
+            plant["actuator_gainprm"][within] = bias[within] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +113,8 @@ class LimitedRange(Fault):
 @dataclass(frozen=True, kw_only=True)
 class PartialDegradation(Fault):
     """A drive has lost part of its strength: a share of the torque that is asked for, and of its greatest torque."""
+
+    ramp: float = 0.2
 
     NAME: ClassVar[str] = "partial_degradation"
     CATEGORY: ClassVar[str] = "actuator"
@@ -132,6 +171,8 @@ class StuckPosition(Fault):
 @dataclass(frozen=True, kw_only=True)
 class IncreasedFriction(Fault):
     """A bearing runs dry: dry friction, and at 1 rad/s as much viscous friction again."""
+
+    ramp: float = 0.2
 
     NAME: ClassVar[str] = "increased_friction"
     CATEGORY: ClassVar[str] = "actuator"

@@ -29,11 +29,14 @@ class GripperFailure(Fault):
         time = plant.dt * np.arange(plant.step, len(plant.command))
         opened = np.minimum(1.0, time / self.amount) if self.amount else np.ones_like(time)
         _open(plant, level * opened[:, None])
+        plant.cut_weld()
 
 
 @dataclass(frozen=True, kw_only=True)
 class WeakGrip(Fault):
     """The gripper presses less: the object slips once friction does not carry it any more."""
+
+    ramp: float = 0.3
 
     NAME: ClassVar[str] = "weak_grip"
     CATEGORY: ClassVar[str] = "end_effector"
@@ -55,7 +58,8 @@ class StuckGripper(Fault):
 
     Args:
         closed: Whether it sticks as it is at the onset, deaf to commands. Nothing else happens then, whatever the
-            degree. Otherwise it springs open as far as the degree says; a weld that stands for the grasp is cut.
+            degree. Otherwise it springs open as far as the degree says; a weld that stands for the grasp is cut if
+            fingers that far open would not touch the object any more.
     """
 
     closed: bool = False
@@ -71,12 +75,14 @@ class StuckGripper(Fault):
         """Hold the gripper where it sticks."""
         if self.closed:
             hold_grip(plant)
-        else:
-            _open(plant, level * self.amount)
+            return
+        opening = level * self.amount
+        _open(plant, opening)
+        if opening >= plant.robot.grip_clear:
+            plant.cut_weld()
 
 
 def _open(plant: Plant, share: np.ndarray | float) -> None:
     """Open the gripper by a share of the widest opening, for all steps to come or for each."""
     grippers = plant.robot.gripper_actuators
     plant.ahead[:, grippers] += share * (plant.robot.grip_open - plant.ahead[:, grippers])
-    plant.cut_weld()

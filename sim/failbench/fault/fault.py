@@ -17,6 +17,8 @@ DEGREES = ("minor", "moderate", "severe", "critical")
 CATEGORIES = ("actuator", "sensor", "end_effector", "power")
 REACTION = "reaction"
 """Category of what the robot does on purpose: nothing is broken."""
+SURROUNDINGS = "surroundings"
+"""Category of what happens around a robot."""
 
 _PARTS = {"gripper": ("gripper",), "robot": ("joints", "gripper")}
 """The parts that a target stands for, if not joints alone."""
@@ -36,6 +38,8 @@ class Fault(ABC):
         targets: Names of the joints that are struck, "any" for one drawn at random, "all" joints, "gripper", or "robot"
             for joints and gripper. Empty: the class's `TARGETS`.
         when: When it begins.
+        rates: How often each joint has this fault, from the base to the tool; "any" draws in proportion. Only ratios
+            matter. Empty: all alike.
     """
 
     degree: str = "severe"
@@ -43,11 +47,12 @@ class Fault(ABC):
     duration: float | None = None
     targets: tuple[str, ...] = ()
     when: Onset = Uniform()
+    rates: tuple[float, ...] = ()
 
     NAME: ClassVar[str]
     """The fault's name, e.g. "loose_joint"."""
     CATEGORY: ClassVar[str]
-    """One of "actuator", "sensor", "end_effector", "power" and "reaction"."""
+    """One of "actuator", "sensor", "end_effector", "power", "reaction" and "surroundings"."""
     PARAMETER: ClassVar[str]
     """What the degree scales, in words, with its unit."""
     AMOUNTS: ClassVar[Mapping[str, float]]
@@ -73,10 +78,24 @@ class Fault(ABC):
         if not isinstance(self.targets, tuple | list):
             raise SettingError("targets", self.targets, "a tuple of names")
         object.__setattr__(self, "targets", tuple(self.targets))
+        self._check_rates()
         parts = {part for target in self.targets for part in _PARTS.get(target, ("joints",))}
         if parts and parts.isdisjoint(self.STRIKES):
             able = " or ".join({"joints": "a joint", "gripper": "the gripper"}[part] for part in self.STRIKES)
             raise SettingError("targets", self.targets, f"{able} among them: nothing else can have a {self.NAME}")
+
+    def _check_rates(self) -> None:
+        if not isinstance(self.rates, tuple | list):
+            raise SettingError("rates", self.rates, "a tuple of numbers, one for each joint")
+        rates = tuple(float(rate) for rate in self.rates)
+        if rates and not (all(0.0 <= rate < math.inf for rate in rates) and 0.0 < sum(rates) < math.inf):
+            raise SettingError("rates", rates, "finite numbers of at least 0, one of them positive")
+        object.__setattr__(self, "rates", rates)
+
+    @property
+    def period(self) -> float | None:
+        """Time between calls of `apply` with these settings [s]: `PERIOD`, unless settings decide."""
+        return self.PERIOD
 
     @property
     def amount(self) -> float:

@@ -47,6 +47,7 @@ class BatteryDegradation(Fault):
 class VoltageDrop(Fault):
     """A brown-out: for a short time all drives give a share of their torque, then everything is as before."""
 
+    ramp: float = 0.02
     duration: float | None = 0.2
 
     NAME: ClassVar[str] = "voltage_drop"

@@ -195,11 +195,17 @@ def _onset(document: Any) -> Onset:
 
 def _checked(name: str, value: Any, default: Any) -> Any:
     """Return a setting as what its default is, if that is what it looks like."""
+    if name == "rates":
+        if not isinstance(value, list | tuple) or any(
+            isinstance(x, bool) or not isinstance(x, int | float) for x in value
+        ):
+            raise SettingError(name, value, "a list of numbers")
+        return tuple(float(x) for x in value)
     if isinstance(default, tuple):
         if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
             raise SettingError(name, value, "a list of names")
         return tuple(value)
-    if name == "duration" and value is None:
+    if value is None and (name == "duration" or default is None):
         return None
     if isinstance(default, bool) or isinstance(default, str):
         if not isinstance(value, type(default)):

@@ -15,6 +15,10 @@ import numpy as np
 from failbench.fault.drive import actuators
 from failbench.fault.fault import Fault
 from failbench.simulated.plant import Plant
+from graceful_plan.exceptions import SettingError
+
+LINES = ("command", "measurement", "both")
+ZONES = ("range", "play")
 
 _SAMPLE = 0.01
 """Time between two readings of a noisy sensor [s]."""
@@ -25,6 +29,8 @@ _GAP_SPACING = 0.25
 @dataclass(frozen=True, kw_only=True)
 class Noise(Fault):
     """A position sensor is noisy: every reading is off by a normal deviate, and stands until the next one."""
+
+    ramp: float = 0.2
 
     NAME: ClassVar[str] = "noise"
     CATEGORY: ClassVar[str] = "sensor"
@@ -43,7 +49,12 @@ class Noise(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class BiasDrift(Fault):
-    """A position sensor drifts: its error grows at a constant rate, up or down as the seed has it."""
+    """A position sensor drifts: its error grows at a constant rate, up or down as the seed has it.
+
+    Along the ramp the rate grows from nothing; the error is its integral.
+    """
+
+    ramp: float = 0.2
 
     NAME: ClassVar[str] = "bias_drift"
     CATEGORY: ClassVar[str] = "sensor"
@@ -55,28 +66,75 @@ class BiasDrift(Fault):
         """Let the readings drift."""
         if "sign" not in plant.memory:
             plant.memory["sign"] = plant.rng.choice([-1.0, 1.0], len(plant.joints))
-        time = plant.dt * np.arange(plant.step, len(plant.command))
-        plant.misread(plant.joints, level * self.amount * time[:, None] * plant.memory["sign"])
+        # For how long it would have drifted at its full rate, and when that was found.
+        before, found, rate = plant.memory.get("drifted", (0.0, plant.time, level))
+        drifted = before + rate * (plant.time - found)
+        plant.memory["drifted"] = drifted, plant.time, level
+        time = drifted + level * plant.dt * np.arange(len(plant.ahead))
+        plant.misread(plant.joints, self.amount * time[:, None] * plant.memory["sign"])
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControlDelay(Fault):
-    """Commands arrive late."""
+    """Commands arrive late, or what sensors say, or both.
+
+    Args:
+        line: What is late: "command", "measurement" (position and speed of the joints, as their servos see them), or
+            "both". The gripper's own measurement never is.
+    """
+
+    ramp: float = 0.5
+    line: str = "command"
 
     NAME: ClassVar[str] = "control_delay"
     CATEGORY: ClassVar[str] = "sensor"
-    PARAMETER: ClassVar[str] = "delay of the commands [s]"
+    PARAMETER: ClassVar[str] = "delay of the commands, or of the readings [s]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.02, "moderate": 0.05, "severe": 0.1, "critical": 0.2}
+    FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.line not in LINES:
+            raise SettingError("line", self.line, f"one of {', '.join(LINES)}")
+
+    @property
+    def period(self) -> float | None:
+        """Every step if readings are late; commands are known in advance."""
+        return None if self.line == "command" else 0.0
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Send what was meant for some steps ago."""
-        plant.lag = steps = round(level * self.amount / plant.dt)
-        before = plant.past[len(plant.past) - min(steps, len(plant.past)) :]
-        known = np.concatenate([before, plant.healthy])
-        at_rest = np.repeat(known[:1], steps - len(before), axis=0)  # nothing was commanded before the motion began
-        late = np.concatenate([at_rest, known])[plant.step : len(plant.healthy)]
-        struck = actuators(plant)
-        plant.ahead[:, struck] = late[:, struck]
+        """Send what was meant for some steps ago, and read what was true then."""
+        steps = round(level * self.amount / plant.dt)
+        if self.line != "measurement":
+            plant.lag, struck = steps, actuators(plant)
+            plant.ahead[:, struck] = _late_commands(plant, steps)[:, struck]
+        if self.line != "command":
+            self._read_late(plant, steps)
+
+    def _read_late(self, plant: Plant, steps: int) -> None:
+        seen = plant.memory.setdefault("seen", [])
+        seen += [(plant.q, plant.qd)] * (plant.step + 1 - len(seen))
+        ago = plant.step - steps
+        if ago >= 0 or not len(plant.measured):
+            q, qd = seen[max(ago, 0)]
+        else:
+            q, qd = plant.measured[max(len(plant.measured) - 1 + ago, 0)]
+        _stand_still(plant, q[plant.joints], qd[plant.joints])
+
+
+def _late_commands(plant: Plant, steps: int) -> np.ndarray:
+    """Return the commands from now on as they arrive that many steps late; the first stood before the motion began."""
+    before = plant.past[len(plant.past) - min(steps, len(plant.past)) :]
+    known = np.concatenate([before, plant.healthy])
+    at_rest = np.repeat(known[:1], steps - len(before), axis=0)
+    return np.concatenate([at_rest, known])[plant.step : len(plant.healthy)]
+
+
+def _stand_still(plant: Plant, q: np.ndarray, qd: np.ndarray) -> None:
+    """Let the servos of the struck joints see these readings until further notice. Needs "actuator_biasprm"."""
+    bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
+    bias[struck, 0] += bias[struck, 1] * q + bias[struck, 2] * qd
+    bias[struck, 1:3] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,15 +161,14 @@ class Dropout(Fault):
             plant.memory.pop("reading", None)
             return
         q, qd = plant.memory.setdefault("reading", (plant.q[plant.joints], plant.qd[plant.joints]))
-        bias = plant["actuator_biasprm"]
-        struck = plant.robot.actuators[plant.joints]
-        bias[struck, 0] += bias[struck, 1] * q + bias[struck, 2] * qd
-        bias[struck, 1:3] = 0.0
+        _stand_still(plant, q, qd)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScaleError(Fault):
     """A sensor is calibrated wrongly: position and speed read too great in proportion, as from a wrong gear ratio."""
+
+    ramp: float = 0.2
 
     NAME: ClassVar[str] = "scale_error"
     CATEGORY: ClassVar[str] = "sensor"
@@ -127,23 +184,38 @@ class ScaleError(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class DeadZone(Fault):
-    """A sensor does not see small motions: its position reading stands until the joint has moved by the zone's width.
+    """A sensor does not respond within a range of positions: there its reading stands.
 
-    From then on it follows that far behind. So the controller is blind to errors smaller than the width.
+    Args:
+        zone: "range": the range lies around where the joint is at the onset; within it, the reading is what it was
+            when the joint came in, and outside it is right. "play": the range goes along; the reading stands until the
+            joint has moved by its width, and from then on follows that far behind.
     """
+
+    zone: str = "range"
 
     NAME: ClassVar[str] = "dead_zone"
     CATEGORY: ClassVar[str] = "sensor"
-    PARAMETER: ClassVar[str] = "width of the zone [rad or m]"
+    PARAMETER: ClassVar[str] = "width of the zone to either side [rad or m]"
     AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.01, "moderate": 0.03, "severe": 0.06, "critical": 0.12}
     STRIKES: ClassVar[tuple[str, ...]] = ("joints",)
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
     PERIOD: ClassVar[float | None] = 0.0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.zone not in ZONES:
+            raise SettingError("zone", self.zone, f"one of {', '.join(ZONES)}")
+
     def apply(self, plant: Plant, level: float) -> None:
-        """Let the reading drag behind the position."""
+        """Let the reading stand, or drag behind the position."""
         q, width = plant.q[plant.joints], level * self.amount
-        reading = np.minimum(np.maximum(plant.memory.get("reading", q), q - width), q + width)
+        last = plant.memory.get("reading", q)
+        if self.zone == "play":
+            reading = np.minimum(np.maximum(last, q - width), q + width)
+        else:
+            centre = plant.memory.setdefault("centre", q)
+            reading = np.where(np.abs(q - centre) > width, q, last)
         plant.memory["reading"] = reading
         bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
         bias[struck, 0] += bias[struck, 1] * (reading - q)

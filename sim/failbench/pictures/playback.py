@@ -26,6 +26,7 @@ from failbench.recording.records import Job, Rollout
 from failbench.rollouts import single
 from failbench.rollouts.execution import Execution
 from failbench.simulated.states import CHECKPOINT, STATE, warnings_counted_only
+from failbench.simulated.walkers import Walk, put_walkers
 from graceful_plan.exceptions import SettingError
 
 if TYPE_CHECKING:
@@ -137,6 +138,8 @@ def healthy(execution: Execution, checkpoint: int, count: int) -> Iterator[tuple
     mujoco.mj_setState(model, data, execution.states[checkpoint], STATE)
     for command in execution.commands(checkpoint * CHECKPOINT, count):
         data.ctrl[:] = command
+        if model.nmocap:
+            put_walkers(model, data, Walk(model, execution.world.walkers).rows(np.array([data.time]))[0])
         mujoco.mj_step(model, data)
         yield model, data
 
@@ -145,7 +148,7 @@ def struck_parts(execution: Execution, job: Job) -> str:
     """Return in words what a job's fault strikes."""
     robot = execution.world.robot
     rng = np.random.default_rng(job.seed)  # the draw that the injection makes
-    joints, gripper = robot.struck(job.fault.targets or job.fault.TARGETS, rng)
+    joints, gripper = robot.struck(job.fault.targets or job.fault.TARGETS, rng, job.fault.rates)
     if len(joints) == len(robot.joints):
         return "whole robot" if gripper else "all joints"
     return ", ".join([robot.joints[j].rpartition("/")[2] for j in joints] + ["gripper"] * gripper)
@@ -238,6 +241,7 @@ def _play_once(touches: TouchPaint, moments: Iterator[Moment], shown: mujoco.MjD
             return
         with viewer.lock():
             shown.qpos[:], shown.qvel[:], shown.time = moment.data.qpos, moment.data.qvel, moment.time
+            shown.mocap_pos[:], shown.mocap_quat[:] = moment.data.mocap_pos, moment.data.mocap_quat
             mujoco.mj_forward(shown.model, shown)
             touches.paint(shown.model)
             viewer.user_scn.ngeom = 0

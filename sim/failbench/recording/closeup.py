@@ -8,6 +8,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from failbench.simulated.walkers import put_walkers
 from failbench.simulated.world import World
 from graceful_plan.array_types import Float, Int
 
@@ -51,12 +52,22 @@ class Closeup:
         self.entities = tuple(world.scene.entities)
         self.owner = _owners(world)
         self._body = self.model.geom_bodyid.copy()
+        self._walking = np.zeros((self.model.nmocap, 3))
         self._jacobians = np.zeros((2, 3, self.model.nv))
 
     def place(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"] | None = None) -> None:
-        """Set the state, at rest if no velocities are given, and find all contacts."""
-        self.data.qpos = qpos
-        self.data.qvel = 0.0 if qvel is None else qvel
+        """Set the state, at rest if no velocities are given, and find all contacts.
+
+        Args:
+            qpos: Positions, and behind them where those who move are, if that is known; else they are where they were.
+            qvel: Velocities, and behind them theirs.
+        """
+        nq, nv = self.model.nq, self.model.nv
+        self.data.qpos = qpos[:nq]
+        self.data.qvel = 0.0 if qvel is None else qvel[:nv]
+        if len(qpos) > nq:
+            put_walkers(self.model, self.data, qpos[nq:])
+        self._walking[:] = 0.0 if qvel is None or len(qvel) == nv else qvel[nv:].reshape(-1, 3)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
 
@@ -86,7 +97,9 @@ class Closeup:
         mujoco.mj_jac(model, data, own, None, contacts.position, contacts.striker)
         mujoco.mj_jac(model, data, other, None, contacts.position, contacts.struck)
         # Of things that have just met, MuJoCo's normals may point either way; but they do approach.
-        speed = abs(float(contacts.normal @ ((own - other) @ data.qvel)))
+        walker = int(model.body_mocapid[contacts.struck])
+        own_walk = self._walking[walker] if walker >= 0 else np.zeros(3)
+        speed = abs(float(contacts.normal @ ((own - other) @ data.qvel - own_walk)))
         along = contacts.normal @ own
         response = np.zeros((1, model.nv))
         mujoco.mj_solveM(model, data, response, along[None])

@@ -21,6 +21,7 @@ from failbench.recording.records import ContactEvent, Rollout
 from failbench.recording.score import Touches, impact_by_entity
 from failbench.recording.spill import HealthyLoss, healthy_loss
 from failbench.simulated.states import CHECKPOINT
+from failbench.simulated.walkers import Walk, with_walkers
 from failbench.simulated.world import World
 from graceful_plan import Scene
 from graceful_plan.array_types import Float
@@ -170,6 +171,10 @@ def _touches(world: World, run: HealthySteps, allowed: frozenset[tuple[str, str]
     """Return the fields of a rollout that say what came of it, as if the run were one from its first state on."""
     nq, nv = world.model.nq, world.model.nv
     qpos, qvel = run.states[:, 1 : 1 + nq], run.states[:, 1 + nq : 1 + nq + nv]
+    if world.model.nmocap:
+        dt = world.settings.timestep
+        rows = Walk(world.model, world.walkers).rows(np.append(run.states[:, 0], run.states[-1, 0] + dt))
+        qpos, qvel = with_walkers(qpos, qvel, rows, dt)
     recorder = Recorder(world, allowed, qpos[:1], qvel[:1])
     recorder.observe(run.sensordata[None], qpos[None, 1:], qvel[None, 1:])
     return recorder.finish(0)

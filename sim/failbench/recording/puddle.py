@@ -89,8 +89,7 @@ class Puddles:
             qpos: Where everything is.
             parcels: What is lost.
         """
-        self._closeup.data.qpos = qpos
-        mujoco.mj_kinematics(self._closeup.model, self._closeup.data)
+        self._closeup.place(qpos)
         low, high = self._heights()
         found: dict[int, ContactEvent] = {}
         landings = [landing for parcel in parcels if (landing := self._fly(parcel)) is not None]

@@ -14,7 +14,8 @@ from failbench.basics.errors import ExecutionRefused
 from failbench.recording.healthy import HealthyHarm, HealthySteps, healthy_harm
 from failbench.rollouts.base_loop import TICK, BasePlan
 from failbench.simulated.rolling import PLANAR, lifted
-from failbench.simulated.states import CHECKPOINT, STATE, put, warnings_counted_only
+from failbench.simulated.states import CHECKPOINT, STATE, control_spec, put, warnings_counted_only
+from failbench.simulated.walkers import Walk, put_walkers
 from failbench.simulated.world import World
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
@@ -49,6 +50,7 @@ class Execution:
     | trajectory     | what                                                                       |                  |
     | states         | MuJoCo's integration state at each checkpoint                              | checkpoint state |
     | command        | commands of all actuators; the last is held after the end                  | step actuator    |
+    | measured       | positions and velocities of the joints before each step and after the last | step 2 nq        |
     | baseline       | components and entities that touch anyway                                  |                  |
     | tracking_error | greatest distance of each joint from where it should be [rad or m]         | nq               |
     | slip           | greatest distance of the carried object from where it was in the tool [m]  |                  |
@@ -61,6 +63,7 @@ class Execution:
     trajectory: Trajectory
     states: Float[Array, "checkpoint state"]
     command: Float[Array, "step actuator"]
+    measured: Float[Array, "state_and_step 2 nq"]
     baseline: frozenset[tuple[str, str]]
     tracking_error: Float[Array, " nq"]
     slip: float
@@ -106,6 +109,32 @@ class Execution:
         trajectory, rate = self.trajectory, pace[:, None]
         q, qd, qdd = trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration))
         return _joint_commands(self.world, q, qd * rate, qdd * rate**2 + qd * change[:, None])
+
+    def planned(self, time: Float[Array, " n"]) -> Float[Array, "n nq"]:
+        """Return where the joints are to be at some times after the start of the trajectory [s]."""
+        trajectory = self.trajectory
+        return trajectory.at(trajectory.t[0] + np.clip(time, 0.0, trajectory.duration)).q
+
+    def walk(self, step: int, count: int, seed: int) -> Float[Array, "step_and_next mocap"]:
+        """Return where those who move are before each of `count` steps from a step on, and after the last.
+
+        Args:
+            step: The first, in which the robot fails.
+            count: How many.
+            seed: Decides by how much they are off what was predicted.
+        """
+        if not self.world.model.nmocap:
+            return np.zeros((count + 1, 0))
+        walk = Walk(self.world.model, self.world.walkers, np.random.default_rng([seed, 1]))
+        rows = walk.rows(self.trajectory.t[0] + self.dt * np.arange(step, step + count + 1))
+        tool = self.states_tool(step)
+        return walk.reacted(rows, self.dt, self.world.settings.people, tool)
+
+    def states_tool(self, step: int) -> Float[Array, " 3"]:
+        """Return where the tool of the healthy robot is before a step, in W [m]."""
+        q = self.measured[min(step, len(self.measured) - 1), 0]
+        scene = self.world.scene
+        return scene.data_at(q).site_xpos[int(scene.model.site(scene.tool).id)].copy()
 
     def commands(self, step: int, count: int) -> Float[Array, "count actuator"]:
         """Return a copy of the commands of `count` steps from a step on, the last one held after the end."""
@@ -173,9 +202,9 @@ def execute(
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
         if base is None:
-            run = _simulated(batch, command[:steps], start[None])
+            run = _simulated(world, batch, command[:steps], start[None])
         else:
-            run, loop = _driven(batch, command, start[None], base)
+            run, loop = _driven(world, batch, command, start[None], base)
         error = np.abs(run.qpos[:, _planned(world)] - wanted)
         _check_tracking(error, tolerance, world, dt)
         slip = _slip(run.xpos, run.xquat, world)
@@ -183,18 +212,20 @@ def execute(
         lost = None if stays.all() else int(stays.argmin())
         if lost is not None:
             fall = np.repeat(command[-1:], round(_FALL / dt), axis=0)
-            run = _joined(run, _simulated(batch, fall, run.states[-1:]))
+            run = _joined(run, _simulated(world, batch, fall, run.states[-1:]))
     healthy = _healthy(world, run, lost)
     if lost is not None:
         problem = f"it has slipped by {slip[lost]:.3g} m; slow the motion down, or use SimSettings(grasp='weld')"
         raise ObjectLost(f"the object {world.model.body(world.carried_body).name!r}", (lost + 1) * dt, problem, healthy)
     states = run.states[::CHECKPOINT].copy()
-    states.flags.writeable = command.flags.writeable = False
+    measured = _measured(world, run.states)
+    states.flags.writeable = command.flags.writeable = measured.flags.writeable = False
     return Execution(
         world=world,
         trajectory=trajectory,
         states=states,
         command=command,
+        measured=measured,
         baseline=_touched(world, run.sensordata),
         tracking_error=error.max(axis=0),
         slip=float(slip.max()),
@@ -220,16 +251,25 @@ class _Run(NamedTuple):
     """At the beginning and after each step."""
 
 
-def _simulated(batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]) -> _Run:
+def _simulated(
+    world: World, batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"]
+) -> _Run:
     """Go on with the only simulation of a batch."""
     record = ("qpos", "sensordata", "xpos", "xquat", int(STATE))
-    out = batch.rollout(len(command), command[None], int(mujoco.mjtState.mjSTATE_CTRL), record=record)
+    if world.model.nmocap:
+        time = start[0, 0] + world.settings.timestep * np.arange(len(command))
+        command = np.hstack([command, Walk(world.model, world.walkers).rows(time)])
+    out = batch.rollout(len(command), command[None], control_spec(world.model), record=record)
     qpos, sensordata, xpos, xquat, states = (out[name][0] for name in record)
     return _Run(qpos, sensordata, xpos, xquat, np.vstack([start, states]))
 
 
 def _driven(
-    batch: Batch, command: Float[Array, "step actuator"], start: Float[Array, "1 state"], base: BasePlan
+    world: World,
+    batch: Batch,
+    command: Float[Array, "step actuator"],
+    start: Float[Array, "1 state"],
+    base: BasePlan,
 ) -> tuple[_Run, Float[Array, "tick wheel_and_1"]]:
     """Drive a base: its loop is closed tick by tick, and what it sends is written into the commands."""
     qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
@@ -241,9 +281,15 @@ def _driven(
         until = min(step + TICK, steps)
         command[step:, base.motor] = rows[-1]  # the last one is held
         command[step:until, base.motor] = rows[: until - step]
-        runs.append(_simulated(batch, command[step:until], start if not runs else runs[-1].states[-1:]))
+        runs.append(_simulated(world, batch, command[step:until], start if not runs else runs[-1].states[-1:]))
     parts = [part if i == 0 else part._replace(states=part.states[1:]) for i, part in enumerate(runs)]
     return _Run._make(map(np.concatenate, zip(*parts, strict=True))), np.array(told)
+
+
+def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 2 nq"]:
+    """Return positions and velocities of the planned joints in some states, which begin with the time."""
+    robot, nq = world.robot, world.model.nq
+    return np.stack([states[:, 1 + robot.qpos], states[:, 1 + nq + robot.dofs]], axis=1)
 
 
 def _joined(first: _Run, second: _Run) -> _Run:
@@ -332,13 +378,15 @@ def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actua
     data.qpos[:] = lifted(scene, model, scene.data_at(trajectory.q[0]).qpos)
     hold, still = command.copy(), np.zeros((1, len(scene.joints)))
     hold[world.robot.actuators] = _joint_commands(world, trajectory.q[:1], still, still)[0]
+    if model.nmocap:
+        put_walkers(model, data, Walk(model, world.walkers).rows(trajectory.t[:1])[0])
     steps = round(_SETTLE / model.opt.timestep)
     for step in range(steps):
         if world.hold >= 0 and world.robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:
             data.eq_active[world.hold] = 0
         data.ctrl[:] = hold
         mujoco.mj_step(model, data)
-    data.time = 0.0
+    data.time = trajectory.t[0]  # the clock of those who move
     state = np.zeros(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state

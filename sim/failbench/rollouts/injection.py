@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import mujoco
 import numpy as np
 
 from failbench.recording.records import Job
@@ -30,6 +29,7 @@ class Injection:
         qpos: Live positions.
         qvel: Live velocities.
         eq_active: Live state of the equality constraints.
+        xfrc: Live forces and torques on all bodies.
     """
 
     def __init__(
@@ -42,16 +42,18 @@ class Injection:
         qpos: Array,
         qvel: Array,
         eq_active: Array,
+        xfrc: Array | None = None,
     ) -> None:
         fault, robot = job.fault, execution.world.robot
         self.job = job
         self.checkpoint = execution.checkpoint(job.onset)
         onset = self.checkpoint * CHECKPOINT
         rng = np.random.default_rng(job.seed)
-        joints, gripper = robot.struck(fault.targets or fault.TARGETS, rng)
+        joints, gripper = robot.struck(fault.targets or fault.TARGETS, rng, fault.rates)
         healthy = execution.commands(onset, steps)
         past = execution.command[:onset]
         healthy.flags.writeable = False
+        self._walk = execution.walk(onset, steps, job.seed)
         self.plant = Plant(
             robot=robot,
             joints=joints,
@@ -64,6 +66,11 @@ class Injection:
             command=healthy.copy(),
             healthy=healthy,
             past=past,
+            measured=execution.measured[: onset + 1],
+            world=execution.world,
+            walk=self._walk.copy(),
+            xfrc=np.zeros((0, 6)) if xfrc is None else xfrc,
+            planned=lambda time: execution.planned(onset * execution.dt + time),
             paced=lambda time, pace, change: execution.paced(onset * execution.dt + time, pace, change),
             fields={name: fields[name] for name in fault.FIELDS},
         )
@@ -94,19 +101,31 @@ class Injection:
         ramp = round(fault.ramp / plant.dt)
         level = 1.0 if ramp == 0 else min(1.0, (self.next + _RAMP_STEPS) / ramp)
         fault.apply(plant, level)
-        if level < 1.0:
-            wait = _RAMP_STEPS
-        elif fault.PERIOD is not None:
-            wait = max(1, round(fault.PERIOD / plant.dt))
-        else:
-            wait = NEVER
-        self.next = min(self.next + wait, self._end)
+        wait = NEVER if fault.period is None else max(1, round(fault.period / plant.dt))
+        self.next = min(self.next + min(wait, _RAMP_STEPS if level < 1.0 else NEVER), self._end)
+
+    def told(self, step: int, until: int) -> Array:
+        """Return what the simulation is told at some steps: commands, and where those who move are."""
+        plant = self.plant
+        return np.hstack([plant.command[step:until], plant.walk[step:until]])
+
+    def seen(self, step: int, until: int) -> Array:
+        """Return where those who move are before some steps, and before the one after these."""
+        rows = self.plant.walk[step : until + 1]
+        return rows if len(rows) == until + 1 - step else np.vstack([rows, rows[-1:]])
+
+    def restore(self, step: int) -> None:
+        """Let the fault be over before this step, whatever its duration."""
+        if self.next != NEVER or self._end > step:
+            self.next = self._end = step
 
     def _restore(self) -> None:
         plant = self.plant
         for name, values in plant.fields.items():
             values[...] = getattr(self._model, name)
         plant.ahead[...] = plant.healthy[plant.step :]
+        plant.walk[plant.step :] = self._walk[plant.step :]
+        plant.xfrc[...] = 0.0
         plant.eq_active[plant.robot.locks] = 0
         plant.lag = 0
 
@@ -156,5 +175,3 @@ class _Wheels:
 
 
 NEVER = int(np.iinfo(np.int32).max)
-
-CTRL = int(mujoco.mjtState.mjSTATE_CTRL)

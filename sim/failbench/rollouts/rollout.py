@@ -17,9 +17,10 @@ from mujoco.batch import Batch
 from failbench.recording.recorder import Recorder
 from failbench.recording.records import Job, Rollout
 from failbench.rollouts.execution import Execution
-from failbench.rollouts.injection import CTRL, Injection
+from failbench.rollouts.injection import Injection
 from failbench.simulated.rest import PERIOD, let_sleep
-from failbench.simulated.states import CHECKPOINT, put, warnings_counted_only
+from failbench.simulated.states import CHECKPOINT, control_spec, put, warnings_counted_only
+from failbench.simulated.walkers import with_walkers
 from failbench.simulated.world import World
 from graceful_plan.exceptions import SettingError
 
@@ -53,11 +54,11 @@ def run(
         if count < 1:
             raise SettingError(name, count, "at least 1")
     for job in jobs:
-        execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS)
+        execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS, job.fault.rates)
     if not jobs:
         return []
     # Faults of a kind act in the same steps, so they are kept together; those that act again and again take longest.
-    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.PERIOD is None, jobs[i].fault.NAME, i))
+    order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.period is None, jobs[i].fault.NAME, i))
     size = min(batch, -(-len(jobs) // threads))
     groups = iter([order[first : first + size] for first in range(0, len(jobs), size)])
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
@@ -104,10 +105,7 @@ def _run_group(
         values[:] = getattr(model, name)
     checkpoints = [execution.checkpoint(job.onset) for job in jobs]
     put(simulations, sims, execution.states[checkpoints])
-    qpos, qvel, active = (simulations.bind(name) for name in ("qpos", "qvel", "eq_active"))
-    healthy = execution.healthy.kept
-    kept = None if healthy is None else healthy[checkpoints]
-    recorder = Recorder(execution.world, execution.baseline, qpos[sims].copy(), qvel[sims].copy(), kept)
+    qpos, qvel, active, xfrc = (simulations.bind(name) for name in ("qpos", "qvel", "eq_active", "xfrc_applied"))
     injections = [
         Injection(
             execution,
@@ -117,9 +115,15 @@ def _run_group(
             qpos=qpos[i],
             qvel=qvel[i],
             eq_active=active[i],
+            xfrc=xfrc[i].reshape(-1, 6),
         )
         for i, job in enumerate(jobs)
     ]
+    healthy = execution.healthy.kept
+    kept = None if healthy is None else healthy[checkpoints]
+    begins = np.stack([injection.plant.walk[:2] for injection in injections])
+    seen = with_walkers(qpos[sims, None], qvel[sims, None], begins, execution.dt)
+    recorder = Recorder(execution.world, execution.baseline, seen[0][:, 0], seen[1][:, 0], kept)
     diverged = _simulate(execution.world, simulations, injections, recorder, fields["tree_sleep_policy"], steps)
     return [
         Rollout(
@@ -143,7 +147,7 @@ def _simulate(
     steps: int,
 ) -> Array:
     """Step all simulations to the end; return which of them blew up."""
-    model, count, step = world.model, len(injections), 0
+    model, count, step, spec = world.model, len(injections), 0, control_spec(world.model)
     sims, xpos = np.arange(count), simulations.bind("xpos")
     sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
     room = {name: np.empty(count * PERIOD * size) for name, size in sizes.items()}
@@ -157,12 +161,16 @@ def _simulate(
         until = min(steps, step + PERIOD - step % PERIOD, *(injection.next for injection in injections))
         if tick is not None:
             until = min(until, step + tick - step % tick)
-        commands = np.stack([injection.plant.command[step:until] for injection in injections])
+        commands = np.stack([injection.told(step, until) for injection in injections])
         # Memory that is used again: fresh pages cost more than what is written into them.
         shapes = {name: (count, until - step, size) for name, size in sizes.items()}
         out = {name: room[name][: math.prod(shape)].reshape(shape) for name, shape in shapes.items()}
-        simulations.rollout(until - step, commands, CTRL, record=tuple(sizes), ids=sims, out=out)
-        recorder.observe(out["sensordata"], out["qpos"], out["qvel"])
+        simulations.rollout(until - step, commands, spec, record=tuple(sizes), ids=sims, out=out)
+        states = out["qpos"], out["qvel"]
+        if model.nmocap:
+            walk = np.stack([injection.seen(step + 1, until + 1) for injection in injections])
+            states = with_walkers(*states, walk, float(model.opt.timestep))
+        recorder.observe(out["sensordata"], *states)
         step = until
         if step % PERIOD == 0:
             let_sleep(world, xpos[:count], sleep_policy[:count])

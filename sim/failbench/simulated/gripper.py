@@ -56,6 +56,34 @@ def find_gripper(scene: Scene) -> Gripper:
     )
 
 
+def clear_opening(scene: Scene, gripper: Gripper) -> float:
+    """Return how far the gripper has to open until no finger touches the carried object any more.
+
+    Returns:
+        Over the way from closed (0) to open (1), to a thousandth; 0 if there is nothing to hold or to hold with.
+    """
+    if scene.carried is None or not len(gripper.joints):
+        return 0.0
+    model = scene.model
+    data = scene.data_at(np.array([model.qpos0[a] for a in scene.qpos_adr]))
+    adr, ends = model.jnt_qposadr[gripper.joints], model.jnt_range[gripper.joints]
+    wide = int(_posture(scene, gripper.joints.tolist(), 1).spread >= _posture(scene, gripper.joints.tolist(), 0).spread)
+    held = scene.components["carried"].geoms
+
+    def touches(opening: float) -> bool:
+        data.qpos[adr] = ends[:, 1 - wide] + opening * (ends[:, wide] - ends[:, 1 - wide])
+        mujoco.mj_kinematics(model, data)
+        return any(
+            mujoco.mj_geomDistance(model, data, int(p), int(g), 1.0, None) <= 0 for p in gripper.pads for g in held
+        )
+
+    low, high = 0.0, 1.0
+    while high - low > 1e-3 and touches(low):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if touches(middle) else (low, middle)
+    return high if touches(low) else low
+
+
 class _Posture(NamedTuple):
     spread: float
     """Sum of the distances between the moving bodies of the gripper [m]."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from failbench.simulated.robot import Robot
 from graceful_plan.exceptions import UnknownNameError
+
+if TYPE_CHECKING:
+    from failbench.simulated.world import World
 
 Array = np.ndarray
 
@@ -34,6 +37,12 @@ class Plant:
     | paced       | commands of the joints if the motion goes on at another pace: from times on the clock of  |
     |             | the motion since the onset [s], pace, and how fast that changes [1/s]                    |
     | fields      | fields of this simulation's model that may be written                                    |
+    | measured    | positions and velocities of the joints in the healthy run up to the onset, the latest     |
+    |             | last; read only                                                                          |
+    | world       | where; None for a robot alone                                                            |
+    | walk        | where those who move are before each step and after the last, see `walkers.Walk`         |
+    | xfrc        | force and torque on each body in W, until they are changed                               |
+    | planned     | positions of the joints that the motion has at times since the onset [s]                 |
     | step        | steps since the onset                                                                    |
     | lag         | steps by which what a controller closes on the way reaches the wheels late               |
     | memory      | whatever the fault wants to remember                                                     |
@@ -52,6 +61,11 @@ class Plant:
     past: Array
     paced: Callable[[Array, Array, Array], Array]
     fields: Mapping[str, Array]
+    measured: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
+    world: World | None = None
+    walk: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    xfrc: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    planned: Callable[[Array], Array] = lambda time: np.zeros((len(time), 0))
     step: int = 0
     lag: int = 0
     memory: dict[str, Any] = field(default_factory=dict)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.exceptions import SettingError, UnknownNameError
 
 Array = np.ndarray
 
@@ -37,6 +37,7 @@ class Robot:
     | gripper_actuators | ids of the gripper's actuators                                               |       |
     | grip_open         | command of each gripper actuator that opens the gripper                      |       |
     | grip_closed       | the one of a healthy robot: closed if the fingers hold something             |       |
+    | grip_clear        | opening at which fingers let go, over the way from closed to open            |       |
     | pads              | ids of the geoms of the fingers                                              |       |
     | weld              | the equality constraint that holds the carried object; -1 if the fingers do  |       |
     | together          | groups of joints that one motor drives: what strikes one strikes all                  |       |
@@ -58,6 +59,7 @@ class Robot:
     gripper_actuators: Array
     grip_open: Array
     grip_closed: Array
+    grip_clear: float
     pads: Array
     weld: int
     together: tuple[tuple[int, ...], ...] = ()
@@ -67,18 +69,25 @@ class Robot:
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False  # one robot for all rollouts: no fault may change it for the others
 
-    def struck(self, targets: Sequence[str], rng: np.random.Generator) -> tuple[Array, bool]:
+    def struck(
+        self, targets: Sequence[str], rng: np.random.Generator, rates: Sequence[float] = ()
+    ) -> tuple[Array, bool]:
         """Return which joints (indices into `joints`) and whether the gripper are meant by `targets`.
 
         Args:
             targets: Names of joints, or "any" (one drawn from `rng`), "all", "gripper", "robot".
             rng: Where the draw comes from.
+            rates: How often each joint is drawn, relative to the others; all alike if empty.
 
         Raises:
             UnknownNameError: If a target is neither a joint nor such a word.
+            SettingError: If there is not one rate for each joint.
         """
-        self.check_targets(targets)
+        self.check_targets(targets, rates)
         drawn = int(rng.integers(len(self.joints)))  # always, so that what follows does not depend on the targets
+        if len(rates):  # from a stream of its own, for the same reason
+            share = np.cumsum(rates) / np.sum(rates)
+            drawn = int(np.searchsorted(share, rng.spawn(1)[0].random(), side="right"))
         chosen: set[int] = set()
         for target in targets:
             if target in ("all", "robot"):
@@ -92,8 +101,15 @@ class Robot:
                 chosen.update(group)
         return np.array(sorted(chosen), dtype=int), any(t in ("gripper", "robot") for t in targets)
 
-    def check_targets(self, targets: Sequence[str]) -> None:
-        """Raise UnknownNameError if a target is neither a joint nor one of "any", "all", "gripper", "robot"."""
+    def check_targets(self, targets: Sequence[str], rates: Sequence[float] = ()) -> None:
+        """Raise UnknownNameError if a target is neither a joint nor one of "any", "all", "gripper", "robot".
+
+        Raises:
+            UnknownNameError: As said.
+            SettingError: If there are rates, but not one for each joint.
+        """
+        if len(rates) not in (0, len(self.joints)):
+            raise SettingError("rates", tuple(rates), f"{len(self.joints)} of them, one for each of {self.joints}")
         for target in targets:
             if target not in self.joints and target not in GROUPS:
                 raise UnknownNameError("target", target, {*self.joints, *GROUPS})

@@ -50,7 +50,9 @@ class Rolling:
     planned: Int[Array, " nq"]
     tree: Int[Array, " dof"]
 
-    def drives(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> tuple[float, float, float, float, float]:
+    def drives(
+        self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]
+    ) -> tuple[float, float, float, float, float]:
         """Return x, y, heading, speed along it and rate of turning."""
         (x, y, yaw), (vx, vy, omega) = qpos[self.qpos].tolist(), qvel[self.dofs].tolist()
         return x, y, yaw, vx * float(np.cos(yaw)) + vy * float(np.sin(yaw)), omega

@@ -24,6 +24,13 @@ def put(batch: Batch, sims: Array, states: Float[Array, "sim state"]) -> None:
     batch.state[sims] = states
 
 
+def control_spec(model: mujoco.MjModel) -> int:
+    """Return what of a state is told to simulations at each step: commands, and where those who move are."""
+    spec = int(mujoco.mjtState.mjSTATE_CTRL)
+    walk = int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+    return spec | walk if model.nmocap else spec
+
+
 @contextmanager
 def warnings_counted_only() -> Generator[None, None, None]:
     """Keep MuJoCo from writing its log into the working directory; each simulation counts its own warnings."""

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
-from failbench.simulated.gripper import Gripper, find_gripper
+from failbench.simulated.gripper import Gripper, clear_opening, find_gripper
 from failbench.simulated.robot import Robot
 from failbench.simulated.rolling import (
     PLANAR,
@@ -24,7 +24,8 @@ from failbench.simulated.rolling import (
     put_on_wheels,
     same_side,
 )
-from graceful_plan import Scene
+from failbench.simulated.walkers import REACTIONS, set_free, staged
+from graceful_plan import MovingEntity, Scene
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.scene.roles import free_joint
@@ -53,12 +54,15 @@ class SimSettings:
         control: "servo" drives the model's own position servos with feed-forward of speed and gravity; "torque"
             computes the torques of the trajectory and adds a critically damped correction.
         sleep: Whether things at rest are left out of the computation until something touches them.
+        people: What people who move do once the robot fails: "walk" on as predicted; "stop" within a step, 0.4 s later;
+            or step "aside" besides, away from the tool.
     """
 
     timestep: float = 0.002
     grasp: str = "fingers"
     control: str = "servo"
     sleep: bool = True
+    people: str = "walk"
 
     def __post_init__(self) -> None:
         if not 1e-4 <= self.timestep <= 0.01:
@@ -66,6 +70,7 @@ class SimSettings:
         for name, value, valid in (
             ("grasp", self.grasp, ("fingers", "weld")),
             ("control", self.control, ("servo", "torque")),
+            ("people", self.people, REACTIONS),
         ):
             if value not in valid:
                 raise SettingError(name, value, f"one of {', '.join(valid)}")
@@ -77,7 +82,7 @@ class World:
 
     | field          | meaning                                                                              |
     |----------------|--------------------------------------------------------------------------------------|
-    | scene          | what is simulated                                                                    |
+    | scene          | what is simulated; entities that move are among its entities                         |
     | settings       | how                                                                                  |
     | model          | the model with servos, constraints and sensors; read only                            |
     | robot          | the parts that can break                                                             |
@@ -91,6 +96,7 @@ class World:
     | striker_bodies | bodies of the components "body" and "carried"                                        |
     | carried_body   | body of the carried object; -1 if there is none                                      |
     | hold           | the weld that holds the carried object until the fingers do; -1 if there is no object |
+    | walkers        | entities that move, the last of the scene's entities                                 |
     """
 
     scene: Scene
@@ -107,6 +113,7 @@ class World:
     striker_bodies: Mapping[str, tuple[int, ...]]
     carried_body: int
     hold: int
+    walkers: tuple[MovingEntity, ...]
 
 
 def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
@@ -117,6 +124,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
             cannot hold.
     """
     settings = SimSettings() if settings is None else settings
+    walkers, scene = tuple(scene.moving.values()), staged(scene)
     model = scene.model
     gripper = find_gripper(scene)
     driven = driven_joints(scene)
@@ -132,6 +140,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
         for entity in scene.entities.values()
     }
     spec = scene.spec.copy()
+    set_free(spec, walkers)
     _name_bodies(spec)
     put_on_wheels(spec, scene)
     _set_options(spec, scene, settings)
@@ -164,6 +173,7 @@ def build_world(scene: Scene, settings: SimSettings | None = None) -> World:
         striker_bodies=MappingProxyType(strikers),
         carried_body=-1 if scene.carried is None else int(model.body(scene.carried.body).id),
         hold=-1 if scene.carried is None else int(simulated.equality("failbench/hold").id),
+        walkers=walkers,
     )
 
 
@@ -328,6 +338,7 @@ def _tuned(model: mujoco.MjModel, scene: Scene, settings: SimSettings, actuators
         gripper_actuators=gripper.actuators,
         grip_open=gripper.open,
         grip_closed=gripper.closed if grasps else gripper.home,
+        grip_clear=clear_opening(scene, gripper),
         pads=gripper.pads,
         weld=-1 if grasps or scene.carried is None else int(model.equality("failbench/hold").id),
     )

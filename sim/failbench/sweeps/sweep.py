@@ -268,7 +268,8 @@ def _inputs(sweep: Sweep) -> dict[str, str]:
         mujoco.mj_saveModel(model, None, buffer)
         found[f"motion {motion.name}"] = hashlib.sha256(buffer.tobytes()).hexdigest()
     for fault in sweep.faults:
-        execution_of(sweep, 0).world.robot.check_targets(fault_of(fault).targets)
+        struck = fault_of(fault)
+        execution_of(sweep, 0).world.robot.check_targets(struck.targets, struck.rates)
         if file := own_file(fault):
             found[file] = hashlib.sha256(Path(file).read_bytes()).hexdigest()
     return found

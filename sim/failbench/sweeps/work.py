@@ -17,6 +17,7 @@ from failbench.rollouts.execution import LONGEST, Execution, execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs
 from failbench.simulated.world import SimSettings, World, build_world
+from failbench.surroundings.registry import Disturbance, staged_for, surroundings
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
@@ -192,8 +193,11 @@ class Sweep:
                 raise FormatError(source, f"{key} is {document[key]!r}, this version reads {value!r}")
         try:
             motions = tuple(_motion(motion, f"{source}: motion {i}") for i, motion in enumerate(document["motions"]))
-            _check_keys(f"{source}: settings", document["settings"], {field.name for field in fields(SimSettings)})
-            settings = SimSettings(**document["settings"])
+            given: dict[str, Any] = {"people": "walk"} | dict(
+                document["settings"]
+            )  # which earlier documents do not have
+            _check_keys(f"{source}: settings", given, {field.name for field in fields(SimSettings)})
+            settings = SimSettings(**given)
             faults = tuple(dict(fault.items()) for fault in document["faults"])
             values = {name: document[name] for name in own - {"motions", "settings", "faults"}}
             return cls(motions=motions, settings=settings, faults=faults, **values)
@@ -256,7 +260,8 @@ def execution_of(sweep: Sweep, motion: int) -> Execution:
     if what.trajectory is None:
         raise SettingError(f"trajectory of motion {what.name!r}", None, "a trajectory; use Sweep.planned()")
     settings = sweep.settings if what.grasp is None else replace(sweep.settings, grasp=what.grasp)
-    return _execution(what.scene, what.task, settings, what.trajectory.to_json())
+    comers = tuple(fault for fault in map(fault_of, sweep.faults) if isinstance(fault, Disturbance) and fault.visitor())
+    return _execution(what.scene, what.task, settings, what.trajectory.to_json(), comers)
 
 
 def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[Job, ...]:
@@ -274,7 +279,7 @@ def fault_of(document: Mapping[str, Any]) -> Fault:
     """
     name = str(document.get("fault"))
     if not own_file(document):
-        return from_document(document)
+        return from_document(document, surroundings())
     fault = _own_class(name)
     return from_document({**document, "fault": fault.NAME}, {fault.NAME: fault})
 
@@ -291,13 +296,18 @@ _own_class = lru_cache(maxsize=None)(load_class)  # a class is one object, howev
 # By value, not by identity: a worker may get a new copy of the sweep with every chunk. Consecutive chunks are of one
 # motion, so few are needed.
 @lru_cache(maxsize=2)
-def _execution(scene: str, task: str | None, settings: SimSettings, trajectory: str) -> Execution:
-    return execute(Trajectory.from_json(trajectory), _world(scene, task, settings))
+def _execution(
+    scene: str, task: str | None, settings: SimSettings, trajectory: str, comers: tuple[Fault, ...]
+) -> Execution:
+    return execute(Trajectory.from_json(trajectory), _world(scene, task, settings, comers))
 
 
 @lru_cache(maxsize=2)
-def _world(scene: str, task: str | None, settings: SimSettings) -> World:
-    return build_world(scene_of(scene, task), settings)
+def _world(scene: str, task: str | None, settings: SimSettings, comers: tuple[Fault, ...]) -> World:
+    found = scene_of(scene, task)
+    for fault in comers:
+        found = staged_for(fault, found)
+    return build_world(found, settings)
 
 
 def scene_of(scene: str, task: str | None) -> Scene:

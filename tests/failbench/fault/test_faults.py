@@ -203,6 +203,7 @@ def test_json_form_is_readable():
         "duration": None,
         "targets": [],
         "when": {"onset": "at_time", "time": 0.5},
+        "rates": [],
         "brake": "delayed",
         "grip": "lost",
     }

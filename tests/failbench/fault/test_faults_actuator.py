@@ -54,7 +54,7 @@ def test_dead_motor_resists_in_proportion_to_speed():
 
 
 def test_loose_joint_sags_by_gravity_over_its_stiffness():
-    fault = LooseJoint(degree="moderate", targets=joint(4))
+    fault = LooseJoint(degree="moderate", targets=joint(4), backlash=0.0)
     record, before = Record(fault, when=1.0, horizon=3.0), Record(Nothing(), when=1.0, horizon=0.1)
     stiffness = 0.1 * record.robot.kp[3]
     assert np.abs(record.qd[-1]).max() < 1e-3  # it has come to rest
@@ -96,7 +96,7 @@ def test_limited_range_never_widens_the_range_that_there_was():
 
 @pytest.mark.parametrize("degree", DEGREES)
 def test_partial_degradation_leaves_a_share_of_the_torque(degree):
-    fault = PartialDegradation(degree=degree, targets=("all",))
+    fault = PartialDegradation(degree=degree, targets=("all",), ramp=0.0)
     record, well = Record(fault), Record(Nothing())
     limits = healthy_run().world.model.actuator_forcerange[:7, 1]
     assert (np.abs(record.force[:, :7]) <= fault.amount * limits * (1 + 1e-12)).all()
@@ -136,7 +136,7 @@ def test_stuck_joint_rubs_harder_and_harder_before():
 
 
 def test_friction_takes_the_torque_that_it_says():
-    fault = IncreasedFriction(degree="minor", targets=joint(1))
+    fault = IncreasedFriction(degree="minor", targets=joint(1), ramp=0.0)
     record, well = Record(fault, when=0.3, horizon=0.3), Record(Nothing(), when=0.3, horizon=0.3)
     limit = healthy_run().world.model.actuator_forcerange[0, 1]
     steady = record.t > 0.15

@@ -84,7 +84,7 @@ def test_a_weld_breaks_where_the_friction_cone_says():
 
 
 def test_weak_grip_bounds_the_force():
-    record = Record(WeakGrip(degree="moderate"), when=1.0, horizon=0.1)
+    record = Record(WeakGrip(degree="moderate", ramp=0.0), when=1.0, horizon=0.1)
     assert record.force[:, 7] == pytest.approx(-7.0)
     assert record.slip[-1] < 1e-3
 

@@ -31,7 +31,7 @@ def test_empty_battery_drops_arm_and_object():
 
 @pytest.mark.parametrize("degree", DEGREES)
 def test_brown_out_weakens_all_drives_and_passes(degree):
-    fault = VoltageDrop(degree=degree)
+    fault = VoltageDrop(degree=degree, ramp=0.0)
     record = Record(fault, when=0.4, horizon=0.9)
     limits = healthy_run().world.model.actuator_forcerange[:, 1]
     low = record.t <= 0.2 + 1e-9

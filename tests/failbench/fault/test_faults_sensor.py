@@ -19,7 +19,7 @@ def readings_off(record):
 
 def test_noise_has_its_standard_deviation_and_is_held():
     off = np.concatenate(
-        [readings_off(Record(Noise(degree="severe", targets=("all",)), seed=seed)) for seed in range(3)]
+        [readings_off(Record(Noise(degree="severe", targets=("all",), ramp=0.0), seed=seed)) for seed in range(3)]
     )
     samples = off[::5]  # 0.01 s
     assert np.repeat(samples, 5, axis=0) == pytest.approx(off, abs=1e-12)
@@ -38,7 +38,7 @@ def test_noise_shakes_the_joint_that_has_it_and_no_other():
 
 @pytest.mark.parametrize("degree", DEGREES)
 def test_drift_grows_linearly_at_its_rate(degree):
-    fault = BiasDrift(degree=degree, targets=joint(1))
+    fault = BiasDrift(degree=degree, targets=joint(1), ramp=0.0)
     record = Record(fault, when=1.0, horizon=1.2)
     late = record.t > 0.7  # the servo follows with a lag of kd / kp = 0.1 s
     slope, _ = np.polyfit(record.t[late], record.q[late, 0], 1)
@@ -56,7 +56,7 @@ def test_drift_goes_either_way():
 
 @pytest.mark.parametrize("degree", DEGREES)
 def test_delayed_commands_lag_by_whole_steps(degree):
-    fault = ControlDelay(degree=degree, targets=(*joint(2), *joint(5)))
+    fault = ControlDelay(degree=degree, targets=(*joint(2), *joint(5)), ramp=0.0)
     record, done = Record(fault), healthy_run()
     steps = round(fault.amount / record.dt)
     meant = done.commands(record.onset_step - steps, len(record.q))
@@ -66,13 +66,13 @@ def test_delayed_commands_lag_by_whole_steps(degree):
 
 
 def test_before_the_motion_nothing_was_commanded():
-    record, done = Record(ControlDelay(degree="critical", targets=("robot",)), when=0.0), healthy_run()
+    record, done = Record(ControlDelay(degree="critical", targets=("robot",), ramp=0.0), when=0.0), healthy_run()
     assert (record.command[:100] == done.command[0]).all()
     assert np.array_equal(record.command[100:], done.command[:100])
 
 
 def test_delay_of_the_moving_arm_is_its_speed_times_the_delay():
-    record = Record(ControlDelay(degree="severe", targets=joint(1)), when=0.3, horizon=0.44)
+    record = Record(ControlDelay(degree="severe", targets=joint(1), ramp=0.0), when=0.3, horizon=0.44)
     well = Record(Nothing(), when=0.3, horizon=0.44)
     # Four time constants of the servo later.
     assert record.q[-1, 0] - well.q[-1, 0] == pytest.approx(-0.1 * well.qd[-1, 0], rel=0.05)
@@ -120,16 +120,17 @@ def test_scaled_reading_rests_where_it_reads_what_is_wanted(settings):
 
 
 @pytest.mark.parametrize("settings", [SimSettings(), TORQUE])
-def test_joint_with_a_dead_zone_runs_ahead_by_its_width(settings):
-    fault = DeadZone(degree="moderate", targets=joint(1))
+def test_joint_with_play_in_its_sensor_runs_ahead_by_its_width(settings):
+    fault = DeadZone(degree="moderate", targets=joint(1), zone="play")
     done = healthy_run(settings)
     record, well = Record(fault, done=done), Record(Nothing(), done=done)
     ahead = (record.q - well.q)[:, 0] * np.sign(well.qd[:, 0])
     assert ahead.max() == pytest.approx(0.03, rel=0.15)
 
 
-def test_controller_does_not_see_motion_within_the_dead_zone():
-    fault = DeadZone(degree="severe", targets=joint(1))
+@pytest.mark.parametrize("zone", ["range", "play"])
+def test_controller_does_not_see_motion_within_the_dead_zone(zone):
+    fault = DeadZone(degree="severe", targets=joint(1), zone=zone)
     record = Record(fault, horizon=0.1)
     inside = np.abs(record.q[:, 0] - record.q0[0]) < 0.06
     robot = record.robot

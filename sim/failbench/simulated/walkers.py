@@ -1,0 +1,154 @@
+"""Entities that move, as bodies that go where they are told: they have a shape, are hit, and yield to nothing.
+
+They are MuJoCo's mocap bodies. They pass through what never moves as ghosts do, and push what lies in their way. Where
+they are at each step is a row of numbers, all positions and then all orientations, as MuJoCo's states have it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+
+from graceful_plan import MovingEntity, Scene
+from graceful_plan.array_types import Float
+from graceful_plan.scene.edit import Solid
+from graceful_plan.scene.elements import EntityNote
+
+Array = np.ndarray
+
+REACTIONS = ("walk", "stop", "aside")
+"""What people may do once a robot fails: walk on, stop, or stop and step aside."""
+PEOPLE = frozenset({"adult", "adult_head", "child"})
+"""Classes of those who do."""
+_REACTION = 0.4
+"""Time until somebody reacts [s]: to what is sudden, seen or heard."""
+_STOPPING = 0.4
+"""Time from walking to standing [s]: about a step."""
+_ASIDE, _HASTE = 0.6, 1.0
+"""How far aside somebody steps [m], and how fast [m/s]."""
+
+
+def staged(scene: Scene) -> Scene:
+    """Return a scene in which each entity that moves is a body with a geom, and an entity like those that stand still.
+
+    All other ids are as before. The entities are in the order of `scene.hazards`.
+    """
+    if not scene.moving:
+        return scene
+    spec, notes = scene.spec.copy(), dict(scene.notes.entities)
+    for entity in scene.moving.values():
+        first = entity.at(entity.t[0])
+        pose = np.eye(4)
+        pose[:2, :2] = [[np.cos(first.yaw), -np.sin(first.yaw)], [np.sin(first.yaw), np.cos(first.yaw)]]
+        pose[:3, 3] = first.position
+        kind = "cylinder" if entity.is_round else "box"
+        Solid(name=entity.name, kind=kind, size=entity.size, pose=pose).add_to(spec)
+        notes[entity.name] = EntityNote(category=entity.category, severity=entity.severity)
+    moving = MappingProxyType({})
+    return Scene.build(spec, dataclasses.replace(scene.notes, entities=notes, moving=moving))
+
+
+def set_free(spec: mujoco.MjSpec, walkers: Sequence[MovingEntity]) -> None:
+    """Let the bodies of those who move be put anywhere while a simulation runs."""
+    for walker in walkers:
+        spec.body(walker.name).mocap = True
+
+
+class Walk:
+    """Where those who move are in one simulation: what was predicted, give or take what is not known about it.
+
+    Args:
+        model: The model, with their bodies.
+        walkers: Who moves.
+        luck: Decides by how much they are off, by `spread` and `growth`; None is exactly where they are predicted.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, walkers: Sequence[MovingEntity], luck: np.random.Generator | None = None
+    ) -> None:
+        self._count, self._walkers = model.nmocap, walkers
+        self._slots = [int(model.body_mocapid[model.body(walker.name).id]) for walker in walkers]
+        free = np.flatnonzero(model.body_mocapid >= 0)
+        self._still = np.concatenate([model.body_pos[free].ravel(), model.body_quat[free].ravel()])
+        draws = np.zeros((len(walkers), 2, 2)) if luck is None else luck.standard_normal((len(walkers), 2, 2))
+        self._off = [draw * [[w.spread], [w.growth]] for draw, w in zip(draws, walkers, strict=True)]
+
+    def rows(self, time: Float[Array, " n"]) -> Float[Array, "n mocap"]:
+        """Return where they are at some times on the clock of the motion [s]."""
+        rows = np.tile(self._still, (len(time), 1))
+        for i, walker in enumerate(self._walkers):
+            where = walker.at(time)
+            known_for = np.maximum(time - walker.t[0], 0.0)[:, None]
+            position = where.position.copy()
+            position[:, :2] += self._off[i][0] + known_for * self._off[i][1]
+            self.write(rows, i, position, where.yaw)
+        return rows
+
+    def write(
+        self, rows: Float[Array, "n mocap"], walker: int, position: Float[Array, "n 3"], yaw: Float[Array, " n"]
+    ) -> None:
+        """Write the places of one who moves into rows."""
+        slot, half = self._slots[walker], yaw / 2.0
+        rows[:, 3 * slot : 3 * slot + 3] = position
+        quat = rows[:, 3 * self._count + 4 * slot :][:, :4]
+        quat[:] = 0.0
+        quat[:, 0], quat[:, 3] = np.cos(half), np.sin(half)
+
+    def reacted(
+        self, rows: Float[Array, "n mocap"], dt: float, people: str, away: Float[Array, " 3"]
+    ) -> Float[Array, "n mocap"]:
+        """Return where they are if people react to a failure at the first row.
+
+        Args:
+            rows: Where they would be otherwise, at each step.
+            dt: Time step [s].
+            people: One of `REACTIONS`.
+            away: What they step away from.
+        """
+        if people == "walk":
+            return rows
+        rows, time = rows.copy(), dt * np.arange(len(rows))
+        late = np.clip(time - _REACTION, 0.0, _STOPPING)
+        # Their own clock, which stops: its pace falls evenly to nothing.
+        clock = np.minimum(time, _REACTION) + late - late**2 / (2.0 * _STOPPING)
+        for i, walker in enumerate(self._walkers):
+            if walker.category not in PEOPLE:
+                continue
+            slot, quats = self._slots[i], 3 * self._count
+            columns = np.r_[3 * slot : 3 * slot + 3, quats + 4 * slot : quats + 4 * slot + 4]
+            rows[:, columns] = np.stack([np.interp(clock, time, axis) for axis in rows[:, columns].T], axis=1)
+            if people == "aside":
+                position = rows[:, 3 * slot : 3 * slot + 2]
+                from_it = position[min(round(_REACTION / dt), len(rows) - 1)] - away[:2]
+                aside = from_it / max(float(np.linalg.norm(from_it)), 1e-9)
+                position += np.clip(_HASTE * (time - _REACTION), 0.0, _ASIDE)[:, None] * aside
+        return rows
+
+
+def put_walkers(model: mujoco.MjModel, data: mujoco.MjData, row: Float[Array, " mocap"]) -> None:
+    """Put those who move where a row says."""
+    data.mocap_pos[:] = row[: 3 * model.nmocap].reshape(-1, 3)
+    data.mocap_quat[:] = row[3 * model.nmocap : 7 * model.nmocap].reshape(-1, 4)
+
+
+def with_walkers(
+    qpos: Float[Array, "*batch qpos"],
+    qvel: Float[Array, "*batch qvel"],
+    rows: Float[Array, "*batch_and_next mocap"],
+    dt: float,
+) -> tuple[Float[Array, "*batch positions"], Float[Array, "*batch velocities"]]:
+    """Return positions with where those who move are behind them, and velocities with theirs.
+
+    Args:
+        qpos: Positions in consecutive states.
+        qvel: Velocities.
+        rows: Where they are in these states, and one step later.
+        dt: Time step [s].
+    """
+    count = 3 * (rows.shape[-1] // 7)
+    here, speed = rows[..., :-1, :], np.diff(rows[..., :count], axis=-2) / dt
+    return np.concatenate([qpos, here], axis=-1), np.concatenate([qvel, speed], axis=-1)

@@ -1,0 +1,1 @@
+"""Faults of the surroundings: what happens around a healthy robot."""

@@ -1,0 +1,121 @@
+"""Who and what comes in: a person, a door. Values and their reasons: docs/surroundings.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from failbench.simulated.plant import Plant
+from failbench.surroundings.disturbance import PARKED, Disturbance, go, tool_at
+from graceful_plan import MovingEntity
+from graceful_plan.exceptions import SettingError
+
+_HALF_TURN = math.pi / 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonWalksIn(Disturbance):
+    """Somebody nobody expected walks by, on a straight line that passes where the tool is at the onset.
+
+    Args:
+        category: Class in the severity table.
+        distance: How far away they are at the onset [m].
+        passing: How far beside the tool they pass at most, to either side as the seed has it [m].
+        radius: Of their body, an upright cylinder [m].
+        height: Of their body [m].
+    """
+
+    category: str = "adult"
+    distance: float = 1.2
+    passing: float = 0.4
+    radius: float = 0.2
+    height: float = 1.7
+
+    NAME: ClassVar[str] = "person_walks_in"
+    PARAMETER: ClassVar[str] = "speed of walking [m/s]"
+    AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 0.5, "moderate": 1.0, "severe": 1.5, "critical": 2.5}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("distance", "radius", "height"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise SettingError(name, value, "a finite length above 0 m")
+        if not (math.isfinite(self.passing) and self.passing >= 0.0):
+            raise SettingError("passing", self.passing, "a finite length of at least 0 m")
+
+    def visitor(self) -> MovingEntity:
+        """Return the person, still elsewhere."""
+        size = [self.radius, self.height / 2.0]
+        return MovingEntity(self.NAME, self.category, size=size, t=[0.0], position=[PARKED])
+
+    def apply(self, plant: Plant, level: float) -> None:
+        """Let them walk."""
+        if "line" not in plant.memory:
+            heading, beside = plant.rng.uniform(-math.pi, math.pi), plant.rng.uniform(-self.passing, self.passing)
+            along = np.array([math.cos(heading), math.sin(heading)])
+            nearest = tool_at(plant, np.zeros(1))[0, :2] + beside * np.array([-along[1], along[0]])
+            plant.memory["line"] = nearest, along, heading
+        nearest, along, heading = plant.memory["line"]
+        speed = level * self.amount
+        walked = _so_far(plant, speed)
+        rows = len(plant.walk) - plant.step
+        way = walked + speed * plant.dt * np.arange(rows) - self.distance
+        position = np.column_stack([nearest + way[:, None] * along, np.full(rows, self.height / 2.0)])
+        go(plant, self.NAME, position, np.full(rows, heading))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoorOpens(Disturbance):
+    """A door swings open through where the tool is at the onset, by 135 degrees, and stands.
+
+    It yields to nothing. To hit it harms nobody, but what is carried may be knocked out of the hand.
+
+    Args:
+        width: Of the door [m].
+        reach: How far from the hinge the tool is [m].
+    """
+
+    width: float = 0.8
+    reach: float = 0.65
+
+    NAME: ClassVar[str] = "door_opens"
+    PARAMETER: ClassVar[str] = "how fast it turns [rad/s]"
+    AMOUNTS: ClassVar[Mapping[str, float]] = {"minor": 1.0, "moderate": 2.0, "severe": 3.0, "critical": 5.0}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.reach < self.width < math.inf:
+            raise SettingError("reach, width", (self.reach, self.width), "0 < reach < width, finite [m]")
+
+    def visitor(self) -> MovingEntity:
+        """Return the door, still elsewhere."""
+        size = [self.width / 2.0, 0.02, 1.0]
+        return MovingEntity(self.NAME, "none", size=size, t=[0.0], position=[PARKED])
+
+    def apply(self, plant: Plant, level: float) -> None:
+        """Turn it, from a right angle beside the tool to 45 degrees beyond."""
+        if "hinge" not in plant.memory:
+            bearing = plant.rng.uniform(-math.pi, math.pi)
+            towards = np.array([math.cos(bearing), math.sin(bearing)])
+            plant.memory["hinge"] = tool_at(plant, np.zeros(1))[0, :2] - self.reach * towards, bearing
+        hinge, bearing = plant.memory["hinge"]
+        rate = level * self.amount
+        turned = _so_far(plant, rate)
+        rows = len(plant.walk) - plant.step
+        angle = np.minimum(turned + rate * plant.dt * np.arange(rows), 1.5 * _HALF_TURN)
+        yaw = bearing - _HALF_TURN + angle
+        centre = hinge + self.width / 2.0 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        go(plant, self.NAME, np.column_stack([centre, np.full(rows, 1.0)]), yaw)
+
+
+def _so_far(plant: Plant, rate: float) -> float:
+    """Return how far it has come at the rates so far, and go on at this one."""
+    done, since, before = plant.memory.get("so_far", (0.0, plant.step, 0.0))
+    done += before * plant.dt * (plant.step - since)
+    plant.memory["so_far"] = done, plant.step, rate
+    return done

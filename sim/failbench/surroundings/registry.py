@@ -1,0 +1,36 @@
+"""The faults of the surroundings by name. They are no faults of the robot, and are not in `failbench.faults()`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from failbench.fault.fault import Fault
+from failbench.surroundings.comers import DoorOpens, PersonWalksIn
+from failbench.surroundings.disturbance import Disturbance, staged_for
+from failbench.surroundings.things import AddedObject, BumpedTable, HeavierObject, PushedObject, WetFloor
+
+__all__ = [
+    "AddedObject",
+    "BumpedTable",
+    "Disturbance",
+    "DoorOpens",
+    "HeavierObject",
+    "PersonWalksIn",
+    "PushedObject",
+    "WetFloor",
+    "staged_for",
+    "surroundings",
+]
+
+_SURROUNDINGS: Mapping[str, type[Fault]] = MappingProxyType(
+    {
+        fault.NAME: fault
+        for fault in (PushedObject, AddedObject, BumpedTable, WetFloor, HeavierObject, PersonWalksIn, DoorOpens)
+    }
+)
+
+
+def surroundings() -> Mapping[str, type[Fault]]:
+    """Return the class of each fault of the surroundings by its name."""
+    return _SURROUNDINGS

@@ -1,0 +1,161 @@
+"""Entities that move, as bodies: where they are, whom they touch, what people do when a robot fails."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from motions import execution
+
+import failbench as fb
+import graceful_plan as gp
+from failbench.simulated.walkers import Walk, with_walkers
+from graceful_plan.exceptions import SettingError
+
+
+def walker(name="walker", category="adult", *, x=-0.9, **given):
+    settings = {"size": [0.2, 0.85], "t": [0.0, 2.0], "position": [[x, -1.0, 0.85], [x, 1.0, 0.85]]} | given
+    return gp.MovingEntity(name, category, **settings)
+
+
+CAT = walker(
+    "cat", "pet", x=-1.2, size=[0.2, 0.1, 0.12], position=[[-1.2, -1.0, 0.12], [-1.2, 1.0, 0.12]], yaw=[0.0, 1.0]
+)
+
+
+@cache
+def done(people="walk", spread=0.0, x=-0.9):
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    scene = task.scene.with_moving(walker(spread=spread, growth=spread, x=x), CAT)
+    return fb.execute(execution().trajectory, fb.build_world(scene, fb.SimSettings(people=people)))
+
+
+def job(onset=0.3, seed=0):
+    return fb.Job(fault=fb.faults()["gripper_failure"](degree="critical"), onset=onset, seed=seed)
+
+
+def watched(execution, job, horizon=0.4):
+    """Where the two are in each step, and how they are turned."""
+    steps = fb.steps(execution, job, horizon=horizon)
+    return np.array([np.hstack([data.mocap_pos, data.mocap_quat]) for _, data in steps])
+
+
+def test_they_are_entities_of_the_world_and_all_else_keeps_its_number():
+    world, still = done().world, execution().world
+    assert list(world.scene.entities) == [*still.scene.entities, "walker", "cat"]
+    assert world.scene.entities["cat"].category == "pet" and not world.scene.moving
+    assert (
+        world.scene.entities["walker"].severity
+        == gp.load_scene("tabletop").tasks["green_to_blue"].scene.with_moving(walker()).moving_severity["walker"]
+    )
+    for kind in ("body", "geom", "joint", "actuator"):
+        for i in range(
+            getattr(still.model, f"n{kind}" if kind != "joint" else "njnt") if kind != "actuator" else still.model.nu
+        ):
+            assert getattr(still.model, kind)(i).name == getattr(world.model, kind)(i).name
+    assert [w.name for w in world.walkers] == ["walker", "cat"] and set(world.movable) == set(still.movable)
+
+
+def test_they_walk_their_paths_before_and_after_the_failure():
+    onset = 0.3
+    seen = watched(done(), job(onset))
+    first = done().checkpoint(onset) * 5 * 0.002
+    where = walker().at(first + 0.002 * np.arange(len(seen)))
+    assert seen[:, 0, :3] == pytest.approx(where.position)
+    turned = 2.0 * np.arctan2(seen[:, 1, 6], seen[:, 1, 3])
+    assert turned == pytest.approx(CAT.at(first + 0.002 * np.arange(len(seen))).yaw)
+    # The healthy run had them at the same place then.
+    data = mujoco.MjData(done().world.model)
+    mujoco.mj_setState(
+        done().world.model, data, done().states[done().checkpoint(onset)], mujoco.mjtState.mjSTATE_INTEGRATION
+    )
+    assert data.mocap_pos[0] == pytest.approx(walker().at(first - 0.002).position, abs=1e-9)
+
+
+def test_native_rollouts_are_the_plain_loop():
+    rollouts = fb.run(done(spread=0.1), [job(0.1 * i, seed=i) for i in range(4)], horizon=0.3)
+    for rollout in rollouts:
+        *_, (model, data) = fb.steps(done(spread=0.1), rollout.job, horizon=0.3)
+        adr = model.jnt_qposadr[model.body_jntadr[done().world.carried_body]]
+        assert np.array_equal(rollout.poses["carried"][4:], data.qpos[adr : adr + 3])
+
+
+def test_they_are_off_their_predictions_as_far_as_these_say():
+    walk = [
+        Walk(done().world.model, (walker(spread=0.2, growth=0.5), CAT), np.random.default_rng(i)) for i in range(400)
+    ]
+    off = np.array([w.rows(np.array([0.0, 1.0]))[:, :2] for w in walk]) - walker().at([0.0, 1.0]).position[:, :2]
+    assert off[:, 0].std(axis=0) == pytest.approx(0.2, rel=0.15)
+    assert off[:, 1].std(axis=0) == pytest.approx(np.hypot(0.2, 0.5), rel=0.15)
+    assert np.array_equal(walk[0].rows(np.array([1.0]))[0, 3:6], CAT.at(1.0).position)  # of which all is known
+
+
+def test_the_same_seed_gives_the_same_walk_and_another_one_another():
+    first, same, other = (watched(done(spread=0.1), job(seed=s), 0.02) for s in (1, 1, 2))
+    assert np.array_equal(first, same) and not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("people", ["stop", "aside"])
+def test_people_react_and_cats_do_not(people):
+    seen, walks = watched(done(people), job(), 1.2), watched(done("walk"), job(), 1.2)
+    assert np.array_equal(seen[:, 1], walks[:, 1])
+    assert seen[:200, 0] == pytest.approx(walks[:200, 0], abs=1e-9)  # 0.4 s until they do
+    speed = np.linalg.norm(np.diff(seen[:, 0, :2], axis=0), axis=1) / 0.002
+    assert speed[:190] == pytest.approx(1.0)
+    tool = done(people).states_tool(150)[:2]
+    if people == "stop":
+        assert speed[405:] == pytest.approx(0.0, abs=1e-9)  # a step later they stand
+        assert seen[-1, 0, 1] - seen[199, 0, 1] == pytest.approx(0.2, abs=0.01)
+        assert np.all(np.diff(speed[200:400]) < 1e-9)
+    else:
+        gone = np.linalg.norm(seen[-1, 0, :2] - tool) - np.linalg.norm(seen[199, 0, :2] - tool)
+        assert 0.4 < gone < 0.8 and speed[-20:] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_people_do_is_one_of_three():
+    with pytest.raises(SettingError, match="people = 'fly', expected one of walk, stop, aside"):
+        fb.SimSettings(people="fly")
+
+
+def test_a_sound_robot_that_touches_them_says_so():
+    here = execution().trajectory.at(np.array(0.5)).q
+    tool = (
+        execution().world.scene.data_at(here).site_xpos[execution().world.model.site(execution().world.scene.tool).id]
+    )
+    # The smallest thing that flies by, so that the arm is not stopped.
+    fly = gp.MovingEntity(
+        "fly", "pet", size=[0.01, 0.01, 0.01], t=[0.4, 0.6], position=[tool - [0, 0.3, 0], tool + [0, 0.3, 0]]
+    )
+    scene = gp.load_scene("tabletop").tasks["green_to_blue"].scene.with_moving(fly)
+    touching = fb.execute(execution().trajectory, fb.build_world(scene), tolerance=0.5)
+    assert {entity for _, entity in touching.baseline} >= {"fly"}
+    assert "fly" in {event.entity for event in touching.healthy.events}
+    assert touching.healthy.by_entity["fly"] > 0.0
+
+
+def test_their_speed_counts_where_they_are_struck():
+    qpos, qvel = np.zeros((3, 2)), np.zeros((3, 1))
+    rows = np.zeros((4, 7))
+    rows[:, 1] = [0.0, 0.002, 0.004, 0.006]
+    places, speeds = with_walkers(qpos, qvel, rows, 0.002)
+    assert places.shape == (3, 9) and speeds.shape == (3, 4)
+    assert speeds[:, 2] == pytest.approx(1.0) and not speeds[:, [0, 1, 3]].any()
+
+
+def test_contents_that_are_lost_where_somebody_walks():
+    task = next(t for t in gp.load_scene("desk").tasks.values() if t.scene.contents is not None)
+    motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50)
+    execution = fb.execute(motion, fb.build_world(task.scene.with_moving(walker(x=-3.0))))
+    (rollout,) = fb.run(execution, [job(0.5 * execution.duration)], horizon=0.6)
+    assert rollout.status == "completed" and rollout.dropped and rollout.spilled > 0.0
+
+
+def test_validation_predicts_and_observes_them():
+    task = gp.load_scene("tabletop").tasks["green_to_blue"]
+    scene = task.scene.with_moving(walker(x=-0.9))
+    report = fb.validate(execution().trajectory, scene, n=8, threads=1)
+    assert {"walker"} <= set(report.by_entity)
+    expected = gp.evaluate(execution().trajectory, scene, gp.Objective(impact=gp.ImpactCost(model="footprint")))
+    assert report.by_entity["walker"].predicted == pytest.approx(
+        expected.impact_by_entity["walker"] / report.duration, rel=0.05, abs=1e-6
+    )
