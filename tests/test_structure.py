@@ -289,7 +289,7 @@ def test_every_python_that_is_supported_gets_a_wheel():
     words = [word.rsplit(" ", 1)[1] for word in project["project"]["classifiers"] if "Python :: 3." in word]
     versions = sorted(tuple(map(int, word.split("."))) for word in words)
     built = sorted((3, int(name[3:-2])) for name in project["tool"]["cibuildwheel"]["build"])
-    stable = (3, int(project["tool"]["scikit-build"]["wheel.py-api"][3:]))
+    stable = (3, int(project["tool"]["scikit-build"]["wheel"]["py-api"][3:]))
     assert built[0] == versions[0] and built[-1] == stable  # those in between have their own, the newer ones share one
     assert built == [version for version in versions if version <= stable]
 
