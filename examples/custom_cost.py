@@ -3,7 +3,6 @@
 Pass the object; nothing is registered. Every planner takes it.
 """
 
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,4 +37,4 @@ def main(planner: str = "auto", iterations: int | None = None) -> dict[str, gp.P
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main()

@@ -29,7 +29,7 @@ def main(cycles: int = 3, limit: float = LIMIT) -> list[gp.PlanResult]:
         print(f"cycle {cycle}: scene {1e3 * seen:.0f} ms, {result.status.name}, impact {result.cost.impact:.2f}")
         results.append(result)
         if result.trajectory is not None:
-            q = result.trajectory.at(0.1 * result.trajectory.duration).q  # it goes a tenth of the way meanwhile
+            q = result.trajectory.positions(np.array([0.1 * result.trajectory.duration]))[0]  # gone meanwhile
     return results
 
 

@@ -50,7 +50,7 @@ def test_planners_are_compared_by_what_their_motions_cost():
 
 @pytest.mark.long
 def test_a_weight_is_chosen_by_the_detour_it_costs():
-    front, w = _load("tune_weight").main(time_limit=4.0)
+    front, w = _load("tune_weight").main(iterations=2000)
     assert len(front) >= 3 and w is not None and 0.0 < w < 10.0
 
 
