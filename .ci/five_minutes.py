@@ -40,7 +40,7 @@ report = fb.validate(gp.Trajectory.from_json("plan.json"), scene, n=100, setting
 print("predicted", round(report.predicted, 2), "observed", report.observed)
 """
 VIEW = f"""{LOAD}
-viewer = gp.view(gp.Trajectory.from_json("plan.json"), scene, port=8460)
+viewer = gp.view(gp.Trajectory.from_json("plan.json"), scene, w=1.0, port=8460)
 print(viewer.url, flush=True)
 viewer.wait()
 """
