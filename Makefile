@@ -13,7 +13,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long test-robots test-viewer fuzz lint docs bench wheel lock clean
+.PHONY: help demo picture sheet test test-long test-robots test-viewer fuzz lint docs bench wheel release lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -27,6 +27,7 @@ help:
 	@echo "make docs   build the site into site/, without a warning"
 	@echo "make bench  run the benchmarks"
 	@echo "make wheel  build a wheel into dist/"
+	@echo "make release  build the source distribution and a wheel of the last commit, twice each, and compare"
 	@echo "make lock   renew requirements/*.txt"
 	@echo "make clean  remove what was built, .venv included"
 
@@ -77,6 +78,9 @@ bench: $(VENV)/.package
 
 wheel: $(VENV)/.build
 	$(PIP) wheel -q --no-deps --no-build-isolation --wheel-dir dist .
+
+release: $(VENV)/.build
+	.ci/release
 
 # Of what the data's wheel asks for besides, nothing is needed.
 $(VENV)/.robots: requirements/robots.txt $(VENV)/.dev

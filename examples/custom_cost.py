@@ -1,9 +1,8 @@
 """A cost of your own, in ten lines of NumPy: keep what is carried away from a place.
 
-Pass the object; nothing is registered. Every planner takes it: `python examples/custom_cost.py prm_star`.
+Pass the object; nothing is registered. Every planner takes it.
 """
 
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +18,7 @@ class Nearness(gp.Cost):
     radius: float = 0.25
 
     def state(self, batch: gp.StateBatch) -> np.ndarray:
-        """Return the nearness at each state, from the position of the object's pose X_WO."""
+        """Return the nearness at each state."""
         offset = batch.object_poses[:, :3, 3] - self.point
         return np.exp(-np.sum(offset**2, axis=1) / (2.0 * self.radius**2))
 
@@ -28,15 +27,14 @@ def main(planner: str = "auto", iterations: int | None = None) -> dict[str, gp.P
     """Plan with and without the cost, within the default time limit or so many iterations; return both results."""
     task = gp.load_scene("desk").tasks["bring_coffee"]
     laptop = task.scene.data_at(task.start).geom_xpos[task.scene.entities["laptop"].geoms[0]]
-    # Over length: how slowly the coffee has to be carried does not count.
-    away = gp.Objective(impact=Nearness(tuple(laptop)), w=5.0, exposure="length")
-    results = {}
-    for name, objective in {"shortest": away.with_weight(0.0), "away": away}.items():
-        result = gp.plan(task.start, task.goal, task.scene, objective=objective, planner=planner, iterations=iterations)
-        print(f"{name}: {result.status.name}, motion {result.cost.motion:.2f}, nearness {result.cost.impact:.2f}")
-        results[name] = result
+    away = gp.Objective(impact=Nearness(tuple(laptop)), exposure="length")  # however slowly it is carried
+    results, how = {}, {"planner": planner, "iterations": iterations}
+    for name, w in {"shortest": 0.0, "away": 5.0}.items():
+        found = gp.plan(task.start, task.goal, task.scene, objective=away.with_weight(w), **how)
+        print(f"{name}: {found.status.name}, motion {found.cost.motion:.2f}, nearness {found.cost.impact:.2f}")
+        results[name] = found
     return results
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main()

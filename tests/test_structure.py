@@ -9,6 +9,7 @@ import pkgutil
 import re
 import subprocess
 import sys
+import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -276,6 +277,21 @@ print(*[name for name in {HEAVY} if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.stdout.strip(), done.stderr, done.returncode) == ("", "", 0)
+
+
+@pytest.mark.parametrize("root", [LIBRARY, HARNESS], ids=["library", "harness"])
+def test_types_are_for_users_too(root):
+    assert (root / "py.typed").read_bytes() == b""
+
+
+def test_every_python_that_is_supported_gets_a_wheel():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    words = [word.rsplit(" ", 1)[1] for word in project["project"]["classifiers"] if "Python :: 3." in word]
+    versions = sorted(tuple(map(int, word.split("."))) for word in words)
+    built = sorted((3, int(name[3:-2])) for name in project["tool"]["cibuildwheel"]["build"])
+    stable = (3, int(project["tool"]["scikit-build"]["wheel"]["py-api"][3:]))
+    assert built[0] == versions[0] and built[-1] == stable  # those in between have their own, the newer ones share one
+    assert built == [version for version in versions if version <= stable]
 
 
 def field_tables() -> list[type]:

@@ -17,6 +17,49 @@ def _load(name):
     return module
 
 
+SHORT = ("own_robot", "perception_loop", "custom_cost", "compare_planners", "tune_weight", "validate_plan")
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_they_are_short(name):
+    assert len((_EXAMPLES / f"{name}.py").read_text().splitlines()) <= 40
+
+
+@pytest.mark.long
+def test_a_robot_of_ones_own_is_planned_for_and_fails(capsys):
+    results = _load("own_robot").main(iterations=200, n=12)
+    assert all(result.status is gp.PlanStatus.SOLVED for result in results.values())
+    assert results[1.0].cost.impact < results[0.0].cost.impact
+    assert capsys.readouterr().out.count("observed") == 2
+
+
+@pytest.mark.long
+def test_a_robot_that_sees_plans_among_what_has_moved(capsys):
+    results = _load("perception_loop").main(limit=3.0)
+    assert [result.status for result in results] == 3 * [gp.PlanStatus.SOLVED]
+    ways = [result.trajectory.q[0] for result in results]
+    assert abs(ways[1] - ways[0]).max() > 0.0  # each goes on from where the robot has got to
+    assert capsys.readouterr().out.count("cycle") == 3
+
+
+@pytest.mark.long
+def test_planners_are_compared_by_what_their_motions_cost():
+    found = _load("compare_planners").main(("rrt_connect", "auto"), iterations=300)
+    assert len(found) == 2 and all(0.0 < totals["auto"] <= 1.05 * totals["rrt_connect"] for totals in found.values())
+
+
+@pytest.mark.long
+def test_a_weight_is_chosen_by_the_detour_it_costs():
+    front, w = _load("tune_weight").main(iterations=2000)
+    assert len(front) >= 3 and w is not None and 0.0 < w < 10.0
+
+
+@pytest.mark.long
+def test_a_motion_with_regard_for_failures_does_less_harm_in_simulation():
+    reports = _load("validate_plan").main(n=60, iterations=500)
+    assert reports["graceful"].observed.mean < 0.5 * reports["ordinary"].observed.mean
+
+
 @pytest.mark.long
 def test_custom_cost_keeps_the_mug_away(capsys):
     results = _load("custom_cost").main(iterations=2000)  # no clock: it has to hold on any machine

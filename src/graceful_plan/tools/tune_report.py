@@ -11,6 +11,7 @@ import graceful_plan as gp
 from graceful_plan import documents
 from graceful_plan.tools.validation import check_failures, validate_front
 from graceful_plan.tuning.fronts import Choice, ChoiceStatus, FrontProgress
+from graceful_plan.viewer.report_view import report_view
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,8 +147,17 @@ def run(
     draw_front(front, files[-2], choice)
     observed = () if validation is None else validation["points"]
     title = f"{front.scene}, {task.name}"
-    write_front_page(front, task.scene, files[-1], choice, [_seen(entry) for entry in observed], title)
+    space = _in_space(front, choice, task.scene)
+    write_front_page(front, task.scene, files[-1], choice, [_seen(entry) for entry in observed], title, space)
     return TuneReport(front=front, choice=choice, validation=validation, files=tuple(files))
+
+
+def _in_space(front: gp.ParetoFront, choice: Choice, scene: gp.Scene) -> Mapping[str, str]:
+    """Return the chosen motion, or that of the knee, in 3-D."""
+    point = choice.point or front.knee or front.points[0]
+    document, why = report_view(point.trajectory, scene, front.points[0].trajectory)
+    name = "the chosen motion" if choice.point is not None else "the motion at the knee"
+    return {"of": f"{name}, motion {point.motion:.4g} rad, impact {point.impact:.3g}", "page": document, "why": why}
 
 
 def _cells(entry: Mapping[str, Any]) -> list[str]:

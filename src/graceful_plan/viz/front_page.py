@@ -35,6 +35,7 @@ def write_front_page(
     choice: Choice | None = None,
     observed: Sequence[Mapping[str, Any] | None] = (),
     title: str = "",
+    space: Mapping[str, str] | None = None,
 ) -> None:
     """Write the page.
 
@@ -46,6 +47,7 @@ def write_front_page(
         observed: For each point what FailBench saw: predicted and observed impact of a failure, the latter with an
             interval (`predicted`, `observed`, `low`, `high`); None where the simulated robot could not do it.
         title: Of the page; the scene's name by default.
+        space: A motion in 3-D: whose (`of`), the document (`page`), and `why` there is none if it is empty.
 
     Raises:
         SettingError: If the front is empty, or there is an observation too many or too few.
@@ -63,6 +65,7 @@ def write_front_page(
         "choice": None if choice is None else {"status": choice.status.value, "w": choice.w, "detail": choice.detail},
         "observed": list(observed),
         "hypervolume": front.hypervolume(),
+        "space": None if space is None else dict(space),
     }
     # A name must not end the script that it stands in.
     text = json.dumps(_plain(data), allow_nan=False).replace("<", "\\u003c")

@@ -51,17 +51,24 @@ _PAIRS_NOTE = (
     f"that were tested, bold below {_SIGNIFICANT:g}. The interval is a bootstrap over problems."
 )
 _STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
-p.lead { color: #555; margin-top: .2rem; } p.note, figcaption { color: #555; font-size: .87rem; max-width: 52rem; }
-div.wide { overflow-x: auto; } figure { margin: 1rem 0; } svg { width: 100%; height: auto; max-width: 56rem; }
+:root { color-scheme: light dark; --paper: #fff; --ink: #111; --soft: #555; --rule: #e6e6e6; --line: #999;
+  --bad: #a40000; --warn: #fff4d6; }
+@media (prefers-color-scheme: dark) { :root { --paper: #16181d; --ink: #eee; --soft: #a8adb5; --rule: #3a3f47;
+  --line: #777; --bad: #ff8a80; --warn: #4a3a12; } svg { background: #fff; border-radius: 4px; padding: .4rem; } }
+body { font: 14px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 76rem;
+  margin: 1.2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.25rem; margin-bottom: 0; } h2 { font-size: 1.1rem; margin-top: 2rem; }
+p.lead { color: var(--soft); margin-top: .2rem; } p.note, figcaption { color: var(--soft); font-size: .87rem;
+  max-width: 56rem; }
+div.wide { overflow-x: auto; } figure { margin: 1rem 0; }
+svg { width: 100%; height: auto; max-width: 60rem; box-sizing: border-box; }
 table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; margin: .8rem 0; }
-th, td { padding: .25rem .6rem; text-align: right; white-space: nowrap; border-bottom: 1px solid #e6e6e6; }
-th { font-weight: 600; border-bottom: 1px solid #999; vertical-align: bottom; }
+th, td { padding: .22rem .5rem; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--rule); }
+th { font-weight: 600; border-bottom: 1px solid var(--line); vertical-align: bottom; white-space: normal; }
 th:first-child, td:first-child, td.text, th.text { text-align: left; }
-td.text { white-space: normal; } td.best { font-weight: 700; } td.bad { color: #a40000; }
+td.text { white-space: normal; } td.best { font-weight: 700; } td.bad { color: var(--bad); }
 span.swatch { display: inline-block; width: .7em; height: .7em; border-radius: 2px; margin-right: .45em; }
-.warn { background: #fff4d6; border-left: 4px solid #e69f00; padding: .5rem .8rem; }
+.warn { background: var(--warn); border-left: 4px solid #e69f00; padding: .5rem .8rem; }
 """.strip()
 
 

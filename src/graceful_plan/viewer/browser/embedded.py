@@ -1,0 +1,62 @@
+"""A motion in 3-D as one HTML document that needs neither a network nor a server: to be put into reports."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+from typing import Any
+
+import numpy as np
+
+from graceful_plan.viewer.browser.cameras import Cameras
+from graceful_plan.viewer.browser.controls import GHOST
+from graceful_plan.viewer.browser.drawn_scene import DrawnScene
+from graceful_plan.viewer.browser.plans import DrawnPlans
+from graceful_plan.viewer.question import PlanAnswer
+
+_RATE = 20.0
+"""Frames per second."""
+_REST = 1.0
+"""How long the goal is shown before the motion begins again [s]."""
+_NEARER = 0.65
+"""Of the distance of the page's camera: a report has less room."""
+_HOST, _PORT = "127.0.0.1", 8480
+"""viser draws for a server; nothing is fetched from this one, and it is gone when the document is there."""
+
+
+def embedded(answer: PlanAnswer) -> str:
+    """Return a document that plays the motions of an answer: the chosen one, and the ordinary one as a ghost.
+
+    It has viser's client in it, 0.8 MB; a scene without meshes adds some 0.1 MB. The text `{darkMode:false}` in it may
+    be replaced by `{darkMode:true}`.
+    """
+    viser: Any = importlib.import_module("viser")
+    with contextlib.redirect_stdout(io.StringIO()):  # it greets, and says goodbye, on the terminal
+        server = viser.ViserServer(host=_HOST, port=_PORT, verbose=False)
+        try:
+            return _recorded(server, answer)
+        finally:
+            server.stop()
+
+
+def _recorded(server: Any, answer: PlanAnswer) -> str:
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(cast_shadow=False)
+    plans = DrawnPlans(server, Cameras(server, answer.question))
+    camera = server.initial_camera
+    camera.position = camera.look_at + _NEARER * (camera.position - camera.look_at)
+    plans.draw(answer, GHOST)
+    shown, other = answer.motions[0], answer.ordinary
+    stage = DrawnScene(server, "/scene", shown.scene)
+    recording = server.get_scene_serializer()
+    duration = max(motion.duration for motion in answer.motions)
+    for t in np.arange(0.0, duration + 1.0 / _RATE, 1.0 / _RATE).tolist():
+        frame = shown.frame(t)
+        stage.put(shown.poses.position[frame], shown.poses.quaternion[frame])
+        if other is not None and other is not shown:
+            there = other.frame(t)
+            plans.put(other.poses.position[there], other.poses.quaternion[there])
+        recording.insert_sleep(1.0 / _RATE)
+    recording.insert_sleep(_REST)
+    return str(recording.as_html())
