@@ -19,8 +19,12 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody><body name="r/base">
 
 
 def _scene(gap: float, limits: str) -> gp.Scene:
+    return _with(ARM.format(gap=gap, range=limits))
+
+
+def _with(text: str) -> gp.Scene:
     return gp.Scene.from_mjcf(
-        ARM.format(gap=gap, range=limits),
+        text,
         robot="r/",
         tool="r/tool",
         velocity=[1.0, 1.0],
@@ -59,6 +63,20 @@ def test_links_that_sometimes_touch_are_free_where_they_do_not(gap: float) -> No
     assert not compiled.proof.free(q[~free]).any()
     clear = compiled.kernels.clearance(q)
     np.testing.assert_array_equal(clear > 0.0, said)
+
+
+def test_few_lost_configurations_count_where_a_link_is_a_mesh() -> None:
+    corners = "".join(f"{x} {y} {z} " for x in (-0.06, 0.06) for y in (-0.06, 0.06) for z in (-0.1, 0.1))
+    asset = f'<asset><mesh name="m" vertex="{corners}"/></asset><worldbody>'
+    box, mesh = 'type="box" size="0.06 0.06 0.1" pos="0 0 0.1"', 'type="mesh" mesh="m" pos="0 0 0.1"'
+    text = ARM.format(gap=0.03, range="-0.26 0.26")
+    boxes, of_mesh = _with(text), _with(text.replace("<worldbody>", asset, 1).replace(box, mesh))
+    assert not compile_scene(boxes).robot.self_slack.any()
+    q, free = _drawn(of_mesh)
+    compiled = compile_scene(of_mesh)
+    lost = 1.0 - np.mean(compiled.proof.free(q[free]))
+    assert 0.01 < lost < 0.1
+    assert np.mean(compiled.kernels.free(q[free])) > 0.99
 
 
 def test_every_motion_is_judged_exactly() -> None:

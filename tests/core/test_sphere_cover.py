@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from graceful_plan.core import sphere_cover
 
@@ -61,7 +62,7 @@ def test_cylinder_is_covered_and_barely_exceeded(radius, half, seed):
 @settings(max_examples=8, deadline=None)
 def test_capsule_is_covered_and_barely_exceeded(radius, half, seed):
     rng = np.random.default_rng(seed)
-    normal = rng.normal(size=(1500, 3))
+    normal = rng.normal(size=(5000, 3))
     normal *= radius / np.linalg.norm(normal, axis=1, keepdims=True)
     surface = normal + np.outer(rng.uniform(-half, half, 1500), [0, 0, 1])
     surface[:1000] = normal[:1000] + np.outer(half * np.sign(normal[:1000, 2]), [0, 0, 1])
@@ -96,6 +97,29 @@ def test_hull_of_a_cube_is_covered_and_barely_exceeded():
     cover = sphere_cover.hull_cover(corners, planes)
     assert _uncovered(_in_box(half, np.random.default_rng(0)), cover) <= _COVERED
     assert np.max(cover[1] - np.min(half - np.abs(cover[0]), axis=1)) <= sphere_cover.MAX_PROTRUSION + 1e-9
+
+
+def test_hulls_of_many_faces_are_covered_by_few_of_them() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(5000, 3))
+    points *= np.array([0.05, 0.04, 0.09]) / np.linalg.norm(points, axis=1, keepdims=True)
+    hull = ConvexHull(points)
+    planes = np.column_stack([hull.equations[:, :3], -hull.equations[:, 3]])
+    few = sphere_cover.fewer_planes(points, planes)
+    assert len(few) < len(planes) / 4
+    assert (points @ few[:, :3].T - few[:, 3]).max() < 1e-9  # everything is inside
+    centres, radii = sphere_cover.hull_cover(points, planes)
+    mixed = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(4), 4000), points[rng.integers(len(points), size=(4000, 4))])
+    inside = np.concatenate([points, mixed])
+    assert (np.linalg.norm(inside[:, None] - centres, axis=2) - radii).min(axis=1).max() < 1e-9
+    depth = -sphere_cover.heights(centres, planes)[0]
+    assert (radii - depth).max() < 0.01
+
+
+def test_a_sheet_keeps_all_its_faces() -> None:
+    points = np.column_stack([np.random.default_rng(0).uniform(size=(200, 2)), np.zeros(200)])
+    planes = np.tile([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, -1.0, 0.0]], (80, 1))
+    assert sphere_cover.fewer_planes(points, planes) is planes
 
 
 @given(st.integers(1, 30), st.integers(0, 999))

@@ -47,7 +47,7 @@ from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
 from graceful_plan.scene.urdf.composing import OFTEN, TOOL, composed, held_still, touching, velocities
-from graceful_plan.scene.urdf.reading import read_urdf
+from graceful_plan.scene.urdf.reading import Packages, read_urdf
 from graceful_plan.scene.urdf.srdf import read_srdf
 
 Array = np.ndarray
@@ -152,7 +152,7 @@ class Scene(SceneFacts):
         *,
         tool: str,
         acceleration: float | Sequence[float],
-        packages: Sequence[str | Path] = (),
+        packages: Packages = (),
         srdf: str | Path | None = None,
         world: str | Path | mujoco.MjSpec | None = None,
         pose: ArrayLike | None = None,
@@ -175,8 +175,8 @@ class Scene(SceneFacts):
             source: URDF file, or its text.
             tool: Link whose frame is that of the tool. The joints between the base and it are planned.
             acceleration: Limit of each planned joint, or of all [rad/s2 or m/s2]: URDF has none.
-            packages: Folders that `package://` stands for: packages, or folders that have these in them; those above
-                the file are tried, too.
+            packages: Folders that `package://` stands for: packages, or folders that have these in them, or folders by
+                the name of the package; those above the file are tried, too.
             srdf: SRDF file or text: pairs that may touch, and group states as keyframes.
             world: MJCF with the surroundings, as in `from_mjcf`.
             pose: Of the robot's root link in W, 4 x 4.

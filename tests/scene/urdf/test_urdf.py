@@ -165,10 +165,27 @@ def test_meshes_are_found_in_packages(tmp_path: Path, written) -> None:
     scene = gp.Scene.from_urdf(file, tool="tip", acceleration=4.0)
     geom = next(g for g in range(scene.model.ngeom) if scene.model.geom_dataid[g] >= 0)
     np.testing.assert_allclose(np.sort(scene.model.geom_aabb[geom, 3:]), [0.05, 0.05, 0.1], atol=1e-6)
-    for packages in ([tmp_path / "ws"], [folder]):
+    for packages in ([tmp_path / "ws"], [folder], {"cube_description": folder}):
         gp.Scene.from_urdf(text, tool="tip", acceleration=4.0, packages=packages)
     with pytest.raises(SceneError, match="packages="):
         gp.Scene.from_urdf(text, tool="tip", acceleration=4.0)
+
+
+def test_packages_may_have_other_names_than_their_folders(tmp_path: Path) -> None:
+    (tmp_path / "of_another_name").mkdir()
+    file = tmp_path / "of_another_name" / "cube.stl"
+    file.write_bytes(_binary(CUBE[FACES]))
+    assert found_mesh("package://pack/cube.stl", None, {"pack": tmp_path / "of_another_name"}) == file
+    for named in ({"pack": tmp_path}, {"other": tmp_path / "of_another_name"}, {}):
+        with pytest.raises(SceneError, match="its folder"):
+            found_mesh("package://pack/cube.stl", None, named)
+
+
+def test_attributes_of_other_programs_are_left_out() -> None:
+    text = ARM.replace("<limit ", '<limit drake:acceleration="2.5" ').replace("<robot ", '<robot foo:bar="1" ', 1)
+    assert "drake:" in text
+    mine, plain = (gp.Scene.from_urdf(t, tool="tip", acceleration=4.0) for t in (text, ARM))
+    np.testing.assert_array_equal(mine.limits.position, plain.limits.position)
 
 
 def test_packages_are_not_left(tmp_path: Path) -> None:
@@ -176,6 +193,8 @@ def test_packages_are_not_left(tmp_path: Path) -> None:
     (tmp_path / "secret.stl").write_bytes(_binary(CUBE[FACES]))
     with pytest.raises(SceneError, match="not to be found"):
         found_mesh("package://pack/../secret.stl", None, [tmp_path])
+    with pytest.raises(SceneError, match="not to be found"):
+        found_mesh("package://pack/../secret.stl", None, {"pack": tmp_path / "pack"})
 
 
 def test_collada_needs_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

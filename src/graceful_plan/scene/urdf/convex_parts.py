@@ -41,6 +41,8 @@ _SAMPLES = 20_000
 """Points of the surface that have to be in one of the parts."""
 _OUTSIDE = 1e-6
 """How far they may be outside [m]."""
+_AT_A_TIME = 1_000_000
+"""Heights of points over faces that are computed at a time; 8 MB."""
 _THICKNESS = 1e-4
 """Of parts that have none [m]."""
 HINT = "pip install 'graceful-plan[urdf]'"
@@ -143,8 +145,9 @@ def _outside(part: Float[Array, "_ 3"], points: Float[Array, "n 3"]) -> Float[Ar
     hull = _hull(part)
     if hull is None:
         return np.linalg.norm(points[:, None] - part, axis=-1).min(axis=1)
-    planes = hull.equations
-    return np.max([points @ plane[:3] + plane[3] for plane in planes], axis=0)
+    normals, offsets = hull.equations[:, :3].T, hull.equations[:, 3]
+    some = np.array_split(points, max(1, len(points) * len(offsets) // _AT_A_TIME))
+    return np.concatenate([(part @ normals + offsets).max(axis=1) for part in some])
 
 
 def _hull(points: Float[Array, "_ 3"]) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -20,13 +20,14 @@ _READ = (".stl", ".obj")
 """By MuJoCo itself; `.dae` is converted."""
 
 
-def found_mesh(name: str, folder: Path | None, packages: Sequence[Path]) -> Path:
+def found_mesh(name: str, folder: Path | None, packages: Sequence[Path] | Mapping[str, Path]) -> Path:
     """Return the file that a URDF means.
 
     Args:
         name: "package://PACKAGE/FILE", "file:///FILE", or a path relative to the URDF's folder.
         folder: That folder, if there is one.
-        packages: Folders that are packages, or have them in them. The folders above the URDF are tried, too.
+        packages: Folders that are packages, or have them in them, or folders by the name of the package that they are.
+            The folders above the URDF are tried, too.
 
     Raises:
         SceneError: If it is nowhere there; says where it was looked for.
@@ -36,8 +37,13 @@ def found_mesh(name: str, folder: Path | None, packages: Sequence[Path]) -> Path
     if kind == "package":
         package, _, inside = rest.partition("/")
         above = [] if folder is None else list(folder.parents)
-        tried = [place for root in [*packages, *above] for place in _places(root, package, inside)]
-        wanted = "packages=[folder that has this package in it]"
+        if isinstance(packages, Mapping):
+            tried = [*_inside(packages[package], inside)] if package in packages else []
+            wanted = f"packages={{{package[:100]!r}: its folder}}"
+        else:
+            tried = [place for root in packages for place in _places(root, package, inside)]
+            wanted = "packages=[folder that has this package in it]"
+        tried += [place for root in above for place in _places(root, package, inside)]
     else:
         tried = [Path(rest)] if kind == "file" or folder is None else [folder / rest]
         wanted = "the file there"
@@ -57,9 +63,13 @@ def _is_file(place: Path) -> bool:
 def _places(root: Path, package: str, inside: str) -> Iterable[Path]:
     """Where a file of a package may be, but not outside of it."""
     for folder in (root / package, *([root] if root.name == package else [])):
-        place = folder / inside
-        if place.resolve().is_relative_to(folder.resolve()):
-            yield place
+        yield from _inside(folder, inside)
+
+
+def _inside(folder: Path, inside: str) -> Iterable[Path]:
+    place = folder / inside
+    if place.resolve().is_relative_to(folder.resolve()):
+        yield place
 
 
 def mesh_content(file: Path) -> tuple[bytes, str]:

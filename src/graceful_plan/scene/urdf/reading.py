@@ -7,6 +7,7 @@ meshes by their bare names. Only collision geometry is taken.
 from __future__ import annotations
 
 import copy
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ _SETTINGS = {
     "boundinertia": str(_LEAST_INERTIA),
 }
 """Of MuJoCo's compiler."""
+_PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[\w.-]+(?=[\s=/>])")
+_MOST_PREFIXES = 20
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -89,12 +92,16 @@ class UrdfRobot:
         return found[::-1]
 
 
-def read_urdf(source: str | Path, packages: Sequence[str | Path] = (), *, decompose: bool | None = False) -> UrdfRobot:
+Packages = Sequence[str | Path] | Mapping[str, str | Path]
+"""Folders that are packages or have them in them, or folders by the names of the packages that they are."""
+
+
+def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | None = False) -> UrdfRobot:
     """Read a URDF.
 
     Args:
         source: A file, or its text if it starts with "<".
-        packages: Folders that `package://` means: packages, or folders that have them in them.
+        packages: Folders that `package://` means: packages, or folders that have them in them; or folders by name.
         decompose: Whether meshes that their hulls do not fit are divided into parts; where the library is, if None.
 
     Raises:
@@ -107,7 +114,10 @@ def read_urdf(source: str | Path, packages: Sequence[str | Path] = (), *, decomp
         raise SceneError("no link has collision geometry", file=None if folder is None else str(source))
     assets: dict[str, bytes] = {}
     parts: dict[str, list[str]] = {}
-    places = [Path(package) for package in packages]
+    if isinstance(packages, Mapping):
+        places = {package: Path(place) for package, place in packages.items()}
+    else:
+        places = [Path(place) for place in packages]
     for k, name in enumerate(sorted(meshes)):
         found = _in_parts(*mesh_content(found_mesh(name, folder, places)), name, decompose)
         parts[name] = [f"mesh{k}_{i}{ending}" for i, (_, ending) in enumerate(found)]
@@ -159,7 +169,7 @@ def _parsed(text: str, source: str | Path) -> ET.Element:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise SceneError("document types and entities are not read", file=file)
     try:
-        root = ET.fromstring(text)
+        root = ET.fromstring(_with_prefixes(text))
     except ET.ParseError as error:
         raise SceneError(f"not XML: {error}", file=file, line=error.position[0]) from None
     except UnicodeEncodeError as error:
@@ -168,7 +178,18 @@ def _parsed(text: str, source: str | Path) -> ET.Element:
         raise SceneError(f"a URDF has the root <robot>, not <{root.tag}>", file=file)
     if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
         raise SceneError("this is a xacro file; run xacro first, and give the URDF that it prints", file=file)
+    for element in root.iter():
+        for foreign in [name for name in element.attrib if name.startswith("{")]:
+            del element.attrib[foreign]
     return root
+
+
+def _with_prefixes(text: str) -> str:
+    """Declare prefixes of other programs' attributes, such as `drake:`: published files often do not."""
+    used = set(_PREFIX.findall(text)) - {"xml", "xmlns"}
+    missing = [prefix for prefix in sorted(used)[:_MOST_PREFIXES] if f"xmlns:{prefix}" not in text]
+    declared = "".join(f' xmlns:{prefix}="{prefix}"' for prefix in missing)
+    return re.sub(r"<robot(?=[\s>])", f"<robot{declared}", text, count=1)
 
 
 def _in_parts(content: bytes, ending: str, name: str, decompose: bool | None) -> list[tuple[bytes, str]]:
