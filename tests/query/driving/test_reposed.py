@@ -14,10 +14,11 @@ from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.driving.moving_curve import MovingCurve
 from graceful_plan.query.driving.posture_program import Stations, chosen, nearest
-from graceful_plan.query.driving.reposed import reposed
+from graceful_plan.query.driving.reposed import _TakenApart, reposed
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.timing.bspline import basis
-from graceful_plan.timing.drive_curve import Drive, Roll, Straight
+from graceful_plan.timing.drive_curve import Drive, Roll, Straight, connected
+from graceful_plan.timing.retiming import timed
 from hall import BASE, hall
 
 # Beside the pillar's south side, where the person is not; the arm sticks out 0.5 m.
@@ -85,6 +86,28 @@ def _value(line: Stations, arms: np.ndarray, what: Smoother, of: SceneProblem, r
         seconds = max(metres / (0.5 * (line.speed[k] + line.speed[k - 1])), arm / 1.5)
         total += np.hypot(metres, arm) + 0.5 * seconds * (price[k] + price[k - 1])
     return float(total)
+
+
+def test_drives_are_within_two_percent_of_an_exhaustive_program():
+    """All offsets and postures of a fine grid at every station; ours has the few that it drew, and its descent."""
+    what, of = smoother(1.0), problem()
+    drive = Drive((roll(), Straight(roll().end, np.array([4.0, -1.2, 0.0, -0.9]))))
+    line = _TakenApart.of(drive)
+    assert line is not None
+    offsets, postures = np.linspace(-0.6, 0.6, 13), np.linspace(-1.5, 1.5, 61)[:, None]
+    ends = nearest(postures, line.known[0]), nearest(postures, line.known[-1])
+    room = what.room(np.stack([line.start, line.end]), moves_arm=True)
+    best = chosen(line.stations(what), offsets, postures, ends, room, (what, of))
+    assert best is not None
+    (found,) = reposed(drive, what, of, Budget(iterations=10_000), np.random.default_rng(0))
+    ours, exhaustive, before = (_cost(one, what) for one in (found, connected(line.along(best)), drive))
+    assert ours <= 1.02 * exhaustive and ours < before
+
+
+def _cost(drive: Drive, what: Smoother) -> float:
+    held = SceneConstraints(SCENE, [])
+    trajectory = held.timed(lambda limits: timed(drive, SCENE.limits, SCENE.joints, speed=1.0, restraint=limits))
+    return what.objective.breakdown(trajectory).total + what.time_price * trajectory.duration
 
 
 def test_slopes_of_a_curve_are_those_of_its_charge():
