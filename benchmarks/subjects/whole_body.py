@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import mujoco
@@ -126,12 +126,12 @@ def carry(job: tuple[str, bool, float, float]) -> Carried:
         scene, start, goal = task.scene, task.start, task.goal
     gp.plan(start, goal, scene, w=w, iterations=1)  # compiles
     result = gp.plan(start, goal, scene, w=w, planner=gp.DriveLattice(moves_arm=moves_arm), time_limit=seconds)
-    told = {"place": place, "moves_arm": moves_arm, "w": w, "status": result.status.name}
-    if result.trajectory is None or result.cost is None or scene.carried is None:
-        return Carried(**told)
+    found = Carried(place=place, moves_arm=moves_arm, w=w, status=result.status.name)
+    if result.trajectory is None or scene.carried is None:
+        return found
     own = result.cost.impact_by_entity.get(scene.carried.body, 0.0)
-    return Carried(
-        **told,
+    return replace(
+        found,
         duration=result.trajectory.duration,
         impact=result.cost.impact,
         others=result.cost.impact - own,
@@ -161,14 +161,15 @@ def reach(job: tuple[int, float]) -> Reached:
     first = time.perf_counter() - began if quick.status is gp.PlanStatus.SOLVED else np.inf
     began = time.perf_counter()
     result = gp.plan(start, goal, scene, time_limit=1.0)
-    told = {"seed": seed, "status": result.status.name, "first": first, "seconds": time.perf_counter() - began}
-    if result.cost is None:
-        return Reached(**told)
+    seconds = time.perf_counter() - began
+    found = Reached(seed=seed, status=result.status.name, first=first, seconds=seconds)
+    if result.trajectory is None:
+        return found
     known = np.nan
     if longer:
         best = gp.plan(start, goal, scene, time_limit=longer, seed=1)
-        known = min(result.cost.total, np.inf if best.cost is None else best.cost.total)
-    return Reached(**told, total=result.cost.total, known=known)
+        known = min(result.cost.total, np.inf if best.trajectory is None else best.cost.total)
+    return replace(found, total=result.cost.total, known=known)
 
 
 def run(options: suite.Options) -> str:

@@ -22,6 +22,8 @@ Array = np.ndarray
 _LEAST_INTERVALS, _BY_SPAN, _BY_METRE = 48, 6, 25.0
 """Of the coarsest grid of a roll: in all, for each span of its spline, and by length [1/m]. Between them, what moves
 sideways at 2 m/s is then below 0.2 mm/s."""
+_KEPT = 0.99
+"""Share of the acceleration along the heading that is used: between two points of a grid it is up to 1 % more."""
 _STRAIGHT_INTERVALS = 16
 """Of the coarsest grid of a stretch that is straight in joint space."""
 
@@ -152,8 +154,8 @@ def drive_limits(base: DiffDrive, grid: CurveGrid) -> Float[Array, "interval lim
         turn = slope[:, 2]
         zero = np.zeros_like(turn)
         for a, b, c in (
-            (forward, pushed, base.a_max),
-            (-forward, -pushed, base.a_max),
+            (forward, pushed, _KEPT * base.a_max),
+            (-forward, -pushed, _KEPT * base.a_max),
             (zero, forward * turn, base.lateral_max),
             (zero, -forward * turn, base.lateral_max),
             (zero, forward**2, base.v_max**2),

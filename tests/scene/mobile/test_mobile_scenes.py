@@ -134,10 +134,11 @@ def test_robots_stand_on_their_wheels_where_tasks_begin(name, task):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("w", [0.0, 0.3])
 @pytest.mark.parametrize(("name", "task"), TASKS)
-def test_tasks_are_planned(name, task):
+def test_tasks_are_planned(name, task, w):
     found = mobile(name).tasks[task]
-    result = gp.plan(found.start, found.goal, found.scene, w=0.0, time_limit=20.0, seed=1)
+    result = gp.plan(found.start, found.goal, found.scene, w=w, iterations=5000, seed=1)
     assert result.status is gp.PlanStatus.SOLVED, result.detail
     assert result.verdict.checks["rolling"].passed and result.verdict.checks["drive_limits"].passed
     assert result.cost.impact > 0.0  # somebody or something is there

@@ -42,6 +42,8 @@ _CURVE_SHARE = 0.5
 """Of the time that is left, for one curve."""
 _REPOSED, _LINES = 8, 2
 """How often postures are chosen along a motion, and along how many that the arm stays in."""
+_WORTH = 1e-3
+"""Relative gain below which no more postures are chosen."""
 _JOINED = 0.45 * np.pi
 """Turns at either end up to which a curve may turn instead [rad]."""
 
@@ -78,7 +80,10 @@ def driven(
         for better in reposed(drive, smoother, problem, budget, rng):
             found += [(other, better) for other in _timed(better, motion.path, motion.arrival, request)]
         if number >= _LINES - 1:
+            before = found[0][0].ranking
             found.sort(key=lambda one: one[0].ranking)
+            if number >= _LINES and found[0][0].ranking > (1.0 - _WORTH) * before:
+                break
     found.sort(key=lambda one: one[0].ranking)
     return [*(motion for motion, _ in found), *stops(searched, request, ends)], ""
 

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.driving.postures import BASE
-from graceful_plan.query.driving.smoothing import Room, Smoother
+from graceful_plan.query.driving.smoothing import Closeness, Smoother
 
 Array = np.ndarray
 
@@ -63,7 +63,7 @@ class Stations:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class Reposing:
     """What was chosen at each station, and what that costs.
 
     | field   | meaning                     | unit     | shape       |
@@ -83,9 +83,9 @@ def chosen(
     offsets: Float[Array, " offset"],
     postures: Float[Array, "posture arm"],
     ends: tuple[int, int],
-    room: Room,
+    room: Closeness,
     charged: tuple[Smoother, SceneProblem],
-) -> Choice | None:
+) -> Reposing | None:
     """Return the cheapest way along the stations; None if there is none.
 
     Args:
@@ -98,15 +98,14 @@ def chosen(
     """
     smoother = charged[0]
     rate, free = _rates(stations, offsets, postures, room, charged)
-    crowded = _crowded(stations, postures, room, charged)
     middle = int(np.argmin(np.abs(offsets)))
     n, m, k = rate.shape
     best = np.full((m, k), np.inf)
     best[middle, ends[0]] = 0.0
     came = np.zeros((n, m, k), dtype=int)
-    arm = _ArmSteps(postures, smoother)
+    arm = _ArmSteps(postures, smoother, _crowded(stations, postures, room, charged))
     for i in range(1, n):
-        total = best[:, :, None, None] + _step_costs(stations, i, offsets, arm, rate, crowded, smoother)
+        total = best[:, :, None, None] + _step_costs(stations, i, offsets, arm, rate, smoother)
         flat = total.reshape(m * k, m, k)
         came[i] = np.argmin(flat, axis=0)
         best = np.where(free[i], np.take_along_axis(flat, came[i][None], axis=0)[0], np.inf)
@@ -119,13 +118,16 @@ def chosen(
         path.append(at)
         at = int(came[i].reshape(-1)[at])
     o, p = np.divmod(np.array(path[::-1]), k)
-    return Choice(offsets[o], postures[p], float(best[middle, ends[1]]))
+    return Reposing(offsets[o], postures[p], float(best[middle, ends[1]]))
 
 
 class _ArmSteps:
-    """How far postures are from each other, and how long the arm takes at its velocity limits."""
+    """How far postures are from each other, how long the arm takes at its limits, and what it comes close to."""
 
-    def __init__(self, postures: Float[Array, "posture arm"], smoother: Smoother) -> None:
+    def __init__(
+        self, postures: Float[Array, "posture arm"], smoother: Smoother, crowded: Float[Array, "posture posture"]
+    ) -> None:
+        self.crowded = crowded
         apart = np.abs(postures[:, None] - postures)
         self.length = np.linalg.norm(apart, axis=2)
         self.seconds = (apart / (smoother.speed * smoother.objective.scene.limits.velocity[BASE:])).max(axis=2)
@@ -135,7 +137,7 @@ def _rates(
     stations: Stations,
     offsets: Float[Array, " offset"],
     postures: Float[Array, "posture arm"],
-    room: Room,
+    room: Closeness,
     charged: tuple[Smoother, SceneProblem],
 ) -> tuple[Float[Array, "station offset posture"], Bool[Array, "station offset posture"]]:
     """Return what a second costs in each state, and which states are free."""
@@ -161,7 +163,7 @@ def _rates(
 
 
 def _crowded(
-    stations: Stations, postures: Float[Array, "posture arm"], room: Room, charged: tuple[Smoother, SceneProblem]
+    stations: Stations, postures: Float[Array, "posture arm"], room: Closeness, charged: tuple[Smoother, SceneProblem]
 ) -> Float[Array, "posture posture"]:
     """Return what a metre costs beside while the arm moves straight from one posture to another; infinite if it cannot.
 
@@ -190,7 +192,6 @@ def _step_costs(
     offsets: Float[Array, " offset"],
     arm: _ArmSteps,
     rate: Float[Array, "station offset posture"],
-    crowded: Float[Array, "posture posture"],
     smoother: Smoother,
 ) -> Float[Array, "offset posture offset posture"]:
     """Return what steps to station i cost, between all offsets and postures."""
@@ -205,10 +206,10 @@ def _step_costs(
     seconds = np.maximum(seconds[:, None, :, None], arm.seconds[None, :, None, :])
     metres = metres[:, None, :, None]
     length = np.sqrt(metres**2 + turn**2 + (arm.length**2)[None, :, None, :])
-    length = length + np.maximum(metres, _STAND) * crowded[None, :, None, :]
+    length = length + np.maximum(metres, _STAND) * arm.crowded[None, :, None, :]
     return length + 0.5 * seconds * (rate[i - 1][:, :, None, None] + rate[i][None, None])
 
 
-def nearest(postures: Float[Array, "posture arm"], arm: Float[Array, " arm"]) -> Int[Array, ""]:
+def nearest(postures: Float[Array, "posture arm"], arm: Float[Array, " arm"]) -> int:
     """Return which posture an arm is in."""
-    return np.argmin(np.abs(postures - arm).max(axis=1))
+    return int(np.argmin(np.abs(postures - arm).max(axis=1)))

@@ -16,9 +16,9 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
-from graceful_plan.query.driving.posture_program import Choice, Stations, chosen, nearest
+from graceful_plan.query.driving.posture_program import Reposing, Stations, chosen, nearest
 from graceful_plan.query.driving.postures import BASE, SCALES, Places, posture_set
-from graceful_plan.query.driving.smoothing import Room, Smoother
+from graceful_plan.query.driving.smoothing import Closeness, Smoother
 from graceful_plan.timing.drive_curve import Drive, Roll, Straight, Stretch, connected
 
 Array = np.ndarray
@@ -47,7 +47,7 @@ def reposed(
         budget: For descents.
         rng: For postures.
     """
-    line = _Line.of(drive)
+    line = _TakenApart.of(drive)
     if line is None or drive.stretches[0].samples(1)[1].shape[2] <= BASE:
         return
     room = smoother.room(np.stack([line.start, line.end]), moves_arm=True)
@@ -63,18 +63,18 @@ def reposed(
 
 
 def _refined(
-    line: _Line,
+    line: _TakenApart,
     offsets: Float[Array, " offset"],
-    room: Room,
+    room: Closeness,
     asked: tuple[Smoother, SceneProblem],
     means: tuple[Budget, np.random.Generator],
-) -> Choice | None:
+) -> Reposing | None:
     """Choose along a line, then again and again among postures that are closer and closer to those that were chosen."""
     stations, known = line.stations(asked[0]), line.known
     places, best = _places(stations, known[0], room), None
     for scales in ((*SCALES,), *((scale,) for scale in _CLOSER)):
         postures = posture_set(known, places, *asked, means[1], scales)
-        ends = int(nearest(postures, line.known[0])), int(nearest(postures, line.known[-1]))
+        ends = nearest(postures, line.known[0]), nearest(postures, line.known[-1])
         choice = chosen(stations, offsets, postures, ends, room, asked)
         if choice is None or (best is not None and choice.value > (1.0 - _WORTH) * best.value):
             break
@@ -85,7 +85,7 @@ def _refined(
 
 
 @dataclass(frozen=True, eq=False)
-class _Line:
+class _TakenApart:
     """A drive as what moves its base, with rests before, between and after.
 
     Args:
@@ -103,7 +103,7 @@ class _Line:
     end: Float[Array, " nq"]
 
     @classmethod
-    def of(cls, drive: Drive) -> _Line | None:
+    def of(cls, drive: Drive) -> _TakenApart | None:
         """Take a drive apart; None if its base stays where it is."""
         moves: list[Stretch] = []
         rests, known = [1], []
@@ -134,7 +134,7 @@ class _Line:
         base, forward, speed, rate, aside = np.split(np.array(rows), [3, 4, 5, 6], axis=1)
         return Stations(base, forward[:, 0], speed[:, 0], rate[:, 0], aside[:, 0] > 0.0)
 
-    def along(self, choice: Choice) -> list[Stretch]:
+    def along(self, choice: Reposing) -> list[Stretch]:
         """Return the drive with the arm, and the base beside its line, as chosen."""
         found: list[Stretch] = []
         at = 0
@@ -153,7 +153,7 @@ class _Line:
         return found
 
 
-def _places(stations: Stations, arm: Float[Array, " arm"], room: Room) -> Places:
+def _places(stations: Stations, arm: Float[Array, " arm"], room: Closeness) -> Places:
     """Return some of the stations, each for as long as what is around it takes."""
     moving = np.flatnonzero(stations.speed > 0.0)
     at = moving if len(moving) else np.arange(len(stations))
@@ -177,7 +177,7 @@ def _inner(roll: Roll, smoother: Smoother) -> Float[Array, "control 7"]:
     turn = np.gradient(np.concatenate([roll.begin[2:3], heading, heading[-1:]]))[1:-1]
     bend = turn / np.maximum(0.5 * (steps[:-1] + steps[1:]), 1e-9)
     done = np.concatenate([[0.0], np.cumsum(steps)])
-    speed = smoother.pace(np.abs(np.concatenate([bend[:1], bend, bend[-1:]])), done, done[-1])[1:-1]
+    speed = smoother.pace(np.abs(np.concatenate([bend[:1], bend, bend[-1:]])), done, np.asarray(done[-1]))[1:-1]
     aside = np.ones(len(way))
     aside[[0, -1]] = 0.0
     return np.column_stack([C[1:-1], heading, np.full(len(way), sign), speed, bend * speed, aside])

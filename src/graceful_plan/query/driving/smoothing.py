@@ -69,7 +69,7 @@ class _Travelled:
 
 
 @dataclass(frozen=True)
-class Room:
+class Closeness:
     """What is charged for being close to something.
 
     Args:
@@ -133,7 +133,7 @@ class Smoother:
             x, value = tried[best], float(values[best])
         return moving.roll(x)
 
-    def room(self, ends: Float[Array, "n nq"], *, moves_arm: bool) -> Room:
+    def room(self, ends: Float[Array, "n nq"], *, moves_arm: bool) -> Closeness:
         """Return what is charged for being close: links of an arm may be as close to each other as at the ends.
 
         Args:
@@ -142,7 +142,7 @@ class Smoother:
         """
         most, price = (_ROOM, _ARM_WALL) if moves_arm else (_CLEAR, _WALL)
         has_arm = ends.shape[1] > len(self.base.joints)
-        return Room(float(np.clip(self.clearance(ends)[0].min(), _LEAST_ROOM, most)) if has_arm else most, price)
+        return Closeness(float(np.clip(self.clearance(ends)[0].min(), _LEAST_ROOM, most)) if has_arm else most, price)
 
     def pace(
         self, bend: Float[Array, "*curve u"], done: Float[Array, "*curve u"], length: Float[Array, "*curve"]
@@ -167,7 +167,7 @@ class Smoother:
         )
         return self.speed * fastest
 
-    def _slope(self, moving: MovingCurve, x: Float[Array, " variable"], room: Room) -> Float[Array, " variable"]:
+    def _slope(self, moving: MovingCurve, x: Float[Array, " variable"], room: Closeness) -> Float[Array, " variable"]:
         """Return the derivative of the charge: geometry by differences, impact and clearance by their gradients."""
         at, near = self._travelled(moving, x[None]), self._travelled(moving, x + _NUDGE * np.eye(len(x)))
         rows, rates = at.q[0], at.qd[0]
@@ -186,7 +186,9 @@ class Smoother:
         kernel = self.objective.kernel
         return self.objective.impact_slopes(q, qd) if kernel is None else kernel.state_slopes(q, qd)
 
-    def _values(self, moving: MovingCurve, x: Float[Array, "curve variable"], room: Room) -> Float[Array, " curve"]:
+    def _values(
+        self, moving: MovingCurve, x: Float[Array, "curve variable"], room: Closeness
+    ) -> Float[Array, " curve"]:
         """Charge curves."""
         at = self._travelled(moving, x)
         rows, rates = (of.reshape(-1, of.shape[-1]) for of in (at.q, at.qd))
@@ -196,7 +198,7 @@ class Smoother:
         return self._charge(at, impact, self.clearance(rows)[0].reshape(at.bend.shape), room)
 
     def _charge(
-        self, at: _Travelled, impact: Float[Array, "curve u"], clearance: Float[Array, "curve u"], room: Room
+        self, at: _Travelled, impact: Float[Array, "curve u"], clearance: Float[Array, "curve u"], room: Closeness
     ) -> Float[Array, " curve"]:
         total = at.length + self.time_price * at.duration + _BENT * at.metres * at.bend**2
         harm = self.objective.w * at.duration * impact
