@@ -436,14 +436,11 @@ class LatticeAnswer(TypedDict):
     first_cost: float
     first_expansions: int
 
-def distance_field(
-    *, blocked: NDArray[np.uint8], resolution: float, outside: bool
-) -> NDArray[np.float32]: ...
+def distance_field(*, blocked: NDArray[np.uint8], resolution: float, outside: bool) -> NDArray[np.float32]: ...
+
 @final
 class FloorGrid:
-    def __init__(
-        self, *, closed: NDArray[np.uint8], resolution: float, charge: NDArray[np.float32] | None
-    ) -> None: ...
+    def __init__(self, *, closed: NDArray[np.uint8], resolution: float, charge: NDArray[np.float32] | None) -> None: ...
     def costs(self, column: int, row: int) -> Reals: ...
     def path(
         self, *, start: NDArray[np.int32], goal: NDArray[np.int32], method: str, time_limit: float

@@ -166,5 +166,7 @@ class FloorGrid:
         rows, columns = self.floor.shape
         if not (0 <= column < columns and 0 <= row < rows):
             return None
-        closed = self.floor.occupied[row, column] if self.radius == 0.0 else self.floor.distance[row, column] < self.radius
+        closed = (
+            self.floor.occupied[row, column] if self.radius == 0.0 else self.floor.distance[row, column] < self.radius
+        )
         return None if closed else np.array([column, row], dtype=np.int32)
