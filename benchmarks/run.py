@@ -58,13 +58,16 @@ SUBJECTS = (
     "moving_entities",
     "driving",
     "lattice",
+    "floor_maps",
     "tuning",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops", "lattice"})
+ON_REQUEST = frozenset(
+    {"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops", "lattice", "floor_maps"}
+)
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 TAKEN_OUT = "taken_out"
 """Section written by hand: what was measured, did not help and is gone."""

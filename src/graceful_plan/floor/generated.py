@@ -115,7 +115,7 @@ def obstacle_course(
     *,
     length: float = 10.0,
     width: float = 4.5,
-    fill: float = 0.25,
+    fill: float = 0.2,
     passage: float = 0.3,
     resolution: float = 0.05,
 ) -> GeneratedFloor:
@@ -224,7 +224,7 @@ def _walls(
 
 
 def _doors(rng: np.random.Generator, rooms: tuple[int, int]) -> Iterator[tuple[tuple[int, int], int]]:
-    """Yield walls, by the room before and the axis across, that have doors: those of a random tree, and a third more."""
+    """Yield walls, by the room before and the axis across, that have doors: those of a random tree, a third more."""
     walls = [((i, j), axis) for i in range(rooms[0]) for j in range(rooms[1]) for axis in (0, 1)]
     walls = [wall for wall in walls if wall[0][wall[1]] + 1 < rooms[wall[1]]]
     group = {(i, j): (i, j) for i in range(rooms[0]) for j in range(rooms[1])}
@@ -250,10 +250,15 @@ def _disc(
     shape: tuple[int, ...], resolution: float, at: Float[Array, " 2"], radius: float
 ) -> Bool[Array, "row column"]:
     """Cells that a disc touches."""
-    row, column = np.ogrid[: shape[0], : shape[1]]
-    dx = np.maximum(np.abs((column + 0.5) * resolution - at[0]) - 0.5 * resolution, 0.0)
-    dy = np.maximum(np.abs((row + 0.5) * resolution - at[1]) - 0.5 * resolution, 0.0)
-    return dx * dx + dy * dy < radius * radius * (1.0 - 1e-9)
+    cells = np.zeros(shape, dtype=bool)
+    first = np.maximum(np.floor((at - radius) / resolution).astype(int), 0)
+    last = np.ceil((at + radius) / resolution).astype(int)
+    part = cells[first[1] : last[1], first[0] : last[0]]
+    row, column = np.ogrid[: part.shape[0], : part.shape[1]]
+    dx = np.maximum(np.abs((column + first[0] + 0.5) * resolution - at[0]) - 0.5 * resolution, 0.0)
+    dy = np.maximum(np.abs((row + first[1] + 0.5) * resolution - at[1]) - 0.5 * resolution, 0.0)
+    part |= dx * dx + dy * dy < radius * radius * (1.0 - 1e-9)
+    return cells
 
 
 def _automaton(rng: np.random.Generator, shape: tuple[int, int], fill: float) -> Bool[Array, "row column"]:
@@ -268,7 +273,9 @@ def _automaton(rng: np.random.Generator, shape: tuple[int, int], fill: float) ->
 
 def _person(name: str, category: str, at: Float[Array, " 2"]) -> Solid:
     half = 0.5 * _HEIGHT[category]
-    return Solid(name=name, kind="cylinder", size=(_RADIUS[category], half), pose=(*at, half), entity=category)
+    return Solid(
+        name=name, kind="cylinder", size=[_RADIUS[category], half], pose=np.array([*at, half]), entity=category
+    )
 
 
 def _ends(rng: np.random.Generator, field: _Field, least: float) -> tuple[Array, Array, float]:

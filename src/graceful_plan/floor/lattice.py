@@ -53,8 +53,8 @@ class LatticeSettings:
     margin: float = 0.0
     """What discs keep from obstacles [m], >= 0."""
     lead: float = 1.5
-    """Weight, >= 1, of an estimate of what is left to go, for a first path soon: of that alone nobody knows beforehand how
-    far it is from the best one, and `bound` says so afterwards. 0: no such search."""
+    """Weight, >= 1, of an estimate of what is left to go, for a first path soon: how far it is from the best one is not
+    known beforehand, and `bound` says so afterwards. 0: no such search."""
     inflations: tuple[float, ...] = ()
     """Weights of a bound of what is left, one search each, >= 1: the path costs at most so many times the best on the
     lattice."""
@@ -112,8 +112,8 @@ class StateLattice:
         discs: Cover of the footprint, (x, y, radius) in the frame of the base [m].
         settings: How it is made and searched.
         origin: Pose (x, y, yaw) of the lower left corner of cell (0, 0) in the world.
-        impact: For each cell and heading k, whose yaw on the map is 2 pi k / headings, of a base that drives forward, >= 0;
-            None: 0.
+        impact: For each cell and heading k, whose yaw on the map is 2 pi k / headings, of a base that drives forward,
+            >= 0; None: 0.
         impact_back: Likewise of one that drives backwards; None: the same as forward.
 
     Raises:

@@ -31,7 +31,7 @@ def sliced(
     Raises:
         SettingError: If a setting is out of its range, nothing is cut, or there would be too many cells.
     """
-    low, high = finite_array("heights", heights, ndim=1, last=2).tolist()
+    low, high = finite_array("heights", np.asarray(heights), ndim=1, last=2).tolist()
     if not low < high:
         raise SettingError("heights", heights, "the lower one first [m]")
     if not 0.0 < resolution < np.inf:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar, final
 
 import numpy as np
@@ -157,7 +158,7 @@ def _turns_and_straights(
     """Return the way through points, driven forward, with a turn in place at each; headings go on beyond pi."""
     points = np.concatenate([start[None, :2], xy[1:-1], goal[None, :2]])
     poses, yaw = [start[:BASE]], float(start[2])
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         if np.hypot(*(b - a)) > 0.0:
             direction = math.atan2(b[1] - a[1], b[0] - a[0])
             yaw += math.remainder(direction - yaw, 2.0 * math.pi)

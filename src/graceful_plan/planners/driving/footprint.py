@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def footprint(scene: Scene, q: Float[Array, " nq"]) -> tuple[Float[Array, "disc 
     n = int(np.clip(math.ceil((high - low) / max(width, 1e-3)), 1, _SLICES))
     edges = np.linspace(low, high, n + 1)
     discs = []
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in pairwise(edges):
         inside = (centre[:, 0] - radius < b) & (centre[:, 0] + radius > a)
         if not inside.any():
             continue
