@@ -32,12 +32,12 @@ STEERING = {
 MEASURED = f"""\
 {FLOORS} floors of {CELLS} x {CELLS} cells of {RESOLUTION} m made at random, rooms with doors 1.2 m wide and 40 boxes,
 {PAIRS} pairs of free poses each, at least 6 m apart; {HEADINGS} headings, a Jackal's outline as two discs, curves of
-0.5 m at the tightest. "Impact": {ENTITIES} entities, each a bell of 0.8 m width that counts twice for driving towards it
-and not at all for driving away, forward or backwards, a stand-in for a model; w = {WEIGHT:g}. "Searches": led by the
+0.5 m at the tightest. "Impact": {ENTITIES} entities, each a bell of 0.8 m width that counts twice for driving towards
+it and not at all for driving away, forward or backwards, a stand-in for a model; w = {WEIGHT:g}. "Searches": led by the
 estimate with its weight (lead 1.5 is the default and the only one), then by the bound with its own; at most {MOST}
-expansions each. "Bound": the cost is at most so many times the best, median and 95th percentile.
-Times are those of the processor for a call, without making the lattice, on one thread; median and 95th percentile. OMPL: the same curves,
-one call each from Python.
+expansions each. "Bound": the cost is at most so many times the best, median and 95th percentile. Times are those of the
+processor for a call, without making the lattice, on one thread; median and 95th percentile. OMPL: the same curves, one
+call each from Python.
 """
 
 

@@ -191,12 +191,12 @@ void bind_lattice(nb::module_& m) {
       .def("curves", &curves, "start"_a, "goal"_a)
       .def("along", &along, "start"_a, "pieces"_a, "s"_a);
   nb::class_<BoundLattice>(m, "StateLattice")
-      .def(nb::init<Floats, double, Reals, int, const Steering&, double, std::optional<Floats>,
-                    std::optional<Floats>>(),
-           nb::kw_only(), "distance"_a, "resolution"_a, "discs"_a, "headings"_a, "steering"_a, "margin"_a,
-           "impact"_a.none(), "impact_back"_a.none())
-      .def("search", &BoundLattice::search, nb::kw_only(), "start"_a, "goal"_a, "w"_a, "lead"_a, "inflations"_a, "shots"_a,
-           "max_expansions"_a, "time_limit"_a)
+      .def(
+          nb::init<Floats, double, Reals, int, const Steering&, double, std::optional<Floats>, std::optional<Floats>>(),
+          nb::kw_only(), "distance"_a, "resolution"_a, "discs"_a, "headings"_a, "steering"_a, "margin"_a,
+          "impact"_a.none(), "impact_back"_a.none())
+      .def("search", &BoundLattice::search, nb::kw_only(), "start"_a, "goal"_a, "w"_a, "lead"_a, "inflations"_a,
+           "shots"_a, "max_expansions"_a, "time_limit"_a)
       .def("moves", &BoundLattice::moves)
       .def("chain", &BoundLattice::chain);
 }

@@ -1,5 +1,5 @@
-// A queue of cells by cost, for searches whose edges cost at least one width: cells of one bucket come in any order, for
-// none of them can make another cheaper (E. Dinic's observation on R. Dial, "Shortest-path forest with topological
+// A queue of cells by cost, for searches whose edges cost at least one width: cells of one bucket come in any order,
+// for none of them can make another cheaper (E. Dinic's observation on R. Dial, "Shortest-path forest with topological
 // ordering", CACM 12, 1969). Costs far ahead wait in one heap of leftovers until their turn comes.
 #pragma once
 

@@ -28,8 +28,8 @@ class GridSearch {
     return run(queue, kNowhere, none, Mean{map_}, late);
   }
   // The same, but no farther than is of use for going to a cell: exact where the cost, and if `informed` the octile
-  // distance to it besides, is at most what is returned, some more than that cell's cost. `price` charges the eight steps
-  // out of a cell. Negative: too late. Informed only where steps cost their length, or much more: in buckets, the
+  // distance to it besides, is at most what is returned, some more than that cell's cost. `price` charges the eight
+  // steps out of a cell. Negative: too late. Informed only where steps cost their length, or much more: in buckets, the
   // same cells are else corrected over and over.
   template <class Price, class Late>
   double flood_towards(size_t from, size_t to, double share, double more, bool informed, const Price& price,
@@ -141,7 +141,8 @@ class GridSearch {
           return better << shift;
         };
         // Nine places, without the one in the middle.
-        const uint32_t nine = relax(-stride, 0, steps.below) | relax(0, 3, steps.beside) | relax(stride, 6, steps.above);
+        const uint32_t nine =
+            relax(-stride, 0, steps.below) | relax(0, 3, steps.beside) | relax(stride, 6, steps.above);
         uint32_t improved = ((nine & 15U) | (nine >> 1 & 240U)) & ways;
         for (; improved != 0; improved &= improved - 1) {
           const int k = __builtin_ctz(improved);
@@ -161,7 +162,7 @@ class GridSearch {
   std::vector<double> cost_;
   int64_t expansions_ = 0;
   size_t from_ = 0;
-  bool emptied_ = false;  // whether everything that can be reached was
+  bool emptied_ = false;             // whether everything that can be reached was
   double share_ = 1.0, more_ = 0.0;  // costs beyond that of the goal that are looked at
 };
 

@@ -15,8 +15,8 @@ namespace gp::lattice {
 struct Floor {
   int columns, rows;
   double resolution;
-  const float* distance;  // [rows, columns] from the centre of a cell to the next obstacle, not above it [m]
-  const float* impact;    // [rows, columns, headings] for driving forward, or none
+  const float* distance;     // [rows, columns] from the centre of a cell to the next obstacle, not above it [m]
+  const float* impact;       // [rows, columns, headings] for driving forward, or none
   const float* impact_back;  // the same for driving backwards
 
   bool holds(const Cell& c) const { return c.x >= 0 && c.y >= 0 && c.x < columns && c.y < rows; }
@@ -29,22 +29,23 @@ struct Floor {
   }
 };
 
-// What a search over cells knows of a floor: which cells the base may be in, and what impact there is in them for driving
-// in each of eight directions.
+// What a search over cells knows of a floor: which cells the base may be in, and what impact there is in them for
+// driving in each of eight directions.
 class Guide {
  public:
   static constexpr int kSteps = grid::GridMap::kSteps;
   using Eight = std::array<float, kSteps>;
 
-  // A bound from below: cells that the disc inside of the footprint may be over, and the least impact over headings within
-  // half a right angle of the direction, since curves are made of such steps, and over neighbouring cells, since a chain
-  // of cells is beside the curve by up to one.
+  // A bound from below: cells that the disc inside of the footprint may be over, and the least impact over headings
+  // within half a right angle of the direction, since curves are made of such steps, and over neighbouring cells, since
+  // a chain of cells is beside the curve by up to one.
   static Guide bound(const Floor& floor, double inner, int headings) {
     Guide guide(floor, inner, nullptr);
     if (floor.impact) {
       const int reach = headings / 8 + 1;
       guide.ahead_ = spread(floor, guide.map_, guide.gathered(floor, floor.impact, headings, 0, reach, true));
-      guide.back_ = spread(floor, guide.map_, guide.gathered(floor, floor.impact_back, headings, headings / 2, reach, true));
+      guide.back_ =
+          spread(floor, guide.map_, guide.gathered(floor, floor.impact_back, headings, headings / 2, reach, true));
     }
     return guide;
   }
@@ -127,7 +128,8 @@ class Guide {
 class CostToGo {
  public:
   // `penalty`: what a metre backwards costs; infinite where the base does not drive so.
-  CostToGo(const Guide& guide, double w, double penalty) : guide_(guide), search_(guide.map()), w_(w), penalty_(penalty) {}
+  CostToGo(const Guide& guide, double w, double penalty)
+      : guide_(guide), search_(guide.map()), w_(w), penalty_(penalty) {}
 
   // Whether there is a way and the time to find it; afterwards `at` answers.
   template <class Late> bool flood(const Cell& start, const Cell& goal, double share, double more, const Late& late) {

@@ -165,7 +165,8 @@ class Primitives {
         if (const Cell cell = cell_at(pose.x, pose.y, s_.resolution); cell != passed.back()) passed.push_back(cell);
         if (k == n) break;
         const Pose middle = moved(at, piece, (k + 0.5) / n);
-        stay({cell_at(middle.x, middle.y, s_.resolution), nearest(middle.yaw), length, piece.length < 0.0}, &move.stays);
+        stay({cell_at(middle.x, middle.y, s_.resolution), nearest(middle.yaw), length, piece.length < 0.0},
+             &move.stays);
       }
       at = moved(at, piece, 1.0);
     }

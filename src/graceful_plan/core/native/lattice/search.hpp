@@ -99,8 +99,7 @@ class StateLattice::Search {
   }
   // From below, of what it costs to get to the goal; a cell less, for the ways from its cell's centre to the goal.
   double bound_at(const Cell& at, const Pose& pose) const {
-    const double over_cells =
-        estimates_ ? to_go_->at(at) : to_go_->at(at) / of_.chain_ - 1.5 * of_.s_.resolution;
+    const double over_cells = estimates_ ? to_go_->at(at) : to_go_->at(at) / of_.chain_ - 1.5 * of_.s_.resolution;
     return std::max(over_cells, of_.s_.steering.bound(pose, q_.goal));
   }
 

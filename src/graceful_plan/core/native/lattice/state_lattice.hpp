@@ -197,7 +197,8 @@ class StateLattice {
       for (int k = 0; k < n; ++k) {
         const Pose pose = moved(at, piece, (k + 0.5) / n);  // what is between is within half a step
         if (!free_at(pose, 0.5 * step)) return false;
-        if (floor_.impact) *impact += length * impact_at(floor_.cell(pose.x, pose.y), moves_.nearest(pose.yaw), piece.length < 0.0);
+        if (floor_.impact)
+          *impact += length * impact_at(floor_.cell(pose.x, pose.y), moves_.nearest(pose.yaw), piece.length < 0.0);
       }
       at = moved(at, piece, 1.0);
     }
