@@ -60,6 +60,7 @@ SUBJECTS = (
     "driving",
     "whole_body",
     "lattice",
+    "floor_maps",
     "tuning",
     "failbench_speed",
     "failbench_soak",
@@ -67,7 +68,17 @@ SUBJECTS = (
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset(
-    {"best_known", "auto", "trajectory_prediction", "prevention", "harm_curves", "constraints", "stops", "lattice"}
+    {
+        "best_known",
+        "auto",
+        "trajectory_prediction",
+        "prevention",
+        "harm_curves",
+        "constraints",
+        "stops",
+        "lattice",
+        "floor_maps",
+    }
 )
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 TAKEN_OUT = "taken_out"

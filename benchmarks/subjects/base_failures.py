@@ -78,7 +78,9 @@ def world(robot: str, seed: int) -> tuple[gp.Scene, Array, Array]:
         angle, far, radius = rng.normal(0.0, 0.9), rng.uniform(0.45, 1.8), rng.uniform(0.08, 0.2)
         if far - radius > 0.42:
             place = f"{far * np.cos(angle)} {far * np.sin(angle)} .1"
-            bodies.append(f'<body name="e{len(bodies)}" pos="{place}"><geom type="cylinder" size="{radius} .1"/></body>')
+            bodies.append(
+                f'<body name="e{len(bodies)}" pos="{place}"><geom type="cylinder" size="{radius} .1"/></body>'
+            )
     floor = '<geom name="floor" type="plane" size="40 40 .1"/>'
     whole = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{floor}{''.join(bodies)}</worldbody></mujoco>")
     whole.attach(spec, prefix=prefix, frame=whole.worldbody.add_frame())

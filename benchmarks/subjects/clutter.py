@@ -220,5 +220,8 @@ def _targets(found: Sequence[Crossed]) -> Iterator[report.Target]:
     )
     rate = float(np.median([one.rate for one in found]))
     yield report.Target(
-        what="commands with impact, median of courses", wanted=">= 1 kHz", measured=f"{1e-3 * rate:.2f} kHz", met=rate >= 1e3
+        what="commands with impact, median of courses",
+        wanted=">= 1 kHz",
+        measured=f"{1e-3 * rate:.2f} kHz",
+        met=rate >= 1e3,
     )

@@ -318,3 +318,56 @@ def test_misuse():
             StateLattice(**{**fields, **wrong})
     with pytest.raises(SettingError, match="w = -1"):
         StateLattice(**fields).path(START, GOAL, -1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_path_of_the_lead_is_free_and_its_bound_is_true(seed):
+    occupied = floor(seed)
+    impact = impacts(seed, occupied.shape, 16)
+    for w in (0.0, 0.5):
+        found = {}
+        for lead, inflations in ((1.5, ()), (0.0, (1.0,))):
+            lattice = StateLattice(
+                distance=distances(occupied),
+                resolution=RESOLUTION,
+                discs=DISCS,
+                settings=replace(COARSE, steering=BASE, lead=lead, inflations=inflations),
+                impact=impact,
+            )
+            found[lead] = lattice.path(START, GOAL, w)
+        quick, best = found[1.5], found[0.0]
+        assert quick.status is best.status
+        if quick.curve is not None:
+            assert least_gap(quick, occupied) > -1e-6 and quick.cost >= best.cost - _TOLERANCE
+            if w == 0.0:  # with impact the bound is no proof
+                assert quick.cost <= quick.bound * best.cost + _TOLERANCE
+
+
+def test_driving_backwards_has_an_impact_of_its_own():
+    occupied = np.zeros((26, 60), dtype=bool)
+    one = np.ones((*occupied.shape, 16), dtype=np.float32)
+    made = {
+        name: StateLattice(
+            distance=distances(occupied),
+            resolution=RESOLUTION,
+            discs=DISCS,
+            settings=replace(COARSE, steering=CAR, lead=0.0, inflations=(1.0,)),
+            impact=one,
+            impact_back=back,
+        )
+        for name, back in (("same", None), ("none", 0.0 * one))
+    }
+    start, goal = pose(40, 12, 0), pose(20, 12, 0)  # straight back
+    same, none = made["same"].path(start, goal, 1.0), made["none"].path(start, goal, 1.0)
+    length = 20 * RESOLUTION
+    assert same.cost == pytest.approx(2.0 * length) and none.cost == pytest.approx(length)
+    assert none.impact == pytest.approx(0.0)
+    with pytest.raises(SettingError, match="impact_back"):
+        replace(made["same"], impact=None, impact_back=one)
+
+
+def test_a_lead_or_an_inflation_is_needed():
+    with pytest.raises(SettingError, match="inflations"):
+        LatticeSettings(steering=CAR, lead=0.0)
+    with pytest.raises(SettingError, match="lead"):
+        LatticeSettings(steering=CAR, lead=0.5)

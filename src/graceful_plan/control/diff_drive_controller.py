@@ -28,9 +28,7 @@ def wheel_speeds(command: DriveCommand, base: DiffDrive) -> tuple[float, float]:
 
 def body_speeds(left: float, right: float, base: DiffDrive) -> DriveCommand:
     """Return what the base does whose wheels turn at these rates [rad/s]; inverse of `wheel_speeds`."""
-    return DriveCommand(
-        0.5 * (left + right) * base.radius, 0.5 * (right - left) * base.radius / base.lever
-    )
+    return DriveCommand(0.5 * (left + right) * base.radius, 0.5 * (right - left) * base.radius / base.lever)
 
 
 def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: float) -> DriveCommand:

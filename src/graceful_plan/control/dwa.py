@@ -178,7 +178,9 @@ class DynamicWindow:
         """
         places = np.ascontiguousarray(np.asarray(path, dtype=float)[:, :2])
         if np.hypot(*(places[-1] - [state.x, state.y])) <= self.settings.tolerance and self.scene.base is not None:
-            told = limited(DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period)
+            told = limited(
+                DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period
+            )
             return Choice(told, 0.0, self.settings.near, 0.0, True, 0)
         found = self._native.choose(
             state=np.array(state, dtype=float),

@@ -413,6 +413,7 @@ class StateLattice:
         steering: Steering,
         margin: float,
         impact: NDArray[np.float32] | None,
+        impact_back: NDArray[np.float32] | None,
     ) -> None: ...
     def search(
         self,
@@ -420,6 +421,7 @@ class StateLattice:
         start: Reals,
         goal: Reals,
         w: float,
+        lead: float,
         inflations: Sequence[float],
         shots: int,
         max_expansions: int,

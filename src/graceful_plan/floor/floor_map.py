@@ -57,7 +57,7 @@ class FloorMap:
         SettingError: If a value is out of its range or an entity has no class.
     """
 
-    occupancy: Int[Array, "row column"]
+    occupancy: ArrayLike
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     entities: tuple[Solid, ...] = ()
@@ -79,7 +79,7 @@ class FloorMap:
         object.__setattr__(self, "occupancy", occupancy)
         if not (self.resolution > 0.0 and math.isfinite(self.resolution)):
             raise SettingError("resolution", self.resolution, "a finite width of a cell above 0 [m]")
-        x, y, yaw = finite_array("origin", self.origin, ndim=1, last=3).tolist()
+        x, y, yaw = finite_array("origin", np.asarray(self.origin), ndim=1, last=3).tolist()
         object.__setattr__(self, "origin", (x, y, yaw))
         object.__setattr__(self, "entities", tuple(self.entities))
         for solid in self.entities:
@@ -184,7 +184,7 @@ class FloorMap:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        rows, columns = self.occupancy.shape
+        rows, columns = np.shape(self.occupancy)
         return rows, columns
 
     @property
@@ -193,27 +193,27 @@ class FloorMap:
         rows, columns = self.shape
         return columns * self.resolution, rows * self.resolution
 
-    def on_map(self, xy: ArrayLike) -> Float[Array, "*batch 2"]:
+    def on_map(self, xy: Sequence[float] | ArrayLike) -> Float[Array, "*batch 2"]:
         """Return points of W in the frame of the map [m]."""
         x, y, yaw = self.origin
         c, s = math.cos(yaw), math.sin(yaw)
-        return (finite_array("xy", xy, last=2) - (x, y)) @ np.array([[c, -s], [s, c]])
+        return (finite_array("xy", np.asarray(xy), last=2) - (x, y)) @ np.array([[c, -s], [s, c]])
 
-    def in_world(self, xy: ArrayLike) -> Float[Array, "*batch 2"]:
+    def in_world(self, xy: Sequence[float] | ArrayLike) -> Float[Array, "*batch 2"]:
         """Return points of the map in W [m]."""
         x, y, yaw = self.origin
         c, s = math.cos(yaw), math.sin(yaw)
-        return finite_array("xy", xy, last=2) @ np.array([[c, s], [-s, c]]) + (x, y)
+        return finite_array("xy", np.asarray(xy), last=2) @ np.array([[c, s], [-s, c]]) + (x, y)
 
-    def cells(self, xy: ArrayLike) -> Int[Array, "*batch 2"]:
+    def cells(self, xy: Sequence[float] | ArrayLike) -> Int[Array, "*batch 2"]:
         """Return column and row of the cells that points of W are in; they may be off the map."""
         return np.floor(self.on_map(xy) / self.resolution).astype(int)
 
-    def centres(self, cells: ArrayLike) -> Float[Array, "*batch 2"]:
+    def centres(self, cells: Sequence[Any] | ArrayLike) -> Float[Array, "*batch 2"]:
         """Return the centres in W [m] of cells, given by column and row."""
         return self.in_world((np.asarray(cells, dtype=float) + 0.5) * self.resolution)
 
-    def clearance(self, xy: ArrayLike) -> Float[Array, "*batch"]:
+    def clearance(self, xy: Sequence[float] | ArrayLike) -> Float[Array, "*batch"]:
         """Return how far obstacles are from points of W, at least [m]; 0 off the map and on what is occupied."""
         points = self.on_map(xy)
         cells = np.floor(points / self.resolution).astype(int)
@@ -248,7 +248,7 @@ class FloorMap:
         severity: Mapping[str, Any] | str | Path | None = None,
         keyframes: Mapping[str, ArrayLike] | None = None,
     ) -> Scene:
-        """Return a scene in which a bundled robot stands on this floor; all that plans, judges and simulates works there.
+        """Return a scene in which a bundled robot stands on this floor, for all that plans, judges and simulates.
 
         Occupied cells, and a border around the map, become few boxes, entities what they are. The robot may drive
         nowhere else than on the map.

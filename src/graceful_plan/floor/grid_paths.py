@@ -1,9 +1,9 @@
 """Paths of a point over the cells of a floor map: Dijkstra, A* and Theta*, with what a metre costs in each cell.
 
 A step leads to one of eight neighbours and costs its length times one plus the mean charge of the two cells; a diagonal
-one needs both cells beside it, so that no corner is cut. Dijkstra and A* are exact; Theta* [Daniel2010] goes from cell to
-any cell in sight, at what the cells on the way cost, which is never more than over eight neighbours, and not always the
-least there is.
+one needs both cells beside it, so that no corner is cut. Dijkstra and A* are exact; Theta* [Daniel2010] goes from cell
+to any cell in sight, at what the cells on the way cost, which is never more than over eight neighbours, and not always
+the least there is.
 
 [Daniel2010] K. Daniel, A. Nash, S. Koenig, A. Felner, "Theta*: any-angle path planning on grids", JAIR 39.
 """
@@ -11,6 +11,7 @@ least there is.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import final
@@ -94,7 +95,7 @@ class FloorGrid:
             raise SettingError("FloorGrid.radius", self.radius, "a finite number >= 0")
         charge = None
         if self.charge is not None:
-            charge = np.ascontiguousarray(finite_array("charge", self.charge), dtype=np.float32)
+            charge = np.ascontiguousarray(finite_array("charge", np.asarray(self.charge)), dtype=np.float32)
             if charge.shape != self.floor.shape:
                 raise ShapeError("charge", charge.shape, str(self.floor.shape))
             if charge.min() < 0.0 or charge.max() > MOST_CHARGE:
@@ -106,7 +107,12 @@ class FloorGrid:
         object.__setattr__(self, "native", native)
 
     def path(
-        self, start: ArrayLike, goal: ArrayLike, *, method: str = "a_star", time_limit: float = math.inf
+        self,
+        start: Sequence[float] | ArrayLike,
+        goal: Sequence[float] | ArrayLike,
+        *,
+        method: str = "a_star",
+        time_limit: float = math.inf,
     ) -> GridPath:
         """Search a path between the cells that two points of W are in.
 
@@ -147,7 +153,7 @@ class FloorGrid:
             expansions=found["expansions"],
         )
 
-    def costs(self, start: ArrayLike) -> Float[Array, "row column"]:
+    def costs(self, start: Sequence[float] | ArrayLike) -> Float[Array, "row column"]:
         """Return the least costs [m] from the cell of a point of W to all cells, exactly; infinite where none leads.
 
         Raises:
@@ -159,12 +165,14 @@ class FloorGrid:
             return np.full(self.floor.shape, np.inf)
         return self.native.costs(int(cell[0]), int(cell[1]))
 
-    def _cell(self, name: str, point: ArrayLike) -> Int[Array, " 2"] | None:
+    def _cell(self, name: str, point: Sequence[float] | ArrayLike) -> Int[Array, " 2"] | None:
         """Return the cell of a point; None if it is not free."""
-        xy = finite_array(name, point, ndim=1, last=2)
+        xy = finite_array(name, np.asarray(point), ndim=1, last=2)
         column, row = self.floor.cells(xy).tolist()
         rows, columns = self.floor.shape
         if not (0 <= column < columns and 0 <= row < rows):
             return None
-        closed = self.floor.occupied[row, column] if self.radius == 0.0 else self.floor.distance[row, column] < self.radius
+        closed = (
+            self.floor.occupied[row, column] if self.radius == 0.0 else self.floor.distance[row, column] < self.radius
+        )
         return None if closed else np.array([column, row], dtype=np.int32)

@@ -52,8 +52,12 @@ class LatticeSettings:
     """A multiple of 4, from 8 on. 72: every 5 degrees, as Hybrid-A* of nav2 has."""
     margin: float = 0.0
     """What discs keep from obstacles [m], >= 0."""
-    inflations: tuple[float, ...] = (2.0,)
-    """Weights of the heuristic, one search each, >= 1: a path costs at most so many times the best on the lattice."""
+    lead: float = 1.5
+    """Weight, >= 1, of an estimate of what is left to go, for a first path soon: how far it is from the best one is not
+    known beforehand, and `bound` says so afterwards. 0: no such search."""
+    inflations: tuple[float, ...] = ()
+    """Weights of a bound of what is left, one search each, >= 1: the path costs at most so many times the best on the
+    lattice."""
     shots: int = 1
     """Curves to the goal, one every `shots` expansions per radius of distance to go; 0: none."""
     max_expansions: int = 2_000_000
@@ -65,9 +69,10 @@ class LatticeSettings:
         checks = {
             "headings": (self.headings >= 8 and self.headings % 4 == 0, "a multiple of 4, from 8 on"),
             "margin": (0.0 <= self.margin < math.inf, "a finite number >= 0"),
+            "lead": (self.lead == 0.0 or 1.0 <= self.lead < math.inf, "a finite number >= 1, or 0"),
             "inflations": (
-                bool(self.inflations) and all(1.0 <= one < math.inf for one in self.inflations),
-                "one or more finite numbers >= 1",
+                bool(self.lead or self.inflations) and all(1.0 <= one < math.inf for one in self.inflations),
+                "finite numbers >= 1, one at least without a lead",
             ),
             "shots": (self.shots >= 0, ">= 0"),
             "max_expansions": (self.max_expansions > 0, "> 0"),
@@ -92,7 +97,7 @@ class LatticePath:
     bound: float = math.inf
     """The cost is at most so many times that of the best path on the lattice."""
     first_cost: float = math.inf
-    """Cost of the path that the first inflation found."""
+    """Cost of the path that the first search found."""
     expansions: int = 0
 
 
@@ -107,7 +112,9 @@ class StateLattice:
         discs: Cover of the footprint, (x, y, radius) in the frame of the base [m].
         settings: How it is made and searched.
         origin: Pose (x, y, yaw) of the lower left corner of cell (0, 0) in the world.
-        impact: For each cell and heading k, whose yaw on the map is 2 pi k / headings, >= 0; None: 0.
+        impact: For each cell and heading k, whose yaw on the map is 2 pi k / headings, of a base that drives forward,
+            >= 0; None: 0.
+        impact_back: Likewise of one that drives backwards; None: the same as forward.
 
     Raises:
         ShapeError: If arrays do not fit each other.
@@ -121,6 +128,7 @@ class StateLattice:
     settings: LatticeSettings
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     impact: Float[Array, "row column heading"] | None = None
+    impact_back: Float[Array, "row column heading"] | None = None
     native: _native.StateLattice = field(init=False, repr=False)
     """The same in the core."""
 
@@ -137,14 +145,8 @@ class StateLattice:
             raise SettingError("StateLattice.resolution", self.resolution, "a finite number > 0")
         if not (discs[:, 2] > 0.0).all():
             raise SettingError("StateLattice.discs", float(discs[:, 2].min()), "radii > 0")
-        impact = None
-        if self.impact is not None:
-            impact = np.ascontiguousarray(finite_array("impact", self.impact), dtype=np.float32)
-            wanted = (*distance.shape, self.settings.headings)
-            if impact.shape != wanted:
-                raise ShapeError("impact", impact.shape, str(wanted))
-            if impact.min() < 0.0:
-                raise SettingError("StateLattice.impact", float(impact.min()), ">= 0")
+        if self.impact is None and self.impact_back is not None:
+            raise SettingError("StateLattice.impact", None, "an array, as `impact_back` is one")
         native = _native.StateLattice(
             distance=distance,
             resolution=self.resolution,
@@ -152,7 +154,8 @@ class StateLattice:
             headings=self.settings.headings,
             steering=self.settings.steering.native(),
             margin=self.settings.margin,
-            impact=impact,
+            impact=self._field("impact"),
+            impact_back=self._field("impact_back"),
         )
         object.__setattr__(self, "native", native)
 
@@ -180,6 +183,7 @@ class StateLattice:
             start=self._on_map(ends["start"]),
             goal=self._on_map(ends["goal"]),
             w=w,
+            lead=s.lead,
             inflations=list(s.inflations),
             shots=s.shots,
             max_expansions=s.max_expansions,
@@ -197,6 +201,18 @@ class StateLattice:
             first_cost=found["first_cost"],
             expansions=found["expansions"],
         )
+
+    def _field(self, name: str) -> Float[Array, "row column heading"] | None:
+        given = getattr(self, name)
+        if given is None:
+            return None
+        field = np.ascontiguousarray(finite_array(name, given), dtype=np.float32)
+        wanted = (*np.shape(self.distance), self.settings.headings)
+        if field.shape != wanted:
+            raise ShapeError(name, field.shape, str(wanted))
+        if field.min() < 0.0:
+            raise SettingError(f"StateLattice.{name}", float(field.min()), ">= 0")
+        return field
 
     def _on_map(self, pose: Array) -> Array:
         x, y, yaw = self.origin

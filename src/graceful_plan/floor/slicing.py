@@ -31,7 +31,7 @@ def sliced(
     Raises:
         SettingError: If a setting is out of its range, nothing is cut, or there would be too many cells.
     """
-    low, high = finite_array("heights", heights, ndim=1, last=2).tolist()
+    low, high = finite_array("heights", np.asarray(heights), ndim=1, last=2).tolist()
     if not low < high:
         raise SettingError("heights", heights, "the lower one first [m]")
     if not 0.0 < resolution < np.inf:
@@ -52,13 +52,18 @@ def sliced(
     for geom, box in cut.items():
         first = np.maximum(np.floor((box[0, :2] - corner) / resolution).astype(int), 0)
         last = np.minimum(np.ceil((box[1, :2] - corner) / resolution).astype(int), (columns, rows))
-        for row in range(first[1], last[1]):
-            for column in range(first[0], last[0]):
-                if not occupied[row, column]:
-                    data.geom_xpos[probe, :2] = corner + (np.array([column, row]) + 0.5) * resolution
-                    data.geom_xpos[probe, 2] = 0.5 * (low + high)
-                    # Touching is standing there.
-                    occupied[row, column] = mujoco.mj_geomDistance(model, data, probe, geom, 1.0, None) <= 0.0
+        if (first >= last).any():
+            continue
+        part = occupied[first[1] : last[1], first[0] : last[0]]
+        middle = corner + (np.stack(np.meshgrid(*map(np.arange, first, last)), axis=-1) + 0.5) * resolution
+        upright = _upright(model, data, geom, middle, 0.5 * resolution - 1e-6)
+        if upright is not None:
+            part |= upright
+            continue
+        for row, column in np.argwhere(~part):
+            data.geom_xpos[probe] = [*middle[row, column], 0.5 * (low + high)]
+            # Touching is standing there.
+            part[row, column] = mujoco.mj_geomDistance(model, data, probe, geom, 1.0, None) <= 0.0
     return occupied, (float(corner[0]), float(corner[1]))
 
 
@@ -77,6 +82,23 @@ def _with_probe(scene: Scene, resolution: float, height: float) -> tuple[mujoco.
     probe = names.index(_PROBE)
     assert probe == model.ngeom - 1
     return model, data, probe
+
+
+def _upright(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, middle: Float[Array, "row column 2"], half: float
+) -> Bool[Array, "row column"] | None:
+    """Tell which cells an upright box or cylinder touches, all at once; None for other geoms."""
+    R, kind = data.geom_xmat[geom].reshape(3, 3), model.geom_type[geom]
+    if abs(R[2, 2]) < 1.0 - 1e-12 or kind not in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER):
+        return None
+    away = middle - data.geom_xpos[geom, :2]
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return np.linalg.norm(np.maximum(np.abs(away) - half, 0.0), axis=-1) <= model.geom_size[geom, 0]
+    # Two rectangles are apart if they are along a side of one of them.
+    turn, size = R[:2, :2], model.geom_size[geom, :2]
+    mine = np.abs(away @ turn) <= size + half * np.abs(turn).sum(axis=0)
+    cell = np.abs(away) <= np.abs(turn) @ size + half
+    return (mine & cell).all(axis=-1)
 
 
 def _extent(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Float[Array, "2 3"]:
@@ -102,5 +124,7 @@ def _area(
         high = np.max([box[1, :2] for box in cut.values()], axis=0) + _AROUND * resolution
     counts = np.maximum(np.ceil((high - low) / resolution - 1e-9), 1.0)
     if counts.prod() > most_cells:
-        raise SettingError("resolution", resolution, f"wider cells: these are {counts.prod():.3g}, at most {most_cells}")
+        raise SettingError(
+            "resolution", resolution, f"wider cells: these are {counts.prod():.3g}, at most {most_cells}"
+        )
     return low, (int(counts[0]), int(counts[1]))

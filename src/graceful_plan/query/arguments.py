@@ -13,6 +13,7 @@ from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.verification import Verification
 from graceful_plan.planners import PLANNERS, Auto, Planner
+from graceful_plan.planners.driving import DRIVING
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.scene.scene import Scene
 
@@ -28,9 +29,10 @@ def checked_planner(planner: object) -> Planner:
         raise SettingError("planner", planner.__name__, f"an instance: {planner.__name__}()")
     if not isinstance(planner, str):
         raise SettingError("planner", planner, "a name or a Planner")
-    if planner not in PLANNERS:
-        raise UnknownNameError("planner", planner, PLANNERS)
-    return PLANNERS[planner]()
+    known = {**PLANNERS, **DRIVING}
+    if planner not in known:
+        raise UnknownNameError("planner", planner, known)
+    return known[planner]()
 
 
 def driving_planner(planner: Planner, scene: Scene) -> Planner:
@@ -39,12 +41,14 @@ def driving_planner(planner: Planner, scene: Scene) -> Planner:
     Raises:
         SettingError: If it is one that does not, or one for bases and the robot has none.
     """
-    if isinstance(planner, DriveLattice) and scene.base is None:
+    drives = isinstance(planner, tuple(DRIVING.values()))
+    if drives and scene.base is None:
         raise SettingError("planner", planner.name, "a planner for arms: this robot has no DiffDrive")
-    if scene.base is None or isinstance(planner, DriveLattice):
+    if scene.base is None or drives:
         return planner
     if planner != Auto():
-        raise SettingError("planner", planner.name, "'auto' or a DriveLattice: this one does not know how a base rolls")
+        names = ", ".join(sorted(DRIVING))
+        raise SettingError("planner", planner.name, f"'auto' or one that knows how a base rolls: {names}")
     return DriveLattice()
 
 

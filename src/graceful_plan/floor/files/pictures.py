@@ -81,12 +81,13 @@ def _read_pgm(file: Path, head: bytes, most_pixels: int) -> GreyPicture:
     grey = found[: width * height].reshape(height, width)
     if grey.max() > most:
         raise FormatError(str(file), f"a pixel of {int(grey.max())} is above the greatest value {most}")
-    return GreyPicture(grey.astype(np.int32), most)
+    return GreyPicture(grey, most)
 
 
 def _binary(content: bytes, most: int) -> Int[Array, " pixel"]:
     kind = np.dtype(np.uint8) if most < 256 else np.dtype(">u2")
-    return np.frombuffer(content[: len(content) - len(content) % kind.itemsize], dtype=kind)
+    whole = content[: len(content) - len(content) % kind.itemsize]
+    return np.frombuffer(whole, dtype=kind).astype(np.int32)
 
 
 def _plain(file: Path, content: bytes) -> Int[Array, " pixel"]:

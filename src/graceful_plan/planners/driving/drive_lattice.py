@@ -13,23 +13,16 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Float
 from graceful_plan.core import _native
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.driving.postures import postures
 from graceful_plan.planners.native import native_space, run_slice
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import count, positive
 from graceful_plan.planners.trivial import stays_at_goal
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-
-Array = np.ndarray
-
-_BASE = 3
-"""Joints of the base: along x, along y, heading."""
-_MOST_ARMS = 2
-"""Postures of goals that are taken before the base moves."""
 
 
 @final
@@ -84,7 +77,7 @@ class DriveLattice(Planner):
         # A shortest path first: where impact decides, a search that looks at it everywhere takes its time.
         searches = [(self.cells[0], short), *((cell, objective) for cell in self.cells)]
         for cell, charged in searches if objective.w > 0.0 else searches[1:]:
-            for begin in _postures(problem):
+            for begin in postures(problem):
                 for path in self._searched(begin, cell, base, (problem, charged, budget)):
                     if (total := path_total(objective, path)) < best:
                         best = total
@@ -111,21 +104,3 @@ class DriveLattice(Planner):
             if not found:
                 return
             yield Path(np.concatenate([begin.q[:-1], lattice.path])).without_duplicates()
-
-
-def _postures(problem: Problem) -> list[Path]:
-    """Return what to begin with: nothing, or moving the arm to where it has to be at a goal."""
-    start = problem.start
-    begins = [Path(start[None])]
-    arms, first = np.unique(problem.goals[:, _BASE:], axis=0, return_index=True)
-    others = np.any(arms != start[_BASE:], axis=1)
-    # The first goals are those that are wanted most.
-    for arm in arms[others][np.argsort(first[others])][:_MOST_ARMS] if arms.shape[1] else ():
-        moved = _with_arm(start, arm)
-        if problem.edges_free(start[None], moved[None])[0]:
-            begins.append(Path(np.stack([start, moved])))
-    return begins
-
-
-def _with_arm(q: Float[Array, " nq"], arm: Float[Array, " arm"]) -> Float[Array, " nq"]:
-    return np.concatenate([q[:_BASE], arm])

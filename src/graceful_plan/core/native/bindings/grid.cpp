@@ -101,8 +101,9 @@ class BoundGrid {
   static grid::GridMap made(const Bytes& closed, double resolution, const std::optional<Floats>& charge) {
     require_cells(closed);
     require(in_range(resolution, 1e-6, 1e6), "resolution");
-    require(!charge || (charge->ndim() == 2 && charge->shape(0) == closed.shape(0) && charge->shape(1) == closed.shape(1)),
-            "charge");
+    require(
+        !charge || (charge->ndim() == 2 && charge->shape(0) == closed.shape(0) && charge->shape(1) == closed.shape(1)),
+        "charge");
     for (size_t i = 0; charge && i < charge->size(); ++i) require(in_range(charge->data()[i], 0, 1e12), "charge");
     nb::gil_scoped_release released;
     return {closed.data(), charge ? charge->data() : nullptr, int(closed.shape(0)), int(closed.shape(1)), resolution};

@@ -91,19 +91,21 @@ Out<double> along(const Steering& steering, Reals from, Reals pieces, Reals s) {
 class BoundLattice {
  public:
   BoundLattice(Floats distance, double resolution, Reals discs, int headings, const Steering& steering, double margin,
-               std::optional<Floats> impact)
+               std::optional<Floats> impact, std::optional<Floats> impact_back)
       : distance_(std::move(distance)),
         impact_(std::move(impact)),
+        impact_back_(std::move(impact_back)),
         lattice_(floor(resolution, headings), settings(resolution, discs, headings, steering, margin)) {}
 
-  nb::dict search(Reals start, Reals goal, double w, std::vector<double> inflations, int shots, int64_t max_expansions,
-                  double time_limit) const {
+  nb::dict search(Reals start, Reals goal, double w, double lead, std::vector<double> inflations, int shots,
+                  int64_t max_expansions, double time_limit) const {
     require_numbers(start, 3, "start", kMaxExtent), require_numbers(goal, 3, "goal", kMaxExtent);
     require(in_range(w, 0) && shots >= 0 && max_expansions > 0 && time_limit > 0, "settings of a search");
-    require(!inflations.empty(), "inflations");
+    require(lead == 0.0 || in_range(lead, 1), "lead");
+    require(lead > 0.0 || !inflations.empty(), "inflations");
     for (double one : inflations) require(in_range(one, 1), "inflations");
     const lattice::Question question{
-        pose_of(start.data()), pose_of(goal.data()), w, std::move(inflations), shots, max_expansions, time_limit};
+        pose_of(start.data()), pose_of(goal.data()), w, lead, std::move(inflations), shots, max_expansions, time_limit};
     lattice::Answer answer;
     {
       nb::gil_scoped_release released;
@@ -139,11 +141,17 @@ class BoundLattice {
     require(rows > 0 && columns > 0 && rows * columns <= kMaxCells, "cells of a floor");
     require(in_range(resolution, 1e-3, 100), "resolution");
     for (size_t i = 0; i < distance_.size(); ++i) require(!std::isnan(distance_.data()[i]), "distance");
-    for (size_t i = 0; impact_ && i < impact_->size(); ++i) require(in_range(impact_->data()[i], 0), "impact");
-    require(!impact_ || (impact_->ndim() == 3 && impact_->shape(0) == rows && impact_->shape(1) == columns &&
-                         impact_->shape(2) == size_t(headings)),
-            "impact");
-    return {int(columns), int(rows), resolution, distance_.data(), impact_ ? impact_->data() : nullptr};
+    for (const auto* impact : {&impact_, &impact_back_}) {
+      if (!*impact) continue;
+      const Floats& field = **impact;
+      require(field.ndim() == 3 && field.shape(0) == rows && field.shape(1) == columns &&
+                  field.shape(2) == size_t(headings),
+              "impact");
+      for (size_t i = 0; i < field.size(); ++i) require(in_range(field.data()[i], 0), "impact");
+    }
+    require(impact_ || !impact_back_, "impact");
+    const float* ahead = impact_ ? impact_->data() : nullptr;
+    return {int(columns), int(rows), resolution, distance_.data(), ahead, impact_back_ ? impact_back_->data() : ahead};
   }
   static lattice::LatticeSettings settings(double resolution, const Reals& discs, int headings,
                                            const Steering& steering, double margin) {
@@ -164,7 +172,7 @@ class BoundLattice {
   static constexpr double kMaxReach = 1000;  // of a footprint or of a curve, in cells
 
   Floats distance_;
-  std::optional<Floats> impact_;
+  std::optional<Floats> impact_, impact_back_;
   int headings_ = 0;
   lattice::StateLattice lattice_;
 };
@@ -183,10 +191,12 @@ void bind_lattice(nb::module_& m) {
       .def("curves", &curves, "start"_a, "goal"_a)
       .def("along", &along, "start"_a, "pieces"_a, "s"_a);
   nb::class_<BoundLattice>(m, "StateLattice")
-      .def(nb::init<Floats, double, Reals, int, const Steering&, double, std::optional<Floats>>(), nb::kw_only(),
-           "distance"_a, "resolution"_a, "discs"_a, "headings"_a, "steering"_a, "margin"_a, "impact"_a.none())
-      .def("search", &BoundLattice::search, nb::kw_only(), "start"_a, "goal"_a, "w"_a, "inflations"_a, "shots"_a,
-           "max_expansions"_a, "time_limit"_a)
+      .def(
+          nb::init<Floats, double, Reals, int, const Steering&, double, std::optional<Floats>, std::optional<Floats>>(),
+          nb::kw_only(), "distance"_a, "resolution"_a, "discs"_a, "headings"_a, "steering"_a, "margin"_a,
+          "impact"_a.none(), "impact_back"_a.none())
+      .def("search", &BoundLattice::search, nb::kw_only(), "start"_a, "goal"_a, "w"_a, "lead"_a, "inflations"_a,
+           "shots"_a, "max_expansions"_a, "time_limit"_a)
       .def("moves", &BoundLattice::moves)
       .def("chain", &BoundLattice::chain);
 }

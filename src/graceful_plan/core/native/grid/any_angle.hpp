@@ -1,14 +1,15 @@
-// Theta*: A* over cells whose parents may be any cell in sight (K. Daniel, A. Nash, S. Koenig, A. Felner, "Theta*: any-angle
-// path planning on grids", JAIR 39, 2010), here with what cells cost along the way; then vertices are left out where that
-// costs less. Not exact: a path costs at most what the least one over eight neighbours does, which is searched as well.
+// Theta*: A* over cells whose parents may be any cell in sight (K. Daniel, A. Nash, S. Koenig, A. Felner, "Theta*:
+// any-angle path planning on grids", JAIR 39, 2010), here with what cells cost along the way; then vertices are left
+// out where that costs less. Not exact: a path costs at most what the least one over eight neighbours does, which is
+// searched as well.
 #pragma once
 
 #include "grid/grid_search.hpp"
 
 namespace gp::grid {
 
-// What the straight way between the centres of two cells costs; infinite if it touches a cell that is closed, or once it
-// is `most`. Where it passes a corner exactly, both cells beside it have to be free.
+// What the straight way between the centres of two cells costs; infinite if it touches a cell that is closed, or once
+// it is `most`. Where it passes a corner exactly, both cells beside it have to be free.
 inline double straight_cost(const GridMap& map, size_t from, size_t to, double most) {
   int x = map.x(from), y = map.y(from);
   const int64_t nx = std::abs(map.x(to) - x), ny = std::abs(map.y(to) - y);
@@ -21,7 +22,8 @@ inline double straight_cost(const GridMap& map, size_t from, size_t to, double m
     // Borders are crossed at (2 i + 1) / (2 nx) and (2 j + 1) / (2 ny) of the way.
     const int64_t across = (2 * i + 1) * ny, along = (2 * j + 1) * nx;
     const bool right = j >= ny || (i < nx && across <= along), up = i >= nx || (j < ny && along <= across);
-    const double end = right ? (2.0 * double(i) + 1.0) / (2.0 * double(nx)) : (2.0 * double(j) + 1.0) / (2.0 * double(ny));
+    const double end =
+        right ? (2.0 * double(i) + 1.0) / (2.0 * double(nx)) : (2.0 * double(j) + 1.0) / (2.0 * double(ny));
     sum += (end - begin) * length * double(map.half()[at]);
     begin = end;
     if (right && up && !(map.free(size_t(at + sx)) && map.free(size_t(at + sy)))) return kInfinity;

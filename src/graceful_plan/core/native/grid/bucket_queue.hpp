@@ -1,8 +1,9 @@
-// A queue of cells by cost, for searches whose edges cost at least one width: cells of one bucket come in any order, for
-// none of them can make another cheaper (E. Dinic's observation on R. Dial, "Shortest-path forest with topological
+// A queue of cells by cost, for searches whose edges cost at least one width: cells of one bucket come in any order,
+// for none of them can make another cheaper (E. Dinic's observation on R. Dial, "Shortest-path forest with topological
 // ordering", CACM 12, 1969). Costs far ahead wait in one heap of leftovers until their turn comes.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <limits>
@@ -74,6 +75,36 @@ class BucketQueue {
   size_t size_ = 0;
   std::array<std::vector<uint32_t>, kRing> ring_;
   std::vector<Later> later_;
+};
+
+// The same by exact costs, one after the other, for searches whose edges may add next to nothing to a bound.
+class HeapQueue {
+ public:
+  void push(double cost, uint32_t item) {
+    heap_.push_back({cost, item});
+    std::push_heap(heap_.begin(), heap_.end(), later);
+  }
+  bool empty() const { return heap_.empty(); }
+  double floor() const { return heap_.front().cost; }
+  void advance() { taken_ = false; }
+  bool more() const { return !taken_; }
+  uint32_t pop() {
+    const uint32_t item = heap_.front().item;
+    std::pop_heap(heap_.begin(), heap_.end(), later);
+    heap_.pop_back();
+    taken_ = true;
+    return item;
+  }
+
+ private:
+  struct Entry {
+    double cost;
+    uint32_t item;
+  };
+  static bool later(const Entry& a, const Entry& b) { return a.cost > b.cost || (a.cost == b.cost && a.item > b.item); }
+
+  std::vector<Entry> heap_;
+  bool taken_ = true;
 };
 
 }  // namespace gp::grid

@@ -1,6 +1,7 @@
 // Exact distances from the centres of cells to the next obstacle, which is a union of squares: by columns, then by rows
-// as the lower envelope of parabolas (A. Meijster, J. Roerdink, W. Hesselink, "A general algorithm for computing distance
-// transforms in linear time", 2000; P. Felzenszwalb, D. Huttenlocher, "Distance transforms of sampled functions", 2012).
+// as the lower envelope of parabolas (A. Meijster, J. Roerdink, W. Hesselink, "A general algorithm for computing
+// distance transforms in linear time", 2000; P. Felzenszwalb, D. Huttenlocher, "Distance transforms of sampled
+// functions", 2012).
 //
 // A square's side is half a cell nearer than its centre. Seen from a cell in another column the nearest point of a
 // column of squares lies on the border of the column, so that the envelope is one of parabolas at borders.
@@ -28,7 +29,11 @@ class DistanceField {
   static constexpr float kNone = std::numeric_limits<float>::infinity();
 
   DistanceField(int columns, bool outside)
-      : n_(columns), outside_(outside), at_(size_t(columns) + 1), from_(size_t(columns) + 2), height_(size_t(columns) + 1),
+      : n_(columns),
+        outside_(outside),
+        at_(size_t(columns) + 1),
+        from_(size_t(columns) + 2),
+        height_(size_t(columns) + 1),
         inverse_(size_t(columns) + 1) {
     for (int k = 1; k <= columns; ++k) inverse_[size_t(k)] = 0.5 / k;
   }
@@ -51,7 +56,9 @@ class DistanceField {
 
   void by_row(float* row, double resolution) {
     // Height of the parabola at the border before column j: the lower of both columns beside it.
-    const auto squared = [&](int x) { return x < 0 || x >= n_ ? (outside_ ? 0.0 : double(kNone)) : double(row[x]) * row[x]; };
+    const auto squared = [&](int x) {
+      return x < 0 || x >= n_ ? (outside_ ? 0.0 : double(kNone)) : double(row[x]) * row[x];
+    };
     int top = -1;
     double before = squared(-1);
     for (int j = 0; j <= n_; ++j) {

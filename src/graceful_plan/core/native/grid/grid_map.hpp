@@ -20,8 +20,8 @@ class GridMap {
   static constexpr int kSteps = 8;
 
   // `charge`: what a metre costs besides, at least 0, or none.
-  GridMap(const uint8_t* closed, const float* charge, int rows, int columns, double resolution)
-      : rows_(rows), columns_(columns), stride_(columns + 2), resolution_(resolution) {
+  GridMap(const uint8_t* closed, const float* charge, int rows, int columns, double resolution, bool cuts = false)
+      : rows_(rows), columns_(columns), stride_(columns + 2), resolution_(resolution), charged_(charge != nullptr) {
     const size_t n = size_t(rows + 2) * size_t(stride_);
     std::vector<uint8_t> free(n, 0);
     half_.assign(n, 0.0F), steps_.assign(n, 0);
@@ -43,7 +43,7 @@ class GridMap {
         const auto open = [&](int dx, int dy) { return free[at + size_t(dy * stride_ + dx)] != 0; };
         for (int k = 0; k < kSteps; ++k) {
           const int dx = kDx[k], dy = kDy[k];
-          const bool ok = open(dx, dy) && (dx == 0 || dy == 0 || (open(dx, 0) && open(0, dy)));
+          const bool ok = open(dx, dy) && (cuts || dx == 0 || dy == 0 || (open(dx, 0) && open(0, dy)));
           steps_[at] = uint8_t(steps_[at] | (ok ? 1 << k : 0));
         }
       }
@@ -65,6 +65,8 @@ class GridMap {
   const float* half() const { return half_.data(); }
   const std::vector<uint8_t>& steps() const { return steps_; }
   const std::ptrdiff_t* by() const { return by_.data(); }
+  // Whether a metre costs more in some cells than in others.
+  bool charged() const { return charged_; }
   // What a step costs at least.
   double least() const { return least_; }
 
@@ -74,6 +76,7 @@ class GridMap {
  private:
   int rows_, columns_, stride_;
   double resolution_, least_ = 0.0;
+  bool charged_;
   std::vector<uint8_t> free_, steps_;
   std::vector<float> half_;
   std::array<std::ptrdiff_t, kSteps> by_{};

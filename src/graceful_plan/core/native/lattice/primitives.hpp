@@ -31,6 +31,7 @@ struct Stay {
   Cell cell;
   int heading;
   double length;
+  bool back;
 };
 
 struct Move {
@@ -164,7 +165,8 @@ class Primitives {
         if (const Cell cell = cell_at(pose.x, pose.y, s_.resolution); cell != passed.back()) passed.push_back(cell);
         if (k == n) break;
         const Pose middle = moved(at, piece, (k + 0.5) / n);
-        stay({cell_at(middle.x, middle.y, s_.resolution), nearest(middle.yaw), length}, &move.stays);
+        stay({cell_at(middle.x, middle.y, s_.resolution), nearest(middle.yaw), length, piece.length < 0.0},
+             &move.stays);
       }
       at = moved(at, piece, 1.0);
     }
@@ -187,7 +189,8 @@ class Primitives {
     }
   }
   static void stay(const Stay& next, std::vector<Stay>* stays) {
-    if (!stays->empty() && stays->back().cell == next.cell && stays->back().heading == next.heading) {
+    if (!stays->empty() && stays->back().cell == next.cell && stays->back().heading == next.heading &&
+        stays->back().back == next.back) {
       stays->back().length += next.length;
     } else {
       stays->push_back(next);

@@ -8,37 +8,59 @@ namespace gp::lattice {
 class StateLattice::Search {
  public:
   Search(const StateLattice& of, const Question& question)
-      : of_(of), q_(question), least_(weighted()), to_go_(of.floor_, of.inner_, least_) {}
+      : of_(of), q_(question), bound_(costs(*of.bound_)), lead_(costs(*of.lead_)) {}
 
   Answer run() {
     if (!of_.free_at(q_.start, 0.0)) return ended(Outcome::start_blocked);
     if (!of_.free_at(q_.goal, 0.0)) return ended(Outcome::goal_blocked);
     if (q_.shots > 0) try_shot(q_.start, -1, 0.0);
-    const auto out_of_time = [this] { return late(); };
-    if (!to_go_.flood(cell(q_.start), cell(q_.goal), 10.0 * of_.s_.resolution, out_of_time)) {
-      return ended(cost_ < kInfinity ? Outcome::solved : late() ? Outcome::stopped : Outcome::no_path);
-    }
-    ends();
-    const double lower = std::max(bound_at(cell(q_.start), q_.start), 1e-9);
     Outcome outcome = Outcome::no_path;
+    if (q_.lead > 0.0) {
+      if (!flooded(&lead_, 1.0)) return ended(late() ? Outcome::stopped : Outcome::no_path);
+      ends();
+      to_go_ = &lead_, estimates_ = true;
+      // Where it is lost for long it trusts the estimate more.
+      double lead = q_.lead;
+      for (int64_t most = kLost; (outcome = pass(lead, most)) == Outcome::no_path && given_up_; most *= 4) lead *= 2.0;
+      estimates_ = false;
+      answer_.first_cost = cost_, answer_.first_expansions = answer_.expansions;
+      if (outcome == Outcome::no_path) return ended(outcome);
+    }
+    if (outcome != Outcome::stopped || cost_ < kInfinity) outcome = better(outcome);
+    return ended(cost_ < kInfinity ? Outcome::solved : outcome);
+  }
+
+ private:
+  CostToGo costs(const Guide& guide) const {
+    return {guide, of_.floor_.impact ? q_.w : 0.0, of_.s_.steering.reverse ? of_.s_.steering.penalty : kInfinity};
+  }
+  bool flooded(CostToGo* costs, double share) {
+    const auto out_of_time = [this] { return late(); };
+    return costs->flood(cell(q_.start), cell(q_.goal), share, 10.0 * of_.s_.resolution, out_of_time);
+  }
+  // Searches led by the bound, and how far what was found is from it.
+  Outcome better(Outcome outcome) {
+    if (outcome == Outcome::stopped) return outcome;
+    // Without searches to come, what is left at the start is all that is asked for.
+    if (!flooded(&bound_, q_.inflations.empty() ? 1.0 : 1.1)) return late() ? Outcome::stopped : Outcome::no_path;
+    if (q_.lead == 0.0) ends();
+    to_go_ = &bound_;
+    const double lower = std::max(bound_at(cell(q_.start), q_.start), 1e-9);
     for (const double inflation : q_.inflations) {
+      if (cost_ <= lower * (1.0 + 1e-12)) break;
       outcome = pass(inflation);
       if (outcome == Outcome::stopped) break;
-      if (cost_ == kInfinity) return ended(Outcome::no_path);
-      answer_.bound = std::max(1.0, std::min({answer_.bound, inflation, cost_ / lower}));
+      if (cost_ == kInfinity) return Outcome::no_path;
+      answer_.bound = std::max(1.0, std::min(answer_.bound, inflation));
       if (answer_.first_cost == kInfinity) {
         answer_.first_cost = cost_, answer_.first_expansions = answer_.expansions;
       }
       if (answer_.bound <= 1.0 + 1e-12) break;
     }
-    if (cost_ < kInfinity) {
-      answer_.bound = std::max(1.0, std::min(answer_.bound, cost_ / lower));
-      return ended(Outcome::solved);
-    }
-    return ended(outcome);
+    if (cost_ < kInfinity) answer_.bound = std::max(1.0, std::min(answer_.bound, cost_ / lower));
+    return outcome;
   }
 
- private:
   struct Node {
     double g;
     float h;
@@ -55,20 +77,12 @@ class StateLattice::Search {
     Curve curve;
     double cost, impact;
   };
-  static constexpr int64_t kClockEvery = 2048;
+  static constexpr int64_t kClockEvery = 2048, kLost = 2048;
   static constexpr double kSame = 1e-9;  // [m]: rounding
 
   static bool later(const Entry& a, const Entry& b) {
     if (a.f != b.f) return a.f > b.f;
     return a.g != b.g ? a.g < b.g : a.node > b.node;
-  }
-  std::vector<float> weighted() const {
-    std::vector<float> least;
-    if (q_.w > 0.0 && of_.floor_.impact) {
-      least.reserve(of_.least_.size());
-      for (const float low : of_.least_) least.push_back(float(q_.w) * low);
-    }
-    return least;
   }
   Answer ended(Outcome outcome) {
     answer_.outcome = outcome, answer_.cost = cost_;
@@ -85,7 +99,7 @@ class StateLattice::Search {
   }
   // From below, of what it costs to get to the goal; a cell less, for the ways from its cell's centre to the goal.
   double bound_at(const Cell& at, const Pose& pose) const {
-    const double over_cells = to_go_.at(at) / of_.chain_ - 1.5 * of_.s_.resolution;
+    const double over_cells = estimates_ ? to_go_->at(at) : to_go_->at(at) / of_.chain_ - 1.5 * of_.s_.resolution;
     return std::max(over_cells, of_.s_.steering.bound(pose, q_.goal));
   }
 
@@ -130,12 +144,13 @@ class StateLattice::Search {
   }
 
   // Where the heuristic is not inflated, states are opened again: the bound of the impact may fall by more than a move.
-  bool settled(const Node& node) const { return node.closed && inflation_ > 1.0; }
+  bool settled(const Node& node) const { return node.closed && (estimates_ || inflation_ > 1.0); }
 
-  Outcome pass(double inflation) {
+  Outcome pass(double inflation, int64_t most = std::numeric_limits<int64_t>::max()) {
     nodes_.clear(), open_.clear();
     table_.assign(size_t(1) << 12, -1);
-    inflation_ = inflation;
+    inflation_ = inflation, given_up_ = false;
+    const int64_t last = answer_.expansions + std::min(most, q_.max_expansions);
     int until = 1;
     for (size_t i = 0; i < from_start_.size(); ++i) reach(from_start_[i].key, from_start_[i].cost, -1, int(i));
     while (!open_.empty()) {
@@ -147,6 +162,10 @@ class StateLattice::Search {
       if (node.closed || top.g > node.g) continue;
       node.closed = true;
       if (answer_.expansions >= q_.max_expansions) return Outcome::stopped;
+      if (answer_.expansions >= last && cost_ == kInfinity) {
+        given_up_ = true;
+        return Outcome::no_path;
+      }
       if (++answer_.expansions % kClockEvery == 0 && late()) return Outcome::stopped;
       const auto [c, heading] = state(node.key);
       if (const auto found = goal_of_.find(node.key); found != goal_of_.end()) {
@@ -252,8 +271,9 @@ class StateLattice::Search {
   const StateLattice& of_;
   const Question& q_;
   std::chrono::steady_clock::time_point began_ = std::chrono::steady_clock::now();
-  std::vector<float> least_;
-  CostToGo to_go_;
+  CostToGo bound_, lead_;
+  CostToGo* to_go_ = nullptr;
+  bool estimates_ = false, given_up_ = false;
   std::vector<Node> nodes_;
   std::vector<Entry> open_;
   std::vector<int> table_;

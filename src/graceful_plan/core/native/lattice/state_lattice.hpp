@@ -5,6 +5,7 @@
 #pragma once
 
 #include <chrono>
+#include <memory>
 #include <unordered_map>
 
 #include "lattice/floor_field.hpp"
@@ -16,7 +17,8 @@ enum class Outcome { solved, no_path, stopped, start_blocked, goal_blocked };
 struct Question {
   Pose start, goal;  // in the frame of the map
   double w;
-  std::vector<double> inflations;  // of the heuristic, the last one counts longest; at least 1
+  double lead;                     // of an estimate, for a first path soon; 0: no such search
+  std::vector<double> inflations;  // of the bound, one search after the other; at least 1
   int shots;                       // curves to the goal: after how many expansions per radius of distance; 0: none
   int64_t max_expansions;
   double time_limit;  // [s]
@@ -35,14 +37,12 @@ class StateLattice {
  public:
   StateLattice(const Floor& floor, const LatticeSettings& settings)
       : floor_(floor), s_(settings), moves_(settings), chain_(moves_.chain()) {
-    double inner = 0.0;
-    for (const Disc& disc : s_.discs) inner = std::max(inner, disc.radius - std::hypot(disc.x, disc.y));
-    // What a check along a move may let pass, seen from the centre of the base's cell.
-    inner_ = inner + s_.margin - std::sqrt(2.0) * s_.resolution;
     close_in();
     pad();
     flatten();
-    if (floor_.impact) lower();
+    const double least = inner();
+    bound_ = std::make_unique<Guide>(Guide::bound(floor_, least, s_.headings));
+    lead_ = std::make_unique<Guide>(Guide::estimate(floor_, least, room(), s_.headings));
   }
   StateLattice(const StateLattice&) = delete;
   StateLattice& operator=(const StateLattice&) = delete;
@@ -114,29 +114,47 @@ class StateLattice {
     }
     first_.push_back(int(flat_.size()));
   }
-  // Least impact over headings, and over the neighbours of a cell: a chain of cells is beside the curve by up to one.
-  void lower() {
-    const size_t n = size_t(floor_.rows) * size_t(floor_.columns);
-    std::vector<float> own(n), rows(n);
-    for (size_t k = 0; k < n; ++k) {
-      const float* of = floor_.impact + k * size_t(s_.headings);
-      own[k] = *std::min_element(of, of + s_.headings);
-    }
-    least_.resize(n);
-    const auto spread = [&](const std::vector<float>& from, std::vector<float>* to, int dx, int dy) {
-      for (int y = 0; y < floor_.rows; ++y) {
-        for (int x = 0; x < floor_.columns; ++x) {
-          float low = from[floor_.index({x, y})];
-          for (const int side : {-1, 1}) {
-            const Cell next{x + side * dx, y + side * dy};
-            if (floor_.holds(next)) low = std::min(low, from[floor_.index(next)]);
-          }
-          (*to)[floor_.index({x, y})] = low;
-        }
+  // How far the next obstacle is from the centre of a cell that the base may be in. The footprint holds a disc around
+  // the base, which no obstacle is in: at the least over directions, the farthest that a disc of the cover reaches.
+  double inner() const {
+    double least = kInfinity;
+    constexpr int kDirections = 720;
+    for (int k = 0; k < kDirections; ++k) {
+      const double c = std::cos(2.0 * kPi * k / kDirections), s = std::sin(2.0 * kPi * k / kDirections);
+      double most = 0.0;
+      for (const Disc& disc : s_.discs) {
+        const double along = c * disc.x + s * disc.y, aside = c * disc.y - s * disc.x, r = disc.radius + s_.margin;
+        // A disc that the base is in, so that all between is in it too.
+        if (std::hypot(disc.x, disc.y) < r) most = std::max(most, along + std::sqrt(r * r - aside * aside));
       }
-    };
-    spread(own, &rows, 1, 0);
-    spread(rows, &least_, 0, 1);
+      least = std::min(least, most);
+    }
+    // Between two directions a border may be nearer by what it is apart there.
+    least *= std::cos(kPi / kDirections) * (1.0 - kPi / kDirections);
+    // Sampled distances of any set change by no more than cells are apart. Of numbers that do, anything may be.
+    return is_distance() ? least - 0.5 * std::sqrt(2.0) * s_.resolution - 1e-6 : lax();
+  }
+  // What the widest disc needs where it is checked, off the middle of its cell and between two checks.
+  double room() const {
+    double most = 0.0;
+    for (const Disc& disc : s_.discs) most = std::max(most, disc.radius);
+    return most + s_.margin + 0.75 * s_.resolution;
+  }
+  double lax() const {
+    double inner = 0.0;
+    for (const Disc& disc : s_.discs) inner = std::max(inner, disc.radius - std::hypot(disc.x, disc.y));
+    return inner + s_.margin - std::sqrt(2.0) * s_.resolution;
+  }
+  bool is_distance() const {
+    const float most = float(s_.resolution * 1.0001);
+    for (int y = 0; y < floor_.rows; ++y) {
+      for (int x = 0; x < floor_.columns; ++x) {
+        const float here = floor_.distance[floor_.index({x, y})];
+        if (x > 0 && std::abs(here - floor_.distance[floor_.index({x - 1, y})]) > most) return false;
+        if (y > 0 && std::abs(here - floor_.distance[floor_.index({x, y - 1})]) > most) return false;
+      }
+    }
+    return true;
   }
 
   bool free_at(const Pose& pose, double slack) const {
@@ -162,12 +180,12 @@ class StateLattice {
     double sum = 0.0;
     for (int k = move.first_stay; k < move.first_stay + move.n_stay; ++k) {
       const Stay& stay = stays_[size_t(k)];
-      sum += stay.length * impact_at({cell.x + stay.cell.x, cell.y + stay.cell.y}, stay.heading);
+      sum += stay.length * impact_at({cell.x + stay.cell.x, cell.y + stay.cell.y}, stay.heading, stay.back);
     }
     return sum;
   }
-  double impact_at(const Cell& cell, int heading) const {
-    return floor_.impact[floor_.index(cell) * size_t(s_.headings) + size_t(heading)];
+  double impact_at(const Cell& cell, int heading, bool back) const {
+    return (back ? floor_.impact_back : floor_.impact)[floor_.index(cell) * size_t(s_.headings) + size_t(heading)];
   }
   // Whether a curve is free, and the integral of the impact along it.
   bool curve_free(Pose at, const Curve& curve, double* impact) const {
@@ -179,7 +197,8 @@ class StateLattice {
       for (int k = 0; k < n; ++k) {
         const Pose pose = moved(at, piece, (k + 0.5) / n);  // what is between is within half a step
         if (!free_at(pose, 0.5 * step)) return false;
-        if (floor_.impact) *impact += length * impact_at(floor_.cell(pose.x, pose.y), moves_.nearest(pose.yaw));
+        if (floor_.impact)
+          *impact += length * impact_at(floor_.cell(pose.x, pose.y), moves_.nearest(pose.yaw), piece.length < 0.0);
       }
       at = moved(at, piece, 1.0);
     }
@@ -194,9 +213,10 @@ class StateLattice {
   Floor floor_;
   LatticeSettings s_;
   Primitives moves_;
-  double chain_, inner_ = 0.0;
+  double chain_;
+  std::unique_ptr<Guide> bound_, lead_;
   int pad_ = 1, stride_ = 0;
-  std::vector<float> within_, padded_, need_, least_;
+  std::vector<float> within_, padded_, need_;
   std::vector<Flat> flat_;
   std::vector<int> first_, offset_;
   std::vector<Stay> stays_;

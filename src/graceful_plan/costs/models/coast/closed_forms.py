@@ -41,9 +41,7 @@ def runaway_distance(v: ArrayLike, delay: ArrayLike, a: ArrayLike) -> Float[Arra
     return np.abs(v) * np.asarray(delay) + np.square(v) / (2.0 * np.asarray(a))
 
 
-def slope_acceleration(
-    slope: ArrayLike, a: ArrayLike, mass: float, effective: float
-) -> Float[Array, "*batch"]:
+def slope_acceleration(slope: ArrayLike, a: ArrayLike, mass: float, effective: float) -> Float[Array, "*batch"]:
     """Return the acceleration down a slope of a base without power; 0 where friction holds it.
 
     Args:

@@ -1,0 +1,167 @@
+"""Any-angle paths over a floor map that is cut out of the scene: first paths over large floors.
+
+The map has what stands between the floor and the robot's top. A disc around the robot, in which it can turn anywhere,
+goes over its cells by Theta*; where none gets through, smaller ones are tried. What is found becomes turns in place and
+straight stretches, which the exact checks of `plan` see, and smooth drives take their place. Impact is the mean over
+directions of driving: a point on a map has none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar, final
+
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.exceptions import SettingError
+from graceful_plan.floor.floor_map import FloorMap
+from graceful_plan.floor.grid_paths import FloorGrid
+from graceful_plan.path import Path
+from graceful_plan.planners.driving.footprint import footprint
+from graceful_plan.planners.driving.postures import BASE, postures
+from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
+from graceful_plan.planners.settings import positive
+from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.scene.scene import Scene
+
+Array = np.ndarray
+
+_FLOOR = 0.03
+"""Heights that a base drives over [m]."""
+_NEAR = 2.5
+"""How far from entities impact is looked at [m]: a base that fails at 2 m/s hardly goes farther."""
+_COARSE = 4
+"""Impact is looked at in every so manieth cell of a row and a column."""
+_DIRECTIONS = 8
+_CRUISE = 0.6
+"""Share of the fastest speed at which the impact of a metre is counted."""
+_SHARES = (1.0, 0.5, 0.0)
+"""Of the way from the disc inside of the robot to the one around it: what keeps clear, one after the other."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class FloorThetaStar(Planner):
+    """Theta* over the cells of a floor map, without a look at headings; one path for each disc that gets through.
+
+    The arm keeps its posture, as for `DriveLattice`. One iteration is one search.
+
+    Args:
+        resolution: Width of a cell [m].
+        around: How far beyond start and goals the map reaches, if the limits of the base let it [m].
+    """
+
+    name: ClassVar[str] = "floor_theta_star"
+    anytime: ClassVar[bool] = True
+
+    resolution: float = 0.05
+    around: float = 8.0
+
+    def __post_init__(self) -> None:
+        positive("resolution", self.resolution)
+        positive("around", self.around)
+
+    @stays_at_goal
+    def solve(
+        self, problem: Problem, objective: BoundObjective, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Yield better and better paths.
+
+        Raises:
+            SettingError: If the robot has no base that drives.
+        """
+        del rng
+        if not isinstance(objective, SceneObjective) or objective.scene.base is None:
+            raise SettingError("planner", self.name, "a planner for arms: this robot has no DiffDrive")
+        best = np.inf
+        for begin in postures(problem):
+            for path in self._searched(begin, problem, objective, budget):
+                if (total := path_total(objective, path)) < best:
+                    best = total
+                    yield path
+
+    def _searched(self, begin: Path, problem: Problem, objective: SceneObjective, budget: Budget) -> Iterator[Path]:
+        start = begin.q[-1]
+        goals = [goal for goal in problem.goals if np.array_equal(goal[BASE:], start[BASE:])]
+        discs, top = footprint(objective.scene, start)
+        inside, outside = float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
+        ends = np.array([start, *problem.goals])[:, :2]
+        floor = self._floor(objective.scene, top, ends)
+        # What costs nothing first: where impact decides, looking at it takes its time.
+        for charged in (False, True)[: 1 + (objective.w > 0.0)]:
+            charge = objective.w * self._impact(floor, objective, start, budget) if charged else None
+            for share in _SHARES:
+                grid = FloorGrid(floor=floor, radius=inside + share * (outside - inside), charge=charge)
+                for goal in goals:
+                    if not budget.spend():
+                        return
+                    found = grid.path(start[:2], goal[:2], method="theta_star", time_limit=_left(budget))
+                    if not len(found.xy):
+                        continue
+                    q = np.concatenate([begin.q[:-1], _turns_and_straights(found.xy, start, goal)])
+                    if problem.edges_free(q[:-1], q[1:]).all():
+                        yield Path(q).without_duplicates()
+
+    def _floor(self, scene: Scene, top: float, ends: Float[Array, "end 2"]) -> FloorMap:
+        """Cut the map around where the base may be."""
+        bounds = []
+        for values, (low, high) in zip(ends.T, scene.limits.position[:2], strict=True):
+            bounds += [max(low, values.min() - self.around) - 0.5, min(high, values.max() + self.around) + 0.5]
+        heights = _FLOOR, max(top, 2.0 * _FLOOR)
+        return FloorMap.from_scene(scene, heights=heights, resolution=self.resolution, bounds=bounds)
+
+    def _impact(
+        self, floor: FloorMap, objective: SceneObjective, start: Float[Array, " nq"], budget: Budget
+    ) -> Float[Array, "row column"]:
+        """Return the mean impact of a metre over directions, where somebody is near; 0 elsewhere."""
+        base = objective.scene.base
+        assert base is not None
+        speed = _CRUISE * base.v_max
+        rows, columns = (math.ceil(n / _COARSE) for n in floor.shape)
+        cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+        xy = floor.centres((cells + 0.5) * _COARSE - 0.5)
+        near = _near_entities(xy, objective.scene)
+        field, n = np.zeros((rows, columns)), int(near.sum())
+        q, qd = np.tile(start, (n, 1)), np.zeros((n, len(start)))
+        q[:, :2] = xy[near]
+        for yaw in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+            if budget.exhausted:
+                break
+            q[:, 2], qd[:, :2] = yaw, speed * np.array([np.cos(yaw), np.sin(yaw)])
+            field[near] += objective.quick_states(q, qd) / (speed * _DIRECTIONS)
+        fine = field.repeat(_COARSE, axis=0).repeat(_COARSE, axis=1)
+        return fine[: floor.shape[0], : floor.shape[1]]
+
+
+def _left(budget: Budget) -> float:
+    return max(budget.remaining_seconds, 1e-3)
+
+
+def _near_entities(xy: Float[Array, "row column 2"], scene: Scene) -> Bool[Array, "row column"]:
+    data = scene.data_at(np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T))
+    near = np.zeros(xy.shape[:2], dtype=bool)
+    for entity in scene.entities.values():
+        for geom in entity.geoms:
+            reach = _NEAR + float(scene.model.geom_rbound[geom])
+            near |= np.linalg.norm(xy - data.geom_xpos[geom, :2], axis=-1) < reach
+    return near
+
+
+def _turns_and_straights(
+    xy: Float[Array, "point 2"], start: Float[Array, " nq"], goal: Float[Array, " nq"]
+) -> Float[Array, "vertex nq"]:
+    """Return the way through points, driven forward, with a turn in place at each; headings go on beyond pi."""
+    points = np.concatenate([start[None, :2], xy[1:-1], goal[None, :2]])
+    poses, yaw = [start[:BASE]], float(start[2])
+    for a, b in pairwise(points):
+        if np.hypot(*(b - a)) > 0.0:
+            direction = math.atan2(b[1] - a[1], b[0] - a[0])
+            yaw += math.remainder(direction - yaw, 2.0 * math.pi)
+            poses += [np.array([*a, yaw]), np.array([*b, yaw])]
+    q = np.column_stack([poses, np.tile(start[BASE:], (len(poses), 1))])
+    return np.concatenate([q, goal[None]])
