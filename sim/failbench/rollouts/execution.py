@@ -31,7 +31,7 @@ _REST = 0.2
 """Part of it [s] during which the fingers hold alone."""
 _TRACKING = 0.05
 """A joint farther [rad or m] than this from where it should be does not follow."""
-_STRAYING = (0.15, 0.15, 0.3)
+_STRAYING = (0.2, 0.2, 0.35)
 """A base farther than this from where it should be along x, y [m] or in its heading [rad] does not follow."""
 _SLIP = 0.02
 """An object that moved farther [m] than this in the tool frame is not held."""
