@@ -57,6 +57,8 @@ SUBJECTS = (
     "transcription",
     "moving_entities",
     "driving",
+    "base_failures",
+    "clutter",
     "lattice",
     "tuning",
     "failbench_speed",

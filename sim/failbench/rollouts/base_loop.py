@@ -6,8 +6,8 @@ the fault adds: where it is believed to be moves by what it really moves and by 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -27,12 +27,8 @@ _SLACK = 0.5
 """How far a wheel's servo may lag behind the angle that it is told [rad]: its integral does not wind up further."""
 
 
-class Misreadings(Protocol):
-    """What tells how wrong the readings of the wheels are."""
-
-    def __call__(self) -> Float[Array, " wheel"]:
-        """Return reading minus truth now [rad]."""
-        ...
+Misreadings = Callable[[], Float[Array, " wheel"]]
+"""Tells how wrong the readings of the wheels are now: reading minus truth [rad]."""
 
 
 @dataclass(frozen=True, eq=False)

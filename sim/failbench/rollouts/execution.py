@@ -95,7 +95,7 @@ class Execution:
 
     def paced(
         self, time: Float[Array, " n"], pace: Float[Array, " n"], change: Float[Array, " n"]
-    ) -> Float[Array, "n nq"]:
+    ) -> Float[Array, "n driven"]:
         """Return what the healthy controller sends to the joints where the trajectory goes on at another pace.
 
         Args:
@@ -289,7 +289,7 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
 
 def _joint_commands(
     world: World, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], qdd: Float[Array, "n nq"]
-) -> Float[Array, "n nq"]:
+) -> Float[Array, "n driven"]:
     """Return the commands of the joints' servos that hold them to a motion."""
     robot, dynamics = world.robot, RobotDynamics(world.scene)
     if world.settings.control == "servo":
