@@ -115,10 +115,8 @@ def test_no_more_impact_than_is_allowed_where_that_is_possible():
         choice = window.choose(state, PATH, person)
         assert choice.impact <= 1.0 + 1e-9 or state.v > choice.command.v
         v, omega = choice.command
-        state = DriveState(
-            state.x + 0.05 * v * math.cos(state.yaw), state.y + 0.05 * v * math.sin(state.yaw), state.yaw + 0.05 * omega,
-            v, omega,
-        )  # fmt: skip
+        x, y = state.x + 0.05 * v * math.cos(state.yaw), state.y + 0.05 * v * math.sin(state.yaw)
+        state = DriveState(x, y, state.yaw + 0.05 * omega, v, omega)
 
 
 def test_a_scene_says_what_is_there_and_what_walks():

@@ -51,7 +51,9 @@ class ProtectiveStop(Fault):
             scale_torque(plant, 1.0 - level)
             return
         if any(wheel in plant.joints for side in plant.robot.together for wheel in side):
-            raise UnsupportedError("a base that drives cannot brake along its way here: use category 0, or strike joints of its arm")
+            raise UnsupportedError(
+                "a base that drives cannot brake along its way here: use category 0, or strike joints of its arm"
+            )
         time, pace, change = self._pace(plant, level)
         plant.ahead[:, plant.robot.actuators[plant.joints]] = plant.paced(time, pace, change)[:, plant.joints]
 

@@ -114,7 +114,8 @@ def impact_by_entity(
         fragility: How easily the carried object is damaged; the shipped table by default.
         own: Whether it is one of the entities.
         factor: What each severity is multiplied by, of an entity's class and a contact. Default: 1; of the body of a
-            base that drives min(1, (speed / u)^2), as its coast model has it, u being the speed that severities are for.
+            base that drives min(1, (speed / u)^2), as its coast model has it, u being the speed that severities are
+            for.
     """
     found: dict[str, float] = {}
     for event in rollout.events:

@@ -1,7 +1,8 @@
 """The loop that keeps a base on its motion: what is sent to its wheels, from where it is believed to be.
 
-A healthy base knows where it is. From the onset of a fault of its encoders on it goes by odometry, which is right but for what
-the fault adds: where it is believed to be moves by what it really moves and by what the readings of the wheels are wrong by.
+A healthy base knows where it is. From the onset of a fault of its encoders on it goes by odometry, which is right but
+for what the fault adds: where it is believed to be moves by what it really moves and by what the readings of the
+wheels are wrong by.
 """
 
 from __future__ import annotations

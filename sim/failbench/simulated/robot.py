@@ -39,7 +39,7 @@ class Robot:
     | grip_closed       | the one of a healthy robot: closed if the fingers hold something             |       |
     | pads              | ids of the geoms of the fingers                                              |       |
     | weld              | the equality constraint that holds the carried object; -1 if the fingers do  |       |
-    | together          | groups of joints that one motor drives: what strikes one strikes all                  |       |
+    | together          | groups of joints that one motor drives: what strikes one strikes all         |       |
     """
 
     joints: tuple[str, ...]

@@ -9,9 +9,9 @@ Among those the greatest
 
 is taken, where differs from the paper: heading is towards the path ahead of the arc's end (and middle), progress is
 along the path, as a share of what the greatest speed makes of the horizon, and P is the probability that the base hits
-an entity if it fails at the next command or half of the horizon later, times what the energy of the hit is worth, by the coast
-model. What moves is expected to go on as it does. Speeds from which the base cannot stop at the end of the path,
-whose acceleration across the heading is too great, or whose wheels turn too fast are not looked at.
+an entity if it fails at the next command or half of the horizon later, times what the energy of the hit is worth, by
+the coast model. What moves is expected to go on as it does. Speeds from which the base cannot stop at the end of the
+path, whose acceleration across the heading is too great, or whose wheels turn too fast are not looked at.
 
 Candidates are looked at best first, by what they are worth at most, until no other can be better: that changes nothing
 but the time that it takes.
@@ -182,7 +182,9 @@ class DynamicWindow:
         """
         places = np.ascontiguousarray(np.asarray(path, dtype=float)[:, :2])
         if np.hypot(*(places[-1] - [state.x, state.y])) <= self.settings.tolerance and self.scene.base is not None:
-            told = limited(DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period)
+            told = limited(
+                DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period
+            )
             return Choice(told, 0.0, self.settings.near, 0.0, True, 0)
         found = self._native.choose(
             state=np.array(state, dtype=float),

@@ -61,7 +61,9 @@ class PurePursuit:
             return DriveCommand(0.0, 0.0)
         angle = wrapped(math.atan2(y - state.y, x - state.x) - state.yaw)
         if abs(angle) > self.in_place:
-            return DriveCommand(0.0, math.copysign(min(base.omega_max, math.sqrt(2.0 * base.alpha_max * abs(angle))), angle))
+            return DriveCommand(
+                0.0, math.copysign(min(base.omega_max, math.sqrt(2.0 * base.alpha_max * abs(angle))), angle)
+            )
         curvature = 2.0 * math.sin(angle) / distance
         v = min(self.speed, base.v_max, math.sqrt(2.0 * base.a_max * left))
         if curvature:

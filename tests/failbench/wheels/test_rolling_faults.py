@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from test_wheels import jackal
 
 import failbench as fb
 import graceful_plan as gp
@@ -10,7 +11,6 @@ from failbench.rollouts.execution import execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.single import steps
 from failbench.simulated.world import build_world
-from test_wheels import jackal
 
 ONSET, HORIZON = 1.2, 1.6
 
