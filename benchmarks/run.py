@@ -59,6 +59,8 @@ SUBJECTS = (
     "moving_entities",
     "driving",
     "whole_body",
+    "base_failures",
+    "clutter",
     "lattice",
     "floor_maps",
     "tuning",

@@ -43,10 +43,10 @@ def _one_sided(batch, tables, settings):
         touch = _touch(tables, (q[0] + c * x - s * y, q[1] + s * x + c * y, ch, sh), settings, np.hypot(x, y))
         wall = np.maximum.accumulate(touch[..., tables.entity < 0].max(axis=-1, initial=0.0), axis=1)
         worth = np.minimum(1.0, speed**2 / settings.reference_speed**2)
-        met = (worth * (1.0 - wall))[..., None] * touch
-        for shape, entity in enumerate(tables.entity.tolist()):
-            if entity >= 0:
-                total[i, entity] += ways.share @ met[..., shape].max(axis=1)
+        for entity in range(total.shape[1]):
+            before = np.maximum(wall, _met_before(touch, tables.entity, entity))
+            own = touch[..., tables.entity == entity].max(axis=-1, initial=0.0)
+            total[i, entity] += ways.share @ (worth * (1.0 - before) * own).max(axis=1)
     return total
 
 
@@ -86,13 +86,20 @@ def _family(batch, tables, settings, stops, which):
     x = q[:, 0:1] + chord * np.cos(middle) + sign * straight * ch
     y = q[:, 1:2] + chord * np.sin(middle) + sign * straight * sh
     touch = _touch(tables, (x, y, ch, sh), settings, way)
-    wall = touch[:, :, tables.entity < 0].max(axis=2, initial=0.0)
-    reached = (energy * (1.0 - np.maximum.accumulate(wall, axis=1)))[..., None] * touch
+    wall = np.maximum.accumulate(touch[:, :, tables.entity < 0].max(axis=2, initial=0.0), axis=1)
     P = np.zeros((len(q), len(batch.scene.entities)))
-    for shape, entity in enumerate(tables.entity.tolist()):
-        if entity >= 0:
-            P[:, entity] = np.maximum(P[:, entity], reached[:, :, shape].max(axis=1))
+    for entity in range(P.shape[1]):
+        before = np.maximum(wall, _met_before(touch, tables.entity, entity))
+        own = touch[..., tables.entity == entity].max(axis=-1, initial=0.0)
+        P[:, entity] = (energy * (1.0 - before) * own).max(axis=1)
     return P
+
+
+def _met_before(touch, owner, entity):
+    """How likely another entity has stopped the base before each place."""
+    others = touch[..., (owner >= 0) & (owner != entity)].max(axis=-1, initial=0.0)
+    met = np.maximum.accumulate(others, axis=-1)
+    return np.concatenate([np.zeros_like(met[..., :1]), met[..., :-1]], axis=-1)
 
 
 def _ways(speed, stops):

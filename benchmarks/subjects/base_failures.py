@@ -31,14 +31,15 @@ TUCKED = (0.35, 1.32, 1.4, -0.2, 1.72, 0.0, 1.66, 0.0)
 """Lift and arm of a Fetch."""
 MEASURED = f"""\
 A base drives at a random speed and rate of turning, and around it stand {ENTITIES} low cylinders, at random in front of
-it and beside. {CASES} such cases for each robot: a Jackal, a Jackal of 1.5 times the mass with a track 1.2 times as wide
-("heavy"), and a Fetch with two wheels and casters, its arm tucked. In each case and for each way of the coast model the base fails
-{DRAWS} times in MuJoCo, on wheels that turn, with parameters drawn from the model's ranges. Nothing is fitted: this
-measures closed forms, the four-wheel model and geometry, not how often which way happens. An event is one cylinder in one failure: touched or
-not. **Skill**: 1 - Brier score / that of the mean. **Attainable**: the skill of whoever knows the probability of each event in each case
-from an infinity of failures, but not what is drawn in each: 1 - mean of p (1 - p), estimated without bias by n/(n-1) f (1 - f) from the
-frequencies f, over the same. "ramp": power is lost on a slope of up to 12 degrees, down which the base drives; predicted by the closed form alone,
-since floors of scenes are level.
+it and beside. {CASES} such cases for each robot: a Jackal, a Jackal of 1.5 times the mass with a track 1.2 times as
+wide ("heavy"), and a Fetch with two wheels and casters, its arm tucked. In each case and for each way of the coast
+model the base fails {DRAWS} times in MuJoCo, on wheels that turn, with parameters drawn from the model's ranges.
+Nothing is fitted: this measures closed forms, the four-wheel model and geometry, not how often which way happens. An
+event is one cylinder in one failure: touched or not. **Skill**: 1 - Brier score / that of the mean. **Attainable**:
+the skill of whoever knows the probability of each event in each case from an infinity of failures, but not what is
+drawn in each: 1 - mean of p (1 - p), estimated without bias by n/(n-1) f (1 - f) from the frequencies f, over the
+same. "ramp": power is lost on a slope of up to 12 degrees, down which the base drives; predicted by the closed form
+alone, since floors of scenes are level.
 """
 
 

@@ -33,13 +33,16 @@ RUN_UP = 1.5
 """Free floor before and behind the field [m]."""
 MAP = 0.05
 MEASURED = f"""\
-{COURSES} courses made at random as those of the BARN challenge are (D. Perille et al., 2020): a field of {LENGTH:g} x {WIDTH:g} m on whose cells of
-{CELL:g} m cylinders with a radius of {RADIUS:g} m stand, filled to {FILL[0]:g} to {FILL[1]:g} and smoothed {SMOOTHINGS[0]} to {SMOOTHINGS[1]} times by a
-cellular automaton, walls at its sides, {RUN_UP:g} m of free floor before and behind; only those count through which the base's outline gets with
-{1e2 * MARGIN:g} cm to spare. A Jackal on four wheels that turn, in MuJoCo, drives through them at up to {SPEED:g} m/s, along
-the shortest path of the state lattice with such room, by `gp.DWA` with its defaults. Arrived: it stands within 8 cm of the end. **Lower bound
-of the time**: length of that path at {SPEED:g} m/s, with the base's acceleration from and to rest. Nothing is fitted to the courses; the DWA's
-weights were chosen on courses of other seeds. The rate is that of whole calls of `choose` along the way, with four people in the surroundings who count.
+{COURSES} courses made at random as those of the BARN challenge are (D. Perille et al., 2020): a field of {LENGTH:g} x
+{WIDTH:g} m on whose cells of {CELL:g} m cylinders with a radius of {RADIUS:g} m stand, filled to {FILL[0]:g} to
+{FILL[1]:g} and smoothed {SMOOTHINGS[0]} to {SMOOTHINGS[1]} times by a cellular automaton, walls at its sides,
+{RUN_UP:g} m of free floor before and behind; only those count through which the base's outline gets with {
+    1e2 * MARGIN:g} cm to spare. A Jackal on four wheels that turn, in MuJoCo, drives through them at up to {
+    SPEED:g} m/s, along
+the shortest path of the state lattice with such room, by `gp.DWA` with its defaults. Arrived: it stands within 8 cm of
+the end. **Lower bound of the time**: length of that path at {SPEED:g} m/s, with the base's acceleration from and to
+rest. Nothing is fitted to the courses; the DWA's weights were chosen on courses of other seeds. The rate is that of
+whole calls of `choose` along the way, with four people in the surroundings who count.
 """
 
 
@@ -96,8 +99,9 @@ def _path(centres: Array) -> Array | None:
     """Find the shortest path of the lattice from one side to the other; None if there is none."""
     whole = LENGTH + 2.0 * RUN_UP
     rows, columns = round((WIDTH + 0.4) / MAP), round(whole / MAP)
-    y, x = (np.indices((rows, columns)) + 0.5) * MAP
-    y -= 0.2 + 0.5 * WIDTH
+    y, x = np.meshgrid(
+        (np.arange(rows) + 0.5) * MAP - 0.2 - 0.5 * WIDTH, (np.arange(columns) + 0.5) * MAP, indexing="ij"
+    )
     free = np.abs(y) < 0.5 * WIDTH
     for cx, cy in centres:
         free &= (x - cx) ** 2 + (y - cy) ** 2 > RADIUS**2
@@ -114,7 +118,7 @@ def _path(centres: Array) -> Array | None:
     found = lattice.path(start, goal)
     if found.curve is None:
         return None
-    return found.curve.sampled(0.05)[:, :2] - shift[:2]
+    return np.asarray(found.curve.sampled(0.05))[:, :2] - shift[:2]
 
 
 def _scene(centres: Array) -> gp.Scene:
@@ -149,7 +153,7 @@ def cross(job: tuple[int, int, DWA]) -> Crossed:
     made = course(number, base_seed)
     window = settings.bind(made.scene)
     length = float(np.linalg.norm(np.diff(made.path, axis=0), axis=1).sum())
-    bound = length / SPEED + SPEED / window.scene.base.a_max
+    bound = length / SPEED + SPEED / known_base("jackal").a_max
     driven = drive(made.path, made.scene, window, seconds=4.0 * bound)
     return Crossed(
         course=number,

@@ -11,7 +11,7 @@ import numpy as np
 from failbench.fault.drive import BRAKE_TORQUE, DRIVE, FRICTION, add_friction, scale_torque
 from failbench.fault.fault import REACTION, Fault
 from failbench.simulated.plant import Plant
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, UnsupportedError
 
 STOPS = (0, 1)
 """Stop categories of IEC 60204-1 that are known."""
@@ -50,6 +50,10 @@ class ProtectiveStop(Fault):
             add_friction(plant, level * BRAKE_TORQUE)
             scale_torque(plant, 1.0 - level)
             return
+        if any(wheel in plant.joints for side in plant.robot.together for wheel in side):
+            raise UnsupportedError(
+                "a base that drives cannot brake along its way here: use category 0, or strike joints of its arm"
+            )
         time, pace, change = self._pace(plant, level)
         plant.ahead[:, plant.robot.actuators[plant.joints]] = plant.paced(time, pace, change)[:, plant.joints]
 

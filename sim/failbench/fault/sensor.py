@@ -178,8 +178,12 @@ class ScaleError(Fault):
     FIELDS: ClassVar[tuple[str, ...]] = ("actuator_biasprm",)
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Scale the feedback."""
-        plant["actuator_biasprm"][plant.robot.actuators[plant.joints], 1:3] *= 1.0 + level * self.amount
+        """Scale the feedback; of wheels what they turn from the onset on, for their encoders only count."""
+        bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
+        counted = np.isin(plant.joints, [wheel for side in plant.robot.together for wheel in side])
+        before = plant.memory.setdefault("before", np.where(counted, plant.q[plant.joints], 0.0))
+        bias[struck, 0] -= level * self.amount * bias[struck, 1] * before
+        bias[struck, 1:3] *= 1.0 + level * self.amount
 
 
 @dataclass(frozen=True, kw_only=True)

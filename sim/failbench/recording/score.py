@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from failbench.recording.records import ContactEvent
 from graceful_plan import Scene
+from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.scene.harm.fragility import FragilityTable
 
 
@@ -103,7 +104,7 @@ def impact_by_entity(
     fragility: FragilityTable | None = None,
     *,
     own: bool = True,
-    factor: Callable[[str, ContactEvent], float] = lambda category, event: 1.0,
+    factor: Callable[[str, ContactEvent], float] | None = None,
 ) -> dict[str, float]:
     """Return each touched entity's share in the impact, that of the carried object itself last, under its own name.
 
@@ -112,14 +113,23 @@ def impact_by_entity(
         scene: Where.
         fragility: How easily the carried object is damaged; the shipped table by default.
         own: Whether it is one of the entities.
-        factor: What each severity is multiplied by, of an entity's class and a contact.
+        factor: What each severity is multiplied by, of an entity's class and a contact. Default: 1; of the body of a
+            base that drives min(1, (speed / u)^2), as its coast model has it, u being the speed that severities are
+            for.
     """
     found: dict[str, float] = {}
     for event in rollout.events:
         if not event.secondary:
             entity = scene.entities[event.entity]
-            value = entity.severity[event.striker] * factor(entity.category, event)
+            share = _worth(event, scene) if factor is None else factor(entity.category, event)
+            value = entity.severity[event.striker] * share
             found[event.entity] = found.get(event.entity, 0.0) + value
     if own and scene.carried is not None:
         found[scene.carried.body] = own_loss(rollout, scene, fragility)
     return found
+
+
+def _worth(event: ContactEvent, scene: Scene) -> float:
+    if scene.base is None or event.striker != "body":
+        return 1.0
+    return min(1.0, (event.speed / CoastSettings.shipped().reference_speed) ** 2)

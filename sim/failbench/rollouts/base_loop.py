@@ -1,13 +1,14 @@
 """The loop that keeps a base on its motion: what is sent to its wheels, from where it is believed to be.
 
-A healthy base knows where it is. From the onset of a fault of its encoders on it goes by odometry, which is right but for what
-the fault adds: where it is believed to be moves by what it really moves and by what the readings of the wheels are wrong by.
+A healthy base knows where it is. From the onset of a fault of its encoders on it goes by odometry, which is right but
+for what the fault adds: where it is believed to be moves by what it really moves and by what the readings of the
+wheels are wrong by.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -27,12 +28,8 @@ _SLACK = 0.5
 """How far a wheel's servo may lag behind the angle that it is told [rad]: its integral does not wind up further."""
 
 
-class Misreadings(Protocol):
-    """What tells how wrong the readings of the wheels are."""
-
-    def __call__(self) -> Float[Array, " wheel"]:
-        """Return reading minus truth now [rad]."""
-        ...
+Misreadings = Callable[[], Float[Array, " wheel"]]
+"""Tells how wrong the readings of the wheels are now: reading minus truth [rad]."""
 
 
 @dataclass(frozen=True, eq=False)

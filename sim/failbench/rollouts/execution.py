@@ -32,7 +32,7 @@ _REST = 0.2
 """Part of it [s] during which the fingers hold alone."""
 _TRACKING = 0.05
 """A joint farther [rad or m] than this from where it should be does not follow."""
-_STRAYING = (0.15, 0.15, 0.3)
+_STRAYING = (0.2, 0.2, 0.35)
 """A base farther than this from where it should be along x, y [m] or in its heading [rad] does not follow."""
 _SLIP = 0.02
 """An object that moved farther [m] than this in the tool frame is not held."""
@@ -98,7 +98,7 @@ class Execution:
 
     def paced(
         self, time: Float[Array, " n"], pace: Float[Array, " n"], change: Float[Array, " n"]
-    ) -> Float[Array, "n nq"]:
+    ) -> Float[Array, "n driven"]:
         """Return what the healthy controller sends to the joints where the trajectory goes on at another pace.
 
         Args:
@@ -335,7 +335,7 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
 
 def _joint_commands(
     world: World, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], qdd: Float[Array, "n nq"]
-) -> Float[Array, "n nq"]:
+) -> Float[Array, "n driven"]:
     """Return the commands of the joints' servos that hold them to a motion."""
     robot, dynamics = world.robot, RobotDynamics(world.scene)
     if world.settings.control == "servo":

@@ -40,7 +40,7 @@ class Robot:
     | grip_clear        | opening at which fingers let go, over the way from closed to open            |       |
     | pads              | ids of the geoms of the fingers                                              |       |
     | weld              | the equality constraint that holds the carried object; -1 if the fingers do  |       |
-    | together          | groups of joints that one motor drives: what strikes one strikes all                  |       |
+    | together          | groups of joints that one motor drives: what strikes one strikes all         |       |
     """
 
     joints: tuple[str, ...]

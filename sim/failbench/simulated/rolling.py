@@ -1,7 +1,7 @@
 """A base that drives, in the world of FailBench: it keeps the joints that are planned with, and gets wheels.
 
-Below the planned joints for x, y and heading the base gets three more, by which it stands on its wheels: up and down, and
-two that tilt it. So it is as free as a body with a free joint, and positions of planned joints are what they always
+Below the planned joints for x, y and heading the base gets three more, by which it stands on its wheels: up and down,
+and two that tilt it. So it is as free as a body with a free joint, and positions of planned joints are what they always
 were. Wheels turn on hinges and are driven by servos for their angle, which is what a controller of their speed with an
 integral is: faults of drives and encoders act on them as on the joints of an arm.
 """

@@ -22,9 +22,14 @@ _BENDS = ((0.25, 0.5), (0.5, 0.3), (0.5, 0.8), (1.0, 0.3), (1.0, 0.8), (-0.5, 0.
 
 @per_scene
 def fitted_tracking(scene: Scene) -> Tracking:
-    """Return gains whose pivot is that of a scene's base; it is driven on an empty floor."""
+    """Return gains whose pivot is that of a scene's base; it is driven on an empty floor.
+
+    Two wheels on one axle have their pivot there, whatever they carry: nothing is measured then.
+    """
     wheels = wheeled(scene)
     base = wheels.base
+    if base.wheel_base == 0.0:
+        return Tracking()
     turning = 0.5 * base.omega_max
     still = 0.5 * sum(_ahead(wheels, 0.0, side * turning) for side in (-1.0, 1.0))
     across, more = [], []

@@ -58,8 +58,9 @@ def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: flo
 class Pivot:
     r"""Where a base has no sideways speed: ahead of its origin by :math:`p_0 + p_1 v |\omega| / (|v \omega| + a)`.
 
-    A skid-steer whose centre of mass is not in the middle turns about another point than its origin, and in bends its tyres have to
-    carry it sideways: it drives at an angle to its heading. Measure it by driving (A. Mandow et al., IROS 2007).
+    A skid-steer whose centre of mass is not in the middle turns about another point than its origin, and in bends its
+    tyres have to carry it sideways: it drives at an angle to its heading. Measure it by driving (A. Mandow et al.,
+    IROS 2007).
 
     Args:
         still: p_0, where it turns in place [m].
@@ -81,10 +82,10 @@ class Pivot:
 class Tracking:
     r"""Follows a motion: :math:`v = v_r \cos e_h + k_x e_x`, and a rate of turning that also heeds the rate it has.
 
-    :math:`\omega = \omega_r + v_r k_y e_y + (|v_r| k_h + k_x) \sin e_h`, to which :math:`k_r (\omega - \omega_m)` and its
-    integral are added, :math:`\omega_m` being the measured rate: a skid-steer slips less the faster it drives. In bends
-    the base is held at the angle to its way at which its origin does not leave it (`Pivot`). Where it turns in place,
-    its origin has to go round the pivot; it is kept `share` of that behind, so that it is off less to the side.
+    :math:`\omega = \omega_r + v_r k_y e_y + (|v_r| k_h + k_x) \sin e_h`, to which :math:`k_r (\omega - \omega_m)` and
+    its integral are added, :math:`\omega_m` being the measured rate: a skid-steer slips less the faster it drives. In
+    bends the base is held at the angle to its way at which its origin does not leave it (`Pivot`). Where it turns in
+    place, its origin has to go round the pivot; it is kept `share` of that behind, so that it is off less to the side.
 
     Y. Kanayama et al., "A stable tracking control method for an autonomous mobile robot", ICRA 1990.
 
@@ -148,6 +149,6 @@ class Tracking:
 
 
 def drive_states(q: Float[Array, "n nq"], qd: Float[Array, "n nq"]) -> Float[Array, "n 5"]:
-    """Return x, y, yaw, speed along the heading and rate of turning of configurations whose first three joints drive."""
+    """Return x, y, yaw, speed along it and rate of turning of configurations whose first three joints drive."""
     c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
     return np.column_stack([q[:, :3], qd[:, 0] * c + qd[:, 1] * s, qd[:, 2]])

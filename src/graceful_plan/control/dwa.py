@@ -1,4 +1,4 @@
-r"""The dynamic window approach: of the speeds that a base can reach until the next command, the one whose arc is best.
+r"""The dynamic window approach: of the speeds that a base can reach in a short time, the one whose arc is best.
 
 D. Fox, W. Burgard and S. Thrun, "The dynamic window approach to collision avoidance", IEEE Robotics & Automation
 Magazine 4 (1997). A pair :math:`(v, \omega)` is admissible if the base can stand before it touches anything on its arc.
@@ -9,9 +9,9 @@ Among those the greatest
 
 is taken, where differs from the paper: heading is towards the path ahead of the arc's end (and middle), progress is
 along the path, as a share of what the greatest speed makes of the horizon, and P is the probability that the base hits
-an entity if it fails at the next command or half of the horizon later, times what the energy of the hit is worth, by the coast
-model. What moves is expected to go on as it does. Speeds from which the base cannot stop at the end of the path,
-whose acceleration across the heading is too great, or whose wheels turn too fast are not looked at.
+an entity if it fails at the next command or half of the horizon later, times what the energy of the hit is worth, by
+the coast model. What moves is expected to go on as it does. Speeds from which the base cannot stop at the end of the
+path, whose acceleration across the heading is too great, or whose wheels turn too fast are not looked at.
 
 Candidates are looked at best first, by what they are worth at most, until no other can be better: that changes nothing
 but the time that it takes.
@@ -59,6 +59,7 @@ class DWA:
         most_impact: What that may be at most; where it is more for all, the least is taken.
         horizon: How far arcs are followed [s].
         period: Time until the next command [s].
+        window: For how long the base may accelerate to speeds that are looked at, at least the period [s].
         near: Clearance that is enough [m].
         margin: Clearance that is needed [m].
         ahead: How far ahead of an arc's end the path is headed for [m].
@@ -78,6 +79,7 @@ class DWA:
     most_impact: float = math.inf
     horizon: float = 1.2
     period: float = 0.05
+    window: float = 0.2
     near: float = 0.3
     margin: float = 0.04
     ahead: float = 0.3
@@ -96,6 +98,8 @@ class DWA:
             raise SettingError("DWA.horizon", self.horizon, "between 0.05 and 60 s")
         if not 0.0 < self.period <= self.horizon:
             raise SettingError("DWA.period", self.period, "above 0 s and at most the horizon")
+        if not self.period <= self.window < math.inf:
+            raise SettingError("DWA.window", self.window, "a finite time of at least the period")
         if not (math.isfinite(self.near) and self.near > 0.0):
             raise SettingError("DWA.near", self.near, "a finite distance above 0 m")
         for name in ("speeds", "rates"):
@@ -154,7 +158,7 @@ class DynamicWindow:
         s = self.settings
         numbers = (
             s.heading, s.velocity, s.path, s.clearance, s.impact, s.horizon, s.period, s.near, s.margin,
-            min(s.most_impact, _MUCH), s.ahead,
+            min(s.most_impact, _MUCH), s.ahead, s.window,
         )  # fmt: skip
         native = _native.DynamicWindow(
             **coasting_arrays(self.scene, self.coast),

@@ -21,6 +21,7 @@ struct WindowSettings {
   double horizon, period;                             // how far is looked ahead, and from command to command [s]
   double near, margin, most;                          // clearance that is enough, that is needed [m]; impact allowed
   double ahead;                                       // of the end of an arc, where on the path it should head [m]
+  double window;                                      // for how long it may accelerate to what is looked at [s]
   int n_v, n_omega;
 };
 
@@ -104,6 +105,11 @@ class DynamicWindow {
     }
     Choice out = best ? *best : safest ? *safest : braking(at, scene);
     out.evaluated = evaluated;
+    // Of what it is on the way to, it is told what it can reach until the next command.
+    const auto reached = [&](double now, double wanted, double rate) {
+      return std::clamp(wanted, now - rate * set_.period, now + rate * set_.period);
+    };
+    out.v = reached(at.v, out.v, limits_.a), out.omega = reached(at.omega, out.omega, limits_.alpha);
     return out;
   }
 
@@ -157,7 +163,7 @@ class DynamicWindow {
   }
 
   std::array<double, 2> window(double now, double rate, double low, double high) const {
-    return {std::clamp(now - rate * set_.period, low, high), std::clamp(now + rate * set_.period, low, high)};
+    return {std::clamp(now - rate * set_.window, low, high), std::clamp(now + rate * set_.window, low, high)};
   }
   std::array<double, 2> speeds(const Coasting::State& at) const {
     return window(at.v, limits_.a, limits_.least, limits_.v);
@@ -190,10 +196,10 @@ class DynamicWindow {
     const double left = path.length() - foot.s;
     // What brakes in time stops at the end of the path, with half of what the brakes can do.
     const double room = std::max(left - std::fabs(v) * set_.period, 0.0);
-    if (v > std::max(std::sqrt(limits_.a * room), kCreep) && v > at.v - 0.999 * limits_.a * set_.period) return;
+    if (v > std::max(std::sqrt(limits_.a * room), kCreep) && v > at.v - 0.999 * limits_.a * set_.window) return;
     // What the fastest that it can reach would make of the time: a base that stands is drawn on like one that drives.
     // Near the end the time is what the fastest needs to be there.
-    const double reached = std::min(limits_.v, std::fabs(at.v) + limits_.a * set_.period);
+    const double reached = std::min(limits_.v, std::fabs(at.v) + limits_.a * set_.window);
     const double time = std::clamp(left / reached, 2 * set_.period, std::max(set_.horizon, 2 * set_.period));
     double progress = 0, off = 0, heading = 0;
     for (const double part : {0.5, 1.0}) {
@@ -218,7 +224,7 @@ class DynamicWindow {
     const double fastest = std::fabs(one.v) + std::fabs(one.omega) * reach + scene.fastest;
     const double touch = std::min(set_.margin, scene.now - kCloser);
     // As far as the fastest gets, or slow ones would not see what is in their way, but not round and round.
-    const double far = std::min(limits_.v, std::fabs(at.v) + limits_.a * set_.period) * set_.horizon;
+    const double far = std::min(limits_.v, std::fabs(at.v) + limits_.a * set_.window) * set_.horizon;
     const double once = std::fabs(one.omega) > 0 ? 0.25 * kTurn / std::fabs(one.omega) : 1e9;
     const double slow = std::min({far / std::max(std::fabs(one.v), 1e-6), once, kLonger * set_.horizon});
     const double horizon = std::max(set_.horizon, slow);

@@ -90,7 +90,7 @@ class Coasting {
   struct Work {
     Work(const Coasting& of, size_t n_entity)
         : hit(n_entity), most(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
-    std::vector<double> hit, most, free, braked, touched;
+    std::vector<double> hit, most, met, free, braked, touched;
     std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
   };
@@ -194,12 +194,25 @@ class Coasting {
       }
     }
     double stopped = 0;
+    const size_t n = work.whom.size();
+    work.met.assign(work.hit.size(), 0.0);
     for (size_t k = 0; k < last; ++k) {
       const Place& place = work.place[k];
       for (const size_t j : work.what) stopped = std::max(stopped, touch(shape[j], place.at, place.time, place.spread));
-      for (size_t j = 0; j < work.whom.size(); ++j) {
-        double& most = work.most[size_t(shape[work.whom[j]].entity)];
-        most = std::max(most, place.worth * (1 - stopped) * work.touched[k * work.whom.size() + j]);
+      for (size_t j = 0; j < n; ++j) {
+        const double touches = work.touched[k * n + j];
+        if (touches <= kHardly) continue;
+        const size_t own = size_t(shape[work.whom[j]].entity);
+        double before = stopped;  // whom it met before stops it as well
+        for (size_t i = 0; i < n; ++i) {
+          const size_t other = size_t(shape[work.whom[i]].entity);
+          if (other != own) before = std::max(before, work.met[other]);
+        }
+        work.most[own] = std::max(work.most[own], place.worth * (1 - before) * touches);
+      }
+      for (size_t j = 0; j < n; ++j) {
+        double& met = work.met[size_t(shape[work.whom[j]].entity)];
+        met = std::max(met, work.touched[k * n + j]);
       }
     }
     for (size_t e = 0; e < work.hit.size(); ++e) work.hit[e] += share * work.most[e], work.most[e] = 0;

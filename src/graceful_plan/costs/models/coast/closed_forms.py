@@ -32,7 +32,7 @@ def coasting_distance(v: ArrayLike, a: ArrayLike, k: ArrayLike = 0.0) -> Float[A
 
 
 def sliding_distance(v: ArrayLike, friction: ArrayLike, load: float = 1.0) -> Float[Array, "*batch"]:
-    """Return how far a base slides whose wheels are all held, with a share of its weight on them: v^2 / (2 mu g load)."""
+    """Return how far a base slides whose wheels are held, a share of its weight on them: v^2 / (2 mu g load)."""
     return np.square(v) / (2.0 * np.asarray(friction) * GRAVITY * load)
 
 
@@ -72,7 +72,7 @@ def slope_distance(
 
 
 def spin_rate(rim: ArrayLike, base: DiffDrive) -> Float[Array, "*batch"]:
-    """Return the rate of turning once one side stands and the other rolls at a speed of its rims: rim / (slip track)."""
+    """Return the rate of turning once one side stands and the other has this speed of rims: rim / (slip track)."""
     return np.asarray(rim) / (base.slip * base.track)
 
 
@@ -82,7 +82,7 @@ def pivot_radius(base: DiffDrive) -> float:
 
 
 def sideways_of_bias(s: ArrayLike, bias: ArrayLike) -> Float[Array, "*batch"]:
-    """Return how far aside odometry leads that reads curvatures wrong by a bias [1/m], after a way [m]: bias s^2 / 2."""
+    """Return how far aside a bias of the curvature [1/m] in odometry leads, after a way [m]: bias s^2 / 2."""
     return 0.5 * np.asarray(bias) * np.square(s)
 
 
@@ -92,7 +92,7 @@ def sideways_of_noise(s: ArrayLike, noise: ArrayLike) -> Float[Array, "*batch"]:
 
 
 def overshoot_of_delay(v: ArrayLike, delay: ArrayLike, curvature: ArrayLike = 0.0) -> Float[Array, "*batch 2"]:
-    """Return how far too far and how far aside commands lead that arrive late: v delay, curvature (v delay)^2 / 2 [m]."""
+    """Return how far on and aside late commands lead: v delay, curvature (v delay)^2 / 2 [m]."""
     far = np.abs(v) * np.asarray(delay)
     return np.stack(np.broadcast_arrays(far, 0.5 * np.asarray(curvature) * far**2), axis=-1)
 

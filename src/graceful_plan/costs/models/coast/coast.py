@@ -13,9 +13,10 @@ spread, and the drift times s. With the probabilities :math:`p_i` of the ways,
 
 .. math:: P = \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \sum_i p_i \min(1, e_i(s) v^2 / u^2)
 
-where B is the probability that no obstacle has stopped it before. P is the probability of a hit, times the share of the
-severity that its energy is worth. What one side does that is locked alone, ramps, and what the base pushes along
-are not modelled. No constant is fitted: `coast.yaml` says where they come from.
+where B is the probability that no obstacle and nobody else has stopped it before. P is the probability of a hit, times
+the share of the severity that its energy is worth. Bases of which one side fails go where
+`four_wheel` integrates them to, at tabulated places; odometry that drifts bends the arc. Ramps, which scenes do not
+have, and what the base pushes along are not modelled. No constant is fitted: `coast.yaml` says where they come from.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 r"""A base of which one side fails: four wheels with dry friction, integrated in time.
 
 Each wheel carries its share of the weight on the driven ones and slides over the floor at the velocity s of its rim
-against it; the floor pushes with :math:`-\mu N s / \sqrt{|s|^2 + \epsilon^2}`. Rims on the side that works go on at their speed
-for the delay and then stop; rims that are held stand; rims that turn freely are moved by the floor against the friction
-of their gears and the inertia of their motors. Two wheels with casters are four of which the front and rear ones
-coincide. Everything is per mass of the base, so that only its radius of gyration and its centre of mass count.
+against it; the floor pushes with :math:`-\mu N s / \sqrt{|s|^2 + \epsilon^2}`. Rims on the side that works go on at
+their speed for the delay and then stop; rims that are held stand; rims that turn freely are moved by the floor against
+the friction of their gears and the inertia of their motors. Two wheels with casters are four of which the front and
+rear ones coincide. Everything is per mass of the base, so that only its radius of gyration and its centre of mass
+count.
 
 There are no closed forms: what comes out is tabulated over speeds and rates of turning, as `Coast` reads it.
 """
@@ -108,7 +109,7 @@ def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
     case = Case(left, held, friction, rolling, drag, delay, settings.brakes)
     v, omega = speeds[:, None, None], rates[None, :, None]
     shape = (len(speeds), len(rates), len(rows))
-    places = integrated(body, *(np.broadcast_to(x, shape) for x in (v, omega)), case)
+    places = integrated(body, np.broadcast_to(v, shape), np.broadcast_to(omega, shape), case)
     share = np.repeat([0.5 * p for p, *_ in found], 2)
     return Ways(share, speeds, rates, resampled(places, _reach(base), SAMPLES))
 
