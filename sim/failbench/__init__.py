@@ -21,7 +21,7 @@ from failbench.rollouts.single import steps
 from failbench.scenario import Scenario, scenarios
 from failbench.simulated.plant import Plant
 from failbench.simulated.world import SimSettings, World, build_world
-from failbench.surroundings.registry import staged_for, surroundings
+from failbench.surroundings.registry import disturbances, staged_for
 from failbench.sweeps.dataset import Dataset, read_dataset
 from failbench.sweeps.sweep import generate, resume
 from failbench.validation import validate
@@ -49,6 +49,7 @@ __all__ = [
     "World",
     "build_world",
     "compare",
+    "disturbances",
     "energy_impact",
     "execute",
     "faults",
@@ -65,7 +66,6 @@ __all__ = [
     "secondary_impact",
     "staged_for",
     "steps",
-    "surroundings",
     "validate",
     "validate_front",
 ]

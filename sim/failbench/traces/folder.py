@@ -110,7 +110,7 @@ def write_traces(
     sweep = Sweep.from_document(manifest["sweep"])
     numbers = chosen(sweep, rollouts)
     counts: dict[str, int] = dict.fromkeys(TABLES, 0)
-    writers = {table: _Writer(output / table, table) for table in TABLES if table != "images" or kept.images}
+    writers = {table: _TableWriter(output / table, table) for table in TABLES if table != "images" or kept.images}
     for number in numbers:
         for rows in traced(sweep, number, kept):
             for table, writer in writers.items():
@@ -153,7 +153,7 @@ def arrow_type(name: str) -> pa.DataType:
     return pa.string() if name == "string" else pa.type_for_alias(name)
 
 
-class _Writer:
+class _TableWriter:
     """Writes rows of a table as they come."""
 
     def __init__(self, folder: Path, table: str) -> None:
