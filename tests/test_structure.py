@@ -63,6 +63,7 @@ HARNESS_FLOORS = (
     {"validation"},
     {"comparison", "front_validation"},
     {"sweeps", "calibrations", "pictures"},
+    {"traces"},
     {"failbench"},
     {"commands"},
     {"testing", "cli"},

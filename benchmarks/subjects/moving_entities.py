@@ -23,7 +23,8 @@ the table. They walk at 0.5 to 1.5 m/s in random directions, on straight lines t
 gripper fails up to 0.5 s before or after. Where they really are is off the prediction by a normal deviate of 0.03 m and
 0.05 m/s, which the model knows of. They have bodies: they push what can be pushed, pass through what cannot as ghosts
 do, and the object falls onto them out of real fingers. A hit is any contact of the object within 1.5 s. Others are
-drawn for those whom the sound robot touches, or who stop it: keeping robot and person apart is not what is measured.
+drawn for those whom the sound robot touches, or who stop it, and failures are left out that begin with a touch, since
+somebody is where nobody expected them: keeping robot and person apart is not what is measured.
 
 "at its time" is the model of this library (`costs/models/moving/drops.py`, constants as fitted to drops among things
 that stand still: nothing was fitted here). "standing" takes everybody to stay where they are at the release. Skill is
@@ -173,6 +174,7 @@ def _drops(
             predicted=_said(scene, walker, trajectory, rollout),
         )
         for rollout in fb.run(execution, jobs, horizon=_HORIZON)
+        if not any(event.entity == walker.name and event.time == 0.0 for event in rollout.events)
     ]
 
 

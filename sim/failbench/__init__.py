@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from failbench.scenario import Scenario, scenarios
     from failbench.simulated.plant import Plant
     from failbench.simulated.world import SimSettings, World, build_world
-    from failbench.surroundings.registry import staged_for, surroundings
+    from failbench.surroundings.registry import disturbances, staged_for
     from failbench.sweeps.dataset import Dataset, read_dataset
     from failbench.sweeps.sweep import generate, resume
     from failbench.validation import validate
@@ -57,6 +57,7 @@ else:
             "World": "failbench.simulated.world",
             "build_world": "failbench.simulated.world",
             "compare": "failbench.comparison",
+            "disturbances": "failbench.surroundings.registry",
             "energy_impact": "failbench.recording.score",
             "execute": "failbench.rollouts.execution",
             "faults": "failbench.fault.registry",
@@ -73,7 +74,6 @@ else:
             "secondary_impact": "failbench.recording.score",
             "staged_for": "failbench.surroundings.registry",
             "steps": "failbench.rollouts.single",
-            "surroundings": "failbench.surroundings.registry",
             "validate": "failbench.validation",
             "validate_front": "failbench.front_validation",
         },
@@ -102,6 +102,7 @@ __all__ = [
     "World",
     "build_world",
     "compare",
+    "disturbances",
     "energy_impact",
     "execute",
     "faults",
@@ -118,7 +119,6 @@ __all__ = [
     "secondary_impact",
     "staged_for",
     "steps",
-    "surroundings",
     "validate",
     "validate_front",
 ]

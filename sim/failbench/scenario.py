@@ -12,7 +12,7 @@ from typing import NamedTuple
 import graceful_plan as gp
 from failbench.fault.fault import DEGREES, SURROUNDINGS, Fault
 from failbench.fault.registry import faults
-from failbench.surroundings.registry import surroundings
+from failbench.surroundings.registry import disturbances
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.yaml_file import Block, read_yaml
 
@@ -103,7 +103,7 @@ def _around() -> tuple[Scenario, ...]:
         )
         for scene in gp.scenes()
         for task, holds in _tasks(scene).items()
-        for name, kind in surroundings().items()
+        for name, kind in disturbances().items()
         for degree in DEGREES
         if "carried" in holds or name != "heavier_object"
     )

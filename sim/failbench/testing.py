@@ -29,7 +29,7 @@ from failbench.rollouts.injection import Injection
 from failbench.simulated.states import STATE
 from failbench.simulated.walkers import put_walkers
 from failbench.simulated.world import build_world
-from failbench.surroundings.registry import staged_for, surroundings
+from failbench.surroundings.registry import disturbances, staged_for
 from graceful_plan import GracefulPlanError, load_scene
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.testing import ContractError
@@ -97,7 +97,7 @@ def _check_class(cls: type[Fault]) -> Findings:
             yield f"has no {name} (ClassVar[str])"
     if getattr(cls, "CATEGORY", None) not in (*CATEGORIES, REACTION, SURROUNDINGS):
         yield f"has no CATEGORY that is one of {', '.join((*CATEGORIES, REACTION, SURROUNDINGS))}"
-    ours = {**faults(), **reactions(), **surroundings()}.get(getattr(cls, "NAME", ""), cls)
+    ours = {**faults(), **reactions(), **disturbances()}.get(getattr(cls, "NAME", ""), cls)
     if ours is not cls:
         yield f"has the NAME {cls.NAME!r} of another fault"
     yield from _check_amounts(getattr(cls, "AMOUNTS", None))

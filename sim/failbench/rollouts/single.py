@@ -58,6 +58,10 @@ class Steps:
             let_sleep(self._world, data.xpos[None], model.tree_sleep_policy[None])
         return model, data
 
+    def state(self) -> mujoco.MjData:
+        """Return a copy of everything as it is now."""
+        return copy.copy(self._data)
+
     def restore(self) -> None:
         """Repair what is broken, from the next step on, as at the end of a fault's duration.
 

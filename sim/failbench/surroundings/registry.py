@@ -19,11 +19,11 @@ __all__ = [
     "PersonWalksIn",
     "PushedObject",
     "WetFloor",
+    "disturbances",
     "staged_for",
-    "surroundings",
 ]
 
-_SURROUNDINGS: Mapping[str, type[Fault]] = MappingProxyType(
+_DISTURBANCES: Mapping[str, type[Fault]] = MappingProxyType(
     {
         fault.NAME: fault
         for fault in (PushedObject, AddedObject, BumpedTable, WetFloor, HeavierObject, PersonWalksIn, DoorOpens)
@@ -31,6 +31,6 @@ _SURROUNDINGS: Mapping[str, type[Fault]] = MappingProxyType(
 )
 
 
-def surroundings() -> Mapping[str, type[Fault]]:
+def disturbances() -> Mapping[str, type[Fault]]:
     """Return the class of each fault of the surroundings by its name."""
-    return _SURROUNDINGS
+    return _DISTURBANCES

@@ -17,7 +17,7 @@ from failbench.rollouts.execution import LONGEST, Execution, execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.sampling import MOST, check_whole, make_jobs
 from failbench.simulated.world import SimSettings, World, build_world
-from failbench.surroundings.registry import Disturbance, staged_for, surroundings
+from failbench.surroundings.registry import Disturbance, disturbances, staged_for
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
@@ -279,7 +279,7 @@ def fault_of(document: Mapping[str, Any]) -> Fault:
     """
     name = str(document.get("fault"))
     if not own_file(document):
-        return from_document(document, surroundings())
+        return from_document(document, disturbances())
     fault = _own_class(name)
     return from_document({**document, "fault": fault.NAME}, {fault.NAME: fault})
 

@@ -65,7 +65,10 @@ def test_what_is_no_fault():
         ({"NAME": ""}, "has no NAME (ClassVar[str])"),
         ({"NAME": "noise"}, "has the NAME 'noise' of another fault"),
         ({"PARAMETER": 3}, "has no PARAMETER (ClassVar[str])"),
-        ({"CATEGORY": "mood"}, "has no CATEGORY that is one of actuator, sensor, end_effector, power, reaction"),
+        (
+            {"CATEGORY": "mood"},
+            "has no CATEGORY that is one of actuator, sensor, end_effector, power, reaction, surroundings",
+        ),
         ({"AMOUNTS": None}, "has no AMOUNTS (ClassVar[Mapping[str, float]])"),
         ({"AMOUNTS": {"minor": 1.0}}, "AMOUNTS has the degrees minor, expected minor, moderate, severe, critical"),
         (

@@ -19,8 +19,8 @@ from failbench.surroundings.registry import (
     PersonWalksIn,
     PushedObject,
     WetFloor,
+    disturbances,
     staged_for,
-    surroundings,
 )
 from failbench.testing import check_fault
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
@@ -63,11 +63,11 @@ class Watched:
 
 
 def test_they_are_seven_and_none_of_the_robots():
-    assert list(surroundings()) == ALL
-    assert not set(surroundings()) & set(faults())
-    assert {cls.CATEGORY for cls in surroundings().values()} == {"surroundings"}
+    assert list(disturbances()) == ALL
+    assert not set(disturbances()) & set(faults())
+    assert {cls.CATEGORY for cls in disturbances().values()} == {"surroundings"}
     with pytest.raises(TypeError):
-        surroundings()["mine"] = WetFloor
+        disturbances()["mine"] = WetFloor
 
 
 def test_patterns_mean_the_robots_own_faults_unless_surroundings_are_asked_for():
@@ -83,16 +83,16 @@ def test_patterns_mean_the_robots_own_faults_unless_surroundings_are_asked_for()
 
 @pytest.mark.parametrize("name", ALL)
 def test_they_keep_the_contract_of_faults(name):
-    fault = surroundings()[name]()
+    fault = disturbances()[name]()
     check_fault(fault, staged(fault) if fault.visitor() else healthy_run())
-    assert from_document(to_document(fault), surroundings()) == fault
+    assert from_document(to_document(fault), disturbances()) == fault
     with pytest.raises(SettingError, match="strikes no part of the robot"):
-        surroundings()[name](targets=("all",))
+        disturbances()[name](targets=("all",))
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_native_rollouts_are_the_plain_loop(name):
-    fault = surroundings()[name](degree="critical")
+    fault = disturbances()[name](degree="critical")
     done = staged(fault) if fault.visitor() else healthy_run()
     (rollout,) = fb.run(done, [fb.Job(fault=fault, onset=0.3, seed=2)], horizon=0.3)
     data = Watched(fault, done, onset=0.3, seed=2, horizon=0.3).data
@@ -103,7 +103,7 @@ def test_native_rollouts_are_the_plain_loop(name):
 
 @pytest.mark.parametrize("name", ALL)
 def test_what_is_over_is_over(name):
-    fault = surroundings()[name](duration=0.04)
+    fault = disturbances()[name](duration=0.04)
     seen = Watched(fault, staged(fault) if fault.visitor() else healthy_run(), horizon=0.1)
     assert not seen.xfrc[20:].any()
     for field in fault.FIELDS:

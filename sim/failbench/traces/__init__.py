@@ -1,0 +1,1 @@
+"""Rollouts step by step, as tables for those who learn from them."""

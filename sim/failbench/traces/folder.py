@@ -1,0 +1,198 @@
+"""Traces of a sweep as a folder of Parquet files, with a card that Hugging Face and people read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from failbench.sweeps.dataset import check_arrow, read_manifest
+from failbench.sweeps.work import Sweep, execution_of, jobs_of
+from failbench.traces.trace import Sampling, trace
+from graceful_plan.exceptions import SettingError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+TABLES: tuple[str, ...] = ("steps", "points", "images")
+_BATCH = 20_000
+"""Rows that are in memory, at most but for one rollout's."""
+
+_TYPES = {
+    "steps": {
+        "rollout": "int64",
+        "step": "int32",
+        "time": "float64",
+        "q": "list",
+        "qd": "list",
+        "command": "list",
+        "qpos": "list",
+        "qvel": "list",
+        "potential": "float64",
+        "kinetic": "float64",
+    },
+    "points": {
+        "rollout": "int64",
+        "step": "int32",
+        "time": "float64",
+        "first": "string",
+        "second": "string",
+        **dict.fromkeys(("x", "y", "z", "fx", "fy", "fz", "depth"), "float64"),
+    },
+    "images": {"rollout": "int64", "step": "int32", "time": "float64", "image": "image"},
+}
+"""Columns of each table."""
+
+_IMAGE_FEATURES = """\
+dataset_info:
+- config_name: images
+  features:
+  - {name: rollout, dtype: int64}
+  - {name: step, dtype: int32}
+  - {name: time, dtype: float64}
+  - {name: image, dtype: image}
+"""
+_CARD = """\
+---
+license: cc0-1.0
+task_categories: [robotics]
+tags: [robot-failures, mujoco, failbench]
+configs:
+{configs}
+{features}---
+
+# Failures of a robot, step by step
+
+{rollouts} rollouts in which a simulated robot fails, or its surroundings do, made with FailBench {version} and
+MuJoCo {mujoco}. Nothing in it is measured on a real robot: values of the faults are stated assumptions, and contents of
+containers are not simulated.
+
+- `steps`: {steps} rows, one each {every} steps of {dt:g} s from the onset on. `q`, `qd`: planned joints
+  [rad, rad/s]; `command`: of all actuators; `qpos`, `qvel`: MuJoCo's whole state; `potential`, `kinetic`: energies of
+  everything [J].
+- `points`: {points} rows, one for each contact that presses in such a step: `x y z` [m], force `fx fy fz` on
+  `second` in the world [N], `depth` [m]. `first` and `second` are `body` (the robot), `carried`, entities, or names of
+  other bodies. Things at rest that sleep have no rows.
+- `images`: {images} rows: PNG.
+
+What failed, and what came of it, is in the table `rollouts` of the dataset that this was made from, by the same number
+`rollout`.
+
+Motions: {motions}. Faults: {faults}.
+
+Not for: rating people's safety, or real robots' rates of failure.
+"""
+
+
+def write_traces(
+    dataset: str | Path, output: str | Path, *, rollouts: Sequence[int] | None = None, sampling: Sampling | None = None
+) -> dict[str, int]:
+    """Simulate rollouts of a dataset again and write what happened in them, step by step.
+
+    Args:
+        dataset: Folder of a dataset that `generate` completed.
+        output: Folder for `steps/`, `points/` and `images/` with one Parquet file each, and `README.md`, the card.
+        rollouts: Their numbers; all by default.
+        sampling: What is kept of each.
+
+    Returns:
+        Rows of each table.
+
+    Raises:
+        FormatError: If there is no complete dataset.
+        SettingError: If there is no such rollout.
+        MissingExtra: If pyarrow is not installed.
+        NoPicture: If there is no OpenGL and pictures are asked for.
+    """
+    check_arrow()
+    kept = Sampling() if sampling is None else sampling
+    manifest, output = read_manifest(Path(dataset)), Path(output)
+    sweep = Sweep.from_document(manifest["sweep"])
+    numbers = chosen(sweep, rollouts)
+    counts: dict[str, int] = dict.fromkeys(TABLES, 0)
+    writers = {table: _TableWriter(output / table, table) for table in TABLES if table != "images" or kept.images}
+    for number in numbers:
+        for rows in traced(sweep, number, kept):
+            for table, writer in writers.items():
+                writer.add([{"rollout": number, **row} for row in rows[table]])
+                counts[table] += len(rows[table])
+    for writer in writers.values():
+        writer.close()
+    (output / "README.md").write_text(_card(sweep, manifest, counts, len(numbers), kept), encoding="utf-8")
+    return counts
+
+
+def traced(sweep: Sweep, number: int, sampling: Sampling) -> Iterator[dict[str, list[dict[str, Any]]]]:
+    """Yield the rows of the sampled steps of a sweep's rollout."""
+    motion, fault, i = sweep.place(number)
+    yield from trace(
+        execution_of(sweep, motion), jobs_of(sweep, motion, fault)[i], horizon=sweep.horizon, sampling=sampling
+    )
+
+
+def chosen(sweep: Sweep, rollouts: Sequence[int] | None) -> list[int]:
+    """Return the numbers of rollouts that are meant, all if none are named."""
+    numbers = (
+        list(range(len(sweep.motions) * len(sweep.faults) * sweep.rollouts)) if rollouts is None else list(rollouts)
+    )
+    if not numbers or len(set(numbers)) < len(numbers):
+        raise SettingError("rollouts", numbers, "at least one, each once")
+    for number in numbers:
+        sweep.place(number)
+    return numbers
+
+
+def arrow_type(name: str) -> pa.DataType:
+    """Return the type of a column."""
+    import pyarrow as pa
+
+    if name == "list":
+        return pa.list_(pa.float64())
+    if name == "image":
+        return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    return pa.string() if name == "string" else pa.type_for_alias(name)
+
+
+class _TableWriter:
+    """Writes rows of a table as they come."""
+
+    def __init__(self, folder: Path, table: str) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        folder.mkdir(parents=True, exist_ok=True)
+        schema = pa.schema([(name, arrow_type(kind)) for name, kind in _TYPES[table].items()])
+        self._file = pq.ParquetWriter(folder / "part-00000.parquet", schema, compression="zstd")
+        self._schema, self._rows = schema, list[dict[str, Any]]()
+
+    def add(self, rows: list[dict[str, Any]]) -> None:
+        self._rows += rows
+        if len(self._rows) >= _BATCH:
+            self._flush()
+
+    def close(self) -> None:
+        self._flush()
+        self._file.close()
+
+    def _flush(self) -> None:
+        import pyarrow as pa
+
+        self._file.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
+        self._rows = []
+
+
+def _card(sweep: Sweep, manifest: dict[str, Any], counts: dict[str, int], rollouts: int, kept: Sampling) -> str:
+    configs = [f"- config_name: {t}\n  data_files: {t}/*.parquet" for t in TABLES if t != "images" or kept.images]
+    faults = [f"{fault.get('fault')} ({fault.get('degree', 'severe')})" for fault in sweep.faults]
+    return _CARD.format(
+        configs="\n".join(configs),
+        features=_IMAGE_FEATURES if kept.images else "",
+        rollouts=rollouts,
+        version=manifest["versions"]["graceful_plan"],
+        mujoco=manifest["versions"]["mujoco"],
+        every=kept.every,
+        dt=sweep.settings.timestep,
+        motions=", ".join(motion.name for motion in sweep.motions),
+        faults=", ".join(faults),
+        **counts,
+    )

@@ -1,0 +1,146 @@
+"""One rollout, step by step: where everything is, every contact as a point with its force, energies, pictures.
+
+The rollout is simulated again from its job, bit by bit the same as in a batch. All of a row belongs to one state: the
+forces are those that act in it.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from failbench.pictures.offscreen import Offscreen, find_camera
+from failbench.recording.closeup import CARRIED, ROBOT, Closeup
+from failbench.recording.records import Job
+from failbench.rollouts.execution import Execution
+from failbench.rollouts.single import steps
+from failbench.simulated.states import warnings_counted_only
+from graceful_plan.exceptions import SettingError
+
+Array = np.ndarray
+Rows = dict[str, list[dict[str, Any]]]
+"""Rows by table: "steps", "points" and "images"."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """What of a rollout is kept.
+
+    Args:
+        every: Steps from one row to the next.
+        images: Steps from one picture to the next, a multiple of `every`; 0 is none.
+        size: Width and height of pictures [pixels].
+        camera: Name of a camera of the scene; None is "overview", or one that sees everything.
+    """
+
+    every: int = 5
+    images: int = 0
+    size: tuple[int, int] = (320, 240)
+    camera: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise SettingError("every", self.every, "at least 1 step")
+        if self.images < 0 or self.images % self.every:
+            raise SettingError("images", self.images, f"0, or a multiple of every = {self.every}")
+
+
+def trace(execution: Execution, job: Job, *, horizon: float = 1.0, sampling: Sampling | None = None) -> Iterator[Rows]:
+    """Simulate a rollout and yield the rows of each sampled step; `rollout` is not among their columns.
+
+    Args:
+        execution: The healthy run.
+        job: What fails, and when.
+        horizon: How long is simulated after the onset [s].
+        sampling: What is kept.
+
+    Raises:
+        NoPicture: If there is no OpenGL and pictures are asked for.
+    """
+    kept = Sampling() if sampling is None else sampling
+    look, names = _Look(execution), _owner_names(execution)
+    with ExitStack() as stack:
+        stack.enter_context(warnings_counted_only())
+        camera = offscreen = None
+        if kept.images:
+            camera = find_camera(execution.world.model, kept.camera)
+            offscreen = stack.enter_context(Offscreen(execution.world.model, *kept.size))
+        going = steps(execution, job, horizon=horizon)
+        before = going.state()
+        for step, (model, data) in enumerate(going):
+            if step % kept.every == 0:
+                at = {"step": step, "time": step * execution.dt}
+                rows: Rows = {"steps": [at | look.state(model, before, data.ctrl)], "images": []}
+                rows["points"] = [at | point for point in _points(model, data, names)]
+                if offscreen is not None and camera is not None and step % kept.images == 0:
+                    png = _png(offscreen.picture(look.data, camera))
+                    rows["images"] = [at | {"image": {"bytes": png, "path": None}}]
+                yield rows
+            if (step + 1) % kept.every == 0:
+                before = going.state()
+
+
+class _Look:
+    """Energies of states, and a MjData that holds the last one that was looked at."""
+
+    def __init__(self, execution: Execution) -> None:
+        self._robot = execution.world.robot
+        self.data = mujoco.MjData(execution.world.model)
+
+    def state(self, model: mujoco.MjModel, before: mujoco.MjData, command: Array) -> dict[str, Any]:
+        data, robot = self.data, self._robot
+        for name in ("qpos", "qvel", "mocap_pos", "mocap_quat"):
+            getattr(data, name)[:] = getattr(before, name)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_energyPos(model, data)
+        mujoco.mj_energyVel(model, data)
+        return {
+            "q": data.qpos[robot.qpos].tolist(),
+            "qd": data.qvel[robot.dofs].tolist(),
+            "command": command.tolist(),
+            "qpos": data.qpos.tolist(),
+            "qvel": data.qvel.tolist(),
+            "potential": float(data.energy[0]),
+            "kinetic": float(data.energy[1]),
+        }
+
+
+def _points(model: mujoco.MjModel, data: mujoco.MjData, names: list[str]) -> Iterator[dict[str, Any]]:
+    """Yield the contacts that press in the state before a step."""
+    wrench = np.zeros(6)
+    for i, contact in enumerate(data.contact):
+        if contact.efc_address < 0:
+            continue  # near, but it does not press
+        mujoco.mj_contactForce(model, data, i, wrench)
+        force = wrench[:3] @ contact.frame.reshape(3, 3)
+        first, second = (names[geom] for geom in contact.geom)
+        yield {
+            "first": first,
+            "second": second,
+            **dict(zip(("x", "y", "z"), contact.pos.tolist(), strict=True)),
+            **dict(zip(("fx", "fy", "fz"), force.tolist(), strict=True)),
+            "depth": -float(contact.dist),
+        }
+
+
+def _owner_names(execution: Execution) -> list[str]:
+    """Say whose each geom is: "body", "carried", an entity's, or that of some other body, by its name."""
+    closeup, model = Closeup(execution.world), execution.world.model
+    known = {ROBOT: "body", CARRIED: "carried", **dict(enumerate(closeup.entities))}
+    bodies = [model.body(int(body)).name or "" for body in model.geom_bodyid]
+    return [known.get(int(owner), body) for owner, body in zip(closeup.owner, bodies, strict=True)]
+
+
+def _png(pixels: Array) -> bytes:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="png")
+    return buffer.getvalue()
