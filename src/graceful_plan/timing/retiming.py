@@ -20,6 +20,8 @@ from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
+_LONGEST = 1e6
+"""Path that is timed [rad or m]: beyond, the pieces of a grid are lost in rounding."""
 _ROUNDING = 1e-9
 """Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
 ACCEPTED_SLOWDOWN = 1.02
@@ -65,6 +67,8 @@ def retime(
         raise SettingError("speed", speed, "0 < speed <= 1")
     if not np.all(np.isfinite(deviation) & (np.asarray(deviation) >= 0.0)):
         raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
+    if not path.length <= _LONGEST:
+        raise RetimingError(f"the path is {path.length:.3g} rad long, at most {_LONGEST:g} rad are timed")
     _check_corners(path, deviation)
     pieces = rounded(path, deviation)
     if not pieces:

@@ -97,7 +97,7 @@ class SeverityTable(YamlTable):
 
     def check_class(self, category: str) -> None:
         """Raise UnknownNameError unless there is such an entity class."""
-        if category not in self.rows:
+        if not isinstance(category, str) or category not in self.rows:
             raise UnknownNameError("entity class", category, self.rows)
 
     def _check_component(self, component: str) -> None:
