@@ -1,10 +1,10 @@
 """Break the code in one place at a time and see whether tests notice.
 
-python .ci/mutants.py [--each N] [--seed S] [--module NAME ...] [--processes N] [--journal FILE]
+python .ci/mutants.py [--each N] [--seed S] [--module NAME ...] [--processes N] [--minutes M] [--journal FILE]
 
 Of every module below, N mutants that cosmic-ray knows are drawn; each is tried in a copy of the tree, by the tests that
-are named for the module. What was tried is kept in a journal of JSON lines, so that a run goes on where it was stopped.
-Mutants of annotations are left out: nothing reads those at run time.
+are named for the module. What was tried is kept in a journal of JSON lines, so that a run goes on where it was stopped;
+delete it once the code has changed. Mutants of annotations are left out: nothing reads those at run time.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from itertools import zip_longest
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -33,21 +35,27 @@ from cosmic_ray.mutating import apply_mutation
 ROOT = Path(__file__).parents[1]
 LIBRARY = "src/graceful_plan"
 MODULES = {
-    "costs/objective.py": ("tests/costs", "tests/analysis", "tests/judge"),
-    "timing/retiming.py": ("tests/timing",),
-    "timing/trajectory.py": ("tests/timing", "tests/formats"),
-    "judge/verification.py": ("tests/judge",),
-    "judge/exact.py": ("tests/judge", "tests/query/test_goals.py", "tests/analysis"),
+    "costs/objective.py": ("tests/costs/test_costs.py", "tests/costs/test_slopes.py", "tests/costs/test_own_loss.py"),
+    "timing/retiming.py": ("tests/timing/test_retiming.py",),
+    "timing/trajectory.py": ("tests/timing/test_trajectory.py", "tests/formats/test_formats.py"),
+    "judge/verification.py": ("tests/judge/test_verification.py", "tests/judge/test_passing.py"),
+    "judge/exact.py": (
+        "tests/judge/test_verification.py",
+        "tests/judge/test_clearance_proof.py",
+        "tests/scene/test_contacts.py",
+    ),
     "judge/motion_samples.py": ("tests/judge",),
-    "judge/passing.py": ("tests/judge", "tests/scene/test_moving.py"),
-    "analysis/certificate.py": ("tests/analysis",),
+    "judge/passing.py": ("tests/judge/test_passing.py", "tests/scene/test_moving.py"),
+    "analysis/certificate.py": ("tests/analysis/test_certificate.py", "tests/analysis/test_certified_clearance.py"),
     "query/goals.py": ("tests/query/test_goals.py", "tests/query/test_ik.py", "tests/query/test_cancel.py"),
-    "scene/scene.py": ("tests/scene",),
-    "scene/screening.py": ("tests/scene",),
+    "scene/scene.py": ("tests/scene/test_scene.py", "tests/scene/test_edit.py", "tests/scene/loading/test_naming.py"),
+    "scene/screening.py": ("tests/scene/test_screening.py",),
 }
 """Modules that a wrong verdict would come from, and the tests that are there for them."""
-LIMIT = 240
-"""Seconds for the tests of one mutant; what takes longer hangs, which is noticed, too."""
+LIMIT = 120
+"""Processor seconds for the tests of one mutant; what takes longer hangs, which is noticed, too."""
+PATIENCE = 1800
+"""Seconds for those that wait for ever and compute nothing."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +129,14 @@ def tests_pass(place: Path, tests: Sequence[str]) -> tuple[bool, str]:
     paths = (place / "src", place / "sim", sysconfig.get_path("platlib"))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths)), "OPENBLAS_NUM_THREADS": "1"}
     options = ["-q", "-x", "-m", "not long", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    command = [sys.executable, "-S", "-m", "pytest", *options, *tests]
+    limited = ["sh", "-c", f'ulimit -t {LIMIT}; exec "$@"', "sh"]
+    command = [*limited, sys.executable, "-S", "-m", "pytest", *options, *tests]
     try:
         run = subprocess.run(
-            command, cwd=place, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
+            command, cwd=place, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False
         )
     except subprocess.TimeoutExpired:
-        return False, f"took more than {LIMIT} s"
+        return False, f"took more than {PATIENCE} s"
     said = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
     return run.returncode == 0, (said or run.stdout.splitlines()[-1:] or [run.stderr[-200:]])[0][:200]
 
@@ -147,46 +156,57 @@ def tried(mutant: Mutant, place: Path) -> dict[str, object]:
     return {**asdict(mutant), "survived": survived, "said": said, "before": before.strip(), "after": after.strip()}
 
 
+def drawn(modules: Sequence[str], each: int, seed: int) -> Iterator[Mutant]:
+    """Draw mutants, by turns of one module and the next, so that a run that is stopped has seen all of them."""
+    samples = []
+    for module in modules:
+        every = list(mutants_of(module))
+        samples.append(random.Random(seed).sample(every, min(each, len(every))))
+    for turn in zip_longest(*samples):
+        yield from filter(None, turn)
+
+
+def key_of(result: Mapping[str, object]) -> tuple[object, ...]:
+    """Return what tells mutants apart."""
+    return result["module"], result["operator"], result["occurrence"]
+
+
 def main() -> int:
     """Try mutants and print the share that was noticed, and those that were not."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--each", type=int, default=20, help="mutants of each module")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--module", nargs="*", default=list(MODULES), choices=list(MODULES), metavar="NAME")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin no further mutant after this time")
     parser.add_argument("--journal", type=Path, default=ROOT / "build" / "mutants.jsonl")
     args = parser.parse_args()
+    end = time.monotonic() + 60.0 * args.minutes
     args.journal.parent.mkdir(exist_ok=True)
     args.journal.touch()
-    known = {(r["module"], r["operator"], r["occurrence"]): r for r in map(json.loads, args.journal.open())}
-    drawn = []
-    for module in args.module:
-        every = list(mutants_of(module))
-        drawn += random.Random(args.seed).sample(every, min(args.each, len(every)))
+    known = {key_of(result): result for result in map(json.loads, args.journal.open())}
+    results, todo = [], []
+    for mutant in drawn(args.module, args.each, args.seed):
+        (results if key_of(asdict(mutant)) in known else todo).append(known.get(key_of(asdict(mutant)), mutant))
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(args.processes) as pool:
         free: SimpleQueue[Path] = SimpleQueue()
-        for i in range(args.processes):
+        for i in range(args.processes if todo else 0):
             free.put(copied(Path(scratch) / str(i)))
-        for module in args.module:
+        for module in {mutant.module for mutant in todo} - {result["module"] for result in known.values()}:
             if not (found := tests_pass(Path(scratch) / "0", MODULES[module]))[0]:
                 raise SystemExit(f"tests of {module} fail as it is: {found[1]}")
 
-        def attempt(mutant: Mutant) -> dict[str, object]:
-            key = mutant.module, mutant.operator, mutant.occurrence
-            if key in known:
-                return known[key]
+        def attempt(mutant: Mutant) -> dict[str, object] | None:
             place = free.get()
             try:
-                return tried(mutant, place)
+                return tried(mutant, place) if time.monotonic() < end else None
             finally:
                 free.put(place)
 
-        results = []
-        for result in pool.map(attempt, drawn):
+        for result in filter(None, pool.map(attempt, todo)):
             results.append(result)
-            if (result["module"], result["operator"], result["occurrence"]) not in known:
-                with args.journal.open("a") as out:
-                    out.write(json.dumps(result) + "\n")
+            with args.journal.open("a") as out:
+                out.write(json.dumps(result) + "\n")
     return told(results)
 
 

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import NonFiniteError, ShapeError
+from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 
 Array = np.ndarray
+
+MOST_POINTS = 10_000_000
+"""What a path or trajectory is divided into at most: gigabytes, for a robot of ten joints."""
+
+
+def is_real(value: object) -> TypeGuard[float]:
+    """Whether it is a number, which True and False are not; it may be infinite or NaN."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
 
 
 def finite_array(
@@ -24,6 +34,8 @@ def finite_array(
         NonFiniteError: If it holds a NaN or an infinity.
     """
     try:
+        if isinstance(value, np.ma.MaskedArray):
+            value = value.astype(np.float64).filled(np.nan)  # what is masked is not known
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None
@@ -77,7 +89,13 @@ class Path:
         return Path(self.q[::-1])
 
     def resampled(self, step: float) -> Path:
-        """Subdivide every segment evenly so that no piece is longer than `step` [rad]; vertices stay."""
+        """Subdivide every segment evenly so that no piece is longer than `step` [rad]; vertices stay.
+
+        Raises:
+            SettingError: If the step is not a length above 0, or gives more than `MOST_POINTS` vertices.
+        """
+        if not (is_real(step) and step > 0.0 and self.length < MOST_POINTS * step):
+            raise SettingError("step", step, f"a length above 0 that gives at most {MOST_POINTS} pieces")
         pieces = np.maximum(1, np.ceil(self.segment_lengths / step).astype(int))
         parts = [
             a + np.arange(k)[:, None] / k * (b - a) for a, b, k in zip(self.q[:-1], self.q[1:], pieces, strict=True)

@@ -21,6 +21,7 @@ from graceful_plan.planners import Planner
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.arguments import (
+    checked_callback,
     checked_cancelled,
     checked_objective,
     checked_planner,
@@ -141,7 +142,7 @@ def plan(
         speed=share,
         max_wait=checked_wait(max_wait, scene),
         verification=checked_verification(verification),
-        callback=callback,
+        callback=checked_callback(callback),
     )
     rng, stop, limit = checked_seed(seed), checked_cancelled(cancelled), checked_time_limit(time_limit, iterations)
     if passed := checked_via(via, scene):

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.exceptions import SceneError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.exact import Judge, state_contacts
@@ -119,3 +120,19 @@ def test_edits_that_cannot_be_are_refused(scene: Scene, task) -> None:
     spec.body("a").add_body(name="b", pos=[0, 0, 0.2]).add_geom(size=[0.1, 0, 0])
     with pytest.raises(UnsupportedError, match="move what it stands on"):
         Scene.build(spec, scene.notes).edit(move={"b": [0, 0, 1]})
+
+
+def test_a_hull_may_have_the_name_of_one_that_goes() -> None:
+    """Again and again, as perception does; and the name of a mesh that the robot has."""
+    tetrahedron = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    scene = gp.load_scene("tabletop").add_mesh("rock", tetrahedron, [1.0, 1.0, 1.0])
+    for k in range(1, 4):
+        rock = Solid(name="rock", kind="mesh", size=(1.0 + k) * tetrahedron, pose=[1.0, 1.0, 1.0])
+        scene = scene.edit(remove=["rock"], add=[rock])
+        assert scene.model.nmesh == 1 and scene.model.mesh_vert.max() == pytest.approx(0.1 * (1.0 + k), rel=0.5)
+    with_mesh = scene.edit(add=[Solid(name="rock#1", kind="mesh", size=tetrahedron, pose=[0.5, 1.0, 1.0])])
+    assert with_mesh.model.nmesh == 2
+    text = """<mujoco><asset><mesh name="rock" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody>
+    <body name="r/a"><joint/><geom type="mesh" mesh="rock"/><site name="r/t"/></body></worldbody></mujoco>"""
+    robot = gp.Scene.from_mjcf(text, robot="r/", tool="r/t", velocity=[1.0], acceleration=[1.0])
+    assert robot.add_mesh("rock", tetrahedron, [1.0, 1.0, 1.0]).model.nmesh == 2

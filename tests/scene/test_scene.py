@@ -530,8 +530,8 @@ def test_things_can_be_added() -> None:
 @pytest.mark.parametrize(
     ("add", "error", "words"),
     [
-        (lambda s: s.add_box("cup", [1, 1, 1], [0, 0, 0]), SceneError, "the name 'cup' is empty or taken"),
-        (lambda s: s.add_box("", [1, 1, 1], [0, 0, 0]), SceneError, "is empty or taken"),
+        (lambda s: s.add_box("cup", [1, 1, 1], [0, 0, 0]), SceneError, "the name 'cup' is taken"),
+        (lambda s: s.add_box("", [1, 1, 1], [0, 0, 0]), SceneError, "the name '' is empty"),
         (lambda s: s.add_box("x", [1, 1], [0, 0, 0]), ShapeError, "size of x has shape"),
         (lambda s: s.add_box("x", [1, 1, 0], [0, 0, 0]), SettingError, "expected lengths above 0"),
         (lambda s: s.add_sphere("x", float("nan"), [0, 0, 0]), NonFiniteError, "size of x is not finite"),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import zlib
 from pathlib import Path
 
 import mujoco
@@ -309,6 +310,37 @@ def test_files_are_weighed_by_their_headers(tmp_path: Path) -> None:
     )
     assert "cells of height fields" in str(_refusal(hills))
     (tmp_path / "fine.obj").write_bytes(b"\nv 0 0 0" * 2_000_001)
+    mesh = _write(tmp_path, "m.xml", '<mujoco><asset><mesh name="m" file="fine.obj"/></asset></mujoco>')
+    assert "vertices and faces of meshes" in str(_refusal(mesh))
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+
+
+def _picture(pixels: bytes, before: bytes = b"") -> bytes:
+    """A PNG of 4 x 4 pixels, with these as its data."""
+    header = _chunk(b"IHDR", b"\0\0\0\4\0\0\0\4\x08\2\0\0\0")
+    return b"\x89PNG\r\n\x1a\n" + header + before + _chunk(b"IDAT", zlib.compress(pixels)) + _chunk(b"IEND", b"")
+
+
+def test_a_picture_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) -> None:
+    """3 MB of zeros would become 3 GB; MuJoCo would notice afterwards."""
+    world = _write(tmp_path, "w.xml", '<mujoco><asset><texture name="t" type="2d" file="a.png"/></asset></mujoco>')
+    (tmp_path / "a.png").write_bytes(_picture(bytes(4 * 13)))
+    assert compile_spec(load_spec(world)).ntex == 1
+    (tmp_path / "a.png").write_bytes(_picture(bytes(4_000_000)))
+    assert "a.png unpacks to more than 4 x 4 pixels" in str(_refusal(world))
+    (tmp_path / "a.png").write_bytes(_picture(bytes(4 * 13), 9 * _chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(9)))))
+    assert "a.png holds 9 packed texts" in str(_refusal(world))
+    (tmp_path / "a.png").write_bytes(_picture(b"")[:-20])
+    with pytest.raises(SceneError, match="PNG"):
+        compile_spec(load_spec(world))
+
+
+@pytest.mark.parametrize("line", [b"\n  v 0 0 0", b"\n\tv\t0 0 0", b"\rv 0 0 0", b"\n f 1 2 3"])
+def test_lines_of_a_mesh_count_however_they_begin(tmp_path: Path, line: bytes) -> None:
+    (tmp_path / "fine.obj").write_bytes(2_000_001 * line)
     mesh = _write(tmp_path, "m.xml", '<mujoco><asset><mesh name="m" file="fine.obj"/></asset></mujoco>')
     assert "vertices and faces of meshes" in str(_refusal(mesh))
 

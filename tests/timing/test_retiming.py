@@ -12,7 +12,15 @@ from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import Polyline, rounded, sampled
-from graceful_plan.timing.retiming import ACCEPTED_SLOWDOWN, retime, slowed, timed
+from graceful_plan.timing.retiming import (
+    ACCEPTED_SLOWDOWN,
+    SHORTEST_PIECE,
+    retime,
+    slowdown,
+    slowed,
+    timed,
+    without_short_pieces,
+)
 from graceful_plan.timing.spline import Spline
 from graceful_plan.timing.topp import fastest, fastest_with_toppra
 from graceful_plan.timing.trajectory import Trajectory
@@ -228,3 +236,41 @@ def test_a_spline_goes_through_its_points_and_is_exact_for_cubics(n):
     fine = np.linspace(0.0, n - 1.0, 50)
     expected = np.stack([np.polyval(np.polyfit(u, column, 3), fine) for column in cubic.T], axis=1)
     np.testing.assert_allclose(Spline.through(cubic).at(fine), expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("gap", [1e-4, 2e-5])
+@pytest.mark.parametrize("deviation", [0.0, 0.05])
+def test_pieces_that_are_too_short_for_anybody_are_merged(gap: float, deviation: float) -> None:
+    """Where vertices lie a hair's breadth apart on a straight line, a piece was a microsecond and less."""
+    unit = np.array([0.6, 0.8])
+    path = Path(np.outer([0.0, 1.0, 1.0 + gap, 1.0 + 2.0 * gap, 2.0], unit))
+    limits = _limits([10.0] * 2, [50.0] * 2)
+    motion, plain = retime(path, limits, deviation=deviation), retime(Path(path.q[[0, -1]]), limits)
+    assert np.diff(motion.t).min() >= SHORTEST_PIECE
+    assert motion.duration == pytest.approx(plain.duration, rel=1e-6)
+    assert slowdown(motion, limits, None) == 1.0
+    off = motion.at(np.linspace(0.0, motion.duration, 999)).q @ [0.8, -0.6]
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    _assert_within_limits(motion, limits)
+
+
+def test_merging_keeps_both_ends_and_rests() -> None:
+    t = np.array([0.0, 4e-6, 8e-6, 0.1, 0.1 + 2e-6, 0.1 + 4e-6, 0.2, 0.2 + 1e-6])
+    qd = np.ones((8, 1))
+    qd[[0, 4, 7]] = 0.0
+    made = Trajectory(t, t[:, None], qd, qd, ("a",))
+    merged = without_short_pieces(made)
+    np.testing.assert_array_equal(merged.t, t[[0, 4, 7]])
+    np.testing.assert_array_equal(merged.qd, qd[[0, 4, 7]])
+    assert without_short_pieces(merged) is not made and len(without_short_pieces(merged)) == 3
+    even = Trajectory(1e-4 * np.arange(8), t[:, None], qd, qd, ("a",))
+    assert without_short_pieces(even) is even
+
+
+def test_the_last_acceleration_is_that_of_the_last_piece() -> None:
+    """Also where the curve ends in a bend: there the motion rests, and the bend adds nothing."""
+    u = np.linspace(0.0, 1.0, 9)
+    points = np.stack([np.cos(3.0 * u), np.sin(3.0 * u)], axis=1)
+    motion = timed(Spline.through(points), _limits([2.0] * 2, [5.0] * 2), ("a", "b"))
+    assert np.abs(motion.qdd[-1]).max() > 1.0
+    np.testing.assert_allclose(motion.qdd[-1], motion.piece_accelerations[1][-1], rtol=0.02, atol=0.05)

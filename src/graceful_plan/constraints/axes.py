@@ -13,6 +13,7 @@ from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.rules.rules import AxisRule, Vector, checked_frame
 from graceful_plan.scene.scene import Scene
@@ -119,7 +120,7 @@ def standing_axis(scene: Scene) -> Vector:
 
 
 def _check_angle(name: str, angle: float) -> None:
-    if not 0.0 < angle <= np.pi:
+    if not (is_real(angle) and 0.0 < angle <= np.pi):
         raise SettingError(name, angle, "an angle above 0 and at most pi rad")
 
 

@@ -30,6 +30,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import LEVER
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 from graceful_plan.scene.rules.grip import Grip, find_grip
 from graceful_plan.scene.rules.rules import AxisRule, GripRule
 from graceful_plan.scene.scene import Scene
@@ -67,7 +68,7 @@ class GraspHolds(FeltConstraint):
         for name, value in (("friction", self.friction), ("force", self.force)):
             if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise SettingError(name, value, "a finite number above 0")
-        if not 0.0 < self.share <= 1.0:
+        if not (is_real(self.share) and 0.0 < self.share <= 1.0):
             raise SettingError("share", self.share, "above 0 and at most 1")
 
     def rule(self, scene: Scene) -> GripRule:

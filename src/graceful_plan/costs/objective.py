@@ -27,7 +27,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.motion import JointLength
 from graceful_plan.costs.slopes import CostSlopes
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, is_real
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
@@ -86,7 +86,7 @@ class Objective:
     exposure: str = "time"
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.w <= MAX_WEIGHT:
+        if not (is_real(self.w) and 0.0 <= self.w <= MAX_WEIGHT):
             raise SettingError("w", self.w, f"a number from 0 to {MAX_WEIGHT:g}")
         if self.exposure not in EXPOSURES:
             raise SettingError("exposure", self.exposure, f"one of {', '.join(EXPOSURES)}")
@@ -399,9 +399,11 @@ def evaluate(
         SettingError: If the start time is not finite, the speed not in its range, or the path so long that it has more
             than `MOST_STATES` states.
     """
-    if not np.isfinite(start_time):
+    if not (is_real(start_time) and np.isfinite(start_time)):
         raise SettingError("start_time", start_time, "a finite time [s]")
-    if not 0.0 < speed <= 1.0:
+    if not (is_real(speed) and 0.0 < speed <= 1.0):
         raise SettingError("speed", speed, "a fraction in (0, 1]")
     points = path if isinstance(path, Path | Trajectory) else Path(path)
+    if not isinstance(objective, Objective | None):
+        raise SettingError("objective", objective, "an Objective")
     return (objective or Objective()).bind(scene, (speed, speed)).breakdown(points, start_time)

@@ -112,6 +112,10 @@ def verify(
         ShapeError: If motion, start or goal do not fit the scene's joints.
         SettingError: If there is no such exposure, or the step is not a positive distance.
     """
+    if not isinstance(scene, Scene):
+        raise SettingError("scene", scene, "a Scene, such as load_scene() returns")
+    if not isinstance(motion, Path | Trajectory):
+        raise SettingError("motion", motion, "a Path or a Trajectory")
     nq = len(scene.joints)
     if motion.q.shape[1] != nq:
         raise ShapeError("motion", motion.q.shape, f"(n, {nq})")

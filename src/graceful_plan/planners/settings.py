@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 
 
 def positive(name: str, value: float | None) -> None:
@@ -13,7 +14,7 @@ def positive(name: str, value: float | None) -> None:
     Raises:
         SettingError: With the name of the setting.
     """
-    if value is not None and not 0.0 < value < np.inf:
+    if value is not None and not (is_real(value) and 0.0 < value < np.inf):
         raise SettingError(name, value, "a finite number > 0")
 
 
@@ -23,7 +24,7 @@ def fraction(name: str, value: float) -> None:
     Raises:
         SettingError: With the name of the setting.
     """
-    if not 0.0 <= value <= 1.0:
+    if not (is_real(value) and 0.0 <= value <= 1.0):
         raise SettingError(name, value, "a number in [0, 1]")
 
 
@@ -33,7 +34,7 @@ def positive_fraction(name: str, value: float) -> None:
     Raises:
         SettingError: With the name of the setting.
     """
-    if not 0.0 < value <= 1.0:
+    if not (is_real(value) and 0.0 < value <= 1.0):
         raise SettingError(name, value, "a number in (0, 1]")
 
 

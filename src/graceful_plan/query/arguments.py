@@ -12,9 +12,11 @@ from graceful_plan.analysis.risk_measures import MEASURES, RiskMeasure
 from graceful_plan.costs.objective import Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.judge.verification import Verification
+from graceful_plan.path import is_real
 from graceful_plan.planners import PLANNERS, Auto, Planner
 from graceful_plan.planners.driving import DRIVING
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
+from graceful_plan.query.search import Callback
 from graceful_plan.scene.scene import Scene
 
 DEFAULT_TIME_LIMIT = 1.0
@@ -64,9 +66,9 @@ def check_stands(scene: Scene, what: str) -> None:
 
 def checked_speed(speed: object) -> float:
     """Return the share of the velocity limits to use."""
-    if not (_is_real(speed) and 0.0 < speed <= 1.0):  # type: ignore[operator]
+    if not (is_real(speed) and 0.0 < speed <= 1.0):
         raise SettingError("speed", speed, "a fraction in (0, 1]")
-    return float(speed)  # type: ignore[arg-type]
+    return float(speed)
 
 
 def checked_risk(risk: object) -> RiskMeasure:
@@ -80,7 +82,7 @@ def checked_risk(risk: object) -> RiskMeasure:
 
 def checked_objective(objective: object, w: object) -> Objective:
     """Return the objective to minimise, with the weight that was asked for."""
-    if w is not None and not _is_real(w):
+    if w is not None and not is_real(w):
         raise SettingError("w", w, "a finite number, at least 0")
     if objective is None:
         return Objective() if w is None else Objective(w=float(w))  # type: ignore[arg-type]
@@ -91,11 +93,11 @@ def checked_objective(objective: object, w: object) -> Objective:
 
 def checked_wait(max_wait: object, scene: Scene) -> float:
     """Return how long the robot may wait before it goes [s]; waiting is for moving entities."""
-    if not (_is_real(max_wait) and 0.0 <= max_wait < np.inf):  # type: ignore[operator]
+    if not (is_real(max_wait) and 0.0 <= max_wait < np.inf):
         raise SettingError("max_wait", max_wait, "a finite time of at least 0 s")
     if max_wait and not scene.moving:
         raise SettingError("max_wait", max_wait, "0 in a scene where nothing moves; see Scene.with_moving")
-    return float(max_wait)  # type: ignore[arg-type]
+    return float(max_wait)
 
 
 def checked_verification(verification: object) -> Verification | None:
@@ -134,17 +136,20 @@ def checked_cancelled(cancelled: object) -> Cancelled:
     return Cancelled(cancelled)
 
 
+def checked_callback(callback: Callback | None) -> Callback | None:
+    """Return what is told of improvements."""
+    if callback is not None and not callable(callback):
+        raise SettingError("callback", callback, "a function of one argument, the improvement")
+    return callback
+
+
 def checked_time_limit(time_limit: object, iterations: object) -> float:
     """Return how many seconds the call may take; infinite if iterations alone limit it."""
     whole = isinstance(iterations, numbers.Integral) and not isinstance(iterations, bool)
     if iterations is not None and not (whole and int(iterations) >= 0):  # type: ignore[call-overload]
         raise SettingError("iterations", iterations, "a whole number, at least 0")
-    if time_limit is not None and not (_is_real(time_limit) and time_limit >= 0.0):  # type: ignore[operator]
+    if time_limit is not None and not (is_real(time_limit) and time_limit >= 0.0):
         raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
     if time_limit is None:
         return DEFAULT_TIME_LIMIT if iterations is None else np.inf
     return float(time_limit)  # type: ignore[arg-type]
-
-
-def _is_real(value: object) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)

@@ -13,6 +13,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Int
 from graceful_plan.scene.elements import AllowedContact, Notes
+from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.model_parts import colliding_geoms, find, names, rigid_group, subtree
 
 Array = np.ndarray
@@ -94,9 +95,10 @@ def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
     Raises:
         UnknownNameError: If there is neither.
     """
-    body = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name)
-    if body < 0 and name.startswith("#") and name[1:].isdigit() and int(name[1:]) < model.nbody:
-        body = int(name[1:])  # what `names` calls a nameless one, such as a finger that nobody named
+    body = lookup(model, _OBJ.mjOBJ_BODY, name)
+    if body < 0 and is_name(name):
+        # What `names` calls a nameless one, such as a finger that nobody named.
+        body = next((b for b in range(model.nbody) if name == f"#{b}"), -1)
     if body >= 0:
         return colliding_geoms(model, {0} if body == 0 else rigid_group(model, body))
     return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from typing import final
 
 import mujoco
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.loading.naming import check_new
 from graceful_plan.scene.model_parts import find
 from graceful_plan.scene.roles import free_joint, rigid_pose
 
@@ -63,9 +65,12 @@ class Solid:
         if self.kind == "mesh":
             add_hull(spec, self.name, self.size, self.pose)
             return
-        kind, count = _KINDS[self.kind]
-        size = np.atleast_1d(np.asarray(self.size, dtype=float))
-        add_primitive(spec, self.name, kind, finite_array(f"size of {self.name}", size, ndim=1, last=count), self.pose)
+        kind, sizes = _KINDS[self.kind]
+        try:
+            size = np.atleast_1d(np.asarray(self.size, dtype=float))
+        except (TypeError, ValueError):
+            raise SettingError(f"size of {self.name}", self.size, f"{sizes} lengths above 0") from None
+        add_primitive(spec, self.name, kind, finite_array(f"size of {self.name}", size, ndim=1, last=sizes), self.pose)
 
 
 def add_primitive(
@@ -91,13 +96,23 @@ def add_hull(spec: mujoco.MjSpec, name: str, vertices: ArrayLike, pose: ArrayLik
     points = finite_array(f"vertices of {name}", vertices, ndim=2, last=3)
     if len(points) < 4 or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6) < 3:
         raise SceneError(f"the vertices of {name!r} have no volume")
-    spec.add_mesh(name=name, uservert=points.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
-    _add_body(spec, name, pose).add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+    check_new(spec, name)
+    mesh = _mesh_name(spec, name)
+    spec.add_mesh(name=mesh, uservert=points.ravel(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+    _add_body(spec, name, pose).add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh)
+
+
+def _mesh_name(spec: mujoco.MjSpec, name: str) -> str:
+    """Return a name for a body's mesh that none has; one of its own name that a removed body left behind goes."""
+    used = {geom.meshname for geom in spec.geoms}
+    left = spec.mesh(name)
+    if left is not None and name not in used:
+        spec.delete(left)
+    return next(one for one in chain([name], (f"{name}#{i}" for i in count(1))) if spec.mesh(one) is None)
 
 
 def _add_body(spec: mujoco.MjSpec, name: str, pose: ArrayLike) -> mujoco.MjsBody:
-    if not name or spec.body(name) is not None or spec.geom(name) is not None:
-        raise SceneError(f"the name {name!r} is empty or taken")
+    check_new(spec, name)
     position, quaternion = _position_and_quaternion(_pose(name, pose))
     return spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
 
@@ -132,7 +147,8 @@ def removed(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, kept: frozens
     body = find(model, mujoco.mjtObj.mjOBJ_BODY, "body", name)
     if body == 0 or body in _above(model, kept):
         raise SceneError(f"{name!r} is part of the robot, or holds it or is held by it; it cannot be removed")
-    spec.delete(spec.body(name))
+    if spec.body(name) is not None:  # it may have gone with another
+        spec.delete(spec.body(name))
 
 
 def _above(model: mujoco.MjModel, bodies: frozenset[int]) -> set[int]:

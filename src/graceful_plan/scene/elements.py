@@ -17,6 +17,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError
+from graceful_plan.path import is_real
 from graceful_plan.scene.harm.severity import SeverityTable
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
@@ -96,7 +97,7 @@ class Liquid:
 
     def __post_init__(self) -> None:
         _check_positive("volume", self.volume)
-        if not -50.0 <= self.temperature <= 400.0:
+        if not (is_real(self.temperature) and -50.0 <= self.temperature <= 400.0):
             raise SettingError("temperature", self.temperature, "degrees Celsius between -50 and 400")
         if self.kind not in ("water", "oil"):
             raise SettingError("kind", self.kind, "'water' or 'oil'")
@@ -227,5 +228,5 @@ class Notes:
 
 
 def _check_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
+    if not (is_real(value) and 0.0 < value < math.inf):
         raise SettingError(name, value, "a finite number above 0")

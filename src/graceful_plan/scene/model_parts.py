@@ -13,6 +13,7 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.elements import Limits, Notes
+from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.screening import MAX_EXTENT, compile_spec
 
@@ -48,7 +49,7 @@ def find(model: mujoco.MjModel, kind: mujoco.mjtObj, word: str, name: str) -> in
     Raises:
         UnknownNameError: If there is none.
     """
-    found = mujoco.mj_name2id(model, kind, name)
+    found = lookup(model, kind, name)
     if found < 0:
         count = {_OBJ.mjOBJ_BODY: model.nbody, _OBJ.mjOBJ_SITE: model.nsite, _OBJ.mjOBJ_JOINT: model.njnt,
                  _OBJ.mjOBJ_GEOM: model.ngeom}[kind]  # fmt: skip
@@ -166,11 +167,11 @@ def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
     Raises:
         UnknownNameError: If there are none.
     """
-    root = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, robot) if robot else -1
+    root = lookup(model, _OBJ.mjOBJ_BODY, robot)
     if root > 0:
         return subtree(model, root)
     every = names(model, _OBJ.mjOBJ_BODY, range(model.nbody))
-    found = frozenset(b for b, name in enumerate(every) if b > 0 and robot and name.startswith(robot))
+    found = frozenset(b for b, name in enumerate(every) if b > 0 and is_name(robot) and name.startswith(robot))
     if not found:
         prefixes = {name.partition("/")[0] + "/" for name in every if "/" in name}
         roots = {every[b] for b in range(1, model.nbody) if model.body_parentid[b] == 0}
@@ -180,7 +181,7 @@ def robot_bodies(model: mujoco.MjModel, robot: str) -> frozenset[int]:
 
 def add_tool(spec: mujoco.MjSpec, tool: str) -> None:
     """Put a site into the frame of a body if the tool is named by a body; the site gets its name."""
-    body = spec.body(tool)
+    body = spec.body(tool) if is_name(tool) else None
     if body is not None and spec.site(tool) is None:
         body.add_site(name=tool)
 
@@ -191,7 +192,7 @@ def tool_body(model: mujoco.MjModel, tool: str, robot: Collection[int]) -> int:
     Raises:
         UnknownNameError: If there is no such site; names the sites and the bodies of the robot.
     """
-    site = mujoco.mj_name2id(model, _OBJ.mjOBJ_SITE, tool)
+    site = lookup(model, _OBJ.mjOBJ_SITE, tool)
     if site < 0:
         valid = {*names(model, _OBJ.mjOBJ_SITE, range(model.nsite)), *names(model, _OBJ.mjOBJ_BODY, robot)}
         raise UnknownNameError("tool (site or body)", tool, (name for name in valid if not name.startswith("#")))
@@ -310,7 +311,7 @@ def _needed_limit(
 
 
 def _custom(model: mujoco.MjModel, notes: Notes, name: str) -> str:
-    is_body = mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, notes.robot) > 0
+    is_body = lookup(model, _OBJ.mjOBJ_BODY, notes.robot) > 0
     prefix = notes.robot[: notes.robot.rfind("/") + 1] if is_body else notes.robot
     return f"{prefix}{name}_limit"
 

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, ShapeError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real
+from graceful_plan.scene.loading.naming import is_name
 from graceful_plan.scene.screening import MAX_EXTENT
 
 Array = np.ndarray
@@ -83,8 +84,8 @@ class MovingEntity:
         growth: float = 0.0,
         severity: float | Mapping[str, float] | None = None,
     ) -> None:
-        if not name:
-            raise SceneError("a moving entity needs a name")
+        if not is_name(name):
+            raise SceneError(f"a moving entity needs a name, not {name!r}")
         times, places = finite_array(f"t of {name}", t, ndim=1), finite_array(f"position of {name}", position, ndim=2)
         if np.abs(places).max(initial=0.0) > MAX_EXTENT:
             raise SettingError(f"position of {name}", float(np.abs(places).max()), f"places within {MAX_EXTENT:g} m")
@@ -94,7 +95,7 @@ class MovingEntity:
                 raise ShapeError(f"{what} of {name}", given.shape, f"{shape}, one row for each time")
         _check_times(name, times)
         for what, value in (("spread", spread), ("growth", growth)):
-            if isinstance(value, bool) or not (math.isfinite(value) and value >= 0.0):
+            if not (is_real(value) and 0.0 <= value < math.inf):
                 raise SettingError(f"{what} of {name}", value, "a finite number of at least 0")
         values = {
             "name": name,

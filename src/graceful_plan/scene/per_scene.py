@@ -8,6 +8,7 @@ from functools import wraps
 from threading import Lock
 from typing import Concatenate, ParamSpec, TypeVar, overload
 
+from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.facts import Layout
 from graceful_plan.scene.scene import Scene
 
@@ -56,6 +57,8 @@ def _kept(make: _Maker[P, T], owner: Callable[[Scene], Scene | Layout], most: in
 
     @wraps(make)
     def get(scene: Scene, *args: P.args, **kwargs: P.kwargs) -> T:
+        if not isinstance(scene, Scene):
+            raise SettingError("scene", scene, "a Scene, such as load_scene() returns")
         key = args, tuple(sorted(kwargs.items()))
         own = kept.setdefault(owner(scene), {})
         try:

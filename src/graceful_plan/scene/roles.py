@@ -26,6 +26,7 @@ from graceful_plan.scene.elements import (
     ObjectNote,
 )
 from graceful_plan.scene.harm.severity import ITSELF, SeverityTable, check_severity
+from graceful_plan.scene.loading.naming import lookup
 from graceful_plan.scene.model_parts import collides, colliding_geoms, find, names, subtree
 from graceful_plan.scene.moving import MovingEntity
 
@@ -140,7 +141,7 @@ def moving_severities(
     found = {}
     for name, entity in notes.moving.items():
         with notes.about(f"moving.{name}"):
-            if name in notes.entities or mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name) >= 0:
+            if name in notes.entities or lookup(model, _OBJ.mjOBJ_BODY, name) >= 0:
                 raise SceneError(f"the name of the moving entity {name!r} is taken by a body of the scene")
             found[name] = _severity_against(name, entity, by_entity, table, components)
     return MappingProxyType(found)
@@ -244,7 +245,7 @@ def held_note(
     if note is None:
         loose = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and b not in robot]
         valid = names(model, _OBJ.mjOBJ_BODY, loose)
-        if mujoco.mj_name2id(model, _OBJ.mjOBJ_BODY, name) < 0:
+        if lookup(model, _OBJ.mjOBJ_BODY, name) < 0:
             raise UnknownNameError("object or body that can be held", name, {*notes.objects, *valid})
         note = ObjectNote(body=name)
     body = find(model, _OBJ.mjOBJ_BODY, "body", note.body)

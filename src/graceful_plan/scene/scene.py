@@ -60,6 +60,18 @@ _GEOM = mujoco.mjtGeom
 class Scene(SceneFacts):
     """A robot among things that can be harmed. Made by `load_scene` or `Scene.from_mjcf`; equal only to itself."""
 
+    def __deepcopy__(self, memo: object) -> Scene:
+        """Return the scene itself: it is never changed in place."""
+        return self
+
+    def __reduce__(self) -> Any:
+        """Say why it cannot be pickled.
+
+        Raises:
+            TypeError: In any case.
+        """
+        raise TypeError(f"the Scene {self.name!r} holds a MuJoCo model and cannot be pickled; load it in each process")
+
     # --- making one ---------------------------------------------------------------------------------------------------
 
     @classmethod
@@ -376,6 +388,9 @@ class Scene(SceneFacts):
             SceneError: If a name is given twice or is that of a body of the scene.
             UnknownNameError: If the severity table does not have a class.
         """
+        for entity in entities:
+            if not isinstance(entity, MovingEntity):
+                raise SettingError("entities", entity, "MovingEntity objects")
         given = {entity.name: entity for entity in entities}
         if len(given) < len(entities):
             raise SceneError(f"two of these moving entities have one name: {', '.join(e.name for e in entities)}")
@@ -411,6 +426,9 @@ class Scene(SceneFacts):
         Raises:
             UnknownNameError: If a name is neither a body nor a geom.
         """
+        for contact in contacts:
+            if not isinstance(contact, AllowedContact):
+                raise SettingError("contacts", contact, "AllowedContact objects")
         notes = replace(self.notes, allowed=(*self.notes.allowed, *contacts))
         return Scene.build(self.spec, notes, self.model)
 
@@ -480,6 +498,8 @@ class Scene(SceneFacts):
         for name in gone:
             removed(spec, self.model, name, kept)
         for solid in solids:
+            if not callable(getattr(solid, "add_to", None)):
+                raise SettingError("add", solid, "Solids, PointClouds and HeightMaps")
             solid.add_to(spec)
         left = set(gone) - {solid.name for solid in solids}
         entities = {name: note for name, note in self.notes.entities.items() if name not in gone}

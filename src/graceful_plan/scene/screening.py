@@ -18,6 +18,7 @@ from xml.parsers import expat
 import mujoco
 
 from graceful_plan.exceptions import NOT_READ, SceneError, TooLargeError, why_not_read
+from graceful_plan.scene.loading.weighing import Swollen, check_png, weighed
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
@@ -38,9 +39,6 @@ BUDGETS = {
     "bytes of assets": MAX_ASSET_BYTES,
 }
 """What there may be of something in a model, all its elements and files together."""
-_PNG = b"\x89PNG\r\n\x1a\n"
-_HEADER = 24
-"""Bytes of a PNG up to its width and height."""
 _BYTES_ANYHOW = 2**24
 """What MuJoCo's own default is about, of the memory for contacts and scratch."""
 _BYTES_OF_PAIR = 4
@@ -211,30 +209,21 @@ class _Screen:
         for file in set(found) - self.weighed:
             self.weighed.add(file)
             try:
-                amounts = [("bytes of assets", file.stat().st_size), *_content(asset.tag, file)]
+                self.spend_on(asset, "bytes of assets", file.stat().st_size)
+                content = file.read_bytes()
             except OSError as error:
                 raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
-            for what, amount in amounts:
-                if said := self.spend(what, amount):
-                    raise SceneError(f"with {asset.given!r} there are {said}", file=asset.file, line=asset.line)
+            if amount := weighed(asset.tag, content, file.suffix):
+                self.spend_on(asset, *amount)
+            try:
+                check_png(file, content)
+            except Swollen as error:
+                raise SceneError(f"{error}", file=asset.file, line=asset.line) from None
 
-
-def _content(tag: str, file: Path) -> list[tuple[str, int | float]]:
-    """Return what MuJoCo would make of a file, by its header or a count: nothing of it is decoded."""
-    with file.open("rb") as stream:
-        head = stream.read(_HEADER)
-        size = file.stat().st_size
-        if tag in ("texture", "hfield"):
-            width, height = (
-                (int.from_bytes(head[k : k + 4], "big") for k in (16, 20)) if head.startswith(_PNG) else (size, 1)
-            )
-            return [("pixels of textures" if tag == "texture" else "cells of height fields", width * height)]
-        if tag != "mesh" or size > MAX_ASSET_BYTES:
-            return []
-        if file.suffix.lower() == ".obj":
-            lines = head + stream.read()
-            return [("vertices and faces of meshes", sum(lines.count(word) for word in (b"\nv ", b"\nf ")))]
-        return [("vertices and faces of meshes", size / 50)]  # a face of a binary STL
+    def spend_on(self, asset: _Asset, what: str, amount: int | float) -> None:
+        """Take from a budget what an asset's file needs."""
+        if said := self.spend(what, amount):
+            raise SceneError(f"with {asset.given!r} there are {said}", file=asset.file, line=asset.line)
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,12 @@ from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
+_LONGEST = 1e6
+"""Path that is timed [rad or m]: beyond, the pieces of a grid are lost in rounding."""
 _ROUNDING = 1e-9
 """Relative reserve below the limits, for what rounding adds when somebody else evaluates the trajectory."""
+SHORTEST_PIECE = 1e-5
+"""Pieces of a motion are merged where they would be shorter [s]: no controller can tell their ends apart."""
 ACCEPTED_SLOWDOWN = 1.02
 """The grid is refined while checking against the limits would slow the motion down by more than this."""
 
@@ -65,6 +69,8 @@ def retime(
         raise SettingError("speed", speed, "0 < speed <= 1")
     if not np.all(np.isfinite(deviation) & (np.asarray(deviation) >= 0.0)):
         raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
+    if not path.length <= _LONGEST:
+        raise RetimingError(f"the path is {path.length:.3g} rad long, at most {_LONGEST:g} rad are timed")
     _check_corners(path, deviation)
     pieces = rounded(path, deviation)
     if not pieces:
@@ -145,7 +151,7 @@ class _Robot:
 def _refined(curve: Curve, robot: _Robot) -> Trajectory:
     """Time a curve on finer and finer grids until it hardly exceeds a limit between their points."""
     for density in (1, 2, 4):
-        trajectory = _on_grid(curve.grid(density), robot)
+        trajectory = without_short_pieces(_on_grid(curve.grid(density), robot))
         factor = slowdown(trajectory, robot.limits, robot.inverse_dynamics)
         if factor <= ACCEPTED_SLOWDOWN:
             break
@@ -177,6 +183,25 @@ def _trajectory(grid: CurveGrid, speeds: Float[Array, " point"], joints: tuple[s
     last = grid.slope[-1] * push[-1] + grid.bend[-1] * speeds[-1] ** 2
     t = np.concatenate([[0.0], np.cumsum(step / mean)])
     return Trajectory(t, grid.q, qd, np.concatenate([qdd, last[1:]]), joints)
+
+
+def without_short_pieces(trajectory: Trajectory) -> Trajectory:
+    """Drop samples that come sooner than `SHORTEST_PIECE` after the one before; where a motion rests they stay.
+
+    Between the others the cubics hardly change, and limits are checked afterwards.
+    """
+    t = trajectory.t
+    if np.diff(t).min(initial=np.inf) >= SHORTEST_PIECE:
+        return trajectory
+    stays = np.max(np.abs(trajectory.qd), axis=1) == 0.0
+    stays[[0, -1]] = True
+    kept: list[int] = []
+    for i in range(len(t)):
+        if not kept or stays[i] or t[i] - t[kept[-1]] >= SHORTEST_PIECE:
+            while kept and not stays[kept[-1]] and t[i] - t[kept[-1]] < SHORTEST_PIECE:
+                kept.pop()
+            kept.append(i)
+    return Trajectory(t[kept], trajectory.q[kept], trajectory.qd[kept], trajectory.qdd[kept], trajectory.joints)
 
 
 def slowdown(trajectory: Trajectory, limits: Limits, inverse_dynamics: InverseDynamics | None) -> float:

@@ -16,10 +16,12 @@ from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.formats import csv_text, json_text, parquet_file, ros
 from graceful_plan.formats.ros import Names
 from graceful_plan.formats.samples import TimedSamples
-from graceful_plan.path import Path, finite_array
+from graceful_plan.path import MOST_POINTS, Path, finite_array, is_real
 
 Array = np.ndarray
 
+_LATEST = 1e15
+"""Times beyond [s] are no seconds any more: a double has less than a tenth of one there."""
 _REST = 1e-6
 """Greatest speed of a joint at rest [rad/s or m/s]."""
 
@@ -62,6 +64,8 @@ class Trajectory:
         t = finite_array("t", self.t, ndim=1)
         if len(t) == 0:
             raise ShapeError("t", t.shape, "(n >= 1,)")
+        if np.abs(t[[0, -1]]).max() > _LATEST:
+            raise SettingError("t", t[[0, -1]].tolist(), f"times within {_LATEST:g} s")
         backwards = np.flatnonzero(np.diff(t) <= 0.0)
         if len(backwards):
             i = int(backwards[0]) + 1
@@ -101,7 +105,7 @@ class Trajectory:
             parts = self._cubic(flat)
         outside = (times.reshape(-1) < self.t[0]) | (times.reshape(-1) > self.t[-1])
         parts[1][outside] = parts[2][outside] = 0.0
-        return State(*(x.reshape(*times.shape, -1) for x in parts))
+        return State(*(x.reshape(*times.shape, len(self.joints)) for x in parts))
 
     def positions(self, t: Float[Array, " n"]) -> Float[Array, "n nq"]:
         """Evaluate the positions alone at finite times on the clock of `self.t` [rad or m]."""
@@ -153,7 +157,7 @@ class Trajectory:
         Raises:
             SettingError: If the wait is not a time of at least 0, or the motion does not start at rest.
         """
-        if not (np.isfinite(seconds) and seconds >= 0.0):
+        if not (is_real(seconds) and 0.0 <= seconds < np.inf):
             raise SettingError("seconds", seconds, "a finite time of at least 0 s")
         if np.any(np.abs(self.qd[0]) > _REST):
             raise SettingError("qd[0]", self.qd[0].tolist(), "rest: a moving robot cannot wait")
@@ -171,8 +175,8 @@ class Trajectory:
         full speeding up to full braking within one step, the new cubic has up to 5/3 of the limit, and the judge says
         so. Keep the original where limits must hold between samples, or plan with a lower `speed`.
         """
-        if not (np.isfinite(dt) and dt > 0.0):
-            raise SettingError("dt", dt, "a finite time > 0 s")
+        if not (is_real(dt) and 0.0 < dt < np.inf and self.duration <= MOST_POINTS * dt):
+            raise SettingError("dt", dt, f"a finite time > 0 s that gives at most {MOST_POINTS} samples")
         # A rest shorter than a millionth of a step would only make a piece that is too short to differentiate.
         steps = int(np.ceil(self.duration / dt - 1e-6))
         t = self.t[0] + np.append(dt * np.arange(steps), self.duration) if steps else self.t[:1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, final
@@ -160,7 +161,7 @@ class _FrontReader:
         return value
 
     def _number(self, place: str, value: Any, least: float = -math.inf) -> float:
-        if type(value) not in (int, float) or not math.isfinite(value) or value < least:
+        if type(value) not in (int, float) or not abs(value) <= sys.float_info.max or value < least:
             raise FormatError(self.name, f"{place} must be a finite number" + (" >= 0" if least == 0.0 else ""))
         return float(value)
 

@@ -71,8 +71,10 @@ def test_damage_elsewhere_is_refused_with_its_line(tmp_path):
         (b"my notes, without an end", "no journal of a comparison"),
         (b'{"schema": "graceful_plan.bench", oops\n', ":1: damaged"),
         (b"{}\n", "no journal of a comparison"),
-        (b'{"schema": "graceful_plan.bench", "version": 99}\n', "version 99; this version reads 3"),
+        (b'{"schema": "graceful_plan.bench", "version": 99}\n', "version 99; this version reads 1 to 3"),
+        (b'{"schema": "graceful_plan.bench", "version": true}\n', "version True; this version reads 1 to 3"),
         (b'{"schema": "graceful_plan.bench", "version": 3}\n', "damaged: no begun"),
+        (b'{"schema": "graceful_plan.bench", "version": 1}\n', "damaged: no settings"),
     ],
 )
 def test_other_files_are_refused(tmp_path, head, message):
@@ -80,6 +82,35 @@ def test_other_files_are_refused(tmp_path, head, message):
     with pytest.raises(FormatError, match=message):
         opened(tmp_path)
     assert (tmp_path / NAME).read_bytes() == head
+
+
+LATER = {  # what the journal of each version did not have yet
+    1: {"self_clearance", "certified", "times", "velocities", "motion_wall", "motion_cpu", "early"},
+    2: {"motion_wall", "motion_cpu", "early"},
+}
+
+
+@pytest.mark.parametrize("version", LATER)
+def test_journals_of_earlier_versions_are_read_but_not_continued(tmp_path, version):
+    suite, out = suite_file(tmp_path), tmp_path / "out"
+    made = bench.compare(suite, planners=["rrt_connect"], out=out, processes=0)
+    head, *runs = map(json.loads, (out / NAME).read_text().splitlines())
+    head["version"] = version
+    if version == 1:
+        del head["begun"], head["known"]
+    older = [head, *({key: value for key, value in run.items() if key not in LATER[version]} for run in runs)]
+    (out / NAME).write_text("".join(json.dumps(line) + "\n" for line in older))
+    read_back = bench.load_comparison(out)
+    assert [(run.key, run.status, run.total) for run in read_back.runs] == [
+        (run.key, run.status, run.total) for run in made.runs
+    ]
+    assert all(run.early == () and run.motion_wall != run.motion_wall for run in read_back.runs)
+    with pytest.raises(OtherSettings, match=f"version of the journal was {version} and is 3"):
+        bench.compare(suite, planners=["rrt_connect"], out=out, processes=0)
+    del older[1]["total"]
+    (out / NAME).write_text("".join(json.dumps(line) + "\n" for line in older))
+    with pytest.raises(FormatError, match=f"{NAME}:2: not a run"):
+        bench.load_comparison(out)
 
 
 def test_other_settings_are_refused_and_named(tmp_path):

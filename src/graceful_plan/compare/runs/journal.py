@@ -21,7 +21,9 @@ from graceful_plan.compare.runs.records import Run
 from graceful_plan.exceptions import FormatError, GracefulPlanError
 
 NAME = "journal.jsonl"
-_SCHEMA = {"schema": "graceful_plan.bench", "version": 3}
+VERSION = 3
+"""Of the journal; it grows when a field of a run is added, removed or changes its meaning."""
+_SCHEMA = {"schema": "graceful_plan.bench", "version": VERSION}
 _SETTINGS = {
     "suite": str,
     "problems": [{"name": str, "group": str}],
@@ -109,7 +111,8 @@ class RunJournal:
 
     def _check(self, head: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
         there, here = head["settings"], json.loads(json.dumps(settings))
-        found = tuple(differences(there, here))
+        key = "version of the journal"
+        found = (*differences({key: head["version"]}, {key: VERSION}), *differences(there, here))
         if found:
             raise OtherSettings(self.file.parent, found)
 
@@ -133,6 +136,8 @@ class RunJournal:
 def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
     """Read a journal: its first line, and the runs. A last line without its end is left out.
 
+    What runs of earlier versions did not record is as if it had not been measured.
+
     Raises:
         FormatError: If it is something else, of another version, or damaged.
     """
@@ -146,15 +151,19 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
     head = _document(lines[0], f"{file}:1")
     if not isinstance(head, dict) or head.get("schema") != _SCHEMA["schema"]:
         raise FormatError(str(file), "no journal of a comparison")
-    if head.get("version") != _SCHEMA["version"]:
-        raise FormatError(str(file), f"version {head.get('version')!r}; this version reads {_SCHEMA['version']}")
+    version = head.get("version")
+    if type(version) is not int or not 1 <= version <= VERSION:
+        raise FormatError(str(file), f"version {version!r}; this version reads 1 to {VERSION}")
+    if version == 1:
+        head = {"begun": "", "known": {}, **head}  # the first ones did not say
     kinds = {"begun": str, "settings": dict, "machine": dict, "known": dict}
     for key, kind in kinds.items():
         if not isinstance(head.get(key), kind):
             raise FormatError(f"{file}:1", f"damaged: no {key}")
     runs: dict[tuple[str, str, int], Run] = {}
     for number, line in enumerate(lines[1:], 2):
-        run = Run.from_document(_document(line, f"{file}:{number}"), f"{file}:{number}")
+        where = f"{file}:{number}"
+        run = Run.from_document(_document(line, where), where, complete=version == VERSION)
         runs[run.key] = run
     return head, list(runs.values())
 

@@ -23,6 +23,8 @@ Array = np.ndarray
 SOLVED = "SOLVED"
 EARLY = (0.01, 0.1)
 """When a call's paths are looked at before it ends [s]."""
+_LATER = frozenset({"self_clearance", "certified", "times", "velocities", "motion_wall", "motion_cpu", "early"})
+"""Fields that the first runs did not have."""
 RAISED, CRASHED, HUNG = "RAISED", "CRASHED", "HUNG"
 """Outcomes besides those of `PlanStatus`: an exception, the end of the process, and no end at all."""
 
@@ -122,13 +124,20 @@ class Run:
         return json.dumps(finite(document), allow_nan=False, separators=(",", ":"))
 
     @classmethod
-    def from_document(cls, document: Any, source: str) -> Run:
+    def from_document(cls, document: Any, source: str, *, complete: bool = True) -> Run:
         """Read what `to_json` wrote.
+
+        Args:
+            document: JSON values.
+            source: What to call them in messages.
+            complete: Whether no field may be absent; else those that came later may.
 
         Raises:
             FormatError: If it is something else.
         """
         defaults = {item.name: item.default for item in fields(cls)}
+        if isinstance(document, Mapping) and not complete:
+            document = {**{key: defaults[key] for key in _LATER}, **document}
         if not isinstance(document, Mapping) or document.keys() != defaults.keys():
             raise FormatError(source, f"not a run with the keys {', '.join(defaults)}")
         given: dict[str, Any] = {key: defaults[key] if value is None else value for key, value in document.items()}

@@ -46,6 +46,10 @@ class SeverityTable(YamlTable):
         frozen = {category: MappingProxyType(dict(row)) for category, row in self.rows.items()}
         object.__setattr__(self, "rows", MappingProxyType(frozen))
 
+    def __reduce__(self) -> tuple[type[SeverityTable], tuple[dict[str, dict[str, float]], tuple[str, ...]]]:
+        """Be copied and pickled as plain dictionaries, which views of them cannot be."""
+        return SeverityTable, ({category: dict(row) for category, row in self.rows.items()}, self.components)
+
     @classmethod
     def parsed(cls, root: Block) -> SeverityTable:
         """Make it of the values in a file."""
@@ -97,7 +101,7 @@ class SeverityTable(YamlTable):
 
     def check_class(self, category: str) -> None:
         """Raise UnknownNameError unless there is such an entity class."""
-        if category not in self.rows:
+        if not isinstance(category, str) or category not in self.rows:
             raise UnknownNameError("entity class", category, self.rows)
 
     def _check_component(self, component: str) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.scene.facts import SceneFacts
+from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
@@ -42,7 +43,7 @@ def described_drive(spec: mujoco.MjSpec, robot: str) -> DiffDrive | None:
     Raises:
         SceneError: If the model says only a part of it.
     """
-    prefix = robot[: robot.rfind("/") + 1] if spec.body(robot) is not None else robot
+    prefix = robot[: robot.rfind("/") + 1] if is_name(robot) and spec.body(robot) is not None else robot
     start = f"{prefix}drive/"
     told: dict[str, object] = {}
     for text in spec.texts:
@@ -111,7 +112,7 @@ def rolling_qpos(scene: SceneFacts, model: mujoco.MjModel, q: ArrayLike) -> Floa
     widths = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
     for j in range(scene.model.njnt):
         name, adr = scene.model.joint(j).name, int(scene.model.jnt_qposadr[j])
-        there = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        there = lookup(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if there >= 0:
             width = widths.get(int(model.jnt_type[there]), 1)
             to = int(model.jnt_qposadr[there])

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
-from graceful_plan.exceptions import SceneError, SettingError
+from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.loading.naming import check_new
 
 Array = np.ndarray
 
@@ -78,8 +79,7 @@ def add_boxes(
         SceneError: If the name is taken.
         SettingError: If there are more than `MOST_BOXES`.
     """
-    if not name or spec.body(name) is not None or spec.geom(name) is not None:
-        raise SceneError(f"the name {name!r} is empty or taken")
+    check_new(spec, name)
     if len(lower) > MOST_BOXES:
         raise SettingError(f"{finer} of {name}", f"so fine that it gives {len(lower)} boxes", f"{MOST_BOXES} at most")
     body = spec.worldbody.add_body(name=name)
