@@ -14,6 +14,7 @@ from benchmarks.prevention.figures import (
     against_ours,
     at_weight,
     beyond,
+    by_fault,
     longer,
     loses_contents,
     spilt_on_the_way,
@@ -21,7 +22,7 @@ from benchmarks.prevention.figures import (
     typical_less,
 )
 from benchmarks.prevention.harm_curves import Typical, typical
-from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline, HeadlineJob
+from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline, HeadlineJob, Motion
 from failbench.report import FAILURES_PER_HOUR
 
 KINDS = ("drops", "mixed")
@@ -30,8 +31,9 @@ DURATIONS = (1.05, 1.1, 1.2)
 """Relative to w = 0: where planners are compared."""
 TRUE_TO = (0.8, 1.25)
 """What is wanted of predictions over what is observed."""
-LESS, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 4.0, 0.2, 1.5
-"""What is wanted: times less harm per task at the default w, at any w, for so much more duration; than other costs."""
+LESS, LESS_WITH_OWN, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 1.8, 4.0, 0.2, 1.5
+"""What is wanted: times less harm per task at the default w without and with the object's own loss, at any w, for so
+much more duration; than other costs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +64,8 @@ def headline_sections(found: Found, asked: Sequence[str], job: HeadlineJob) -> I
     for kind in KINDS:
         yield f"{kind.capitalize()}, at the default w:\n"
         yield report.table(_SUMMARY_HEADER, _summary(found, kind))
+    yield "Mixed, fault by fault; each task counts alike:\n"
+    yield report.table(_FAULT_HEADER, _by_fault(found))
     yield f"Task by task; harm per failure, and per million tasks at one failure in {1.0 / FAILURES_PER_HOUR:g} h:\n"
     yield report.table(_HEADER, (row for kind in KINDS for row in _rows(found, kind)))
 
@@ -104,10 +108,11 @@ def _headline_targets(found: Found, job: HeadlineJob, asked: int) -> Iterator[re
         if "," in group.name or not heads:
             continue
         for kind in KINDS:
-            value = typical_less(heads, OURS, kind, "task")
-            yield _at_least(f"{group.name}: x less harm per task, {kind}, median", value.median, LESS, complete)
-            mean = value.geometric.mean
-            yield _at_least(f"{group.name}: x less harm per task, {kind}, geometric mean", mean, LESS, complete)
+            for own_loss, wanted in ((False, LESS), (True, LESS_WITH_OWN)):
+                value = typical_less(heads, OURS, kind, "task", own_loss=own_loss)
+                words = f"{kind}, {'the own loss of the object in it' if own_loss else 'others only'}"
+                for which, x in (("median", value.median), ("geometric mean", value.geometric.mean)):
+                    yield _at_least(f"{group.name}: x less harm per task, {words}, {which}", x, wanted, complete)
             worse = beyond(heads, OURS, kind, 1.0)
             yield report.Target(
                 what=f"{group.name}: tasks with more harm per task, {kind}, beyond their interval",
@@ -174,9 +179,13 @@ _SUMMARY_HEADER = (
     "geometric mean",
     "x less per task, median",
     "geometric mean",
+    "others only: median",
+    "geometric mean",
     "worse",
     "better",
 )
+_NOT_PLANNED = Motion(w=math.nan)
+_FAULT_HEADER = ("fault", "tasks", "share of the harm at w = 0", *(f"x less per task, {label}" for label in MODELS))
 _EQUAL_HEADER = ("tasks", "cost", "n", *(f"at +{100.0 * (d - 1.0):.0f} %, median (geometric mean)" for d in DURATIONS))
 _WEIGHT_HEADER = ("tasks", "w", "duration", "motion", "x less per task, median", "geometric mean")
 _HEADER = (
@@ -194,8 +203,9 @@ _HEADER = (
 def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
     for group in found.groups:
         heads = tasks_of(found, group)
-        for label in MODELS:
+        for label in _labels(heads):
             per_failure, per_task = (typical_less(heads, label, kind, per) for per in ("failure", "task"))
+            others = typical_less(heads, label, kind, "task", own_loss=False)
             yield (
                 group.name,
                 label,
@@ -206,9 +216,28 @@ def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
                 f"{per_failure.geometric.mean:.2f}",
                 f"{per_task.median:.2f}",
                 _with_interval(per_task),
+                f"{others.median:.2f}",
+                _with_interval(others),
                 len(beyond(heads, label, kind, 1.0)),
                 len(beyond(heads, label, kind, -1.0)),
             )
+
+
+def _labels(heads: Sequence[Headline]) -> list[str]:
+    """Return the models that motions were planned with."""
+    return [label for label in MODELS if any(label in done.motions for done in heads)]
+
+
+def _by_fault(found: Found) -> Iterator[Sequence[object]]:
+    for group in found.groups:
+        heads = tasks_of(found, group)
+        if "," in group.name:
+            continue
+        less = {(label, row.fault): row.less for label in MODELS for row in by_fault(heads, label)}
+        for row in by_fault(heads, OURS):
+            known = (less.get((label, row.fault), math.nan) for label in MODELS)
+            times = ("-" if math.isnan(x) else f"{x:.2f}" for x in known)
+            yield row.fault, group.name, report.percent(row.share), *times
 
 
 def _equal_tables(found: Found) -> Iterator[str]:
@@ -244,7 +273,7 @@ def _rows(found: Found, kind: str) -> Iterator[Sequence[object]]:
         base, ours = done.motions[NONE], done.motions[OURS]
         if kind not in base.harm:
             continue
-        motions = [done.motions[label] for label in MODELS]
+        motions = [done.motions.get(label, _NOT_PLANNED) for label in MODELS]
         harms = [motion.harm.get(kind) for motion in (base, *motions)]
         per_hour = [motion.duration * done.rate / 3600.0 * MILLION for motion in (base, *motions)]
         times = None if kind not in ours.harm else ours.harm[kind].less_per_task
