@@ -178,6 +178,20 @@ def at_weight(found: Found, group: Group, w: float) -> tuple[float, float, Typic
     return float(duration), float(length), typical(ratios)
 
 
+def least_of_all(found: Found, group: Group) -> Typical:
+    """Return how much less harm there is along the best motion of any cost and weight, chosen by what was observed.
+
+    No planner can know it, and it profits from chance; it shows how much there is to be spared in these tasks.
+    """
+    ratios = []
+    for done in tasks_of(found, group):
+        motions = [x for (task, _), curve in found.curves.items() if task == done.task for x in curve.points.values()]
+        harms = [_per_task(x, "drops", done) for x in motions if "drops" in x.harm]
+        if harms and "drops" in done.motions[NONE].harm:
+            ratios.append(_per_task(done.motions[NONE], "drops", done) / min(harms))
+    return typical(ratios)
+
+
 def draw(found: Found, file: Path) -> None:
     """Draw harm per task against duration over the weights, a panel for each scene, a line for each task."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -15,6 +15,7 @@ from benchmarks.prevention.figures import (
     at_weight,
     beyond,
     by_fault,
+    least_of_all,
     longer,
     loses_contents,
     spilt_on_the_way,
@@ -78,9 +79,20 @@ def curve_sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator
     )
     yield from _remarks(found, asked)
     yield report.targets(_curve_targets(found, sizes))
+    yield (
+        "The least harm along any motion of any cost and weight, chosen by what was observed, as no planner can: "
+        f"x less, median (geometric mean): {'; '.join(_least_of_all(found))}.\n"
+    )
     yield "Default model over w:\n"
     yield report.table(_WEIGHT_HEADER, _over_w(found, sizes))
     yield from _equal_tables(found)
+
+
+def _least_of_all(found: Found) -> Iterator[str]:
+    for group in found.groups:
+        value = least_of_all(found, group)
+        if value.geometric.n:
+            yield f"{group.name} {value.median:.2f} ({_with_interval(value)})"
 
 
 def _remarks(found: Found, asked: Sequence[str]) -> Iterator[str]:
