@@ -114,7 +114,8 @@ def _refused(found: Found) -> list[str]:
 
 def _headline_targets(found: Found, job: HeadlineJob, asked: int) -> Iterator[report.Target]:
     compared = [done for done in found.heads if done.motions[NONE].harm and done.motions[OURS].harm]
-    complete = job.drops >= DROPS and job.mixed >= MIXED and len(compared) == asked
+    whole = len(compared) == asked
+    enough = {"drops": whole and job.drops >= DROPS, "mixed": whole and job.mixed >= MIXED}
     for group in found.groups:
         heads = tasks_of(found, group)
         if "," in group.name or not heads:
@@ -124,22 +125,22 @@ def _headline_targets(found: Found, job: HeadlineJob, asked: int) -> Iterator[re
                 value = typical_less(heads, OURS, kind, "task", own_loss=own_loss)
                 words = f"{kind}, {'the own loss of the object in it' if own_loss else 'others only'}"
                 for which, x in (("median", value.median), ("geometric mean", value.geometric.mean)):
-                    yield _at_least(f"{group.name}: x less harm per task, {words}, {which}", x, wanted, complete)
+                    yield _at_least(f"{group.name}: x less harm per task, {words}, {which}", x, wanted, enough[kind])
             worse = beyond(heads, OURS, kind, 1.0)
             yield report.Target(
                 what=f"{group.name}: tasks with more harm per task, {kind}, beyond their interval",
                 wanted="none",
                 measured=", ".join(worse) or "none",
-                met=_met(not worse, complete),
+                met=_met(not worse, enough[kind]),
             )
         share = longer(heads, OURS, "duration")
         yield report.Target(
             what=f"{group.name}: median duration",
             wanted=f"<= {report.percent(LONGER, 0)} more",
             measured=f"{report.percent(share)} more",
-            met=_met(share <= LONGER, complete),
+            met=_met(share <= LONGER, whole),
         )
-        yield from _prediction_targets(heads, group, complete)
+        yield from _prediction_targets(heads, group, enough["drops"])
 
 
 def _curve_targets(found: Found, sizes: Sizes) -> Iterator[report.Target]:
@@ -168,7 +169,8 @@ def _met(holds: bool, complete: bool) -> bool | None:
 
 def _prediction_targets(heads: Sequence[Headline], group: Group, complete: bool) -> Iterator[report.Target]:
     ours = [done.motions[OURS] for done in heads]
-    for which, motions in (("", ours), (", nothing spilt on the way", [x for x in ours if not loses_contents(x)])):
+    kept = [x for x in ours if not loses_contents(x)]
+    for which, motions in (("", ours), *([(", nothing spilt on the way", kept)] if len(kept) < len(ours) else [])):
         harms = [x.harm["drops"] for x in motions if "drops" in x.harm]
         seen = sum(harm.mean for harm in harms)
         ratio = sum(harm.predicted for harm in harms) / seen if seen else math.nan
