@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,14 +38,29 @@ class Found(NamedTuple):
     groups: list[Group]
 
 
-def less(done: Headline, label: str, kind: str, *, per: str) -> float:
-    """Return how many times less harm there is than at w = 0, per "failure" or "task"; NaN if there is none of one."""
+def less(done: Headline, label: str, kind: str, *, per: str, own_loss: bool = True) -> float:
+    """Return how many times less harm there is than at w = 0; NaN if there is none of one of them.
+
+    Args:
+        done: The task.
+        label: Of the motion that is compared with that at w = 0.
+        kind: Of failures.
+        per: "failure" or "task".
+        own_loss: Whether the loss of the carried object itself counts.
+    """
     base, own = done.motions[NONE], done.motions[label]
     if kind not in base.harm or kind not in own.harm:
         return math.nan
+    if not own_loss:
+        base, own = _without_own_loss(base), _without_own_loss(own)
     if per == "task":
         return _per_task(base, kind, done) / _per_task(own, kind, done)
     return _impact(base, kind, done.least) / _impact(own, kind, done.least)
+
+
+def _without_own_loss(motion: Motion) -> Motion:
+    harm = {kind: replace(x, mean=max(0.0, x.mean - x.own)) for kind, x in motion.harm.items()}
+    return replace(motion, harm=harm)
 
 
 def offers(done: Headline, curve: Curve, extent: str) -> list[Offer]:
@@ -96,9 +112,37 @@ def loses_contents(motion: Motion) -> bool:
     return motion.kept < 1.0 - _LOST
 
 
-def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str) -> Typical:
+def typical_less(heads: Sequence[Headline], label: str, kind: str, per: str, *, own_loss: bool = True) -> Typical:
     """Summarise `less` over tasks."""
-    return typical([less(done, label, kind, per=per) for done in heads])
+    return typical([less(done, label, kind, per=per, own_loss=own_loss) for done in heads])
+
+
+class OfFault(NamedTuple):
+    """What one of the mixed faults does in a group of tasks."""
+
+    fault: str
+    share: float
+    """Of the harm at w = 0, each task counted alike."""
+    less: float
+    """How many times less harm per task, of the sums over tasks of harm relative to that of all faults at w = 0."""
+
+
+def by_fault(heads: Sequence[Headline], label: str) -> list[OfFault]:
+    """Say what each of the mixed faults does at w = 0, and how many times less it does with a model."""
+    sums: dict[str, list[float]] = {}
+    for done in heads:
+        motions = [done.motions.get(x) for x in (NONE, label)]
+        base, own = (None if motion is None else motion.harm.get("mixed") for motion in motions)
+        if base is None or own is None or not base.mean > 0.0:
+            continue
+        longer = done.motions[label].duration / done.motions[NONE].duration
+        for fault, harm in base.by_fault.items():
+            found = sums.setdefault(fault, [0.0, 0.0])
+            found[0] += harm / base.mean
+            found[1] += longer * own.by_fault.get(fault, math.nan) / base.mean
+    whole = sum(before for before, _ in sums.values())
+    rows = [OfFault(k, a / whole, a / b if b > 0.0 else math.nan) for k, (a, b) in sums.items()]
+    return sorted(rows, key=lambda row: -row.share)
 
 
 def longer(heads: Sequence[Headline], label: str, extent: str) -> float:
@@ -132,6 +176,20 @@ def at_weight(found: Found, group: Group, w: float) -> tuple[float, float, Typic
         ratios.append(harm[0] / harm[1])
     duration, length = np.median(extents, axis=0) if extents else (math.nan, math.nan)
     return float(duration), float(length), typical(ratios)
+
+
+def least_of_all(found: Found, group: Group) -> Typical:
+    """Return how much less harm there is along the best motion of any cost and weight, chosen by what was observed.
+
+    No planner can know it, and it profits from chance; it shows how much there is to be spared in these tasks.
+    """
+    ratios = []
+    for done in tasks_of(found, group):
+        motions = [x for (task, _), curve in found.curves.items() if task == done.task for x in curve.points.values()]
+        harms = [_per_task(x, "drops", done) for x in motions if "drops" in x.harm]
+        if harms and "drops" in done.motions[NONE].harm:
+            ratios.append(_per_task(done.motions[NONE], "drops", done) / min(harms))
+    return typical(ratios)
 
 
 def draw(found: Found, file: Path) -> None:

@@ -52,6 +52,8 @@ class Harm:
     Args:
         mean: Observed impact of a failure.
         n: Number of failures.
+        own: The part of the mean that is the loss of the carried object itself.
+        by_fault: Mean of those of each fault, by "NAME/DEGREE".
         predicted: Impact of a failure that the default model predicts.
         less_per_failure: How many times less than at w = 0, per failure: ratio and its interval; None at w = 0 itself
             and where failures are not paired with those at w = 0.
@@ -62,6 +64,8 @@ class Harm:
     mean: float
     n: int
     predicted: float
+    own: float = 0.0
+    by_fault: Mapping[str, float] = field(default_factory=dict)
     less_per_failure: tuple[float, float, float] | None = None
     less_per_task: tuple[float, float, float] | None = None
     rise: tuple[float, float, float] | None = None
@@ -249,7 +253,13 @@ def _reports(
 
 def _harm(own: ValidationReport, reference: ValidationReport | None) -> Harm:
     """Summarise failures, paired with those at w = 0 if there are any."""
-    plain = Harm(mean=own.observed.mean, n=own.observed.n, predicted=own.predicted)
+    plain = Harm(
+        mean=own.observed.mean,
+        n=own.observed.n,
+        predicted=own.predicted,
+        own=own.own_loss.mean,
+        by_fault={label: found.mean for label, found in own.by_fault.items()},
+    )
     if reference is None:
         return plain
     return Harm(

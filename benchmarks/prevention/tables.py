@@ -14,6 +14,8 @@ from benchmarks.prevention.figures import (
     against_ours,
     at_weight,
     beyond,
+    by_fault,
+    least_of_all,
     longer,
     loses_contents,
     spilt_on_the_way,
@@ -21,7 +23,7 @@ from benchmarks.prevention.figures import (
     typical_less,
 )
 from benchmarks.prevention.harm_curves import Typical, typical
-from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline, HeadlineJob
+from benchmarks.prevention.runs import CURVES, MODELS, NONE, OURS, Headline, HeadlineJob, Motion
 from failbench.report import FAILURES_PER_HOUR
 
 KINDS = ("drops", "mixed")
@@ -30,8 +32,9 @@ DURATIONS = (1.05, 1.1, 1.2)
 """Relative to w = 0: where planners are compared."""
 TRUE_TO = (0.8, 1.25)
 """What is wanted of predictions over what is observed."""
-LESS, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 4.0, 0.2, 1.5
-"""What is wanted: times less harm per task at the default w, at any w, for so much more duration; than other costs."""
+LESS, LESS_WITH_OWN, LESS_AT_CHOICE, LONGER, LESS_THAN_OTHERS = 2.5, 1.8, 4.0, 0.2, 1.5
+"""What is wanted: times less harm per task at the default w without and with the object's own loss, at any w, for so
+much more duration; than other costs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +65,8 @@ def headline_sections(found: Found, asked: Sequence[str], job: HeadlineJob) -> I
     for kind in KINDS:
         yield f"{kind.capitalize()}, at the default w:\n"
         yield report.table(_SUMMARY_HEADER, _summary(found, kind))
+    yield "Mixed, fault by fault; each task counts alike:\n"
+    yield report.table(_FAULT_HEADER, _by_fault(found))
     yield f"Task by task; harm per failure, and per million tasks at one failure in {1.0 / FAILURES_PER_HOUR:g} h:\n"
     yield report.table(_HEADER, (row for kind in KINDS for row in _rows(found, kind)))
 
@@ -74,9 +79,20 @@ def curve_sections(found: Found, asked: Sequence[str], sizes: Sizes) -> Iterator
     )
     yield from _remarks(found, asked)
     yield report.targets(_curve_targets(found, sizes))
+    yield (
+        "The least harm along any motion of any cost and weight, chosen by what was observed, as no planner can: "
+        f"x less, median (geometric mean): {'; '.join(_least_of_all(found))}.\n"
+    )
     yield "Default model over w:\n"
     yield report.table(_WEIGHT_HEADER, _over_w(found, sizes))
     yield from _equal_tables(found)
+
+
+def _least_of_all(found: Found) -> Iterator[str]:
+    for group in found.groups:
+        value = least_of_all(found, group)
+        if value.geometric.n:
+            yield f"{group.name} {value.median:.2f} ({_with_interval(value)})"
 
 
 def _remarks(found: Found, asked: Sequence[str]) -> Iterator[str]:
@@ -98,31 +114,33 @@ def _refused(found: Found) -> list[str]:
 
 def _headline_targets(found: Found, job: HeadlineJob, asked: int) -> Iterator[report.Target]:
     compared = [done for done in found.heads if done.motions[NONE].harm and done.motions[OURS].harm]
-    complete = job.drops >= DROPS and job.mixed >= MIXED and len(compared) == asked
+    whole = len(compared) == asked
+    enough = {"drops": whole and job.drops >= DROPS, "mixed": whole and job.mixed >= MIXED}
     for group in found.groups:
         heads = tasks_of(found, group)
         if "," in group.name or not heads:
             continue
         for kind in KINDS:
-            value = typical_less(heads, OURS, kind, "task")
-            yield _at_least(f"{group.name}: x less harm per task, {kind}, median", value.median, LESS, complete)
-            mean = value.geometric.mean
-            yield _at_least(f"{group.name}: x less harm per task, {kind}, geometric mean", mean, LESS, complete)
+            for own_loss, wanted in ((False, LESS), (True, LESS_WITH_OWN)):
+                value = typical_less(heads, OURS, kind, "task", own_loss=own_loss)
+                words = f"{kind}, {'the own loss of the object in it' if own_loss else 'others only'}"
+                for which, x in (("median", value.median), ("geometric mean", value.geometric.mean)):
+                    yield _at_least(f"{group.name}: x less harm per task, {words}, {which}", x, wanted, enough[kind])
             worse = beyond(heads, OURS, kind, 1.0)
             yield report.Target(
                 what=f"{group.name}: tasks with more harm per task, {kind}, beyond their interval",
                 wanted="none",
                 measured=", ".join(worse) or "none",
-                met=_met(not worse, complete),
+                met=_met(not worse, enough[kind]),
             )
         share = longer(heads, OURS, "duration")
         yield report.Target(
             what=f"{group.name}: median duration",
             wanted=f"<= {report.percent(LONGER, 0)} more",
             measured=f"{report.percent(share)} more",
-            met=_met(share <= LONGER, complete),
+            met=_met(share <= LONGER, whole),
         )
-        yield from _prediction_targets(heads, group, complete)
+        yield from _prediction_targets(heads, group, enough["drops"])
 
 
 def _curve_targets(found: Found, sizes: Sizes) -> Iterator[report.Target]:
@@ -151,7 +169,8 @@ def _met(holds: bool, complete: bool) -> bool | None:
 
 def _prediction_targets(heads: Sequence[Headline], group: Group, complete: bool) -> Iterator[report.Target]:
     ours = [done.motions[OURS] for done in heads]
-    for which, motions in (("", ours), (", nothing spilt on the way", [x for x in ours if not loses_contents(x)])):
+    kept = [x for x in ours if not loses_contents(x)]
+    for which, motions in (("", ours), *([(", nothing spilt on the way", kept)] if len(kept) < len(ours) else [])):
         harms = [x.harm["drops"] for x in motions if "drops" in x.harm]
         seen = sum(harm.mean for harm in harms)
         ratio = sum(harm.predicted for harm in harms) / seen if seen else math.nan
@@ -174,9 +193,13 @@ _SUMMARY_HEADER = (
     "geometric mean",
     "x less per task, median",
     "geometric mean",
+    "others only: median",
+    "geometric mean",
     "worse",
     "better",
 )
+_NOT_PLANNED = Motion(w=math.nan)
+_FAULT_HEADER = ("fault", "tasks", "share of the harm at w = 0", *(f"x less per task, {label}" for label in MODELS))
 _EQUAL_HEADER = ("tasks", "cost", "n", *(f"at +{100.0 * (d - 1.0):.0f} %, median (geometric mean)" for d in DURATIONS))
 _WEIGHT_HEADER = ("tasks", "w", "duration", "motion", "x less per task, median", "geometric mean")
 _HEADER = (
@@ -194,8 +217,9 @@ _HEADER = (
 def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
     for group in found.groups:
         heads = tasks_of(found, group)
-        for label in MODELS:
+        for label in _labels(heads):
             per_failure, per_task = (typical_less(heads, label, kind, per) for per in ("failure", "task"))
+            others = typical_less(heads, label, kind, "task", own_loss=False)
             yield (
                 group.name,
                 label,
@@ -206,9 +230,28 @@ def _summary(found: Found, kind: str) -> Iterator[Sequence[object]]:
                 f"{per_failure.geometric.mean:.2f}",
                 f"{per_task.median:.2f}",
                 _with_interval(per_task),
+                f"{others.median:.2f}",
+                _with_interval(others),
                 len(beyond(heads, label, kind, 1.0)),
                 len(beyond(heads, label, kind, -1.0)),
             )
+
+
+def _labels(heads: Sequence[Headline]) -> list[str]:
+    """Return the models that motions were planned with."""
+    return [label for label in MODELS if any(label in done.motions for done in heads)]
+
+
+def _by_fault(found: Found) -> Iterator[Sequence[object]]:
+    for group in found.groups:
+        heads = tasks_of(found, group)
+        if "," in group.name:
+            continue
+        less = {(label, row.fault): row.less for label in MODELS for row in by_fault(heads, label)}
+        for row in by_fault(heads, OURS):
+            known = (less.get((label, row.fault), math.nan) for label in MODELS)
+            times = ("-" if math.isnan(x) else f"{x:.2f}" for x in known)
+            yield row.fault, group.name, report.percent(row.share), *times
 
 
 def _equal_tables(found: Found) -> Iterator[str]:
@@ -244,7 +287,7 @@ def _rows(found: Found, kind: str) -> Iterator[Sequence[object]]:
         base, ours = done.motions[NONE], done.motions[OURS]
         if kind not in base.harm:
             continue
-        motions = [done.motions[label] for label in MODELS]
+        motions = [done.motions.get(label, _NOT_PLANNED) for label in MODELS]
         harms = [motion.harm.get(kind) for motion in (base, *motions)]
         per_hour = [motion.duration * done.rate / 3600.0 * MILLION for motion in (base, *motions)]
         times = None if kind not in ours.harm else ours.harm[kind].less_per_task

@@ -24,7 +24,8 @@ ratios do not depend on the rate. "x less": harm at w = 0 over that of the plann
 them counts as a hit of the least severity of the scene: there is no ratio to nothing. Medians and geometric means are
 over tasks, the latter with the 95 % interval between percentiles of resampled tasks. "Worse": tasks with more harm per
 task than at w = 0 beyond the 95 % interval of the paired difference; "better" likewise. "{ALL_FAULTS}": the default
-model with that prior of faults.
+model with that prior of faults. Harm counts what the fall does to the carried object itself; "others only" leaves that
+out, for motions that were planned with it.
 
 What a healthy robot does harm to on its way, such as by spilling, is in harm per task with probability 1, whatever the
 rate. It is no failure's harm, and what has left before a failure cannot be spilt by it. Tasks of which a motion at

@@ -135,7 +135,11 @@ def test_weights_of_own_costs_are_relative_to_the_straight_path(task):
 
 
 def motion(w: float, duration: float, drops: float, **more: object) -> Motion:
-    harm = {"drops": Harm(mean=drops, n=100, predicted=drops), "mixed": Harm(mean=0.5 * drops, n=95, predicted=0.0)}
+    of = {"a/severe": 0.2 * drops, "b/severe": 0.8 * drops}
+    harm = {
+        "drops": Harm(mean=drops, n=100, predicted=drops, own=min(1.0, drops)),
+        "mixed": Harm(mean=0.5 * drops, n=95, predicted=0.0, by_fault=of),
+    }
     return Motion(w=w, length=duration, duration=duration, harm=harm, **more)  # type: ignore[arg-type]
 
 
@@ -209,6 +213,8 @@ def test_harm_per_task_counts_the_duration():
     per_second = done.rate / 3600.0
     failing = [x.harm["drops"].mean * x.duration * per_second for x in (before, after)]
     assert figures.less(spilling, OURS, "drops", per="task") == pytest.approx(failing[0] / (failing[1] + 8.0))
+    others = figures.less(done, OURS, "drops", per="failure", own_loss=False)
+    assert others == pytest.approx((10.0 - 1.0) / (2.0 - 1.0))
     nothing = head(**{OURS: motion(1.0, 2.0, 0.0)})
     assert figures.less(nothing, OURS, "drops", per="failure") == pytest.approx(10.0 / (0.2 / 100))
 
@@ -231,13 +237,16 @@ def test_the_report_loses_nothing(tmp_path):
     curves = "\n".join(tables.curve_sections(all_of, asked, sizes))
     assert "1 of 2 tasks" in curves and "2 of 10 curves" in curves
     assert "| bundled | 0.1 | +10 % | +10 % | 2.27 | 2.27 [2.27, 2.27] |" in curves
+    assert "as no planner can: x less, median (geometric mean): bundled 2.27 (2.27 [2.27, 2.27])." in curves
     text = "\n".join(tables.headline_sections(all_of, asked, HeadlineJob(drops=1000, mixed=500)))
     assert "1 of 2 tasks" in text
     assert "Not done: desk/water_plant." in text
     assert "Held by a weld: desk/bring_coffee." in text
     assert "desk/bring_coffee (service robot): the object 'mug' at 1 s: slips" in text
     assert "1.39 *" in text  # 2 per failure, 2.5 s, one failure in 1000 h, a million tasks
-    assert "| bundled | default | 1 | +25 % | +25 % | 5.00 | 5.00 | 4.00 | 4.00 [4.00, 4.00] | 0 | 1 |" in text
+    less = "5.00 | 5.00 | 4.00 | 4.00 [4.00, 4.00] | 7.20 | 7.20 [7.20, 7.20]"
+    assert f"| bundled | default | 1 | +25 % | +25 % | {less} | 0 | 1 |" in text
+    assert "| b/severe | bundled | 80.0 % | 2.00 | 4.00 | - |" in text  # Algorithm 1, default; the third was refused
     assert "**no**" in text  # not all tasks are in
     figures.draw(all_of, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 1000
