@@ -41,6 +41,7 @@ MAY_BE_INFINITE = {
     ("Steering", "yaw_length"),
     ("StateLattice", "distance"),
     ("StateLattice.search", "time_limit"),
+    ("FloorGrid.path", "time_limit"),
     ("GraphSearch.cheapest", "cost"),
     ("GraphSearch.front", "cost"),
     ("GraphSearch.front", "seconds"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
 import graceful_plan as gp
@@ -65,7 +65,7 @@ def timed(function: Callable[[], Any], times: int = 5) -> float:
     return float(np.median(taken))
 
 
-def graph(free: Array, charge: Array) -> coo_array:
+def graph(free: Array, charge: Array) -> csr_array:
     """Return the steps that lead from cell to cell, no corner cut."""
     rows, columns = free.shape
     ids = np.arange(free.size).reshape(free.shape)

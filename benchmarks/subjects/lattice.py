@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -86,6 +87,7 @@ def distance(occupied: Array) -> Array:
     return np.maximum(distance_transform_edt(~occupied) - np.sqrt(0.5), 0.0).astype(np.float32) * RESOLUTION
 
 
+@lru_cache(maxsize=FLOORS)
 def impact(seed: int) -> Array:
     """Return the impact of entities at random places, per cell and heading."""
     rng = np.random.default_rng((SEED, seed, 1))

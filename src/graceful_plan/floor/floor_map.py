@@ -218,7 +218,7 @@ class FloorMap:
         points = self.on_map(xy)
         cells = np.floor(points / self.resolution).astype(int)
         rows, columns = self.shape
-        inside = ((cells >= 0) & (cells < (columns, rows))).all(axis=-1)
+        inside = np.all((cells >= 0) & (cells < (columns, rows)), axis=-1)
         column, row = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
         aside = np.linalg.norm(points - (cells + 0.5) * self.resolution, axis=-1)
         return np.where(inside, np.maximum(self.distance[row, column] - aside, 0.0), 0.0)
