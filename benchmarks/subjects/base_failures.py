@@ -151,7 +151,7 @@ def _rolled(wheels: Wheeled, v: float, a: float) -> float:
 
 def run(options: suite.Options) -> str:
     """Measure all ways with all robots."""
-    cases, draws = (2, 4) if options.quick else (CASES, DRAWS)
+    cases, draws = (4, 6) if options.quick else (CASES, DRAWS)
     jobs = [(robot, seed, draws) for robot in ROBOTS for seed in range(cases)]
     found = [one for part in suite.spread(examine, jobs, options.processes, "cases") for one in part]
     ways = [*CoastSettings.shipped().ways, RAMP]

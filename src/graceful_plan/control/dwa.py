@@ -122,7 +122,7 @@ class DWA:
         return DynamicWindow(self, scene, CoastSettings.shipped() if coast is None else coast)
 
 
-class Choice(NamedTuple):
+class WindowChoice(NamedTuple):
     """What a base is to do, and why."""
 
     command: DriveCommand
@@ -171,7 +171,7 @@ class DynamicWindow:
 
     def choose(
         self, state: DriveState, path: Float[Array, "n 2"], around: Surroundings, *, every: bool = False
-    ) -> Choice:
+    ) -> WindowChoice:
         """Choose the next command.
 
         Args:
@@ -185,7 +185,7 @@ class DynamicWindow:
             told = limited(
                 DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period
             )
-            return Choice(told, 0.0, self.settings.near, 0.0, True, 0)
+            return WindowChoice(told, 0.0, self.settings.near, 0.0, True, 0)
         found = self._native.choose(
             state=np.array(state, dtype=float),
             path=places,
@@ -195,7 +195,7 @@ class DynamicWindow:
             severity=around.severity,
             every=every,
         )
-        return Choice(DriveCommand(*found[:2]), *found[2:])
+        return WindowChoice(DriveCommand(*found[:2]), *found[2:])
 
 
 def seen(scene: Scene, t: float = 0.0, *, static: bool = True) -> Surroundings:

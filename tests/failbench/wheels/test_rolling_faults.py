@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_wheels import jackal
+from jackals import jackal
 
 import failbench as fb
 import graceful_plan as gp

@@ -29,9 +29,9 @@ class DiffDrive:
     | lateral_max | greatest acceleration across the heading, speed times rate of turning            | m/s^2   |
     | wheel_max   | greatest rate of a wheel; default: that of `v_max` on the straight               | rad/s   |
     | reverse     | whether it may drive backwards                                                   |         |
+    | wheels      | bodies of the driven wheels, left ones first; in simulations they turn about y   |         |
     | load        | share of the weight on the driven wheels; casters carry the rest                 |         |
     | rotor       | inertia of a driven wheel with its motor and gears, about its axle               | kg m^2  |
-    | wheels      | bodies of the driven wheels, left ones first; in simulations they turn about y   |         |
 
     Wheel rates are (v -+ omega slip track / 2) / radius, left with minus. For a skid-steer see A. Mandow et al.,
     "Experimental kinematics for wheeled skid-steer mobile robots", IROS 2007.

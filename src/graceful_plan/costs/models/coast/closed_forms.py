@@ -18,7 +18,7 @@ Array = np.ndarray
 GRAVITY = 9.81
 
 
-def coasting_distance(v: ArrayLike, a: ArrayLike, k: ArrayLike = 0.0) -> Float[Array, "*batch"]:
+def coasting_distance(v: ArrayLike | float, a: ArrayLike | float, k: ArrayLike | float = 0.0) -> Float[Array, "*batch"]:
     r"""Return how far a base rolls without power: :math:`v/k - (a/k^2) \ln(1 + k v / a)`.
 
     Args:
@@ -28,20 +28,22 @@ def coasting_distance(v: ArrayLike, a: ArrayLike, k: ArrayLike = 0.0) -> Float[A
     """
     v, a, k = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (np.abs(v), a, k)))
     drag = np.where(k > 0.0, k, 1.0)
-    return np.where(k > 0.0, v / drag - a / drag**2 * np.log1p(drag * v / a), v**2 / (2.0 * a))
+    return np.asarray(np.where(k > 0.0, v / drag - a / drag**2 * np.log1p(drag * v / a), v**2 / (2.0 * a)))
 
 
-def sliding_distance(v: ArrayLike, friction: ArrayLike, load: float = 1.0) -> Float[Array, "*batch"]:
+def sliding_distance(v: ArrayLike | float, friction: ArrayLike | float, load: float = 1.0) -> Float[Array, "*batch"]:
     """Return how far a base slides whose wheels are held, a share of its weight on them: v^2 / (2 mu g load)."""
-    return np.square(v) / (2.0 * np.asarray(friction) * GRAVITY * load)
+    return np.asarray(np.square(v) / (2.0 * np.asarray(friction) * GRAVITY * load))
 
 
-def runaway_distance(v: ArrayLike, delay: ArrayLike, a: ArrayLike) -> Float[Array, "*batch"]:
+def runaway_distance(v: ArrayLike | float, delay: ArrayLike | float, a: ArrayLike | float) -> Float[Array, "*batch"]:
     """Return how far a base goes that a watchdog stops after a delay [s] with a deceleration [m/s^2], along its arc."""
-    return np.abs(v) * np.asarray(delay) + np.square(v) / (2.0 * np.asarray(a))
+    return np.asarray(np.abs(v) * np.asarray(delay) + np.square(v) / (2.0 * np.asarray(a)))
 
 
-def slope_acceleration(slope: ArrayLike, a: ArrayLike, mass: float, effective: float) -> Float[Array, "*batch"]:
+def slope_acceleration(
+    slope: ArrayLike | float, a: ArrayLike | float, mass: float, effective: float
+) -> Float[Array, "*batch"]:
     """Return the acceleration down a slope of a base without power; 0 where friction holds it.
 
     Args:
@@ -51,11 +53,11 @@ def slope_acceleration(slope: ArrayLike, a: ArrayLike, mass: float, effective: f
         effective: With what turns in its wheels [kg].
     """
     pull, held = GRAVITY * np.sin(slope) * mass / effective, np.asarray(a)
-    return np.sign(pull) * np.maximum(0.0, np.abs(pull) - held)
+    return np.asarray(np.sign(pull) * np.maximum(0.0, np.abs(pull) - held))
 
 
 def slope_distance(
-    v: ArrayLike, seconds: float, slope: ArrayLike, a: ArrayLike, share: float
+    v: ArrayLike | float, seconds: float, slope: ArrayLike | float, a: ArrayLike | float, share: float
 ) -> Float[Array, "*batch"]:
     """Return how far a base without power gets down a slope in a time, if it drives down at first.
 
@@ -68,12 +70,12 @@ def slope_distance(
     """
     rate = GRAVITY * np.sin(slope) * share - np.asarray(a)
     moving = np.where(rate < 0.0, np.minimum(seconds, np.asarray(v) / np.maximum(-rate, 1e-12)), seconds)
-    return np.asarray(v) * moving + 0.5 * rate * moving**2
+    return np.asarray(np.asarray(v) * moving + 0.5 * rate * moving**2)
 
 
-def spin_rate(rim: ArrayLike, base: DiffDrive) -> Float[Array, "*batch"]:
+def spin_rate(rim: ArrayLike | float, base: DiffDrive) -> Float[Array, "*batch"]:
     """Return the rate of turning once one side stands and the other has this speed of rims: rim / (slip track)."""
-    return np.asarray(rim) / (base.slip * base.track)
+    return np.asarray(np.asarray(rim) / (base.slip * base.track))
 
 
 def pivot_radius(base: DiffDrive) -> float:
@@ -81,23 +83,27 @@ def pivot_radius(base: DiffDrive) -> float:
     return 0.5 * base.track
 
 
-def sideways_of_bias(s: ArrayLike, bias: ArrayLike) -> Float[Array, "*batch"]:
+def sideways_of_bias(s: ArrayLike | float, bias: ArrayLike | float) -> Float[Array, "*batch"]:
     """Return how far aside a bias of the curvature [1/m] in odometry leads, after a way [m]: bias s^2 / 2."""
-    return 0.5 * np.asarray(bias) * np.square(s)
+    return np.asarray(0.5 * np.asarray(bias) * np.square(s))
 
 
-def sideways_of_noise(s: ArrayLike, noise: ArrayLike) -> Float[Array, "*batch"]:
+def sideways_of_noise(s: ArrayLike | float, noise: ArrayLike | float) -> Float[Array, "*batch"]:
     """Return the standard deviation of that of white noise of the curvature [1/m per root of m]: noise (s^3 / 3)^.5."""
-    return np.asarray(noise) * np.sqrt(np.power(s, 3.0) / 3.0)
+    return np.asarray(np.asarray(noise) * np.sqrt(np.power(s, 3.0) / 3.0))
 
 
-def overshoot_of_delay(v: ArrayLike, delay: ArrayLike, curvature: ArrayLike = 0.0) -> Float[Array, "*batch 2"]:
+def overshoot_of_delay(
+    v: ArrayLike | float, delay: ArrayLike | float, curvature: ArrayLike | float = 0.0
+) -> Float[Array, "*batch 2"]:
     """Return how far on and aside late commands lead: v delay, curvature (v delay)^2 / 2 [m]."""
     far = np.abs(v) * np.asarray(delay)
     return np.stack(np.broadcast_arrays(far, 0.5 * np.asarray(curvature) * far**2), axis=-1)
 
 
-def straightening_angle(omega: ArrayLike, base: DiffDrive, mass: float, friction: float) -> Float[Array, "*batch"]:
+def straightening_angle(
+    omega: ArrayLike | float, base: DiffDrive, mass: float, friction: float
+) -> Float[Array, "*batch"]:
     r"""Return by how much a skid-steer turns on once its wheels are let go [rad].
 
     It straightens within :math:`t = (\omega \chi B / 2 r) J / (0.57 \mu m g r / 4)`, evenly.
@@ -110,4 +116,4 @@ def straightening_angle(omega: ArrayLike, base: DiffDrive, mass: float, friction
     """
     rate = np.abs(omega)
     torque = 0.57 * friction * mass * GRAVITY * base.radius / 4.0
-    return 0.5 * rate * (rate * base.lever / base.radius * base.rotor / torque)
+    return np.asarray(0.5 * rate * (rate * base.lever / base.radius * base.rotor / torque))

@@ -106,7 +106,7 @@ def one_sided_ways(body: BaseBody, settings: CoastSettings) -> Ways:
         for left in (True, False)
     ]  # fmt: skip
     left, held, friction, rolling, drag, delay = (np.array(column) for column in zip(*rows, strict=True))
-    case = Case(left, held, friction, rolling, drag, delay, settings.brakes)
+    case = Case(left, held, friction, rolling, drag, delay=delay, brakes=settings.brakes)
     v, omega = speeds[:, None, None], rates[None, :, None]
     shape = (len(speeds), len(rates), len(rows))
     places = integrated(body, np.broadcast_to(v, shape), np.broadcast_to(omega, shape), case)
