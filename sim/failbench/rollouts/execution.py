@@ -159,7 +159,7 @@ def execute(
     _check_range(wanted, tolerance, world, dt)
     command = _commands(trajectory, world, steps)
     with warnings_counted_only():
-        start = _settled(trajectory, world, command[0])
+        start = settled(trajectory.q[0], world, command[0])
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
         run = _simulated(batch, command[:steps], start[None])
@@ -243,7 +243,7 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
     times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
     q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))
     qd[-1] = qdd[-1] = 0.0  # the last row is held for good
-    command = np.tile(_standing(world), (steps + 1, 1))
+    command = np.tile(standing(world), (steps + 1, 1))
     command[:, world.robot.actuators] = _joint_commands(world, q, qd, qdd)
     command[:, world.robot.gripper_actuators] = world.robot.grip_closed
     return command
@@ -266,7 +266,7 @@ def _joint_commands(
     return (robot.kp * q + robot.kd * qd + torque) / robot.gain
 
 
-def _standing(world: World) -> Float[Array, " actuator"]:
+def standing(world: World) -> Float[Array, " actuator"]:
     """Return commands with which every position servo holds its joint where the scene has it."""
     model = world.model
     data = mujoco.MjData(model)
@@ -279,16 +279,22 @@ def _standing(world: World) -> Float[Array, " actuator"]:
     return command
 
 
-def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actuator"]) -> Float[Array, " state"]:
-    """Return the state from which the motion begins: the object in the fingers, everything at rest."""
+def settled(q: Float[Array, " nq"], world: World, command: Float[Array, " actuator"]) -> Float[Array, " state"]:
+    """Return the state from which a motion from `q` begins: the object in the fingers, everything at rest.
+
+    Args:
+        q: Where the robot stands.
+        world: Where.
+        command: Of all actuators; those of the arm's joints are not looked at.
+    """
     model, scene = world.model, world.scene
     data = mujoco.MjData(model)
-    data.qpos[:] = scene.data_at(trajectory.q[0]).qpos
+    data.qpos[:] = scene.data_at(q).qpos
     hold = command.copy()
     robot = world.robot
     still = np.zeros(len(robot.joints))
-    weight = RobotDynamics(scene)(trajectory.q[0], still, still)
-    hold[robot.actuators] = (robot.kp * trajectory.q[0] + weight) / robot.gain
+    weight = RobotDynamics(scene)(q, still, still)
+    hold[robot.actuators] = (robot.kp * q + weight) / robot.gain
     steps = round(_SETTLE / model.opt.timestep)
     for step in range(steps):
         if world.hold >= 0 and robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from failbench.recording.records import Job
-from failbench.rollouts.execution import Execution
 from failbench.simulated.plant import Plant
 from failbench.simulated.states import CHECKPOINT
+from failbench.simulated.world import World
 
 Array = np.ndarray
 
@@ -18,11 +19,42 @@ _RAMP_STEPS = 5
 """Steps between two levels of a ramp."""
 
 
+class Commanded(Protocol):
+    """What a healthy controller sends: an `Execution`, or a policy of which nobody knows yet what it will send."""
+
+    @property
+    def world(self) -> World:
+        """Where."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Time step [s]."""
+        ...
+
+    @property
+    def command(self) -> Array:
+        """Commands from the beginning on, [step, actuator]."""
+        ...
+
+    def checkpoint(self, onset: float) -> int:
+        """Return the checkpoint nearest to a time [s]."""
+        ...
+
+    def commands(self, step: int, count: int) -> Array:
+        """Return commands of `count` steps from a step on; if they change later, `Injection.renew` has to be called."""
+        ...
+
+    def paced(self, time: Array, pace: Array, change: Array) -> Array:
+        """Return what is sent to the joints where the motion goes on at another pace."""
+        ...
+
+
 class Injection:
     """One fault in one simulation.
 
     Args:
-        execution: The healthy run.
+        execution: What a healthy robot is told.
         job: The fault and its onset.
         steps: How many steps are going to be simulated after the onset.
         fields: Live arrays of this simulation's model fields.
@@ -33,7 +65,7 @@ class Injection:
 
     def __init__(
         self,
-        execution: Execution,
+        execution: Commanded,
         job: Job,
         steps: int,
         *,
@@ -68,6 +100,7 @@ class Injection:
         )
         self._model = execution.world.model
         self._end = steps if fault.duration is None else max(1, round(fault.duration / execution.dt))
+        self._level: float | None = None
         self.next = 0
         """The step before which the fault acts next."""
 
@@ -77,10 +110,11 @@ class Injection:
         plant.step = self.next
         self._restore()
         if self.next >= self._end:
-            self.next = NEVER
+            self.next, self._level = NEVER, None
             return
         ramp = round(fault.ramp / plant.dt)
         level = 1.0 if ramp == 0 else min(1.0, (self.next + _RAMP_STEPS) / ramp)
+        self._level = level
         fault.apply(plant, level)
         if level < 1.0:
             wait = _RAMP_STEPS
@@ -90,12 +124,24 @@ class Injection:
             wait = NEVER
         self.next = min(self.next + wait, self._end)
 
+    def renew(self) -> None:
+        """Let the fault do once more what it did last: the commands that it does it to have changed."""
+        self._restore()
+        if self._level is not None:
+            self.job.fault.apply(self.plant, self._level)
+
+    @property
+    def acting(self) -> bool:
+        """Whether the fault has begun and is not over."""
+        return self._level is not None
+
     def _restore(self) -> None:
         plant = self.plant
         for name, values in plant.fields.items():
             values[...] = getattr(self._model, name)
         plant.ahead[...] = plant.healthy[plant.step :]
         plant.eq_active[plant.robot.locks] = 0
+        plant.misreading = None
 
 
 NEVER = int(np.iinfo(np.int32).max)

@@ -36,6 +36,7 @@ class Plant:
     | fields      | fields of this simulation's model that may be written                                    |
     | step        | steps since the onset                                                                    |
     | memory      | whatever the fault wants to remember                                                     |
+    | misreading  | what `misread` was told last, for whoever reads sensors: step, joints, error; None for none |
     """
 
     robot: Robot
@@ -53,6 +54,7 @@ class Plant:
     fields: Mapping[str, Array]
     step: int = 0
     memory: dict[str, Any] = field(default_factory=dict)
+    misreading: tuple[int, Array, Array] | None = None
 
     def __getitem__(self, name: str) -> Array:
         """Return a field of this simulation's MuJoCo model, to write into.
@@ -95,6 +97,7 @@ class Plant:
             error: Reading minus truth [rad or m], for each step to come and each of these joints.
         """
         robot = self.robot
+        self.misreading = self.step, joints, error
         self.ahead[:, robot.actuators[joints]] -= error * (robot.kp[joints] / robot.gain[joints])
 
     def lock(self, joint: int, position: float) -> None:
