@@ -62,6 +62,7 @@ HARNESS_FLOORS = (
     {"validation"},
     {"comparison", "front_validation"},
     {"sweeps", "calibrations", "pictures"},
+    {"policies"},
     {"failbench"},
     {"commands"},
     {"testing", "cli"},
@@ -82,6 +83,7 @@ HEAVY = (
     "ray",
     "PIL",
     "viser",
+    "gymnasium",
 )
 
 

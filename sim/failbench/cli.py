@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import graceful_plan as gp
 from failbench.basics.errors import SweepFailed
-from failbench.commands import calibrating, judging, rollouts, sweeping
+from failbench.commands import calibrating, judging, policies, rollouts, sweeping
 from failbench.sweeps.sweep import JOURNAL
 from graceful_plan import GracefulPlanError, PlanningFailed, documents
 from graceful_plan.tools.parsing import Parser, UsageError
@@ -61,7 +61,7 @@ def parser() -> Parser:
     )
     made.add_argument("--version", action="version", version=gp.__version__)
     commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for group in (rollouts, judging, sweeping, calibrating):
+    for group in (rollouts, judging, policies, sweeping, calibrating):
         group.add(commands)
     return made
 

@@ -78,7 +78,9 @@ class Episode:
         camera: Takes pictures for the policy, if it sees any.
     """
 
-    def __init__(self, task: PolicyTask, servoing: Servoing, job: Job | None, live: Live, camera: Camera | None) -> None:
+    def __init__(
+        self, task: PolicyTask, servoing: Servoing, job: Job | None, live: Live, camera: Camera | None
+    ) -> None:
         self.task, self.job, self.step = task, job, 0
         self._servoing, self._live, self._camera = servoing, live, camera
         self._sent = Sent(task, servoing)
@@ -104,6 +106,11 @@ class Episode:
         return self.step * self._sent.dt
 
     @property
+    def qpos(self) -> Float[Array, " qpos"]:
+        """Positions of everything now; a live array."""
+        return self._live.qpos
+
+    @property
     def over(self) -> bool:
         """Whether there is nothing more to be seen: the goal is reached, and what broke has had its time."""
         horizon = round(self.task.settings.horizon / self._sent.dt)
@@ -119,13 +126,13 @@ class Episode:
     def observation(self) -> Observation:
         """What the policy sees now."""
         delay = 0.0 if self._sensing is None else self._sensing.delay
-        at, (q, qd), qpos = self._seen[-1]
+        _, (q, qd), qpos = self._seen[-1]
         if delay > 0.0:
             known = [seen for seen in self._seen if seen[0] <= self.step - round(delay / self._sent.dt)]
-            at, (q, qd), qpos = (known or self._seen)[-1 if known else 0]
+            _, (q, qd), qpos = (known or self._seen)[-1 if known else 0]
         task = self.task
         return Observation(
-            time=at * self._sent.dt,
+            time=self.time,  # its own clock is not delayed
             q=q,
             qd=qd,
             tool=tool_pose(task.scene, self._placement.place(q)),
@@ -248,6 +255,4 @@ def _allowed(task: PolicyTask, qpos: Float[Array, " qpos"], qvel: Float[Array, "
         own, other = scene.components[component].geoms, scene.entities[entity].geoms
         return any((min(a, b), max(a, b)) in known for a in own for b in other)
 
-    return frozenset(
-        pair for pair, touches in zip(world.pairs, felt, strict=True) if touches or allowed(*pair)
-    )
+    return frozenset(pair for pair, touches in zip(world.pairs, felt, strict=True) if touches or allowed(*pair))
