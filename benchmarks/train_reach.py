@@ -2,8 +2,8 @@
 
 make .venv/.policies && .venv/bin/python benchmarks/train_reach.py [STEPS]
 
-Needs Stable-Baselines3 and torch. The weights go into arrays that NumPy reads; running them needs neither. The network sees
-how far the joints are from their goal, and how fast they move: nothing of the surroundings, nothing of what breaks.
+Needs Stable-Baselines3 and torch. The weights go into arrays that NumPy reads; running them needs neither. The network
+sees how far the joints are from their goal, and how fast they move: nothing of the surroundings, nor of what breaks.
 """
 
 from __future__ import annotations

@@ -218,11 +218,11 @@ class Episode:
         return self._recorder.finish(0)
 
     def _see(self) -> None:
-        plain = self._injection is None or self._sensing is None
         robot, live = self.task.world.robot, self._live
-        reading = (
-            (live.qpos[robot.qpos], live.qvel[robot.dofs]) if plain else self._sensing.read(self.step - self.onset)
-        )
+        if self._sensing is None:
+            reading = live.qpos[robot.qpos], live.qvel[robot.dofs]
+        else:
+            reading = self._sensing.read(self.step - self.onset)
         self._seen.append((self.step, reading, live.qpos.copy()))
 
     def _distance(self, q: Float[Array, " nq"]) -> tuple[float, float]:
@@ -242,7 +242,7 @@ class Episode:
 
 
 def _allowed(task: PolicyTask, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> frozenset[tuple[str, str]]:
-    """Return components and entities that may touch: those that do at the beginning, and those that the scene allows."""
+    """Return components and entities that may touch: those that do at the beginning, and what the scene allows."""
     world, scene = task.world, task.scene
     data = mujoco.MjData(world.model)
     mujoco.mj_setState(world.model, data, task.at_start, STATE)

@@ -11,7 +11,7 @@ import numpy as np
 import graceful_plan as gp
 from failbench.basics.statistics import Estimate, check_confidence, estimate_mean, estimate_probability
 from failbench.fault.fault import Fault
-from failbench.policies.policy import PolicyFactory
+from failbench.policies.policy import Policy, PolicyFactory
 from failbench.policies.recovery import Recovery, recovering
 from failbench.policies.report import PolicyFigures, PolicyReport
 from failbench.policies.rollouts import PolicyRollout, roll_out
@@ -120,7 +120,7 @@ class _Work(NamedTuple):
         noticed = dict(zip(seeds, (job.onset for job in jobs), strict=True))
         recovery = self.recovery
 
-        def make(task: PolicyTask, seed: int):  # noqa: ANN202 - a Policy
+        def make(task: PolicyTask, seed: int) -> Policy:
             return recovering(self.factory, recovery, noticed[seed], self.delay)(task, seed)
 
         return roll_out(self.task, make, seeds, jobs, threads=self.threads)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -168,7 +168,7 @@ def imported_policy(name: str) -> PolicyFactory:
         module = importlib.import_module(module_name)
     except Exception as error:
         raise PolicyError(name, f"importing {module_name} raised {type(error).__name__}: {error}") from error
-    factory = getattr(module, attribute, None)
+    factory: Any = getattr(module, attribute, None)
     if factory is None:
         valid = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise UnknownNameError(f"policy of {module_name}", attribute, valid)

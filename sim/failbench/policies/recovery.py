@@ -1,7 +1,7 @@
 """What a controller does after it has noticed a fault: nothing, stop, or plan again from where it is.
 
-Noticing is perfect but late: `delay` after the onset, whatever the fault. How soon a fault is noticed in reality depends
-on the monitor; ask for several delays.
+Noticing is perfect but late: `delay` after the onset, whatever the fault. How soon a fault is noticed in reality
+depends on the monitor; ask for several delays.
 """
 
 from __future__ import annotations

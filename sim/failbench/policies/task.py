@@ -29,7 +29,7 @@ class PolicySettings:
 
     Args:
         period: Time from one action to the next [s].
-        limit: Longest episode [s]; None for what the straight path takes twice, and `horizon`.
+        limit: Longest episode [s]; None for what the straight path takes three times, and `horizon`.
         horizon: How long an episode goes on after the onset of a fault at least [s].
         noise: Standard deviation of the start's joints around the task's start [rad or m], cut off at two of them.
         speed: Fraction of the limits at which commanded joints may go, and the straight path is timed.
@@ -106,7 +106,7 @@ class PolicyTask:
     def limit(self) -> float:
         """Longest episode [s]."""
         settings = self.settings
-        return 2.0 * self.straight.duration + settings.horizon if settings.limit is None else settings.limit
+        return 3.0 * self.straight.duration + settings.horizon if settings.limit is None else settings.limit
 
     @cached_property
     def periods(self) -> int:

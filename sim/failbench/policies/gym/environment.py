@@ -18,15 +18,16 @@ from failbench.policies.batch import EpisodeBatch
 from failbench.policies.cameras import PolicyCameras
 from failbench.policies.episode import Camera, Episode
 from failbench.policies.gym.faulting import Faulting
+from failbench.policies.gym.spaces import Spaces
 from failbench.policies.policy import Observation
 from failbench.policies.rollouts import outcome
-from failbench.policies.gym.spaces import Spaces
 from failbench.policies.task import PolicySettings, PolicyTask, policy_task
 from graceful_plan.array_types import Bool, Float, Int, UInt8
 from graceful_plan.exceptions import UnknownNameError
 
 try:
     import gymnasium
+    from gymnasium.utils.seeding import np_random
     from gymnasium.vector import AutoresetMode, VectorEnv
 except ImportError:
     raise MissingExtra("gymnasium", "policies") from None
@@ -34,6 +35,8 @@ except ImportError:
 Array = np.ndarray
 
 REWARDS = ("joint_distance", "success")
+_SHARED = ("action", "reward", "harm_weight", "settings")
+"""Settings of environments that vector environments have, too."""
 _BONUS = 1.0
 """Reward for reaching the goal."""
 
@@ -70,7 +73,7 @@ class FailBenchEnv(gymnasium.Env[Any, Array]):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UnknownNameError("render_mode", str(render_mode), self.metadata["render_modes"])
-        self.core = _Core(task, fault, action, reward, harm_weight, settings, 1)
+        self.core = _Core(task, fault, action=action, reward=reward, harm_weight=harm_weight, settings=settings)
         self.render_mode = render_mode
         self.action_space, self.observation_space = self.core.spaces.action, self.core.spaces.observation
         self._shown: Camera | None = None
@@ -134,12 +137,11 @@ class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
     def __init__(
         self, num_envs: int, task: str | PolicyTask, fault: Fault | None = None, *, threads: int = 1, **settings: Any
     ) -> None:
-        settings.pop("render_mode", None)
-        how = {"action": "joint_velocity", "reward": "joint_distance", "harm_weight": 0.1, "settings": None} | settings
+        for name in settings:
+            if name not in _SHARED:
+                raise UnknownNameError("setting", name, _SHARED)
         self.num_envs = num_envs
-        self.core = _Core(task, fault, *(how.pop(name) for name in list(how)[:4]), num_envs, threads=threads)
-        if how:
-            raise UnknownNameError("setting", next(iter(how)), ("action", "reward", "harm_weight", "settings"))
+        self.core = _Core(task, fault, **settings, count=num_envs, threads=threads)
         spaces = self.core.spaces
         self.single_action_space, self.single_observation_space = spaces.action, spaces.observation
         self.action_space = gymnasium.vector.utils.batch_space(spaces.action, num_envs)
@@ -150,7 +152,7 @@ class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode everywhere."""
         if seed is not None or not self._rngs:
-            rngs = (gymnasium.utils.seeding.np_random(None if seed is None else seed + i) for i in range(self.num_envs))
+            rngs = (np_random(None if seed is None else seed + i) for i in range(self.num_envs))
             self._rngs = [rng for rng, _ in rngs]
         for i, rng in enumerate(self._rngs):
             self.core.begin(i, rng, options or {})
@@ -192,13 +194,12 @@ class _Core:
         self,
         task: str | PolicyTask,
         fault: Fault | None,
-        action: str,
-        reward: str,
-        harm_weight: float,
-        settings: PolicySettings | None,
-        /,
-        count: int = 1,
         *,
+        action: str = "joint_velocity",
+        reward: str = "joint_distance",
+        harm_weight: float = 0.1,
+        settings: PolicySettings | None = None,
+        count: int = 1,
         threads: int = 1,
     ) -> None:
         if reward not in REWARDS:

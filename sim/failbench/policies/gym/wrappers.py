@@ -44,13 +44,14 @@ class WithFaults(gymnasium.Wrapper[Any, Array, Any, Array], gymnasium.utils.Reco
             np.isfinite(weights).all() and (weights >= 0).all() and weights.any()
         ):
             raise SettingError("shares", shares, f"{len(faults)} finite numbers >= 0, not all of them 0")
+        self._draws = np.random.default_rng()
         self._faults: list[Fault | None] = [None, *faults]
         self._shares = np.concatenate([[healthy], (1.0 - healthy) * weights / weights.sum()])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode with another fault, or without."""
         if seed is not None:
-            self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(seed)
-        fault = drawn_fault(self._faults, self._shares.tolist(), self.np_random)
+            self._draws = np.random.default_rng(seed)
+        fault = drawn_fault(self._faults, self._shares.tolist(), self._draws)
         observed, info = self.env.reset(seed=seed, options={"fault": fault, **(options or {})})
         return observed, info | {"fault": "" if fault is None else f"{fault.NAME}/{fault.degree}"}
