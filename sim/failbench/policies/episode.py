@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from failbench.policies.policy import Observation, checked_action
 from failbench.policies.sensing import Reading, Sensing
-from failbench.policies.servoing import Servoing
+from failbench.policies.servoing import Servoing, Straightness
 from failbench.policies.task import PolicyTask, tool_pose
 from failbench.recording.recorder import Recorder
 from failbench.recording.records import Job
@@ -48,11 +48,12 @@ class Live:
 class Sent:
     """What a policy has sent so far, in the place of an `Execution`: the last command is held."""
 
-    def __init__(self, task: PolicyTask, servoing: Servoing) -> None:
+    def __init__(self, task: PolicyTask) -> None:
         self.world: World = task.world
         self.dt = task.world.settings.timestep
         self.command = np.tile(task.standing, (task.periods * task.settings.steps, 1))
-        self._servoing = servoing
+        self.straight_on: Straightness | None = None
+        """How the joints moved when something broke."""
 
     def checkpoint(self, onset: float) -> int:
         """Return the checkpoint nearest to a time [s]."""
@@ -63,8 +64,9 @@ class Sent:
         return self.command[step : step + count]
 
     def paced(self, time: Array, pace: Array, change: Array) -> Array:
-        """Return commands of the joints if they go on straight as now, at another pace."""
-        return self._servoing.ahead(time, pace)
+        """Return commands of the joints if they go on straight from when something broke, at another pace."""
+        assert self.straight_on is not None
+        return self.straight_on.commands(time, pace)
 
 
 class Episode:
@@ -83,7 +85,7 @@ class Episode:
     ) -> None:
         self.task, self.job, self.step = task, job, 0
         self._servoing, self._live, self._camera = servoing, live, camera
-        self._sent = Sent(task, servoing)
+        self._sent = Sent(task)
         self.onset = NEVER if job is None else self._sent.checkpoint(job.onset) * CHECKPOINT
         """The step at which it breaks."""
         self._injection: Injection | None = None
@@ -158,6 +160,7 @@ class Episode:
         """Let the fault begin, act or end before this step, if it is time."""
         if self.step == self.onset and self._injection is None and self.job is not None:
             live, steps = self._live, len(self._sent.command) - self.onset
+            self._sent.straight_on = self._servoing.straight_on(self.step % self.task.settings.steps)
             self._injection = Injection(
                 self._sent,
                 self.job,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,8 +25,8 @@ class Mlp:
         biases: Of each layer, [output].
     """
 
-    weights: tuple[Float[Array, "output input"], ...]
-    biases: tuple[Float[Array, " output"], ...]
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
 
     def __post_init__(self) -> None:
         if not self.weights or len(self.weights) != len(self.biases):
@@ -71,7 +72,7 @@ class Mlp:
         try:
             with np.load(file, allow_pickle=False) as found:
                 arrays: dict[str, ArrayLike] = {name: found[name] for name in found.files}
-        except (OSError, ValueError, EOFError) as error:
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
             raise FormatError(str(file), f"is no .npz file of arrays: {error}") from error
         layers = range(len(arrays) // 2)
         wanted = {f"{kind}{i}" for i in layers for kind in "wb"}

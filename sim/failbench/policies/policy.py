@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,16 +62,11 @@ class Observation:
         return np.concatenate([self.q, self.qd, self.tool, self.goal, self.tool_goal, self.objects.ravel()])
 
 
-class Policy(Protocol):
-    """Anything that can be called with an observation and returns an action.
+Policy = Callable[[Observation], ArrayLike]
+"""Anything that can be called with an observation and returns an action.
 
-    An attribute `action`, one of `ACTIONS`, says of which kind its actions are; without it, they are joint positions.
-    """
-
-    def __call__(self, observation: Observation, /) -> ArrayLike:
-        """Return the next action."""
-        ...
-
+An attribute `action`, one of `ACTIONS`, says of which kind its actions are; without it, they are joint positions.
+"""
 
 PolicyFactory = Callable[[PolicyTask, int], Policy]
 """Makes a policy for one episode of a task with a seed: what is remembered from call to call begins anew."""
@@ -172,6 +167,7 @@ def imported_policy(name: str) -> PolicyFactory:
     if factory is None:
         valid = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise UnknownNameError(f"policy of {module_name}", attribute, valid)
+    found: PolicyFactory = factory
     if not callable(factory):
         raise PolicyError(name, "is nothing that can be called")
-    return factory
+    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 
@@ -41,16 +43,20 @@ class Servoing:
         """Where the joints are to be."""
         self.speed = np.zeros(len(task.start))
         """How fast they are to move now [rad/s or m/s]."""
+        self._was = self.q, self.speed, np.zeros(len(task.start))
+        """Both when the period began, and gravity's torques then."""
 
     def begin(self, q: Float[Array, " nq"]) -> None:
         """Begin an episode in which the robot stands at `q`."""
         self.q, self.speed = q, np.zeros(len(q))
         self._torque = self._gravity(q)
+        self._was = self.q, self.speed, self._torque
 
     def commands(self, kind: str, action: Float[Array, " n"]) -> Float[Array, "step actuator"]:
         """Return the commands of one period."""
         task = self._task
         steps = task.settings.steps
+        self._was = self.q, self.speed, self._torque
         if kind == "command":
             return np.repeat(action[None], steps, axis=0)
         if kind == "joint_velocity":
@@ -61,11 +67,11 @@ class Servoing:
             target = action
         return self._rows(np.clip(target, self._low, self._high), steps)
 
-    def ahead(self, time: Float[Array, " n"], pace: Float[Array, " n"]) -> Float[Array, "n nq"]:
-        """Return commands of the joints if they went on straight, at times on that motion's clock [s] and paces."""
-        robot = self._task.world.robot
-        q = np.clip(self.q + np.outer(time, self.speed), self._low, self._high)
-        return (robot.kp * q + robot.kd * np.outer(pace, self.speed) + self._torque) / robot.gain
+    def straight_on(self, steps: int) -> Straightness:
+        """Return how the joints would go on from so many steps after the period's beginning, if nothing more came."""
+        q, before, torque = self._was
+        speed = self.speed if steps else before
+        return Straightness(self._task, q + steps * self._task.world.settings.timestep * speed, speed, torque)
 
     def _rows(self, target: Float[Array, " nq"], steps: int) -> Float[Array, "step actuator"]:
         """Return commands that take the joints evenly to a target, or as far as their speed allows."""
@@ -101,6 +107,21 @@ class Servoing:
             step = J_q.T @ np.linalg.solve(J_q @ J_q.T + _DAMPING * np.eye(6), missing)
             q = np.clip(q + step, self._low, self._high)
         return q
+
+
+class Straightness(NamedTuple):
+    """Joints that go on as they move at a moment."""
+
+    task: PolicyTask
+    q: Float[Array, " nq"]
+    speed: Float[Array, " nq"]
+    torque: Float[Array, " nq"]
+
+    def commands(self, time: Float[Array, " n"], pace: Float[Array, " n"]) -> Float[Array, "n nq"]:
+        """Return commands of the joints at times on this motion's clock [s], and paces of that clock."""
+        robot, (low, high) = self.task.world.robot, self.task.scene.limits.position.T
+        q = np.clip(self.q + np.outer(time, self.speed), low, high)
+        return (robot.kp * q + robot.kd * np.outer(pace, self.speed) + self.torque) / robot.gain
 
 
 class GravityTorque:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ _RAMP_STEPS = 5
 """Steps between two levels of a ramp."""
 
 
+@runtime_checkable
 class Commanded(Protocol):
     """What a healthy controller sends: an `Execution`, or a policy of which nobody knows yet what it will send."""
 
