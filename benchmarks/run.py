@@ -54,6 +54,7 @@ SUBJECTS = (
     "damage_energy",
     "own_loss",
     "stops",
+    "policies",
     "transcription",
     "moving_entities",
     "driving",
@@ -64,7 +65,9 @@ SUBJECTS = (
     "failbench_kills",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
-ON_REQUEST = frozenset({"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops", "lattice"})
+ON_REQUEST = frozenset(
+    {"best_known", "auto", "trajectory_prediction", "prevention", "constraints", "stops", "lattice", "policies"}
+)
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
 TAKEN_OUT = "taken_out"
 """Section written by hand: what was measured, did not help and is gone."""

@@ -26,7 +26,7 @@ from failbench.policies.task import PolicySettings
 TASKS = ("tabletop_l1/green_to_blue", "tabletop_l1/right_to_left", "tabletop_l1/far_to_near")
 SETTINGS = PolicySettings(noise=0.3, limit=3.0)
 """Starts far around those of the tasks, so that the way to the goal is another one each time."""
-STEPS = 200_000
+STEPS = 60_000
 
 
 class ReachFeatures(gymnasium.ObservationWrapper[np.ndarray, np.ndarray, np.ndarray]):
@@ -52,14 +52,14 @@ def train(steps: int) -> Mlp:
         return lambda: ReachFeatures(FailBenchEnv(task, settings=SETTINGS, harm_weight=0.0))
 
     environments = VecMonitor(DummyVecEnv([make(task) for task in TASKS for _ in range(2)]))
-    shape = {"net_arch": [32, 32], "log_std_init": -1.0}
+    shape = {"net_arch": [32, 32], "log_std_init": -0.7}
     learner = PPO(
         "MlpPolicy",
         environments,
-        n_steps=384,
+        n_steps=192,
         batch_size=256,
-        learning_rate=1e-3,
-        gamma=0.97,
+        learning_rate=2e-3,
+        gamma=0.9,
         policy_kwargs=shape,
         seed=0,
         device="cpu",

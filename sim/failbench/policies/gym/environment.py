@@ -210,7 +210,7 @@ class _Core:
         self._reward, self._harm_weight = reward, harm_weight
         self._pictures = PolicyCameras(self.task)
         self._batch = EpisodeBatch(self.task, count, threads=threads, camera=self._pictures.__enter__())
-        self._whole = float(np.abs(self.task.goal - self.task.start).max())
+        self._whole = float(np.linalg.norm(self.task.goal - self.task.start))
         self._left = np.zeros(count)
         self._bonus = np.zeros(count, dtype=bool)
         self._model: mujoco.MjModel = self.task.world.model
@@ -257,4 +257,4 @@ class _Core:
 
     def _distance(self, sim: int) -> float:
         q = self.episode(sim).qpos[self.task.world.robot.qpos]
-        return float(np.abs(q - self.task.goal).max())
+        return float(np.linalg.norm(q - self.task.goal))
