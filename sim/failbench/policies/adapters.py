@@ -26,15 +26,17 @@ _PACE = 0.3
 """How fast it moves its tool [m/s]."""
 _TURN = 1.0
 """How fast it turns it [rad/s]."""
+_FADE = 0.5
+"""Time in which the distance from where a motion begins fades away [s]; on shorter motions, theirs."""
 REACH = FilePath(__file__).parent / "reach.npz"
 """Weights of `reach`, trained by `benchmarks/train_reach.py`."""
 
 
 class OpenLoop:
-    """Follows a trajectory by the clock, whatever it sees.
+    """Follows a trajectory by the clock. How far it is from its beginning at the first look fades away on the way.
 
     Args:
-        motion: What it follows; it may begin anywhere near where the robot is.
+        motion: What it follows.
         period: Time from one action to the next [s].
     """
 
@@ -42,15 +44,26 @@ class OpenLoop:
 
     def __init__(self, motion: gp.Trajectory, period: float) -> None:
         self._motion, self._period = motion, period
+        self._offset: Float[Array, " nq"] | None = None
 
     def __call__(self, observation: Observation, /) -> Float[Array, " nq"]:
         """Return where the joints are to be after the period."""
-        return self.at(observation.time)
+        return self.at(observation.time, observation.q)
 
-    def at(self, time: float) -> Float[Array, " nq"]:
-        """Return where they are to be a period after a time since the beginning of the motion [s]."""
-        motion = self._motion
-        return motion.at(motion.t[0] + np.array([min(time + self._period, motion.duration)])).q[0]
+    def at(self, time: float, q: Float[Array, " nq"]) -> Float[Array, " nq"]:
+        """Return where they are to be a period after a time since the beginning of the motion [s].
+
+        Args:
+            time: The time.
+            q: Where they are; looked at the first time only.
+        """
+        motion, after = self._motion, time + self._period
+        if self._offset is None:
+            self._offset = q - motion.q[0]
+        wanted = motion.at(motion.t[0] + np.array([min(after, motion.duration)])).q[0]
+        part = min(1.0, after / min(_FADE, max(motion.duration, self._period)))
+        # Minimum jerk: a step of the target would spill what is carried.
+        return wanted + (1.0 - part**3 * (10.0 + part * (6.0 * part - 15.0))) * self._offset
 
 
 def executor(execution: Execution) -> PolicyFactory:

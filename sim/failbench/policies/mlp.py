@@ -70,7 +70,7 @@ class Mlp:
             FormatError: If it is no such file.
         """
         try:
-            with np.load(file, allow_pickle=False) as found:
+            with open(file, "rb") as stream, np.load(stream, allow_pickle=False) as found:
                 arrays: dict[str, ArrayLike] = {name: found[name] for name in found.files}
         except (OSError, ValueError, EOFError, BadZipFile) as error:
             raise FormatError(str(file), f"is no .npz file of arrays: {error}") from error

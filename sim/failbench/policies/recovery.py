@@ -109,7 +109,7 @@ class ReplanOnFailure(Recovery):
                 return stopped
             if not follower:
                 follower.append(self._motion(task, observation.q, seed))
-            return stopped if follower[0] is None else follower[0].at(waited)
+            return stopped if follower[0] is None else follower[0].at(waited, observation.q)
 
         return go_on
 

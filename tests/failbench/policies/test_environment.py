@@ -112,10 +112,10 @@ def test_options_and_wrappers_say_what_breaks(short):
         env.reset(options={"falt": DELAY})
     noise = faults()["noise"](degree="minor")
     wrapped = WithFaults(env, [DELAY, noise], healthy=0.5, shares=[1.0, 3.0])
-    drawn = [wrapped.reset(seed=i)[1]["fault"] for i in range(60)]
+    drawn = [wrapped.reset(seed=i)[1]["fault"] for i in range(24)]
     counts = {name: drawn.count(name) for name in set(drawn)}
     assert set(counts) == {"", "control_delay/severe", "noise/minor"}
-    assert 15 < counts[""] < 45 and counts["noise/minor"] > counts["control_delay/severe"]
+    assert 5 < counts[""] < 19 and counts["noise/minor"] > counts["control_delay/severe"]
     assert wrapped.reset(seed=3)[1] == wrapped.reset(seed=3)[1]
     for wrong in ({"faults": []}, {"faults": [DELAY], "healthy": 2.0}, {"faults": [DELAY], "shares": [0.0]}):
         with pytest.raises(SettingError):

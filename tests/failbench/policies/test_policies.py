@@ -85,14 +85,14 @@ def test_the_script_lifts_first_and_arrives():
     assert max(heights) > heights[0] + 0.1
 
 
-def test_the_trained_policy_arrives_on_a_task_that_it_was_not_trained_on():
-    task = policy_task("tabletop/right_to_left", PolicySettings())
-    found = roll_out(task, reach, range(4))
+def test_the_trained_policy_arrives_with_a_start_that_it_has_not_seen():
+    task = policy_task("tabletop/green_to_blue", PolicySettings(noise=0.1))
+    found = roll_out(task, reach, [10**6, 10**6 + 1])
     assert all(rollout.reached is not None for rollout in found)
 
 
 def test_planned_motions_are_followed(easy):
-    found = roll_out(easy, planned(0.0, iterations=50), [0])[0]
+    found = roll_out(easy, planned(0.0, iterations=5), [0])[0]
     assert found.success
 
 
