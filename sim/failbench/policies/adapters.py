@@ -58,12 +58,11 @@ class OpenLoop:
             q: Where they are; looked at the first time only.
         """
         motion, after = self._motion, time + self._period
-        if self._offset is None:
-            self._offset = q - motion.q[0]
+        offset = self._offset = q - motion.q[0] if self._offset is None else self._offset
         wanted = motion.at(motion.t[0] + np.array([min(after, motion.duration)])).q[0]
         part = min(1.0, after / min(_FADE, max(motion.duration, self._period)))
         # Minimum jerk: a step of the target would spill what is carried.
-        return wanted + (1.0 - part**3 * (10.0 + part * (6.0 * part - 15.0))) * self._offset
+        return wanted + (1.0 - part**3 * (10.0 + part * (6.0 * part - 15.0))) * offset
 
 
 def executor(execution: Execution) -> PolicyFactory:
