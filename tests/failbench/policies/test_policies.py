@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import graceful_plan as gp
+from failbench.cli import main
 from failbench.fault.registry import faults
 from failbench.policies.adapters import LeRobotPolicy, OpenLoop, planned, reach, scripted
 from failbench.policies.evaluation import evaluate
@@ -91,6 +93,7 @@ def test_the_trained_policy_arrives_with_a_start_that_it_has_not_seen():
     assert all(rollout.reached is not None for rollout in found)
 
 
+@pytest.mark.long
 def test_planned_motions_are_followed(easy):
     found = roll_out(easy, planned(0.0, iterations=5), [0])[0]
     assert found.success
@@ -250,3 +253,34 @@ def test_settings_that_make_no_sense_are_refused(easy):
     with pytest.raises(UnknownNameError):
         roll_out(easy, following, [0], [Job(fault=faults()["noise"](targets=("elbow",)), onset=0.1, seed=0)])
     assert isinstance(easy.straight, gp.Trajectory)
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+FEW = ["-n", "1", "--scene", "tabletop_l1", "--limit", "0.6", "--horizon", "0.1", "--noise", "0"]
+
+
+def test_the_command_says_what_an_evaluation_says(capsys):
+    words = ["policy", "scripted", "sensor/noise/severe", *FEW, "--recovery", "stop", "--delay", "0.05"]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["schema"], found["task"], found["n"]) == ("failbench.policy", "tabletop_l1/green_to_blue", 1)
+    assert list(found["by_fault"]) == ["noise/severe"] and "StopOnFailure" in found["recovery"]
+    assert found["healthy"]["success"]["mean"] == 0.0  # there is not enough time
+    assert main(words) == 0
+    assert "noise/severe" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["no_such_module_here:x"], "no_such_module_here"),
+        (["unheard"], "package.module:factory"),
+        (["scripted", "--period", "0.003"], "period"),
+        (["scripted", "--camera", "nowhere"], "camera"),
+        (["scripted", "--task", "nothing"], "nothing"),
+    ],
+)
+def test_misuse_of_the_command_is_named(capsys, words, said):
+    assert main(["policy", *words[:1], "drop/gripper_failure/severe", *FEW, *words[1:]]) == 2
+    assert said in capsys.readouterr().err
