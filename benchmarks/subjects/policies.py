@@ -139,6 +139,8 @@ def fill(file: Path, tasks: Sequence[str], blocks: int, options: suite.Options, 
         for task, name, block in wanted
         if (task, name, block) not in have
     ]
+    if time.monotonic() >= until:
+        return
     file.parent.mkdir(exist_ok=True)
     with file.open("a", encoding="utf-8") as out:
         for done in suite.spread(do, jobs, options.processes, "policies"):
