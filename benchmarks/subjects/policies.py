@@ -201,6 +201,8 @@ class Sum:
     success: Mapping[str, np.ndarray]
     harm: Mapping[str, np.ndarray]
     duration: float
+    most: float
+    """The worst harm of any episode of any controller: the guard of intervals."""
 
     def added(self, name: str) -> np.ndarray:
         """Return what a fault adds in each episode."""
@@ -221,6 +223,7 @@ def sums(done: Sequence[Block]) -> dict[str, Sum]:
     controllers = list(dict.fromkeys(block.controller for block in done))
     by = {(block.task, block.block, block.controller): block for block in done}
     whole = sorted({(t, b) for t, b, _ in by if all((t, b, name) in by for name in controllers)})
+    most = max((harm for b in done for row in b.rows.values() for _, harm in row if math.isfinite(harm)), default=0.0)
     found = {}
     for name in controllers:
         mine = [by[t, b, name] for t, b in whole]
@@ -233,15 +236,15 @@ def sums(done: Sequence[Block]) -> dict[str, Sum]:
             success={kind: rows[:, 0] > 0.5 for kind, rows in columns.items()},
             harm={kind: rows[:, 1] for kind, rows in columns.items()},
             duration=float(np.mean([block.duration for block in mine])),
+            most=most,
         )
     return found
 
 
-def mean(values: np.ndarray) -> Estimate:
-    """Estimate the mean of harm or of what is added to it."""
+def mean(values: np.ndarray, most: float) -> Estimate:
+    """Estimate the mean of harm, or of what is added to it, when an episode has `most` at the worst."""
     valid = values[np.isfinite(values)]
-    greatest = float(np.abs(valid).max(initial=1.0))
-    return estimate_mean(valid, (min(0.0, float(valid.min(initial=0.0))), greatest))
+    return estimate_mean(valid, (-most if valid.min(initial=0.0) < 0.0 else 0.0, most))
 
 
 def tables(done: Sequence[Block]) -> Iterator[str]:
@@ -271,14 +274,14 @@ def overview(found: Mapping[str, Sum]) -> Iterator[str]:
         added = np.concatenate([s.added(fault) for fault in s.faults])
         failures = FAILURES_PER_HOUR * s.duration / 3600.0
         per_task = 1e6 * (np.nanmean(s.harm["healthy"]) + failures * np.nanmean(added))
-        healthy = f"{estimate_probability(s.success['healthy'])} | {mean(s.harm['healthy'])}"
-        failed = f"{estimate_probability(s.mixed(s.success))} | {mean(added)}"
+        healthy = f"{estimate_probability(s.success['healthy'])} | {mean(s.harm['healthy'], s.most)}"
+        failed = f"{estimate_probability(s.mixed(s.success))} | {mean(added, s.most)}"
         yield f"| {name} | {healthy} | {s.duration:.2f} s | {failed} | {per_task:.3g} |"
     yield ""
     if {"plan, w = 0", "plan"} <= set(found):
         a, b = (found[name].mixed(found[name].harm) for name in ("plan, w = 0", "plan"))
         valid = np.isfinite(a) & np.isfinite(b)
-        ratio = estimate_ratio(a[valid], b[valid], (0.0, float(max(a[valid].max(), b[valid].max()))))
+        ratio = estimate_ratio(a[valid], b[valid], (0.0, found["plan"].most))
         slower = found["plan"].duration / found["plan, w = 0"].duration
         yield (
             f"Harm of a failed episode at w = 0 over that at the default w, in closed loop: {ratio}; "
@@ -291,7 +294,7 @@ def by_fault(found: Mapping[str, Sum]) -> Iterator[str]:
     yield f"| success; harm | {' | '.join(found)} |"
     yield "|---|" + "---|" * len(found)
     for fault in next(iter(found.values())).harm:
-        cells = [f"{estimate_probability(s.success[fault])}; {mean(s.harm[fault])}" for s in found.values()]
+        cells = [f"{estimate_probability(s.success[fault])}; {mean(s.harm[fault], s.most)}" for s in found.values()]
         yield f"| {fault.split('/')[0]} | {' | '.join(cells)} |"
     yield ""
 
@@ -306,10 +309,11 @@ def recovery(found: Mapping[str, Sum]) -> Iterator[str]:
     none = found["none"]
     for name, s in found.items():
         spared = none.mixed(none.harm) - s.mixed(s.harm)
-        signs = [mean(none.harm[fault] - s.harm[fault]) for fault in s.faults]
+        signs = [mean(none.harm[fault] - s.harm[fault], s.most) for fault in s.faults]
         less, more = sum(e.low > 0.0 for e in signs), sum(e.high < 0.0 for e in signs)
-        shown = "" if name == "none" else f"{mean(spared)} | {less}, {more}"
-        yield f"| {name} | {estimate_probability(s.mixed(s.success))} | {mean(s.mixed(s.harm))} | {shown or ' | '} |"
+        shown = "" if name == "none" else f"{mean(spared, s.most)} | {less}, {more}"
+        success, harm = estimate_probability(s.mixed(s.success)), mean(s.mixed(s.harm), s.most)
+        yield f"| {name} | {success} | {harm} | {shown or ' | '} |"
     yield ""
 
 
