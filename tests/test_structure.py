@@ -63,7 +63,7 @@ HARNESS_FLOORS = (
     {"validation"},
     {"comparison", "front_validation"},
     {"sweeps", "calibrations", "pictures"},
-    {"traces"},
+    {"traces", "policies"},
     {"failbench"},
     {"commands"},
     {"testing", "cli"},
@@ -84,6 +84,7 @@ HEAVY = (
     "ray",
     "PIL",
     "viser",
+    "gymnasium",
 )
 
 

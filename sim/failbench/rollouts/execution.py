@@ -198,7 +198,7 @@ def execute(
     base = BasePlan.of(world, trajectory, steps)
     loop = None
     with warnings_counted_only():
-        start = _settled(trajectory, world, command[0])
+        start = settled(trajectory.q[0], world, command[0], time=float(trajectory.t[0]))
         batch = Batch(world.model, 1, nthread=1, persistent=True)
         put(batch, np.array([0]), start[None])
         if base is None:
@@ -327,7 +327,7 @@ def _commands(trajectory: Trajectory, world: World, steps: int) -> Float[Array, 
     times = trajectory.t[0] + np.arange(steps + 1) * world.settings.timestep
     q, qd, qdd = trajectory.at(np.minimum(times, trajectory.t[-1]))
     qd[-1] = qdd[-1] = 0.0  # the last row is held for good
-    command = np.tile(_standing(world), (steps + 1, 1))
+    command = np.tile(standing(world), (steps + 1, 1))
     command[:, world.robot.actuators] = _joint_commands(world, q, qd, qdd)
     command[:, world.robot.gripper_actuators] = world.robot.grip_closed
     return command
@@ -358,7 +358,7 @@ def _joint_commands(
     return told
 
 
-def _standing(world: World) -> Float[Array, " actuator"]:
+def standing(world: World) -> Float[Array, " actuator"]:
     """Return commands with which every position servo holds its joint where the scene has it."""
     model = world.model
     data = mujoco.MjData(model)
@@ -371,15 +371,24 @@ def _standing(world: World) -> Float[Array, " actuator"]:
     return command
 
 
-def _settled(trajectory: Trajectory, world: World, command: Float[Array, " actuator"]) -> Float[Array, " state"]:
-    """Return the state from which the motion begins: the object in the fingers, everything at rest."""
+def settled(
+    q: Float[Array, " nq"], world: World, command: Float[Array, " actuator"], *, time: float = 0.0
+) -> Float[Array, " state"]:
+    """Return the state from which a motion from `q` begins: the object in the fingers, everything at rest.
+
+    Args:
+        q: Where the robot stands.
+        world: Where.
+        command: Of all actuators; those of the arm's joints are not looked at.
+        time: When it begins, on the clock of those who move [s].
+    """
     model, scene = world.model, world.scene
     data = mujoco.MjData(model)
-    data.qpos[:] = lifted(scene, model, scene.data_at(trajectory.q[0]).qpos)
+    data.qpos[:] = lifted(scene, model, scene.data_at(q).qpos)
     hold, still = command.copy(), np.zeros((1, len(scene.joints)))
-    hold[world.robot.actuators] = _joint_commands(world, trajectory.q[:1], still, still)[0]
+    hold[world.robot.actuators] = _joint_commands(world, q[None], still, still)[0]
     if model.nmocap:
-        put_walkers(model, data, Walk(model, world.walkers).rows(trajectory.t[:1])[0])
+        put_walkers(model, data, Walk(model, world.walkers).rows(np.array([time]))[0])
     steps = round(_SETTLE / model.opt.timestep)
     for step in range(steps):
         if world.hold >= 0 and world.robot.weld < 0 and step * model.opt.timestep >= _SETTLE - _REST:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from failbench.recording.records import Job
-from failbench.rollouts.base_loop import TICK
-from failbench.rollouts.execution import Execution
+from failbench.rollouts.base_loop import TICK, BasePlan
 from failbench.simulated.plant import Plant
 from failbench.simulated.states import CHECKPOINT
+from failbench.simulated.world import World
 
 Array = np.ndarray
 
@@ -18,11 +19,66 @@ _RAMP_STEPS = 5
 """Steps between two levels of a ramp."""
 
 
+@runtime_checkable
+class Commanded(Protocol):
+    """What a healthy controller sends: an `Execution`, or a policy of which nobody knows yet what it will send."""
+
+    @property
+    def world(self) -> World:
+        """Where."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Time step [s]."""
+        ...
+
+    @property
+    def command(self) -> Array:
+        """Commands from the beginning on, [step, actuator]."""
+        ...
+
+    @property
+    def measured(self) -> Array:
+        """Positions and velocities of the joints at each step so far, [step, 2, nq]; none if nobody keeps them."""
+        ...
+
+    @property
+    def base(self) -> BasePlan | None:
+        """What a base follows; None for a robot that does not drive."""
+        ...
+
+    @property
+    def loop(self) -> Array | None:
+        """What the loop of a base remembered at each tick; None for a robot that does not drive."""
+        ...
+
+    def checkpoint(self, onset: float) -> int:
+        """Return the checkpoint nearest to a time [s]."""
+        ...
+
+    def planned(self, time: Array) -> Array:
+        """Return where the joints are to be at some times [s], as far as anybody knows."""
+        ...
+
+    def walk(self, step: int, count: int, seed: int) -> Array:
+        """Return where those who move are before each of `count` steps from a step on, and after the last."""
+        ...
+
+    def commands(self, step: int, count: int) -> Array:
+        """Return commands of `count` steps from a step on; if they change later, `Injection.renew` has to be called."""
+        ...
+
+    def paced(self, time: Array, pace: Array, change: Array) -> Array:
+        """Return what is sent to the joints where the motion goes on at another pace."""
+        ...
+
+
 class Injection:
     """One fault in one simulation.
 
     Args:
-        execution: The healthy run.
+        execution: What a healthy robot is told.
         job: The fault and its onset.
         steps: How many steps are going to be simulated after the onset.
         fields: Live arrays of this simulation's model fields.
@@ -34,7 +90,7 @@ class Injection:
 
     def __init__(
         self,
-        execution: Execution,
+        execution: Commanded,
         job: Job,
         steps: int,
         *,
@@ -77,6 +133,7 @@ class Injection:
         self._model = execution.world.model
         self._wheels = _Wheels(execution, self.plant, onset, qpos, qvel) if execution.base is not None else None
         self._end = steps if fault.duration is None else max(1, round(fault.duration / execution.dt))
+        self._level: float | None = None
         self.next = 0
         """The step before which the fault acts next."""
 
@@ -96,10 +153,11 @@ class Injection:
         plant.step = self.next
         self._restore()
         if self.next >= self._end:
-            self.next = NEVER
+            self.next, self._level = NEVER, None
             return
         ramp = round(fault.ramp / plant.dt)
         level = 1.0 if ramp == 0 else min(1.0, (self.next + _RAMP_STEPS) / ramp)
+        self._level = level
         fault.apply(plant, level)
         wait = NEVER if fault.period is None else max(1, round(fault.period / plant.dt))
         self.next = min(self.next + min(wait, _RAMP_STEPS if level < 1.0 else NEVER), self._end)
@@ -119,6 +177,17 @@ class Injection:
         if self.next != NEVER or self._end > step:
             self.next = self._end = step
 
+    def renew(self) -> None:
+        """Let the fault do once more what it did last: the commands that it does it to have changed."""
+        self._restore()
+        if self._level is not None:
+            self.job.fault.apply(self.plant, self._level)
+
+    @property
+    def level(self) -> float:
+        """How much of the fault acts now, from 0 (not begun yet, or over) to 1."""
+        return 0.0 if self._level is None else self._level
+
     def _restore(self) -> None:
         plant = self.plant
         for name, values in plant.fields.items():
@@ -128,12 +197,13 @@ class Injection:
         plant.xfrc[...] = 0.0
         plant.eq_active[plant.robot.locks] = 0
         plant.lag = 0
+        plant.misreading = None
 
 
 class _Wheels:
     """The loop of a base that may be broken: it goes on from the onset, and faults act on what it sends."""
 
-    def __init__(self, execution: Execution, plant: Plant, onset: int, qpos: Array, qvel: Array) -> None:
+    def __init__(self, execution: Commanded, plant: Plant, onset: int, qpos: Array, qvel: Array) -> None:
         assert execution.base is not None and execution.loop is not None
         self._plan, self._plant, self._onset, self._qpos, self._qvel = execution.base, plant, onset, qpos, qvel
         told = execution.loop[min(onset // TICK, len(execution.loop) - 1)]

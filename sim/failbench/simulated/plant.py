@@ -46,6 +46,7 @@ class Plant:
     | step        | steps since the onset                                                                    |
     | lag         | steps by which what a controller closes on the way reaches the wheels late               |
     | memory      | whatever the fault wants to remember                                                     |
+    | misreading  | what `misread` was told last, for whoever reads sensors: step, joints, error; None for none |
     """
 
     robot: Robot
@@ -69,6 +70,7 @@ class Plant:
     step: int = 0
     lag: int = 0
     memory: dict[str, Any] = field(default_factory=dict)
+    misreading: tuple[int, Array, Array] | None = None
 
     def __getitem__(self, name: str) -> Array:
         """Return a field of this simulation's MuJoCo model, to write into.
@@ -111,6 +113,7 @@ class Plant:
             error: Reading minus truth [rad or m], for each step to come and each of these joints.
         """
         robot = self.robot
+        self.misreading = self.step, joints, error
         self.ahead[:, robot.actuators[joints]] -= error * (robot.kp[joints] / robot.gain[joints])
 
     def lock(self, joint: int, position: float) -> None:

@@ -1,0 +1,348 @@
+"""Policies under all faults: success and harm in closed loop, with and without recovery; speed of environments."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import suite
+from benchmarks.store import read_lines
+from failbench import Estimate
+from failbench.basics.statistics import estimate_mean, estimate_probability, estimate_ratio
+from failbench.policies import (
+    PolicyFactory,
+    PolicySettings,
+    PolicyTask,
+    Recovery,
+    ReplanOnFailure,
+    StopOnFailure,
+    evaluate,
+    planned,
+    policy_task,
+    reach,
+    scripted,
+)
+from failbench.policies.batch import EpisodeBatch
+from failbench.report import FAILURES_PER_HOUR
+
+TITLE = "Policies in closed loop: success and harm under 19 faults, and what recovery is worth"
+SEED = 77
+TASKS = ("tabletop/green_to_blue", "unseen/bedside/bring_water")
+BLOCK = 3
+"""Episodes of a job with each fault."""
+WANTED = 500
+"""Rollouts of each fault and controller that the issue asks for, on all tasks together."""
+SEVERE = "*/*/severe"
+STORE = Path(__file__).resolve().parents[1] / "policy_runs"
+"""A line for each job that is done; an interrupted run goes on where it was. To measure anew, take the folder away."""
+MEASURED = f"""\
+Episodes of up to three times what the straight path takes, and 1 s, at half of the joints' speeds, an action each 20
+ms. Starts are the task's with noise of 0.02 rad. Each controller meets every fault, severe, in the same episodes in
+which it meets none; a fault begins at a fraction of the time that its healthy twin takes, all fractions alike.
+Success: the tool is within 2 cm and 0.1 rad of its goal in time, at the end too, with the object in the gripper.
+Harm: severities of all that is hit in the whole episode, which goes on for 1 s after the onset at least; **added**:
+less that of the healthy twin. All controllers have the same starts, fractions and seeds of faults. 95 % intervals;
+episodes of a job are stratified, which the intervals ignore. Per task: failures at {FAILURES_PER_HOUR:g}/h while the
+healthy motion lasts, and its own harm.
+
+Controllers: **plan, w = 0** and **plan** (default w) follow their motion by the clock; **plan, replan** is the
+second, which 0.1 s after the onset stops, plans from where it stands for 0.5 s of the world's time, and goes on;
+**script** lifts, crosses, lowers by tool poses; **reach** is a network trained with PPO on joints alone, blind to
+what is around, around three motions of `tabletop_l1`, one of which is that of the first task. A recovery notices
+every fault, exactly so late.
+"""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Who acts: a policy, and what takes over."""
+
+    factory: PolicyFactory
+    recovery: Recovery | None = None
+    delay: float = 0.1
+
+
+PLAN = planned()
+CONTROLLERS: Mapping[str, Controller] = {
+    "plan, w = 0": Controller(planned(0.0)),
+    "plan": Controller(PLAN),
+    "plan, replan": Controller(PLAN, ReplanOnFailure()),
+    "script": Controller(scripted),
+    "reach": Controller(reach),
+}
+RECOVERIES: Mapping[str, Controller] = {
+    "none": CONTROLLERS["plan"],
+    "stop after 0.1 s": Controller(PLAN, StopOnFailure(), 0.1),
+    "stop after 0.5 s": Controller(PLAN, StopOnFailure(), 0.5),
+    "replan after 0.1 s": CONTROLLERS["plan, replan"],
+    "replan after 0.5 s": Controller(PLAN, ReplanOnFailure(), 0.5),
+}
+ALL: Mapping[str, Controller] = CONTROLLERS | {
+    name: controller for name, controller in RECOVERIES.items() if name not in ("none", "replan after 0.1 s")
+}
+SAME = {"none": "plan", "replan after 0.1 s": "plan, replan"}
+"""Recoveries that are controllers of the first table."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyJob:
+    """A block of episodes of one controller on one task."""
+
+    task: str
+    controller: str
+    block: int
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """What came of it: a row for each kind of episode, healthy first, as (success, harm), and how long it took."""
+
+    task: str
+    controller: str
+    block: int
+    rows: Mapping[str, Sequence[tuple[bool, float]]]
+    duration: float
+    seconds: float
+
+
+def run(options: suite.Options) -> str:
+    """Do what is left to do, and report on all that is done."""
+    tasks, blocks, faults = options.pick((TASKS, _blocks(), (SEVERE,)), quick=(TASKS[:1], 1, ("drop/*/severe",)))
+    file = STORE / f"blocks.{SEED}.{BLOCK}.jsonl"
+    until = math.inf if options.seconds is None else time.monotonic() + options.seconds
+    if options.quick:
+        done = [do(PolicyJob(task=t, controller=c, block=0, faults=faults)) for t in tasks for c in ("plan", "script")]
+    else:
+        fill(file, tasks, blocks, options, until)
+        done = [read(line) for line in read_lines(file)]
+    return "\n".join([MEASURED, *tables(done), *speed(options)])
+
+
+def _blocks() -> int:
+    return math.ceil(WANTED / (BLOCK * len(TASKS)))
+
+
+def fill(file: Path, tasks: Sequence[str], blocks: int, options: suite.Options, until: float) -> None:
+    """Do jobs, a whole round of controllers and tasks after the other, until the time is over."""
+    have = {(done.task, done.controller, done.block) for done in map(read, read_lines(file))}
+    wanted = [(task, name, block) for block in range(blocks) for task in tasks for name in ALL]
+    jobs = [
+        PolicyJob(task=task, controller=name, block=block, faults=(SEVERE,))
+        for task, name, block in wanted
+        if (task, name, block) not in have
+    ]
+    if time.monotonic() >= until:
+        return
+    file.parent.mkdir(exist_ok=True)
+    with file.open("a", encoding="utf-8") as out:
+        for done in suite.spread(do, jobs, options.processes, "policies"):
+            out.write(json.dumps(vars(done)) + "\n")
+            out.flush()
+            if time.monotonic() > until:
+                break
+
+
+def do(job: PolicyJob) -> Block:
+    """Do one block."""
+    began, controller = time.process_time(), ALL[job.controller]
+    task = policy_task(path_of(job.task))
+    found = evaluate(
+        task,
+        controller.factory,
+        job.faults,
+        n=BLOCK,
+        seed=SEED + 1000 * job.block,
+        recovery=controller.recovery,
+        delay=controller.delay,
+        threads=1,
+    )
+    kinds = {"healthy": found.healthy_rollouts, **found.rollouts}
+    rows = {name: [(r.success, r.harm(task.scene)) for r in rollouts] for name, rollouts in kinds.items()}
+    return Block(
+        task=job.task,
+        controller=job.controller,
+        block=job.block,
+        rows=rows,
+        duration=found.duration,
+        seconds=time.process_time() - began,
+    )
+
+
+def path_of(task: str) -> str:
+    """Return a task's name as `policy_task` takes it: of a scene in `unseen/`, by its file."""
+    _, *unseen = task.split("unseen/")
+    if not unseen:
+        return task
+    scene, _, name = unseen[0].partition("/")
+    return f"{suite.UNSEEN / scene}.yaml/{name}"
+
+
+def read(line: Mapping[str, Any]) -> Block:
+    """Read what `fill` wrote."""
+    rows = {name: [(bool(success), float(harm)) for success, harm in row] for name, row in line["rows"].items()}
+    return Block(**{**line, "rows": rows})
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sum:
+    """All blocks of a controller: success, harm and harm of the healthy twin of each episode, by kind."""
+
+    success: Mapping[str, np.ndarray]
+    harm: Mapping[str, np.ndarray]
+    duration: float
+    most: float
+    """The worst harm of any episode of any controller: the guard of intervals."""
+
+    def added(self, name: str) -> np.ndarray:
+        """Return what a fault adds in each episode."""
+        return self.harm[name] - self.harm["healthy"]
+
+    @property
+    def faults(self) -> list[str]:
+        """Names of the faults."""
+        return [name for name in self.harm if name != "healthy"]
+
+    def mixed(self, what: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return episodes with all faults, in one order for all controllers."""
+        return np.concatenate([what[name] for name in self.faults])
+
+
+def sums(done: Sequence[Block]) -> dict[str, Sum]:
+    """Add up whole rounds: blocks that every controller has done on every task."""
+    controllers = list(dict.fromkeys(block.controller for block in done))
+    by = {(block.task, block.block, block.controller): block for block in done}
+    whole = sorted({(t, b) for t, b, _ in by if all((t, b, name) in by for name in controllers)})
+    most = max((harm for b in done for row in b.rows.values() for _, harm in row if math.isfinite(harm)), default=0.0)
+    found = {}
+    for name in controllers:
+        mine = [by[t, b, name] for t, b in whole]
+        if not mine:
+            continue
+        columns = {
+            kind: np.array([row for block in mine for row in block.rows[kind]], dtype=float) for kind in mine[0].rows
+        }
+        found[name] = Sum(
+            success={kind: rows[:, 0] > 0.5 for kind, rows in columns.items()},
+            harm={kind: rows[:, 1] for kind, rows in columns.items()},
+            duration=float(np.mean([block.duration for block in mine])),
+            most=most,
+        )
+    return found
+
+
+def mean(values: np.ndarray, most: float) -> Estimate:
+    """Estimate the mean of harm, or of what is added to it, when an episode has `most` at the worst."""
+    valid = values[np.isfinite(values)]
+    return estimate_mean(valid, (-most if valid.min(initial=0.0) < 0.0 else 0.0, most))
+
+
+def tables(done: Sequence[Block]) -> Iterator[str]:
+    """Yield the tables."""
+    found = sums(done)
+    if not found:
+        yield "Nothing is measured yet.\n"
+        return
+    n = len(next(iter(found.values())).harm["healthy"])
+    cpu = sum(block.seconds for block in done)
+    tasks = ", ".join(f"`{task}`" for task in dict.fromkeys(block.task for block in done))
+    yield (
+        f"Tasks: {tasks}. {n} episodes of each controller with each fault, of {WANTED} wanted; "
+        f"{cpu:.0f} s of processor time.\n"
+    )
+    yield from overview({name: found[name] for name in CONTROLLERS if name in found})
+    yield from by_fault({name: found[name] for name in CONTROLLERS if name in found})
+    yield from recovery({name: found[SAME.get(name, name)] for name in RECOVERIES if SAME.get(name, name) in found})
+
+
+def overview(found: Mapping[str, Sum]) -> Iterator[str]:
+    """Yield what each controller comes to."""
+    columns = ("controller", "healthy: success", "harm", "at goal after", "failed: success", "harm added")
+    yield f"| {' | '.join(columns)} | harm per million tasks |"
+    yield "|---|---|---|---|---|---|---|"
+    for name, s in found.items():
+        added = np.concatenate([s.added(fault) for fault in s.faults])
+        failures = FAILURES_PER_HOUR * s.duration / 3600.0
+        per_task = 1e6 * (np.nanmean(s.harm["healthy"]) + failures * np.nanmean(added))
+        healthy = f"{estimate_probability(s.success['healthy'])} | {mean(s.harm['healthy'], s.most)}"
+        failed = f"{estimate_probability(s.mixed(s.success))} | {mean(added, s.most)}"
+        yield f"| {name} | {healthy} | {s.duration:.2f} s | {failed} | {per_task:.3g} |"
+    yield ""
+    if {"plan, w = 0", "plan"} <= set(found):
+        a, b = (found[name].mixed(found[name].harm) for name in ("plan, w = 0", "plan"))
+        valid = np.isfinite(a) & np.isfinite(b)
+        ratio = estimate_ratio(a[valid], b[valid], (0.0, found["plan"].most))
+        slower = found["plan"].duration / found["plan, w = 0"].duration
+        yield (
+            f"Harm of a failed episode at w = 0 over that at the default w, in closed loop: {ratio}; "
+            f"per task, {slower:.2f} times as long exposed: {ratio.mean / slower:.3g}.\n"
+        )
+
+
+def by_fault(found: Mapping[str, Sum]) -> Iterator[str]:
+    """Yield success and harm by fault."""
+    yield f"| success; harm | {' | '.join(found)} |"
+    yield "|---|" + "---|" * len(found)
+    for fault in next(iter(found.values())).harm:
+        cells = [f"{estimate_probability(s.success[fault])}; {mean(s.harm[fault], s.most)}" for s in found.values()]
+        yield f"| {fault.split('/')[0]} | {' | '.join(cells)} |"
+    yield ""
+
+
+def recovery(found: Mapping[str, Sum]) -> Iterator[str]:
+    """Yield what recoveries of the default plan are worth."""
+    if "none" not in found:
+        return
+    columns = ("recovery of **plan**", "success", "harm of a failed episode", "less than without (paired)")
+    yield f"| {' | '.join(columns)} | faults with less, more |"
+    yield "|---|---|---|---|---|"
+    none = found["none"]
+    for name, s in found.items():
+        spared = none.mixed(none.harm) - s.mixed(s.harm)
+        signs = [mean(none.harm[fault] - s.harm[fault], s.most) for fault in s.faults]
+        less, more = sum(e.low > 0.0 for e in signs), sum(e.high < 0.0 for e in signs)
+        shown = "" if name == "none" else f"{mean(spared, s.most)} | {less}, {more}"
+        success, harm = estimate_probability(s.mixed(s.success)), mean(s.mixed(s.harm), s.most)
+        yield f"| {name} | {success} | {harm} | {shown or ' | '} |"
+    yield ""
+
+
+def speed(options: suite.Options) -> Iterator[str]:
+    """Yield how many actions a second environments take, states observed."""
+    task = policy_task(TASKS[0], PolicySettings(noise=0.0, limit=60.0))
+    count = options.pick(1000, quick=50)
+    yield f"Actions of 20 ms a second, state observed, `{TASKS[0]}` ({len(task.scene.entities)} objects), no fault:\n"
+    yield "| simulations side by side | per second of processor time | per second of the clock |"
+    yield "|---|---|---|"
+    for sims in (1, 8):
+        processor, clock = paced(task, sims, count // sims)
+        yield f"| {sims} | {processor:.0f} | {clock:.0f} |"
+    yield ""
+
+
+def paced(task: PolicyTask, sims: int, steps: int) -> tuple[float, float]:
+    """Return actions a second of processor time, all threads, and of the clock."""
+    batch = EpisodeBatch(task, sims)
+    episodes = [batch.begin(i, np.random.default_rng(i)) for i in range(sims)]
+
+    def act(n: int) -> None:
+        for _ in range(n):
+            seen = [episode.observation for episode in episodes]
+            vectors = [one.vector for one in seen]
+            assert len(vectors) == sims
+            batch.advance({i: ("joint_velocity", 0.3 * (one.goal - one.q)) for i, one in enumerate(seen)})
+
+    act(20)
+    clock, processor = time.perf_counter(), time.process_time()
+    act(steps)
+    return sims * steps / (time.process_time() - processor), sims * steps / (time.perf_counter() - clock)

@@ -1,0 +1,138 @@
+"""Episodes side by side on MuJoCo's native batch: stepped together, each on its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import ArrayLike
+
+from failbench.fault.fault import SURROUNDINGS
+from failbench.policies.episode import Camera, Episode, Live
+from failbench.policies.servoing import Servoing
+from failbench.policies.task import PolicyTask
+from failbench.recording.records import Job
+from failbench.rollouts.injection import CTRL
+from failbench.simulated.rest import let_sleep
+from failbench.simulated.states import put, warnings_counted_only
+from graceful_plan.exceptions import SettingError
+
+Array = np.ndarray
+
+_COUNT = 1
+"""Column of a simulation's warnings that says how often each was raised."""
+
+
+class EpisodeBatch:
+    """Simulations of one task, with an episode in each. What happens in one does not depend on the others.
+
+    Args:
+        task: What is to be done.
+        count: How many simulations.
+        threads: Of the simulation.
+        camera: Takes pictures for policies, if they see any.
+    """
+
+    def __init__(self, task: PolicyTask, count: int, *, threads: int = 1, camera: Camera | None = None) -> None:
+        self.task, self._camera = task, camera
+        self._batch = Batch(task.world.model, count, nthread=threads, persistent=True)
+        self._fields: dict[str, Array] = {}
+        self._policy = self._field("tree_sleep_policy")
+        self._servoing = [Servoing(task) for _ in range(count)]
+        self._qpos, self._qvel, self._active, self._xpos = (
+            self._batch.bind(name) for name in ("qpos", "qvel", "eq_active", "xpos")
+        )
+        model = task.world.model
+        self._sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
+        most = count * task.settings.steps
+        # Memory that is used again: fresh pages cost more than what is written into them.
+        self._room = {name: np.empty(most * size) for name, size in self._sizes.items()}
+        self.episodes: list[Episode | None] = [None] * count
+
+    def begin(self, sim: int, rng: np.random.Generator, job: Job | None = None) -> Episode:
+        """Begin a new episode in a simulation.
+
+        Args:
+            sim: Which.
+            rng: Where its start is drawn from.
+            job: What breaks and when, after the beginning [s]; None for nothing.
+
+        Raises:
+            UnknownNameError: If the fault strikes a joint that the robot does not have.
+            SettingError: If it is one of the surroundings, or its rates are not those of the robot's joints.
+        """
+        task = self.task
+        if job is not None:
+            fault = job.fault
+            if fault.CATEGORY == SURROUNDINGS:
+                raise SettingError("fault", fault.NAME, "one of the robot: what it happens to follows a motion")
+            task.world.robot.check_targets(fault.targets or fault.TARGETS, fault.rates)
+        q, state = task.begin(rng)
+        for name, values in self._fields.items():
+            values[sim] = getattr(task.world.model, name)
+        put(self._batch, np.array([sim]), state[None])
+        self._servoing[sim].begin(q)
+        live = Live(
+            fields=partial(self._field_of, sim), qpos=self._qpos[sim], qvel=self._qvel[sim], eq_active=self._active[sim]
+        )
+        self.episodes[sim] = episode = Episode(task, self._servoing[sim], job, live, self._camera)
+        return episode
+
+    def advance(self, actions: Mapping[int, tuple[str, ArrayLike]]) -> None:
+        """Let a period pass in simulations.
+
+        Args:
+            actions: Kind and action for each of them.
+
+        Raises:
+            PolicyError: If an action has the wrong shape, or is not finite.
+        """
+        sims = np.array(sorted(actions))
+        episodes = [self._running(sim) for sim in sims.tolist()]
+        for sim, episode in zip(sims.tolist(), episodes, strict=True):
+            episode.order(*actions[sim])
+        left = self.task.settings.steps
+        with warnings_counted_only():
+            while left > 0:
+                for episode in episodes:
+                    episode.act()
+                count = min(left, *(episode.until_event for episode in episodes))
+                self._step(sims, episodes, count)
+                left -= count
+        for episode in episodes:
+            episode.end_period()
+
+    def diverged(self, sim: int) -> bool:
+        """Whether a simulation blew up; then what it shows never happened."""
+        return bool(self._batch.warning[sim, :, _COUNT].any())
+
+    def _step(self, sims: Array, episodes: list[Episode], count: int) -> None:
+        commands = np.stack([episode.commands(count) for episode in episodes])
+        shapes = {name: (len(sims), count, size) for name, size in self._sizes.items()}
+        out = {name: self._room[name][: math.prod(shape)].reshape(shape) for name, shape in shapes.items()}
+        self._batch.rollout(count, commands, CTRL, record=tuple(self._sizes), ids=sims, out=out)
+        for i, episode in enumerate(episodes):
+            episode.after(out["sensordata"][i], out["qpos"][i], out["qvel"][i])
+        tired = sims[[episode.looks_for_sleep for episode in episodes]]
+        if len(tired):
+            policy = self._policy[tired]
+            let_sleep(self.task.world, self._xpos[tired], policy)
+            self._policy[tired] = policy
+
+    def _running(self, sim: int) -> Episode:
+        episode = self.episodes[sim]
+        assert episode is not None, "begin it first"
+        return episode
+
+    def _field_of(self, sim: int, name: str) -> Array:
+        return self._field(name)[sim]
+
+    def _field(self, name: str) -> Array:
+        """Return a model field that simulations have of their own, from the first time on that one is to change."""
+        if name not in self._fields:
+            self._fields[name] = self._batch.expand(name)
+            self._fields[name][:] = getattr(self.task.world.model, name)
+        return self._fields[name]

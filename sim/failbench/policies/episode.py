@@ -1,0 +1,276 @@
+"""One episode: what the policy sees, what becomes of what it sends, and what comes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from failbench.policies.policy import Observation, checked_action
+from failbench.policies.sensing import Reading, Sensing
+from failbench.policies.servoing import Servoing, Straightness
+from failbench.policies.task import PolicyTask, tool_pose
+from failbench.recording.recorder import Recorder
+from failbench.recording.records import Job
+from failbench.rollouts.injection import NEVER, Injection
+from failbench.simulated.rest import PERIOD
+from failbench.simulated.states import CHECKPOINT, STATE
+from failbench.simulated.world import World
+from graceful_plan.array_types import Float, UInt8
+from graceful_plan.scene.placement import Placement
+
+Array = np.ndarray
+Camera = Callable[[Array], Mapping[str, UInt8[Array, "height width 3"]]]
+"""Takes pictures of positions of everything."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Live:
+    """Live arrays of one simulation.
+
+    Args:
+        fields: Fields of its model.
+        qpos: Positions of everything.
+        qvel: Velocities of everything.
+        eq_active: Which constraints hold.
+    """
+
+    fields: Callable[[str], Array]
+    qpos: Array
+    qvel: Array
+    eq_active: Array
+
+
+class Sent:
+    """What a policy has sent so far, in the place of an `Execution`: the last command is held.
+
+    Nobody knows where it will go, and its robot does not drive.
+    """
+
+    base = None
+    loop = None
+
+    def __init__(self, task: PolicyTask) -> None:
+        self.world: World = task.world
+        self.measured = np.zeros((0, 2, len(task.start)))
+        self.dt = task.world.settings.timestep
+        self.command = np.tile(task.standing, (task.periods * task.settings.steps, 1))
+        self.straight_on: Straightness | None = None
+        """How the joints moved when something broke."""
+
+    def checkpoint(self, onset: float) -> int:
+        """Return the checkpoint nearest to a time [s]."""
+        return min(max(round(onset / (CHECKPOINT * self.dt)), 0), (len(self.command) - 1) // CHECKPOINT)
+
+    def commands(self, step: int, count: int) -> Array:
+        """Return a view of the commands from a step on: what is sent later stands in it."""
+        return self.command[step : step + count]
+
+    def planned(self, time: Array) -> Array:
+        """Return where the joints are to be at some times; nobody knows."""
+        return np.full((len(time), self.measured.shape[-1]), np.nan)
+
+    def walk(self, step: int, count: int, seed: int) -> Array:
+        """Return where those who move are; there is nobody."""
+        return np.zeros((count + 1, 0))
+
+    def paced(self, time: Array, pace: Array, change: Array) -> Array:
+        """Return commands of the joints if they go on straight from when something broke, at another pace."""
+        assert self.straight_on is not None
+        return self.straight_on.commands(time, pace)
+
+
+class Episode:
+    """One episode in one simulation. Whoever steps the simulation asks for `commands` and calls `act` and `after`.
+
+    Args:
+        task: What is to be done.
+        servoing: The low-level controller, at the episode's beginning.
+        job: What breaks and when; None for nothing.
+        live: The simulation, at the episode's beginning.
+        camera: Takes pictures for the policy, if it sees any.
+    """
+
+    def __init__(
+        self, task: PolicyTask, servoing: Servoing, job: Job | None, live: Live, camera: Camera | None
+    ) -> None:
+        self.task, self.job, self.step = task, job, 0
+        self._servoing, self._live, self._camera = servoing, live, camera
+        self._sent = Sent(task)
+        self.onset = NEVER if job is None else self._sent.checkpoint(job.onset) * CHECKPOINT
+        """The step at which it breaks."""
+        self._injection: Injection | None = None
+        self._sensing: Sensing | None = None
+        self._placement = Placement(task.scene)
+        qpos, qvel = live.qpos.copy(), live.qvel.copy()
+        self._recorder = Recorder(task.world, _allowed(task, qpos, qvel), qpos[None], qvel[None])
+        robot = task.world.robot
+        self._seen: list[tuple[int, Reading, Array]] = []
+        self._there = 0
+        self.reached: float | None = None
+        """When the tool had been at its goal for long enough [s]."""
+        self.distance = self._distance(qpos[robot.qpos])
+        """Of the tool from its goal [m and rad]."""
+        self._see()
+
+    @property
+    def time(self) -> float:
+        """Since the beginning [s]."""
+        return self.step * self._sent.dt
+
+    @property
+    def qpos(self) -> Float[Array, " qpos"]:
+        """Positions of everything now; a live array."""
+        return self._live.qpos
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing more to be seen: the goal is reached, and what broke has had its time."""
+        horizon = round(self.task.settings.horizon / self._sent.dt)
+        broken = self.onset == NEVER or self.step >= self.onset + horizon
+        return self.timed_out or (self.reached is not None and broken)
+
+    @property
+    def timed_out(self) -> bool:
+        """Whether the longest time is over."""
+        return self.step >= len(self._sent.command)
+
+    @property
+    def observation(self) -> Observation:
+        """What the policy sees now."""
+        delay = 0.0 if self._sensing is None else self._sensing.delay
+        _, (q, qd), qpos = self._seen[-1]
+        if delay > 0.0:
+            known = [seen for seen in self._seen if seen[0] <= self.step - round(delay / self._sent.dt)]
+            _, (q, qd), qpos = (known or self._seen)[-1 if known else 0]
+        task = self.task
+        return Observation(
+            time=self.time,  # its own clock is not delayed
+            q=q,
+            qd=qd,
+            tool=tool_pose(task.scene, self._placement.place(q)),
+            goal=task.goal,
+            tool_goal=task.tool_goal,
+            objects=self._objects(qpos),
+            images={} if self._camera is None else self._camera(qpos),
+        )
+
+    def order(self, kind: str, action: ArrayLike) -> None:
+        """Take in the action of the period that begins.
+
+        Raises:
+            PolicyError: If the action has the wrong shape, or is not finite.
+        """
+        rows = self._servoing.commands(kind, checked_action(action, self.task, kind))
+        self._sent.command[self.step : self.step + len(rows)] = rows
+        self._sent.command[self.step + len(rows) :] = rows[-1]  # held, if nothing more comes
+        if self._injection is not None and self.step - self.onset != self._injection.next:
+            self._injection.renew()
+
+    def act(self) -> None:
+        """Let the fault begin, act or end before this step, if it is time."""
+        if self.step == self.onset and self._injection is None and self.job is not None:
+            live, steps = self._live, len(self._sent.command) - self.onset
+            self._sent.straight_on = self._servoing.straight_on(self.step % self.task.settings.steps)
+            self._injection = Injection(
+                self._sent,
+                self.job,
+                steps,
+                fields={name: live.fields(name) for name in self.job.fault.FIELDS},
+                qpos=live.qpos,
+                qvel=live.qvel,
+                eq_active=live.eq_active,
+            )
+            self._sensing = Sensing(self._injection)
+        if self._injection is not None and self._sensing is not None:
+            if self.step - self.onset == self._injection.next:
+                self._injection.act()
+                self._sensing.look()
+
+    @property
+    def until_event(self) -> int:
+        """Steps until the fault acts next, or it is looked whether the object may sleep."""
+        origin = self.onset if self._injection is not None else 0
+        to_act = self.onset - self.step if self._injection is None else self.onset + self._injection.next - self.step
+        return min(to_act, PERIOD - (self.step - origin) % PERIOD)
+
+    @property
+    def looks_for_sleep(self) -> bool:
+        """Whether it is time to look whether the object may sleep."""
+        origin = self.onset if self._injection is not None else 0
+        return (self.step - origin) % PERIOD == 0
+
+    def commands(self, count: int) -> Float[Array, "step actuator"]:
+        """Return what the drives get in the next steps."""
+        if self._injection is None:
+            return self._sent.command[self.step : self.step + count]
+        return self._injection.plant.command[self.step - self.onset : self.step - self.onset + count]
+
+    def after(
+        self,
+        sensordata: Float[Array, "step sensordata"],
+        qpos: Float[Array, "step qpos"],
+        qvel: Float[Array, "step qvel"],
+    ) -> None:
+        """Take in steps that were simulated."""
+        self._recorder.observe(sensordata[None], qpos[None], qvel[None])
+        self.step += len(qpos)
+
+    def end_period(self) -> None:
+        """Look where the robot is when a period is over."""
+        self._see()
+        near, turned = self.distance = self._distance(self._live.qpos[self.task.world.robot.qpos])
+        settings = self.task.settings
+        self._there = self._there + 1 if near <= settings.reach[0] and turned <= settings.reach[1] else 0
+        if self._there * settings.period >= settings.dwell - 1e-9 and self._there:
+            self.reached = self.time if self.reached is None else self.reached
+        elif not self._there:
+            self.reached = None  # it has left again
+
+    def finish(self) -> dict[str, Any]:
+        """Return what became of everything: the fields of a Rollout that are consequences."""
+        return self._recorder.finish(0)
+
+    def _see(self) -> None:
+        robot, live = self.task.world.robot, self._live
+        if self._sensing is None:
+            reading = live.qpos[robot.qpos], live.qvel[robot.dofs]
+        else:
+            reading = self._sensing.read(self.step - self.onset)
+        self._seen.append((self.step, reading, live.qpos.copy()))
+
+    def _distance(self, q: Float[Array, " nq"]) -> tuple[float, float]:
+        """Return how far the tool is from its goal [m and rad]."""
+        pose, goal = tool_pose(self.task.scene, self._placement.place(q)), self.task.tool_goal
+        turned = 2.0 * np.arccos(min(1.0, abs(float(pose[:4] @ goal[:4]))))
+        return float(np.linalg.norm(pose[4:] - goal[4:])), float(turned)
+
+    def _objects(self, qpos: Float[Array, " qpos"]) -> Float[Array, "entity xyz"]:
+        """Return where the entities are; those that cannot move freely stay where they were."""
+        world, places = self.task.world, self.task.places.copy()
+        for i, name in enumerate(world.entity_bodies):
+            if name in world.movable:
+                adr = int(world.model.jnt_qposadr[world.model.body_jntadr[world.movable[name]]])
+                places[i] = qpos[adr : adr + 3]
+        return places
+
+
+def _allowed(task: PolicyTask, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> frozenset[tuple[str, str]]:
+    """Return components and entities that may touch: those that do at the beginning, and what the scene allows."""
+    world, scene = task.world, task.scene
+    data = mujoco.MjData(world.model)
+    mujoco.mj_setState(world.model, data, task.at_start, STATE)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_forward(world.model, data)
+    felt = data.sensordata[world.sensor_adr] > 0.0
+    known = scene.allowed_pairs("always") | scene.allowed_pairs("ends")
+
+    def allowed(component: str, entity: str) -> bool:
+        own, other = scene.components[component].geoms, scene.entities[entity].geoms
+        return any((min(a, b), max(a, b)) in known for a in own for b in other)
+
+    return frozenset(pair for pair, touches in zip(world.pairs, felt, strict=True) if touches or allowed(*pair))

@@ -1,0 +1,168 @@
+"""How well does a policy do, and how much harm, healthy and with each fault?"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+import graceful_plan as gp
+from failbench.basics.statistics import Estimate, check_confidence, estimate_mean, estimate_probability
+from failbench.fault.fault import Fault
+from failbench.policies.policy import Policy, PolicyFactory
+from failbench.policies.recovery import Recovery, recovering
+from failbench.policies.report import PolicyFigures, PolicyReport
+from failbench.policies.rollouts import PolicyRollout, roll_out
+from failbench.policies.task import PolicyTask
+from failbench.recording.records import Job
+from failbench.report import FAILURES_PER_HOUR
+from failbench.rollouts.sampling import MOST, Draws, check_whole, draw
+from failbench.validation import Scenarios, chosen_faults
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError
+
+Array = np.ndarray
+
+Progress = Callable[[int, int], None]
+
+
+def evaluate(
+    task: PolicyTask,
+    factory: PolicyFactory,
+    scenarios: Scenarios = "*/*/severe",
+    *,
+    n: int = 20,
+    seed: int = 0,
+    recovery: Recovery | None = None,
+    delay: float = 0.1,
+    rate: float = FAILURES_PER_HOUR,
+    confidence: float = 0.95,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> PolicyReport:
+    """Let a policy do a task many times, healthy and with faults.
+
+    Every fault meets the same n episodes as the healthy robot, with the same starts. It begins while the healthy robot
+    would be on its way: at fractions of the time that the same episode takes without it.
+
+    Args:
+        task: What is to be done, see `policy_task`.
+        factory: Makes the policy of each episode.
+        scenarios: What fails: patterns of the registry's tags or names such as "drop/*", of which only the faults count
+            here, or faults.
+        n: Episodes without failure, and with each fault.
+        seed: Of everything random. Policies evaluated with the same seed and n share their starts, the quantiles of
+            the onsets, and the seeds of the faults.
+        recovery: What takes over once a fault is noticed.
+        delay: How long after its onset that is [s].
+        rate: Failures per hour, of all those faults together, for the harm per executed task.
+        confidence: Of the intervals.
+        threads: Of the simulation; None for one a core. The result does not depend on it.
+        progress: Called now and then with the number of episodes done and of all.
+
+    Raises:
+        UnknownNameError: If a pattern matches nothing, or a fault strikes a joint that the robot does not have.
+        PolicyError: If an action has the wrong shape, or is not finite.
+        SettingError: If a setting makes no sense.
+    """
+    faults = chosen_faults(scenarios)
+    check_whole("n", n, 1, MOST)
+    check_whole("seed", seed, 0)
+    check_confidence(confidence)
+    for name, value in (("rate", rate), ("delay", delay)):
+        if not 0.0 <= value < np.inf:
+            raise SettingError(name, value, "a finite number >= 0")
+    work = _Work(task, factory, (os.cpu_count() or 1) if threads is None else threads, recovery, delay)
+    draws, starts = draw(seed, n), [seed + i for i in range(n)]
+    total = n * (1 + len(faults))
+    healthy = work.episodes(starts, None)
+    if progress is not None:
+        progress(n, total)
+    lasts = [rollout.reached or rollout.duration for rollout in healthy]
+    found: dict[str, list[PolicyRollout]] = {}
+    for i, fault in enumerate(faults):
+        jobs = [_job(fault, draws, k, last) for k, last in enumerate(lasts)]
+        found[_label(fault, found)] = work.episodes(starts, jobs)
+        if progress is not None:
+            progress(n * (2 + i), total)
+    scene = task.scene
+    greatest = max([*(s for e in scene.entities.values() for s in e.severity.values()), scene.own_severity])
+    twins = np.array([rollout.harm(scene) for rollout in healthy])
+    return PolicyReport(
+        task=task.name,
+        healthy=_figures(healthy, scene, greatest, confidence),
+        by_fault={k: _figures(v, scene, greatest, confidence, twins) for k, v in found.items()},
+        duration=float(np.mean(lasts)),
+        rate=rate,
+        recovery="none" if recovery is None else f"{recovery}, {delay:g} s after the onset",
+        n=n,
+        seed=seed,
+        confidence=confidence,
+        versions={"graceful_plan": gp.__version__},
+        healthy_rollouts=tuple(healthy),
+        rollouts={k: tuple(v) for k, v in found.items()},
+    )
+
+
+class _Work(NamedTuple):
+    task: PolicyTask
+    factory: PolicyFactory
+    threads: int
+    recovery: Recovery | None
+    delay: float
+
+    def episodes(self, seeds: Sequence[int], jobs: Sequence[Job] | None) -> list[PolicyRollout]:
+        """Do episodes; where something breaks, the recovery takes over."""
+        if jobs is None or self.recovery is None:
+            return roll_out(self.task, self.factory, seeds, jobs, threads=self.threads)
+        noticed = dict(zip(seeds, (job.onset for job in jobs), strict=True))
+        recovery = self.recovery
+
+        def make(task: PolicyTask, seed: int) -> Policy:
+            return recovering(self.factory, recovery, noticed[seed], self.delay)(task, seed)
+
+        return roll_out(self.task, make, seeds, jobs, threads=self.threads)
+
+
+def _job(fault: Fault, draws: Draws, k: int, last: float) -> Job:
+    """Return what breaks in the k-th episode, which would last so long [s]."""
+    return Job(fault=fault, onset=fault.when.onset(float(draws.quantile[k]), last), seed=int(draws.seed[k]))
+
+
+def _label(fault: Fault, taken: dict[str, list[PolicyRollout]]) -> str:
+    """Name a fault by kind and degree; those that differ otherwise are numbered."""
+    name = label = f"{fault.NAME}/{fault.degree}"
+    number = 1
+    while label in taken:
+        number += 1
+        label = f"{name} ({number})"
+    return label
+
+
+def _figures(
+    rollouts: Sequence[PolicyRollout],
+    scene: gp.Scene,
+    greatest: float,
+    confidence: float,
+    twins: Float[Array, " n"] | None = None,
+) -> PolicyFigures:
+    """Return what episodes say; harm that the healthy twin does, too, is not the fault's."""
+    harm = np.array([rollout.harm(scene) for rollout in rollouts])
+    valid = np.isfinite(harm) if twins is None else np.isfinite(harm) & np.isfinite(twins)
+
+    def mean(values: Float[Array, " n"], low: float, high: float) -> Estimate:
+        return estimate_mean(values[valid], (low, high), confidence=confidence)
+
+    def share(hits: Sequence[bool]) -> Estimate:
+        return estimate_probability(np.array(hits)[valid], confidence=confidence)
+
+    return PolicyFigures(
+        success=share([rollout.success for rollout in rollouts]),
+        harm=mean(harm, 0.0, greatest),
+        added=None if twins is None else mean(harm - twins, -greatest, greatest),
+        dropped=share([rollout.dropped for rollout in rollouts]),
+        spilled=mean(np.array([rollout.spilled for rollout in rollouts]), 0.0, 1.0),
+        diverged=int(np.count_nonzero(~valid)),
+    )

@@ -1,0 +1,1 @@
+"""Environments of Gymnasium, which comes with the extra `policies`; imported on demand."""

@@ -1,0 +1,44 @@
+"""Makes scenarios known to Gymnasium: `gymnasium.make("FailBench/SCENE.TASK.FAULT.DEGREE")`.
+
+Gymnasium allows one slash in a name, so dots stand for the others. "FailBench/SCENE.TASK" is the task without failure.
+"""
+
+from __future__ import annotations
+
+from failbench.basics.errors import MissingExtra
+from failbench.scenario import scenarios
+
+_ENVIRONMENT = "failbench.policies.gym.environment"
+
+
+def register(pattern: str = "*") -> tuple[str, ...]:
+    """Register scenarios, and their tasks without failure; those that are registered already stay as they are.
+
+    Args:
+        pattern: Of their names or tags, such as "tabletop/*" or "drop/*/severe".
+
+    Returns:
+        The names of all that match.
+
+    Raises:
+        UnknownNameError: If nothing matches.
+        MissingExtra: If Gymnasium is not installed.
+    """
+    try:
+        import gymnasium
+    except ImportError:
+        raise MissingExtra("gymnasium", "policies") from None
+    names: list[str] = []
+    for scenario in scenarios(pattern):
+        task = f"{scenario.scene}/{scenario.task}"
+        for name, fault in ((task, None), (scenario.name, scenario.fault)):
+            identity = f"FailBench/{name.replace('/', '.')}"
+            if identity not in gymnasium.registry:
+                gymnasium.register(
+                    identity,
+                    entry_point=f"{_ENVIRONMENT}:FailBenchEnv",
+                    vector_entry_point=f"{_ENVIRONMENT}:FailBenchVectorEnv",
+                    kwargs={"task": task, "fault": fault},
+                )
+            names.append(identity)
+    return tuple(dict.fromkeys(names))

@@ -1,0 +1,87 @@
+"""A small network in NumPy: trained with whatever trains networks, kept as arrays, run without any of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import FormatError, ShapeError
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Mlp:
+    """A network of layers with tanh between them and nothing after the last.
+
+    Args:
+        weights: Of each layer, [output, input].
+        biases: Of each layer, [output].
+    """
+
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+
+    def __post_init__(self) -> None:
+        if not self.weights or len(self.weights) != len(self.biases):
+            raise ShapeError("biases", (len(self.biases),), f"one for each of {len(self.weights)} layers, at least one")
+        width = self.weights[0].shape[-1]
+        for i, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if W.ndim != 2 or W.shape[1] != width or b.shape != (W.shape[0],):
+                raise ShapeError(f"layer {i}", W.shape, f"weights [output, {width}] and biases [output]")
+            width = W.shape[0]
+
+    @property
+    def inputs(self) -> int:
+        """How many numbers go in."""
+        return self.weights[0].shape[1]
+
+    @property
+    def outputs(self) -> int:
+        """How many come out."""
+        return self.weights[-1].shape[0]
+
+    def __call__(self, features: Float[Array, "*batch input"]) -> Float[Array, "*batch output"]:
+        """Return what the network says to features."""
+        if features.shape[-1] != self.inputs:
+            raise ShapeError("features", features.shape, f"(..., {self.inputs})")
+        x = features
+        for W, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = np.tanh(x @ W.T + b)
+        return x @ self.weights[-1].T + self.biases[-1]
+
+    def save(self, file: FilePath) -> None:
+        """Write it into an .npz file, as single-precision arrays w0, b0, w1, ..."""
+        arrays: dict[str, Any] = {f"w{i}": W.astype(np.float32) for i, W in enumerate(self.weights)}
+        arrays |= {f"b{i}": b.astype(np.float32) for i, b in enumerate(self.biases)}
+        np.savez(file, **arrays)
+
+    @classmethod
+    def load(cls, file: FilePath) -> Mlp:
+        """Read a file of `save`. Nothing in it is run.
+
+        Raises:
+            FormatError: If it is no such file.
+        """
+        try:
+            with open(file, "rb") as stream, np.load(stream, allow_pickle=False) as found:
+                arrays: dict[str, ArrayLike] = {name: found[name] for name in found.files}
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise FormatError(str(file), f"is no .npz file of arrays: {error}") from error
+        layers = range(len(arrays) // 2)
+        wanted = {f"{kind}{i}" for i in layers for kind in "wb"}
+        if not arrays or set(arrays) != wanted:
+            raise FormatError(str(file), f"has the arrays {sorted(arrays)}, expected w0, b0, w1, b1, ...")
+        try:
+            read = {name: np.asarray(value, dtype=float) for name, value in arrays.items()}
+            if not all(np.isfinite(value).all() for value in read.values()):
+                raise FormatError(str(file), "has weights that are not finite")
+            return cls(tuple(read[f"w{i}"] for i in layers), tuple(read[f"b{i}"] for i in layers))
+        except (TypeError, ValueError) as error:
+            raise FormatError(str(file), str(error)) from error

@@ -1,0 +1,166 @@
+"""Episodes of a policy, many at once, and what came of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from failbench.policies.batch import EpisodeBatch
+from failbench.policies.cameras import PolicyCameras
+from failbench.policies.episode import Camera, Episode
+from failbench.policies.policy import Policy, PolicyFactory, action_kind
+from failbench.policies.task import PolicyTask
+from failbench.recording.records import ContactEvent, Job
+from failbench.recording.score import observed_impact
+from failbench.rollouts.sampling import check_whole
+from graceful_plan import Scene
+from graceful_plan.exceptions import SettingError
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyRollout:
+    """What came of one episode.
+
+    Args:
+        seed: Of its start, and of what the policy draws.
+        job: What was to break; None for nothing.
+        onset: When it began, after the beginning [s]; None if nothing broke.
+        status: "completed", or "diverged" if the simulation blew up; then there are no consequences.
+        reached: When the tool had been at its goal for long enough [s], if it was there at the end; None if not.
+        distance: Of the tool from its goal at the end [m and rad].
+        duration: Of the episode [s].
+        events: Contacts with entities in the whole episode. Touches with which it begins are none, nor those that the
+            scene allows.
+        landings: What else the carried object touched.
+        dropped: Whether the carried object left the gripper.
+        spilled: Lost part of the contents, in [0, 1].
+        fell: Entities that ended more than 5 cm lower than they began.
+        tipped: Entities that ended more than 30 degrees off their initial axis.
+    """
+
+    seed: int
+    job: Job | None
+    onset: float | None
+    status: str
+    reached: float | None
+    distance: tuple[float, float]
+    duration: float
+    events: tuple[ContactEvent, ...] = ()
+    landings: tuple[ContactEvent, ...] = ()
+    dropped: bool = False
+    spilled: float = 0.0
+    fell: tuple[str, ...] = ()
+    tipped: tuple[str, ...] = ()
+
+    @property
+    def success(self) -> bool:
+        """Whether the tool reached its goal and still holds what it held."""
+        return self.status == "completed" and self.reached is not None and not self.dropped
+
+    def harm(self, scene: Scene) -> float:
+        """Return the sum of the severities of all that was hit; NaN if the simulation blew up."""
+        return observed_impact(self, scene) if self.status == "completed" else float("nan")
+
+
+def roll_out(
+    task: PolicyTask,
+    factory: PolicyFactory,
+    seeds: Sequence[int],
+    jobs: Sequence[Job | None] | None = None,
+    *,
+    threads: int = 1,
+    batch: int = 16,
+) -> list[PolicyRollout]:
+    """Let a policy act in episodes.
+
+    Args:
+        task: What is to be done.
+        factory: Makes the policy of each episode.
+        seeds: Of the episodes; the same seed is the same episode, whatever else runs beside it.
+        jobs: What breaks in each and when, after the beginning [s]; nothing, if None.
+        threads: Of the simulation.
+        batch: How many episodes are in memory at once.
+
+    Raises:
+        PolicyError: If an action has the wrong shape, or is not finite.
+        SettingError: If there are not as many jobs as seeds.
+    """
+    wanted: Sequence[Job | None] = [None] * len(seeds) if jobs is None else jobs
+    if len(wanted) != len(seeds):
+        raise SettingError("jobs", len(wanted), f"a job for each of the {len(seeds)} seeds")
+    for name, value in (("threads", threads), ("batch", batch), *(("seed", seed) for seed in seeds)):
+        check_whole(name, value, 0 if name == "seed" else 1)
+    if not seeds:
+        return []
+    todo = deque(enumerate(zip(seeds, wanted, strict=True)))
+    found: list[PolicyRollout | None] = [None] * len(seeds)
+    with PolicyCameras(task) as camera:
+        runner = _Runner(task, factory, min(batch, len(seeds)), threads, camera)
+        while todo or runner.running:
+            for sim in runner.free:
+                if todo:
+                    number, (seed, job) = todo.popleft()
+                    runner.begin(sim, number, seed, job)
+            for number, rollout in runner.advance():
+                found[number] = rollout
+    return [rollout for rollout in found if rollout is not None]
+
+
+class _Runner:
+    """Simulations in which episodes run, each with its policy."""
+
+    def __init__(
+        self, task: PolicyTask, factory: PolicyFactory, count: int, threads: int, camera: Camera | None
+    ) -> None:
+        self._task, self._factory = task, factory
+        self._batch = EpisodeBatch(task, count, threads=threads, camera=camera)
+        self._count = count
+        self.running: dict[int, tuple[int, int, Policy]] = {}
+
+    @property
+    def free(self) -> list[int]:
+        return [sim for sim in range(self._count) if sim not in self.running]
+
+    def begin(self, sim: int, number: int, seed: int, job: Job | None) -> None:
+        self._batch.begin(sim, np.random.default_rng([seed, 0]), job)
+        self.running[sim] = number, seed, self._factory(self._task, seed)
+
+    def advance(self) -> list[tuple[int, PolicyRollout]]:
+        """Let a period pass; return what ended."""
+        actions: dict[int, Any] = {}
+        for sim, (_, _, policy) in self.running.items():
+            episode = self._batch.episodes[sim]
+            assert episode is not None
+            actions[sim] = action_kind(policy), policy(episode.observation)
+        self._batch.advance(actions)
+        ended = []
+        for sim in list(self.running):
+            episode = self._batch.episodes[sim]
+            assert episode is not None
+            if episode.over or self._batch.diverged(sim):
+                number, seed, _ = self.running.pop(sim)
+                ended.append((number, outcome(episode, seed, diverged=self._batch.diverged(sim))))
+        return ended
+
+
+def outcome(episode: Episode, seed: int, *, diverged: bool) -> PolicyRollout:
+    """Return what came of an episode that is over."""
+    onset = episode.onset * episode.task.world.settings.timestep
+    fields = {} if diverged else episode.finish()
+    names = ("events", "landings", "dropped", "spilled", "fell", "tipped")
+    return PolicyRollout(
+        seed=seed,
+        job=episode.job,
+        onset=None if episode.job is None else onset,
+        status="diverged" if diverged else "completed",
+        reached=None if diverged else episode.reached,
+        distance=episode.distance,
+        duration=episode.time,
+        **{name: fields[name] for name in names if name in fields},
+    )

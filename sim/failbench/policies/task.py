@@ -1,0 +1,190 @@
+"""What a policy is to do: bring the tool, with what it holds, from a start to a goal, in a simulated scene."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+import graceful_plan as gp
+from failbench.rollouts.execution import LONGEST, settled, standing
+from failbench.simulated.states import STATE
+from failbench.simulated.world import SimSettings, World, build_world
+from graceful_plan.array_types import Float
+from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
+from graceful_plan.scene.placement import Placement
+
+Array = np.ndarray
+
+_TRIES = 20
+"""Starts that are drawn before the robot begins where the task says."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySettings:
+    """How episodes go.
+
+    Args:
+        period: Time from one action to the next [s].
+        limit: Longest episode [s]; None for what the straight path takes three times, and `horizon`.
+        horizon: How long an episode goes on after the onset of a fault at least [s].
+        noise: Standard deviation of the start's joints around the task's start [rad or m], cut off at two of them.
+        speed: Fraction of the limits at which commanded joints may go, and the straight path is timed.
+        reach: How near to its goal the tool has to be [m, rad].
+        dwell: For how long [s].
+        cameras: Names of the cameras whose pictures the policy sees.
+        size: Height and width of these pictures.
+        simulation: How the scene is simulated.
+    """
+
+    period: float = 0.02
+    limit: float | None = None
+    horizon: float = 1.0
+    noise: float = 0.02
+    speed: float = 0.5
+    reach: tuple[float, float] = (0.02, 0.1)
+    dwell: float = 0.1
+    cameras: tuple[str, ...] = ()
+    size: tuple[int, int] = (96, 96)
+    simulation: SimSettings = SimSettings()
+
+    def __post_init__(self) -> None:
+        steps = self.period / self.simulation.timestep
+        if not (1.0 <= round(steps) and abs(steps - round(steps)) < 1e-6):
+            raise SettingError("period", self.period, f"a multiple of the time step, {self.simulation.timestep:g} s")
+        if self.limit is not None and not self.period <= self.limit <= LONGEST:
+            raise SettingError("limit", self.limit, f"between the period and {LONGEST:g} s")
+        for name in ("horizon", "noise", "dwell"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise SettingError(name, getattr(self, name), "a finite number >= 0")
+        if not 0.0 < self.speed <= 1.0:
+            raise SettingError("speed", self.speed, "0 < speed <= 1")
+        if len(self.reach) != 2 or not all(math.isfinite(x) and x > 0.0 for x in self.reach):
+            raise SettingError("reach", self.reach, "a distance [m] and an angle [rad], both > 0")
+        if len(self.size) != 2 or not all(isinstance(n, int) and 1 <= n <= 4096 for n in self.size):
+            raise SettingError("size", self.size, "height and width in pixels, 1 to 4096")
+
+    @property
+    def steps(self) -> int:
+        """Time steps of the simulation in a period."""
+        return round(self.period / self.simulation.timestep)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyTask:
+    """A task ready for policies. Made by `policy_task`.
+
+    Args:
+        name: "SCENE/TASK".
+        world: Where.
+        start: Where the robot begins [rad or m].
+        goal: Where it is to end; of several goals, the one nearest to the start.
+        settings: How episodes go.
+    """
+
+    name: str
+    world: World
+    start: Float[Array, " nq"]
+    goal: Float[Array, " nq"]
+    settings: PolicySettings
+
+    @property
+    def scene(self) -> gp.Scene:
+        """The scene, with the object in the gripper."""
+        return self.world.scene
+
+    @cached_property
+    def straight(self) -> gp.Trajectory:
+        """The straight joint path from start to goal, timed; it may collide."""
+        path = gp.Path(np.array([self.start, self.goal]))
+        return gp.retime(path, self.scene.limits, self.scene.joints, speed=self.settings.speed)
+
+    @cached_property
+    def limit(self) -> float:
+        """Longest episode [s]."""
+        settings = self.settings
+        return 3.0 * self.straight.duration + settings.horizon if settings.limit is None else settings.limit
+
+    @cached_property
+    def periods(self) -> int:
+        """Number of actions in the longest episode."""
+        return max(1, math.ceil(self.limit / self.settings.period - 1e-9))
+
+    @cached_property
+    def tool_goal(self) -> Float[Array, " 7"]:
+        """Pose of the tool at the goal, wxyz_xyz in W."""
+        return tool_pose(self.scene, Placement(self.scene).place(self.goal))
+
+    @cached_property
+    def standing(self) -> Float[Array, " actuator"]:
+        """Commands of all actuators while the arm has none: the gripper holds."""
+        command = standing(self.world)
+        command[self.world.robot.gripper_actuators] = self.world.robot.grip_closed
+        return command
+
+    @cached_property
+    def at_start(self) -> Float[Array, " state"]:
+        """State from which episodes without noise begin."""
+        return settled(self.start, self.world, self.standing)
+
+    def begin(self, rng: np.random.Generator) -> tuple[Float[Array, " nq"], Float[Array, " state"]]:
+        """Draw where an episode begins: configuration and state."""
+        noise, (low, high) = self.settings.noise, self.scene.limits.position.T
+        for _ in range(_TRIES if noise else 0):
+            shift = noise * np.clip(rng.standard_normal(len(self.start)), -2.0, 2.0)
+            q = np.clip(self.start + shift, low, high)
+            if float(gp.clearance(self.scene, q)) > 0.0:
+                return q, settled(q, self.world, self.standing)
+        return self.start, self.at_start
+
+    @cached_property
+    def places(self) -> Float[Array, "entity xyz"]:
+        """Where the entities are at the beginning, in W [m]."""
+        data = mujoco.MjData(self.world.model)
+        mujoco.mj_setState(self.world.model, data, self.at_start, STATE)
+        mujoco.mj_kinematics(self.world.model, data)
+        return data.xpos[[bodies[0] for bodies in self.world.entity_bodies.values()]].copy()
+
+
+def tool_pose(scene: gp.Scene, data: mujoco.MjData) -> Float[Array, " 7"]:
+    """Return the tool's pose, wxyz_xyz in W."""
+    site = data.site(scene.tool)
+    pose = np.empty(7)
+    mujoco.mju_mat2Quat(pose[:4], site.xmat)
+    pose[4:] = site.xpos
+    return pose
+
+
+def policy_task(name: str, settings: PolicySettings | None = None) -> PolicyTask:
+    """Make a scene's task ready for policies.
+
+    Args:
+        name: "SCENE/TASK" of a bundled scene, or of a scene file; the task may be left out if there is only one.
+        settings: How episodes go.
+
+    Raises:
+        UnknownNameError: If there is no such scene, or it has no such task.
+        UnsupportedError: If FailBench cannot simulate it, somebody moves in it, or its robot drives.
+    """
+    settings = PolicySettings() if settings is None else settings
+    whole = name in gp.scenes() or name.endswith((".yaml", ".xml"))
+    scene_name, task_name = (name, "") if whole else (name.rpartition("/")[0], name.rpartition("/")[2])
+    tasks = gp.load_scene(scene_name or name).tasks
+    task_name = task_name or (next(iter(tasks)) if len(tasks) == 1 else "")
+    if task_name not in tasks:
+        raise UnknownNameError(f"task of {scene_name}", task_name, tasks)
+    task = tasks[task_name]
+    if task.scene.base is not None or task.scene.moving:
+        what = "its robot drives" if task.scene.base is not None else "somebody moves in it"
+        raise UnsupportedError(f"{name}: policies act on arms among what stands still; {what}")
+    far = np.abs(task.goal - task.start).max(axis=1)
+    return PolicyTask(
+        name=f"{scene_name}/{task_name}",
+        world=build_world(task.scene, settings.simulation),
+        start=np.array(task.start),
+        goal=np.array(task.goal[int(far.argmin())]),
+        settings=settings,
+    )
