@@ -190,9 +190,8 @@ def run(options: suite.Options) -> str:
     ]
     first, length = (np.array([one[k] for one in planned]) for k in (1, 2))
     told = (
-        f"Courses: first path after {1e3 * np.nanmedian(first):.0f} ms in the median, {1e3 * np.nanmax(first):.0f} ms at "
-        f"most; "
-        f"motions are {np.nanmedian(length):.3f} times as long as the shortest of a disc over cells.\n"
+        f"Courses: first path after {1e3 * np.nanmedian(first):.0f} ms in the median, "
+        f"{1e3 * np.nanmax(first):.0f} ms at most; motions are {np.nanmedian(length):.3f} times as long as the shortest of a disc over cells.\n"
     )
     header = ("what", "by", "ms", "cost m")
     return f"{MEASURED}\n{report.targets(targets)}\n{report.table(header, rows)}\n{told}"

@@ -15,9 +15,8 @@ from failbench.policies.episode import Camera, Episode, Live
 from failbench.policies.servoing import Servoing
 from failbench.policies.task import PolicyTask
 from failbench.recording.records import Job
-from failbench.rollouts.injection import CTRL
 from failbench.simulated.rest import let_sleep
-from failbench.simulated.states import put, warnings_counted_only
+from failbench.simulated.states import control_spec, put, warnings_counted_only
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
@@ -46,6 +45,7 @@ class EpisodeBatch:
             self._batch.bind(name) for name in ("qpos", "qvel", "eq_active", "xpos")
         )
         model = task.world.model
+        self._spec = control_spec(model)
         self._sizes = {"sensordata": model.nsensordata, "qpos": model.nq, "qvel": model.nv}
         most = count * task.settings.steps
         # Memory that is used again: fresh pages cost more than what is written into them.
@@ -113,7 +113,7 @@ class EpisodeBatch:
         commands = np.stack([episode.commands(count) for episode in episodes])
         shapes = {name: (len(sims), count, size) for name, size in self._sizes.items()}
         out = {name: self._room[name][: math.prod(shape)].reshape(shape) for name, shape in shapes.items()}
-        self._batch.rollout(count, commands, CTRL, record=tuple(self._sizes), ids=sims, out=out)
+        self._batch.rollout(count, commands, self._spec, record=tuple(self._sizes), ids=sims, out=out)
         for i, episode in enumerate(episodes):
             episode.after(out["sensordata"][i], out["qpos"][i], out["qvel"][i])
         tired = sims[[episode.looks_for_sleep for episode in episodes]]

@@ -395,7 +395,7 @@ def settled(
             data.eq_active[world.hold] = 0
         data.ctrl[:] = hold
         mujoco.mj_step(model, data)
-    data.time = trajectory.t[0]  # the clock of those who move
+    data.time = time  # the clock of those who move
     state = np.zeros(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
