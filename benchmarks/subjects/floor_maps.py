@@ -202,7 +202,7 @@ def run(options: suite.Options) -> str:
     ]
     first, length = (np.array([one[k] for one in planned]) for k in (1, 2))
     told = (
-        f"Courses: first path after {1e3 * np.nanmedian(first):.0f} ms (median), at most {1e3 * np.nanmax(first):.0f} ms; "
+        f"Courses: first path after {1e3 * np.nanmedian(first):.0f} ms (median), {1e3 * np.nanmax(first):.0f} at most; "
         f"motions are {np.nanmedian(length):.3f} times as long as the shortest way of a disc over cells.\n"
     )
     header = ("what", "by", "ms", "cost m")
