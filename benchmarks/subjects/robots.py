@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from benchmarks import report, suite
 from graceful_plan.core import covers
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import Judge
+from graceful_plan.scene.urdf.reading import Packages
 
 TITLE = "Robots from URDF"
 FOLDER = "ROBOT_DATA"
@@ -32,6 +34,14 @@ ROBOTS = (
     ("TIAGo", "tiago_description/robots/tiago_no_hand.urdf", "arm_tool_link", None),
 )
 """Name, file, link of the tool, position of the fingers."""
+OTHERS = "ROBOT_WHEELS"
+"""Variable that names a folder with the content of the packages airo-models 0.0.12 and rtb-data 2.0.0, if it is set."""
+_IIWA = "rtbdata/xacro/kuka_description/kuka_lbr_iiwa"
+OTHER_ROBOTS = (
+    ("UR5e", "airo_models/arms/ur5e/ur5e.urdf", "tool0", {}),
+    ("iiwa 14", f"{_IIWA}/urdf/lbr_iiwa_14_r820.urdf", "tool0", {"kuka_lbr_iiwa_support": _IIWA}),
+)
+"""Name, file, link of the tool, folders of packages by name."""
 ACCELERATION = 5.0
 CONFIGURATIONS, QUERIES = 600, 25
 MEASURED = f"""\
@@ -42,7 +52,9 @@ process that finds what the first one kept. Of {CONFIGURATIONS} configurations
 drawn evenly within the limits, "free" are those that exact geometry on convex hulls calls so, and "called free" is
 which share of them the kernels call free. "Wrongly": of the others, the share that the kernels call free. Queries:
 {QUERIES} pairs of free configurations, w = 0, first motion within 1 s. Robots that are not in the table cannot be
-read; why is below.
+read; why is below. UR5e and iiwa 14 are of the packages airo-models 0.0.12 and rtb-data 2.0.0. Arms of UR never
+point down through their own foot, so that half of the pairs of a UR5 or UR5e have no path between them: the joint
+of the shoulder turns by two turns, and goals are on the other side of where it would have to pass.
 """
 
 Array = np.ndarray
@@ -72,9 +84,9 @@ def run(options: suite.Options) -> str:
             f"{MEASURED}\nNot measured: the variable {FOLDER} does not name a folder with example-robot-data in it.\n"
         )
     rows, told = [], []
-    for name, file, tool, fingers in ROBOTS[: options.pick(len(ROBOTS), quick=1)]:
+    for name, load in _loads(folder)[: options.pick(len(ROBOTS) + len(OTHER_ROBOTS), quick=1)]:
         try:
-            one = examine(folder, file, tool, fingers)
+            one = examine(load)
         except gp.GracefulPlanError as error:
             told.append(f"{name}: {type(error).__name__}, {str(error).replace(str(folder), '')}")
             continue
@@ -113,13 +125,25 @@ def _cache_in(folder: str) -> Generator[None]:
             os.environ["XDG_CACHE_HOME"] = before
 
 
-def examine(folder: Path, file: str, tool: str, fingers: float | None) -> RobotFigures:
+def _loads(folder: Path) -> list[tuple[str, Callable[[], gp.Scene]]]:
+    """Return names of robots, and what loads each."""
+    robots = folder / "example-robot-data" / "robots"
+    loads: list[tuple[str, Callable[[], gp.Scene]]] = [
+        (name, partial(_load, robots / file, tool, [folder], fingers)) for name, file, tool, fingers in ROBOTS
+    ]
+    others = os.environ.get(OTHERS)
+    for name, file, tool, packages in OTHER_ROBOTS if others else ():
+        places = {package: Path(others or "") / place for package, place in packages.items()}
+        loads.append((name, partial(_load, Path(others or "") / file, tool, places, None)))
+    return loads
+
+
+def _load(path: Path, tool: str, packages: Packages, fingers: float | None) -> gp.Scene:
+    return gp.Scene.from_urdf(path, tool=tool, acceleration=ACCELERATION, packages=packages, fingers=fingers)
+
+
+def examine(load: Callable[[], gp.Scene]) -> RobotFigures:
     """Load a robot and plan for it."""
-    path = folder / "example-robot-data" / "robots" / file
-
-    def load() -> gp.Scene:
-        return gp.Scene.from_urdf(path, tool=tool, acceleration=ACCELERATION, packages=[folder], fingers=fingers)
-
     with tempfile.TemporaryDirectory() as empty, _cache_in(empty):
         started = time.perf_counter()
         scene = load()

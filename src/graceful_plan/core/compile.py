@@ -205,22 +205,26 @@ class _Group:
 
 
 def _groups(scene: Scene, frames: _Frames) -> list[_Group]:
-    partners: dict[int, set[int]] = {}
     moving = {geom for name in ("body", "carried") if name in scene.components for geom in scene.components[name].geoms}
     bodies = np.asarray(scene.model.geom_bodyid)
     moving |= set(np.flatnonzero(np.isin(bodies, list(scene.robot_bodies))).tolist())
-    for first, second in scene.collision_pairs().tolist():
-        partners.setdefault(first, set()).add(second)
-        if second in moving:
-            partners.setdefault(second, set()).add(first)
+    first, second = scene.collision_pairs().T
+    back = np.isin(second, list(moving))
+    geoms, row = np.unique(np.concatenate([first, second[back]]), return_inverse=True)
+    partners = np.zeros((len(geoms), scene.model.ngeom), dtype=bool)
+    partners[row, np.concatenate([second, first[back]])] = True
     held = set(scene.components["carried"].geoms) if "carried" in scene.components else set()
-    by_key: dict[tuple[int, frozenset[int], bool], list[int]] = {}
-    for geom, others in sorted(partners.items()):
-        key = (frames.of_body[bodies[geom]], frozenset(others), geom in held)
-        by_key.setdefault(key, []).append(geom)
+    by_key: dict[tuple[int, bytes, bool], list[int]] = {}
+    for k, geom in enumerate(geoms.tolist()):
+        key = (frames.of_body[bodies[geom]], partners[k].tobytes(), geom in held)
+        by_key.setdefault(key, []).append(k)
     return [
-        _Group(frame=f, geoms=tuple(geoms), partners=others)
-        for (f, others, _), geoms in sorted(by_key.items(), key=lambda i: (i[0][0], i[1]))
+        _Group(
+            frame=frame,
+            geoms=tuple(geoms[rows].tolist()),
+            partners=frozenset(np.flatnonzero(partners[rows[0]]).tolist()),
+        )
+        for (frame, _, _), rows in sorted(by_key.items(), key=lambda one: (one[0][0], one[1]))
     ]
 
 
