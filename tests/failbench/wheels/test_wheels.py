@@ -1,7 +1,6 @@
 import mujoco
 import numpy as np
 import pytest
-from jackals import jackal
 
 import graceful_plan as gp
 from failbench.wheels.coasting import BaseFailure, coasted, drawn
@@ -11,6 +10,7 @@ from graceful_plan.costs.models.coast.constants import WHEELS, CoastSettings
 from graceful_plan.exceptions import UnknownNameError, UnsupportedError
 from graceful_plan.scene.mobile.known_bases import known_base
 from hall import hall
+from jackals import jackal
 
 
 def test_the_model_weighs_and_measures_what_is_published():
