@@ -23,7 +23,7 @@ from graceful_plan.scene.mobile.known_bases import known_base
 Array = np.ndarray
 
 TITLE = "Cluttered courses by the dynamic window approach"
-COURSES, SEED = 50, 1997
+COURSES, SEED = 50, 1998
 RADIUS, CELL, LENGTH, WIDTH = 0.075, 0.15, 10.0, 4.5
 """Of the cylinders, the cells on which they stand, and the field [m]."""
 FILL, SMOOTHINGS, MARGIN = (0.18, 0.32), (1, 4), 0.06

@@ -157,7 +157,7 @@ def examine(job: tuple[int, float, int]) -> Driven:
         sideways=float(np.abs(-state.qd[:, 0] * s + state.qd[:, 1] * c).max()),
         limits=float(checks["drive_limits"].worst or 0.0),
         error=float(rolled.error.max()),
-        touched=rolled.touched,
+        touched=tuple(rolled.touched),
         harm=tuple(harm),
         predicted=tuple(predicted),
         events=tuple(events),

@@ -81,7 +81,7 @@ class DWA:
     period: float = 0.05
     window: float = 0.2
     near: float = 0.3
-    margin: float = 0.04
+    margin: float = 0.05
     ahead: float = 0.3
     tolerance: float = 0.05
     speeds: int = 7

@@ -109,7 +109,12 @@ class DynamicWindow {
     const auto reached = [&](double now, double wanted, double rate) {
       return std::clamp(wanted, now - rate * set_.period, now + rate * set_.period);
     };
-    out.v = reached(at.v, out.v, limits_.a), out.omega = reached(at.omega, out.omega, limits_.alpha);
+    const double rim = std::max(limits_.rim, std::fabs(at.v) + limits_.lever * std::fabs(at.omega));
+    out.v = reached(at.v, out.v, limits_.a);
+    const double turns = std::max(0.0, rim - std::fabs(out.v)) / limits_.lever;
+    out.omega = reached(at.omega, std::clamp(out.omega, -turns, turns), limits_.alpha);
+    const double room = std::max(0.0, rim - limits_.lever * std::fabs(out.omega));
+    out.v = std::clamp(out.v, -room, room);
     return out;
   }
 
