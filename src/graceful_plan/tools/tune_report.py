@@ -148,7 +148,8 @@ def run(
     observed = () if validation is None else validation["points"]
     title = f"{front.scene}, {task.name}"
     space = _in_space(front, choice, task.scene)
-    write_front_page(front, task.scene, files[-1], choice, [_seen(entry) for entry in observed], title, space)
+    seen = [_seen(entry) for entry in observed]
+    write_front_page(front, task.scene, files[-1], choice, seen, title=title, space=space)
     return TuneReport(front=front, choice=choice, validation=validation, files=tuple(files))
 
 

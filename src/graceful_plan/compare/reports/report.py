@@ -67,7 +67,8 @@ th, td { padding: .22rem .5rem; text-align: right; white-space: nowrap; border-b
 th { font-weight: 600; border-bottom: 1px solid var(--line); vertical-align: bottom; white-space: normal; }
 th:first-child, td:first-child, td.text, th.text { text-align: left; }
 td.text { white-space: normal; } td.best { font-weight: 700; } td.bad { color: var(--bad); }
-span.swatch { display: inline-block; width: .7em; height: .7em; border-radius: 2px; margin-right: .45em; }
+span.swatch { display: inline-block; width: .7em; height: .7em; border-radius: 2px; margin-right: .45em;
+  outline: 1px solid var(--line); }
 .warn { background: var(--warn); border-left: 4px solid #e69f00; padding: .5rem .8rem; }
 """.strip()
 
