@@ -142,6 +142,7 @@ def test_their_speed_counts_where_they_are_struck():
     assert speeds[:, 2] == pytest.approx(1.0) and not speeds[:, [0, 1, 3]].any()
 
 
+@pytest.mark.long
 def test_contents_that_are_lost_where_somebody_walks():
     task = next(t for t in gp.load_scene("desk").tasks.values() if t.scene.contents is not None)
     motion = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50)

@@ -294,6 +294,7 @@ def test_settings_that_make_no_sense_are_refused(make, message):
         make()
 
 
+@pytest.mark.long
 def test_validate_stages_and_scores_them():
     task = gp.load_scene("tabletop").tasks["green_to_blue"]
     report = fb.validate(
