@@ -50,7 +50,7 @@ class Execution:
     | trajectory     | what                                                                       |                  |
     | states         | MuJoCo's integration state at each checkpoint                              | checkpoint state |
     | command        | commands of all actuators; the last is held after the end                  | step actuator    |
-    | measured       | positions and velocities of the joints before each step and after the last | step 2 nq        |
+    | measured       | positions and velocities of the joints before each step and after the last | step 2 driven    |
     | baseline       | components and entities that touch anyway                                  |                  |
     | tracking_error | greatest distance of each joint from where it should be [rad or m]         | nq               |
     | slip           | greatest distance of the carried object from where it was in the tool [m]  |                  |
@@ -63,7 +63,7 @@ class Execution:
     trajectory: Trajectory
     states: Float[Array, "checkpoint state"]
     command: Float[Array, "step actuator"]
-    measured: Float[Array, "state_and_step 2 nq"]
+    measured: Float[Array, "state_and_step 2 driven"]
     baseline: frozenset[tuple[str, str]]
     tracking_error: Float[Array, " nq"]
     slip: float
@@ -131,8 +131,8 @@ class Execution:
         return walk.reacted(rows, self.dt, self.world.settings.people, tool)
 
     def states_tool(self, step: int) -> Float[Array, " 3"]:
-        """Return where the tool of the healthy robot is before a step, in W [m]."""
-        q = self.measured[min(step, len(self.measured) - 1), 0]
+        """Return where the tool is to be before a step, in W [m]."""
+        q = self.planned(np.array([step * self.dt]))[0]
         scene = self.world.scene
         return scene.data_at(q).site_xpos[int(scene.model.site(scene.tool).id)].copy()
 
@@ -286,8 +286,8 @@ def _driven(
     return _Run._make(map(np.concatenate, zip(*parts, strict=True))), np.array(told)
 
 
-def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 2 nq"]:
-    """Return positions and velocities of the planned joints in some states, which begin with the time."""
+def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 2 driven"]:
+    """Return positions and velocities of the driven joints in some states, which begin with the time."""
     robot, nq = world.robot, world.model.nq
     return np.stack([states[:, 1 + robot.qpos], states[:, 1 + nq + robot.dofs]], axis=1)
 

@@ -47,7 +47,7 @@ def test_a_loose_joint_is_seen_as_it_is(easy):
 
 
 def test_a_wrong_scale(easy):
-    fault = ScaleError(degree="critical", targets=struck(easy))
+    fault = ScaleError(degree="critical", targets=struck(easy), ramp=0.0)
     for seen, q, qd in watched(easy, fault):
         factor = np.ones(len(q))
         factor[JOINT] = 1.1 if seen.time > ONSET + 1e-9 else 1.0
@@ -56,7 +56,7 @@ def test_a_wrong_scale(easy):
 
 
 def test_drift_grows_at_its_rate(easy):
-    found = watched(easy, BiasDrift(degree="critical", targets=struck(easy)))
+    found = watched(easy, BiasDrift(degree="critical", targets=struck(easy), ramp=0.0))
     error = [(seen.time, (seen.q - q)[JOINT]) for seen, q, _ in found if seen.time > ONSET + 1e-9]
     slope = np.polyfit(*zip(*error, strict=True), 1)[0]
     assert abs(slope) == pytest.approx(0.4, rel=1e-6)
@@ -88,7 +88,7 @@ def test_readings_stand_during_gaps(easy):
 
 
 def test_a_delay_makes_everything_old_but_the_clock(easy):
-    found = watched(easy, ControlDelay(degree="severe", targets=("all",)))
+    found = watched(easy, ControlDelay(degree="severe", targets=("all",), ramp=0.0))
     truth = {round(seen.time, 6): q for seen, q, _ in found}
     late = [seen for seen, _, _ in found if seen.time > ONSET + 0.12]
     assert late
