@@ -153,7 +153,8 @@ def examine(load: Callable[[], gp.Scene]) -> RobotFigures:
         covers.forget()
         compile_scene(load())
         again = time.perf_counter() - done
-    q = np.random.default_rng(0).uniform(*scene.limits.position.T, (CONFIGURATIONS, len(scene.joints)))
+    lower, upper = scene.limits.position.T
+    q = np.random.default_rng(0).uniform(lower, upper, (CONFIGURATIONS, len(scene.joints)))
     judge = Judge(scene)
     touched = {touch.sample for touch in judge.touches(q) if judge.is_violation(touch, at_end=False)}
     free = np.array([k not in touched for k in range(len(q))])
