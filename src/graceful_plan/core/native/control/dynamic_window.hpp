@@ -111,9 +111,12 @@ class DynamicWindow {
     };
     const double rim = std::max(limits_.rim, std::fabs(at.v) + limits_.lever * std::fabs(at.omega));
     out.v = reached(at.v, out.v, limits_.a);
-    const double turns = std::max(0.0, rim - std::fabs(out.v)) / limits_.lever;
+    const double across = std::max(limits_.lateral, std::fabs(at.v * at.omega));
+    const double turns =
+        std::min(std::max(0.0, rim - std::fabs(out.v)) / limits_.lever, across / std::max(std::fabs(out.v), 1e-9));
     out.omega = reached(at.omega, std::clamp(out.omega, -turns, turns), limits_.alpha);
-    const double room = std::max(0.0, rim - limits_.lever * std::fabs(out.omega));
+    const double room = std::min(std::max(0.0, rim - limits_.lever * std::fabs(out.omega)),
+                                 across / std::max(std::fabs(out.omega), 1e-9));
     out.v = std::clamp(out.v, -room, room);
     return out;
   }
