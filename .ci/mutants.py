@@ -48,7 +48,7 @@ MODULES = {
     "judge/passing.py": ("tests/judge/test_passing.py", "tests/scene/test_moving.py"),
     "analysis/certificate.py": ("tests/analysis/test_certificate.py", "tests/analysis/test_certified_clearance.py"),
     "query/goals.py": ("tests/query/test_goals.py", "tests/query/test_ik.py", "tests/query/test_cancel.py"),
-    "scene/scene.py": ("tests/scene/test_scene.py", "tests/scene/test_edit.py", "tests/scene/test_naming.py"),
+    "scene/scene.py": ("tests/scene/test_scene.py", "tests/scene/test_edit.py", "tests/scene/loading/test_naming.py"),
     "scene/screening.py": ("tests/scene/test_screening.py",),
 }
 """Modules that a wrong verdict would come from, and the tests that are there for them."""

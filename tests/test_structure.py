@@ -384,7 +384,7 @@ def test_names_in_documents_can_be_imported():
     words = {
         word
         for file in FILES + HARNESS_FILES
-        for found in re.findall(r'"schema": "(\w+\.\w+)"|_SCHEMA\b.* = "(\w+\.\w+)"', file.read_text())
+        for found in re.findall(r'"schema": "(\w+\.\w+)"|SCHEMA\b.* = "(\w+\.\w+)"', file.read_text())
         for word in found
     }
     unknown = []

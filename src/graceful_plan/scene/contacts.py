@@ -13,8 +13,8 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Int
 from graceful_plan.scene.elements import AllowedContact, Notes
+from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.model_parts import colliding_geoms, find, names, rigid_group, subtree
-from graceful_plan.scene.naming import is_name, lookup
 
 Array = np.ndarray
 

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.path import finite_array
+from graceful_plan.scene.loading.naming import check_new
 from graceful_plan.scene.model_parts import find
-from graceful_plan.scene.naming import check_new
 from graceful_plan.scene.roles import free_joint, rigid_pose
 
 Array = np.ndarray

@@ -13,8 +13,8 @@ import numpy as np
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SceneError, SettingError, UnknownNameError, UnsupportedError
 from graceful_plan.scene.elements import Limits, Notes
+from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.naming import is_name, lookup
 from graceful_plan.scene.screening import MAX_EXTENT, compile_spec
 
 Array = np.ndarray

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError, ShapeError
 from graceful_plan.path import finite_array, is_real
-from graceful_plan.scene.naming import is_name
+from graceful_plan.scene.loading.naming import is_name
 from graceful_plan.scene.screening import MAX_EXTENT
 
 Array = np.ndarray

@@ -26,9 +26,9 @@ from graceful_plan.scene.elements import (
     ObjectNote,
 )
 from graceful_plan.scene.harm.severity import ITSELF, SeverityTable, check_severity
+from graceful_plan.scene.loading.naming import lookup
 from graceful_plan.scene.model_parts import collides, colliding_geoms, find, names, subtree
 from graceful_plan.scene.moving import MovingEntity
-from graceful_plan.scene.naming import lookup
 
 Array = np.ndarray
 

@@ -18,7 +18,7 @@ from xml.parsers import expat
 import mujoco
 
 from graceful_plan.exceptions import NOT_READ, SceneError, TooLargeError, why_not_read
-from graceful_plan.scene.weighing import Swollen, check_png, weighed
+from graceful_plan.scene.loading.weighing import Swollen, check_png, weighed
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000

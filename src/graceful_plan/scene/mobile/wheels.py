@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SceneError, SettingError
 from graceful_plan.scene.facts import SceneFacts
+from graceful_plan.scene.loading.naming import is_name, lookup
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.naming import is_name, lookup
 
 Array = np.ndarray
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import SettingError
-from graceful_plan.scene.naming import check_new
+from graceful_plan.scene.loading.naming import check_new
 
 Array = np.ndarray
 

@@ -8,7 +8,7 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SceneError, UnknownNameError
-from graceful_plan.scene.naming import is_name, lookup
+from graceful_plan.scene.loading.naming import is_name, lookup
 
 SCENE = gp.load_scene("tabletop")
 BODY = mujoco.mjtObj.mjOBJ_BODY
