@@ -2,8 +2,8 @@
 
 python .ci/audit.py [FILE ...]
 
-pip-audit needs the network, and passes what it was not told of. Here that is said: the exit status is 1 if a weakness is
-known, else 0, and the last line says how many of the pins were looked at.
+pip-audit needs the network, and passes what it was not told of. Here that is said: the exit status is 1 if a weakness
+is known, else 0, and the last line says how many of the pins were looked at.
 """
 
 from __future__ import annotations

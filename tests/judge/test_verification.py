@@ -416,3 +416,14 @@ def test_torque_limits_are_kept(scene: Scene) -> None:
     trajectory = retime(path, scene.limits, scene.joints, inverse_dynamics=dynamics)
     torques = np.array([dynamics(*state) for state in zip(trajectory.q, trajectory.qd, trajectory.qdd, strict=True)])
     assert (np.abs(torques) / scene.limits.torque).max() <= 1.0 + 1e-6
+
+
+def test_short_pieces_are_not_blamed_for_what_rounding_makes_of_their_positions(scene: Scene) -> None:
+    """In steps of a tenth of a microsecond, the last digit of a position is a quarter of an acceleration limit."""
+    limit = 0.999 * scene.limits.acceleration
+    t = 1e-7 * np.arange(50)
+    q = 0.9 + 0.5 * limit * t[:, None] ** 2
+    motion = Trajectory(t, q, limit * t[:, None], np.tile(limit, (50, 1)), scene.joints)
+    blamed = np.abs(np.concatenate(motion.piece_accelerations)).max()
+    assert blamed > 1.001 * limit.max()
+    assert verify(motion, scene).checks["acceleration_limits"].passed

@@ -168,3 +168,21 @@ def test_misuse_raises(scene: Scene, start: np.ndarray) -> None:
     for goal in (np.zeros((0, 7)), np.zeros((1, 1, 7)), start[:3]):
         with pytest.raises(ShapeError, match="goal has shape"):
             resolve_goal(goal, scene, start)
+
+
+def test_joints_without_an_end_turn_the_short_way() -> None:
+    text = """<robot name="arm"><link name="base"/>
+    <link name="hand"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+    <joint name="wrist" type="continuous"><parent link="base"/><child link="hand"/><axis xyz="0 0 1"/>
+    <limit velocity="2" effort="40"/></joint></robot>"""
+    wrist = gp.Scene.from_urdf(text, tool="hand", acceleration=8.0)
+    assert wrist.endless.all()
+    lower, upper = wrist.limits.position[0]
+    for start in (-3.0, 0.0, 3.0):
+        for goal in np.linspace(-3.1, 3.1, 9):
+            (found,) = resolve_goal([goal], wrist, np.array([start])).q
+            assert abs(np.exp(1j * found[0]) - np.exp(1j * goal)) < 1e-9
+            assert lower <= found[0] <= upper
+            assert abs(found[0] - start) <= np.pi + 1e-9 or not lower <= start + np.pi <= upper
+    (near,) = resolve_goal([-3.0], wrist, np.array([3.0])).q
+    assert near[0] == pytest.approx(2.0 * np.pi - 3.0)

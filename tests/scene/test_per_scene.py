@@ -1,6 +1,8 @@
 """What is kept per scene: made once for each key, and freed with the scene."""
 
+import copy
 import gc
+import pickle
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 
@@ -107,3 +109,27 @@ def test_nothing_that_the_library_keeps_holds_a_scene():
     del task, scene
     gc.collect()
     assert [ref() for ref in watched] == [None, None]
+
+
+def test_a_scene_is_its_own_copy_and_says_why_it_is_no_pickle():
+    scene = gp.load_scene("tabletop")
+    assert copy.deepcopy(scene) is scene and copy.deepcopy({"a": [scene]})["a"][0] is scene
+    with pytest.raises(TypeError, match="the Scene 'tabletop' holds a MuJoCo model and cannot be pickled; load it in"):
+        pickle.dumps(scene)
+    table = gp.SeverityTable.shipped()
+    for again in (copy.deepcopy(table), pickle.loads(pickle.dumps(table))):
+        assert again.rows == table.rows and again.components == table.components
+        with pytest.raises(TypeError):
+            again.rows["glass"]["medium"] = 0.0
+
+
+def test_threads_that_plan_at_once_in_one_scene_get_what_one_alone_gets():
+    task = gp.load_scene("tabletop").tasks["right_to_left"]
+
+    def planned(seed):
+        return gp.plan(task.start, task.goal, task.scene, seed=seed, iterations=60).unwrap().q
+
+    alone = [planned(seed) for seed in (0, 1)]
+    with ThreadPoolExecutor(4) as pool:
+        for seed, q in enumerate(pool.map(planned, [0, 1, 0, 1])):
+            np.testing.assert_array_equal(q, alone[seed % 2])

@@ -265,3 +265,12 @@ def test_merging_keeps_both_ends_and_rests() -> None:
     assert without_short_pieces(merged) is not made and len(without_short_pieces(merged)) == 3
     even = Trajectory(1e-4 * np.arange(8), t[:, None], qd, qd, ("a",))
     assert without_short_pieces(even) is even
+
+
+def test_the_last_acceleration_is_that_of_the_last_piece() -> None:
+    """Also where the curve ends in a bend: there the motion rests, and the bend adds nothing."""
+    u = np.linspace(0.0, 1.0, 9)
+    points = np.stack([np.cos(3.0 * u), np.sin(3.0 * u)], axis=1)
+    motion = timed(Spline.through(points), _limits([2.0] * 2, [5.0] * 2), ("a", "b"))
+    assert np.abs(motion.qdd[-1]).max() > 1.0
+    np.testing.assert_allclose(motion.qdd[-1], motion.piece_accelerations[1][-1], rtol=0.02, atol=0.05)

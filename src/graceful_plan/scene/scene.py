@@ -60,6 +60,18 @@ _GEOM = mujoco.mjtGeom
 class Scene(SceneFacts):
     """A robot among things that can be harmed. Made by `load_scene` or `Scene.from_mjcf`; equal only to itself."""
 
+    def __deepcopy__(self, memo: object) -> Scene:
+        """Return the scene itself: it is never changed in place."""
+        return self
+
+    def __reduce__(self) -> Any:
+        """Say why it cannot be pickled.
+
+        Raises:
+            TypeError: In any case.
+        """
+        raise TypeError(f"the Scene {self.name!r} holds a MuJoCo model and cannot be pickled; load it in each process")
+
     # --- making one ---------------------------------------------------------------------------------------------------
 
     @classmethod

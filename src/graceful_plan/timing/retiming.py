@@ -193,7 +193,7 @@ def without_short_pieces(trajectory: Trajectory) -> Trajectory:
     t = trajectory.t
     if np.diff(t).min(initial=np.inf) >= SHORTEST_PIECE:
         return trajectory
-    stays = ~trajectory.qd.any(axis=1)
+    stays = np.max(np.abs(trajectory.qd), axis=1) == 0.0
     stays[[0, -1]] = True
     kept: list[int] = []
     for i in range(len(t)):
@@ -201,7 +201,7 @@ def without_short_pieces(trajectory: Trajectory) -> Trajectory:
             while kept and not stays[kept[-1]] and t[i] - t[kept[-1]] < SHORTEST_PIECE:
                 kept.pop()
             kept.append(i)
-    return Trajectory(t[kept], *(x[kept] for x in (trajectory.q, trajectory.qd, trajectory.qdd)), trajectory.joints)
+    return Trajectory(t[kept], trajectory.q[kept], trajectory.qd[kept], trajectory.qdd[kept], trajectory.joints)
 
 
 def slowdown(trajectory: Trajectory, limits: Limits, inverse_dynamics: InverseDynamics | None) -> float:

@@ -46,6 +46,10 @@ class SeverityTable(YamlTable):
         frozen = {category: MappingProxyType(dict(row)) for category, row in self.rows.items()}
         object.__setattr__(self, "rows", MappingProxyType(frozen))
 
+    def __reduce__(self) -> tuple[type[SeverityTable], tuple[dict[str, dict[str, float]], tuple[str, ...]]]:
+        """Be copied and pickled as plain dictionaries, which views of them cannot be."""
+        return SeverityTable, ({category: dict(row) for category, row in self.rows.items()}, self.components)
+
     @classmethod
     def parsed(cls, root: Block) -> SeverityTable:
         """Make it of the values in a file."""
