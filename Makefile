@@ -66,7 +66,7 @@ fuzz: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/python .ci/fuzz_readers.py --files 20000 $(ARGS)
 	$(BIN)/python .ci/fuzz_native.py --calls 5000
 
-# What has survived in build/mutants.jsonl is to be looked at: see RESULTS.md.
+# What survives is looked at one by one: see .ci/mutants.md.
 mutants: $(VENV)/.package $(VENV)/.dev $(VENV)/.checks
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python .ci/mutants.py $(ARGS)
 
