@@ -35,7 +35,7 @@ def finite_array(
     """
     try:
         if isinstance(value, np.ma.MaskedArray):
-            value = value.astype(np.float64).filled(np.nan)  # what is masked is not known
+            value = np.ma.filled(value.astype(np.float64), np.nan)  # what is masked is not known
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None

@@ -10,7 +10,7 @@ import pytest
 
 from graceful_plan import ImpactCost, Objective, plan
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.judge.exact import Judge, first_collision, state_contacts
+from graceful_plan.judge.exact import Judge, Touch, first_collision, state_contacts
 from graceful_plan.judge.motion_samples import motion_samples, reach
 from graceful_plan.judge.reference_cost import reference_cost, reference_probability
 from graceful_plan.judge.second_opinion import fcl_touches
@@ -427,3 +427,11 @@ def test_short_pieces_are_not_blamed_for_what_rounding_makes_of_their_positions(
     blamed = np.abs(np.concatenate(motion.piece_accelerations)).max()
     assert blamed > 1.001 * limit.max()
     assert verify(motion, scene).checks["acceleration_limits"].passed
+
+
+def test_what_may_touch_at_the_ends_may_graze_on_the_way(scene: Scene) -> None:
+    """By less than a micrometre, which is what rounding makes of an object that slides along its support."""
+    judge = Judge(scene)
+    first, second = (int(geom) for geom in np.argwhere(judge._ends)[0])
+    for depth, at_end, wrong in ((5e-7, False, False), (5e-6, False, True), (5e-6, True, False), (0.1, True, True)):
+        assert judge.is_violation(Touch(0, first, second, -depth), at_end=at_end) == wrong
