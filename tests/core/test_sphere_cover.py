@@ -64,7 +64,7 @@ def test_capsule_is_covered_and_barely_exceeded(radius, half, seed):
     rng = np.random.default_rng(seed)
     normal = rng.normal(size=(5000, 3))
     normal *= radius / np.linalg.norm(normal, axis=1, keepdims=True)
-    surface = normal + np.outer(rng.uniform(-half, half, 1500), [0, 0, 1])
+    surface = normal + np.outer(rng.uniform(-half, half, len(normal)), [0, 0, 1])
     surface[:1000] = normal[:1000] + np.outer(half * np.sign(normal[:1000, 2]), [0, 0, 1])
     centres, radii = sphere_cover.capsule_cover(radius, half)
     assert _uncovered(surface, (centres, radii)) <= _COVERED

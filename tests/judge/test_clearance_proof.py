@@ -39,7 +39,7 @@ def _skipped_wrongly(scene: Scene, count: int, seed: int) -> tuple[int, int]:
     cover with a hole would show.
     """
     rng = np.random.default_rng(seed)
-    clearance = compile_scene(scene).kernels.clearance
+    clearance = compile_scene(scene).proof.clearance
     lower, upper = scene.limits.position.T
     q = rng.uniform(lower, upper, (count, len(lower)))
     near = q[np.argsort(np.abs(clearance(q)))[: count // 10]]
@@ -74,7 +74,7 @@ def _motions(scene: Scene, count: int) -> list[Trajectory]:
 
 def test_verdicts_are_those_of_exact_geometry_everywhere(task) -> None:
     scene = task.scene
-    clearance = compile_scene(scene).kernels.clearance
+    clearance = compile_scene(scene).proof.clearance
     refused = 0
     for motion in _motions(scene, 25):
         exact, fast = verify(motion, scene), verify(motion, scene, clearance=clearance)

@@ -56,6 +56,13 @@ def test_places_are_times_by_piece() -> None:
     np.testing.assert_allclose(q, trajectory.positions(t), atol=_TOLERANCE)
 
 
+def test_who_stands_is_where_it_stands_at_every_place() -> None:
+    standing = Trajectory(t=[0.5], q=[[1.0, 2.0]], qd=[[0.0, 0.0]], qdd=[[0.0, 0.0]], joints=("a", "b"))
+    t, q = standing.at_places(np.zeros(3))
+    np.testing.assert_array_equal(t, 0.5)
+    np.testing.assert_array_equal(q, [[1.0, 2.0]] * 3)
+
+
 def test_who_moves_cannot_wait() -> None:
     moving = _random(3)
     with pytest.raises(SettingError, match=r"qd\[0\].*a moving robot cannot wait"):

@@ -116,6 +116,8 @@ class Trajectory:
 
     def at_places(self, place: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "n nq"]]:
         """Evaluate times [s] and positions [rad or m] at fractional piece numbers, from 0 to the number of pieces."""
+        if len(self) == 1:  # it stands, and has no pieces
+            return np.full(len(place), self.t[0]), np.repeat(self.q, len(place), axis=0)
         i = np.minimum(place.astype(np.intp), len(self) - 2)
         h = np.diff(self.t)
         u = (place - i) * h[i]
