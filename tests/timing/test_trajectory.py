@@ -57,7 +57,7 @@ def test_places_are_times_by_piece() -> None:
 
 
 def test_who_stands_is_where_it_stands_at_every_place() -> None:
-    standing = Trajectory(t=[0.5], q=[[1.0, 2.0]], qd=[[0.0, 0.0]], qdd=[[0.0, 0.0]], joints=("a", "b"))
+    standing = Trajectory(np.array([0.5]), np.array([[1.0, 2.0]]), np.zeros((1, 2)), np.zeros((1, 2)), ("a", "b"))
     t, q = standing.at_places(np.zeros(3))
     np.testing.assert_array_equal(t, 0.5)
     np.testing.assert_array_equal(q, [[1.0, 2.0]] * 3)
