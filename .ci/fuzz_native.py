@@ -131,6 +131,9 @@ def fitting(parameter: str, method: str, made: Any, arguments: dict[str, Any]) -
     }
     if parameter in shapes:
         return 0.3 * rng.random(shapes[parameter])
+    around = DYNAMIC_WINDOW if method == "DynamicWindow.choose" else CELLS if method.startswith("FloorGrid") else {}
+    if parameter in around:
+        return around[parameter]
     if parameter in ("start", "goal") and method.startswith(("StateLattice", "Steering")):
         return np.array([1.0, 1.0, 0.0]) if method.startswith("State") else rng.random((4, 3))
     if parameter == "path" and goals is not None:
@@ -210,6 +213,25 @@ def exported() -> Iterator[str]:
                 yield f"{name}.{member}"
 
 
+DYNAMIC_WINDOW = {
+    "state": np.array([-2.0, 0.0, 0.1, 0.5, 0.2]),
+    "path": np.array([[-2.0, 0.0], [2.0, 0.0], [3.0, 1.0]]),
+    "entity": np.array([0, 1], dtype=np.int32),
+    "shape": np.array([[1.0, 0.3, 1.0, 0.0, 0.2, 0.1, 0.0], [2.0, -0.4, 1.0, 0.0, 0.0, 0.0, 0.3]]),
+    "velocity": np.array([[0.0, 0.0], [0.3, -0.2]]),
+    "severity": np.array([2.0, 5.0]),
+}
+CELLS = {
+    "column": 1,
+    "row": 2,
+    "start": np.array([1, 1], dtype=np.int32),
+    "goal": np.array([30, 20], dtype=np.int32),
+    "method": "a_star",
+    "time_limit": 0.2,
+}
+"""Arguments of methods about floors, by name."""
+
+
 def situations() -> None:
     """Plan with every model, planner and kind of bound that has a kernel."""
     for name, faults in (("dining_table", "drop_only"), ("tabletop", "service_robot")):
@@ -240,6 +262,10 @@ def situations() -> None:
     floor = np.full((40, 40), 1.0, dtype=np.float32)
     settings = LatticeSettings(steering=steering, headings=16)
     StateLattice(distance=floor, resolution=0.1, discs=np.array([[0.0, 0.0, 0.2]]), settings=settings)
+    gp.DWA().bind(drive.scene)
+    closed = np.zeros((40, 40), dtype=np.uint8)
+    _native.distance_field(blocked=closed, resolution=0.1, outside=True)
+    _native.FloorGrid(closed=closed, resolution=0.1, charge=floor)
 
 
 class Low(gp.Cost):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from jackals import jackal
 
 import failbench as fb
 import graceful_plan as gp
@@ -11,6 +10,7 @@ from failbench.rollouts.execution import execute
 from failbench.rollouts.rollout import run
 from failbench.rollouts.single import steps
 from failbench.simulated.world import build_world
+from jackals import jackal
 
 ONSET, HORIZON = 1.2, 1.6
 

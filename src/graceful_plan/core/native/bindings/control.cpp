@@ -24,7 +24,8 @@ WindowSettings settings_of(const Reals& values, int n_v, int n_omega) {
   require_numbers(values, 12, "settings of a dynamic window");
   const double* x = values.data();
   for (int k = 0; k < 12; ++k) require(x[k] >= 0, "settings of a dynamic window");
-  require(x[5] >= 0.05 && x[5] <= 60 && x[6] > 0 && x[6] <= x[5] && x[7] > 0 && x[11] >= x[6], "settings of a dynamic window");
+  require(x[5] >= 0.05 && x[5] <= 60 && x[6] > 0 && x[6] <= x[5] && x[7] > 0 && x[11] >= x[6],
+          "settings of a dynamic window");
   require(n_v >= 2 && n_omega >= 2 && n_v <= kMostSamples && n_omega <= kMostSamples, "samples of a dynamic window");
   return {x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], n_v, n_omega};
 }
