@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from failbench.sweeps.dataset import Dataset, read_dataset
     from failbench.sweeps.sweep import generate, resume
     from failbench.validation import validate
+    from failbench.wheels.driving import drive
 else:
     on_demand.install(
         __name__,
@@ -58,6 +59,7 @@ else:
             "build_world": "failbench.simulated.world",
             "compare": "failbench.comparison",
             "disturbances": "failbench.surroundings.registry",
+            "drive": "failbench.wheels.driving",
             "energy_impact": "failbench.recording.score",
             "execute": "failbench.rollouts.execution",
             "faults": "failbench.fault.registry",
@@ -103,6 +105,7 @@ __all__ = [
     "build_world",
     "compare",
     "disturbances",
+    "drive",
     "energy_impact",
     "execute",
     "faults",
