@@ -321,7 +321,8 @@ def broken_array(value: np.ndarray, rng: random.Random) -> Any:
             flat[at] = rng.choice([math.nan, math.nan, math.inf, -math.inf, 1e300, -1e300, 1e30, -1.0, 0.0, 1e-300])
         elif out.dtype != bool:
             low, high = (0, 2**63) if out.dtype == np.uint64 else (-(2**31), 2**31 - 1)
-            flat[at] = rng.choice([low, high, max(low, -1), 0, 1, flat.size, 1000])
+            drawn = rng.choice([low, high, max(low, -1), 0, 1, flat.size, 1000])
+            flat[at] = drawn % 256 if out.dtype == np.uint8 else drawn
         return out
     if kind == 4:
         return out[: rng.randrange(len(out) + 1)] if out.ndim else out

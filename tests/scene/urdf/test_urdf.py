@@ -181,6 +181,12 @@ def test_packages_may_have_other_names_than_their_folders(tmp_path: Path) -> Non
             found_mesh("package://pack/cube.stl", None, named)
 
 
+def test_limits_beyond_all_places_are_refused() -> None:
+    text = ARM.replace('lower="0" upper="0.2"', 'lower="-1e308" upper="1e308"')
+    with pytest.raises(SceneError, match="limits of joint 'arm/reach' are -1e\\+308 and 1e\\+308"):
+        gp.Scene.from_urdf(text, tool="tip", acceleration=4.0)
+
+
 def test_attributes_of_other_programs_are_left_out() -> None:
     text = ARM.replace("<limit ", '<limit drake:acceleration="2.5" ').replace("<robot ", '<robot foo:bar="1" ', 1)
     assert "drake:" in text

@@ -16,7 +16,7 @@ from graceful_plan.exceptions import SceneError
 from graceful_plan.scene.elements import AllowedContact
 from graceful_plan.scene.model_parts import robot_bodies
 from graceful_plan.scene.roles import rigid_pose
-from graceful_plan.scene.screening import compile_spec, load_spec
+from graceful_plan.scene.screening import MAX_EXTENT, compile_spec, load_spec
 from graceful_plan.scene.urdf.reading import UrdfJoint, UrdfRobot
 
 TOOL = "graceful_plan_tool"
@@ -126,7 +126,13 @@ def _touched(
 
 
 def _range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    return tuple(model.jnt_range[joint]) if model.jnt_limited[joint] else (-np.pi, np.pi)
+    if not model.jnt_limited[joint]:
+        return -np.pi, np.pi
+    lower, upper = model.jnt_range[joint]
+    if max(abs(lower), abs(upper)) > MAX_EXTENT:
+        name = model.joint(joint).name
+        raise SceneError(f"the limits of joint {name!r} are {lower:g} and {upper:g}; {MAX_EXTENT:g} is the farthest")
+    return lower, upper
 
 
 def velocities(chain: Sequence[UrdfJoint]) -> list[float]:
