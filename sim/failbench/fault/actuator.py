@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.fault.drive import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, scale_response, weaken
+from failbench.fault.drives import DRIVE, FRICTION, GRIP, add_friction, cut_overloaded_weld, scale_response, weaken
 from failbench.fault.fault import Fault
 from failbench.simulated.plant import Plant
 from graceful_plan.exceptions import SettingError

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.fault.drive import GRIP, cut_overloaded_weld, hold_grip
+from failbench.fault.drives import GRIP, cut_overloaded_weld, hold_grip
 from failbench.fault.fault import Fault
 from failbench.simulated.plant import Plant
 

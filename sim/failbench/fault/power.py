@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from failbench.fault.drive import (
+from failbench.fault.drives import (
     BRAKE_TORQUE,
     DRIVE,
     FRICTION,

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.fault.drive import BRAKE_TORQUE, DRIVE, FRICTION, add_friction, scale_torque
+from failbench.fault.drives import BRAKE_TORQUE, DRIVE, FRICTION, add_friction, scale_torque
 from failbench.fault.fault import REACTION, Fault
 from failbench.simulated.plant import Plant
 from graceful_plan.exceptions import SettingError, UnsupportedError

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from failbench.fault.drive import actuators
+from failbench.fault.drives import actuators
 from failbench.fault.fault import Fault
 from failbench.simulated.plant import Plant
 from graceful_plan.exceptions import SettingError

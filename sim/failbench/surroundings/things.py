@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from failbench.basics.onset import AtFraction, Onset
-from failbench.fault.drive import GRIP, cut_overloaded_weld
+from failbench.fault.drives import GRIP, cut_overloaded_weld
 from failbench.simulated.plant import Plant
 from failbench.surroundings.disturbance import PARKED, Disturbance, go, movable, tool_at, world_of
 from graceful_plan import MovingEntity
