@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jackals import jackal
 
 from failbench.wheels.coasting import BaseFailure, coasting
 from failbench.wheels.wheeled import wheeled
@@ -26,6 +25,7 @@ from graceful_plan.costs.models.coast.four_wheel import Case, integrated, one_si
 from graceful_plan.costs.models.coast.tables import coast_tables
 from graceful_plan.scene.mobile.known_bases import known_base
 from hall import hall
+from jackals import jackal
 
 BODY = coast_tables(hall()).body
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,29 @@ def test_interrupts_come_through() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         minimise(Quartic(3, 1.0, curved=True), np.zeros(3), watch)
+
+
+def test_interrupts_that_somebody_swallows_come_through_too() -> None:
+    """CasADi does so when Ctrl-C comes while it is not in a call of ours."""
+
+    class Swallowing(Quartic):
+        def evaluate(self, x: Array) -> Values:
+            try:
+                signal.raise_signal(signal.SIGINT)
+                list(range(1000))
+            except KeyboardInterrupt:
+                pass
+            return super().evaluate(x)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        program = Swallowing(20, 5.0, curved=False)
+        with pytest.raises(KeyboardInterrupt):
+            minimise(program, np.linspace(0.0, 0.3, 20))
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert program.asked == 1
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:

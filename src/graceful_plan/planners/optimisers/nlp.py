@@ -6,10 +6,14 @@ asked once per point, and, if it can, the Hessian of the Lagrangian; otherwise I
 
 from __future__ import annotations
 
+import signal
+import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from types import FrameType
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -124,7 +128,8 @@ def minimise(
         options["hessian_approximation"] = "limited-memory"
     functions = _functions(program, calls, casadi)
     solver = _solver(functions, options, program, casadi)
-    found = solver(x0=x, lbx=program.lower, ubx=program.upper, lbg=program.least, ubg=program.most)
+    with calls.remembering_interrupts():
+        found = solver(x0=x, lbx=program.lower, ubx=program.upper, lbg=program.least, ubg=program.most)
     if calls.error is not None:
         raise calls.error
     stats = solver.stats()
@@ -172,6 +177,26 @@ class _Calls:
                 return nothing
 
         return ask
+
+    @contextmanager
+    def remembering_interrupts(self) -> Iterator[None]:
+        """Keep what Ctrl-C raises for later, too: CasADi looks for it between our answers, and would swallow it."""
+        before = signal.getsignal(signal.SIGINT)
+        if threading.current_thread() is not threading.main_thread() or not callable(before):
+            yield
+            return
+
+        def remember(number: int, frame: FrameType | None) -> None:
+            try:
+                before(number, frame)
+            except BaseException as error:
+                self.error = self.error or error
+
+        signal.signal(signal.SIGINT, remember)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
 
     def stop(self, x: Array) -> bool:
         return self._watch is not None and self._watch(x, self.values(x))
