@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
@@ -179,7 +179,7 @@ class _Calls:
         return ask
 
     @contextmanager
-    def remembering_interrupts(self) -> Iterator[None]:
+    def remembering_interrupts(self) -> Generator[None]:
         """Keep what Ctrl-C raises for later, too: CasADi looks for it between our answers, and would swallow it."""
         before = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is not threading.main_thread() or not callable(before):

@@ -290,11 +290,11 @@ class DynamicWindow {
     return {at.v * left, omega, 0, scene.now, 0, false, 0};
   }
 
-  static constexpr double kStep = 0.04;   // between looks at an arc at least [s]
+  static constexpr double kStep = 0.04;    // between looks at an arc at least [s]
   static constexpr double kCloser = 2e-3;  // that a base may come to what is already nearer than the margin [m]
-  static constexpr double kLonger = 3;    // horizons that slow candidates are followed for at most
-  static constexpr double kCreep = 0.02;  // speed at which any distance is enough to stop [m/s]
-  static constexpr double kBack = 0.5;    // of the path that is looked at behind and beyond [m]
+  static constexpr double kLonger = 3;     // horizons that slow candidates are followed for at most
+  static constexpr double kCreep = 0.02;   // speed at which any distance is enough to stop [m/s]
+  static constexpr double kBack = 0.5;     // of the path that is looked at behind and beyond [m]
   static constexpr double kTurn = 6.283185307179586;
 
   const Coasting coasting_;
