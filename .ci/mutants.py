@@ -12,15 +12,9 @@ from __future__ import annotations
 import argparse
 import ast
 import json
-import os
 import random
-import shutil
-import subprocess
-import sys
-import sysconfig
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -31,8 +25,8 @@ from queue import SimpleQueue
 import cosmic_ray.plugins
 from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.mutating import apply_mutation
+from mutated import ROOT, copied, tests_pass, told
 
-ROOT = Path(__file__).parents[1]
 LIBRARY = "src/graceful_plan"
 MODULES = {
     "costs/objective.py": ("tests/costs/test_costs.py", "tests/costs/test_slopes.py", "tests/costs/test_own_loss.py"),
@@ -52,10 +46,6 @@ MODULES = {
     "scene/screening.py": ("tests/scene/test_screening.py",),
 }
 """Modules that a wrong verdict would come from, and the tests that are there for them."""
-LIMIT = 120
-"""Processor seconds for the tests of one mutant; what takes longer hangs, which is noticed, too."""
-PATIENCE = 1800
-"""Seconds for those that wait for ever and compute nothing."""
 
 
 @dataclass(frozen=True)
@@ -108,37 +98,6 @@ def annotated_lines(tree: ast.Module) -> Places:
 
 
 # --- trying ----------------------------------------------------------------------------------------------------------
-
-
-def copied(place: Path) -> Path:
-    """Copy what git tracks, and beside it the native core that is installed."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
-    for name in filter(None, listed.split("\0")):
-        if (ROOT / name).is_file():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, place / name)
-    core = Path("graceful_plan", "core")
-    (native,) = (Path(sysconfig.get_path("platlib")) / core).glob("_native*")
-    shutil.copy(native, place / "src" / core)
-    return place
-
-
-def tests_pass(place: Path, tests: Sequence[str]) -> tuple[bool, str]:
-    """Run tests in a copy; return whether they pass, and the last line that was said."""
-    # Without site, since the editable install's own importer would come before the copy.
-    paths = (place / "src", place / "sim", sysconfig.get_path("platlib"))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths)), "OPENBLAS_NUM_THREADS": "1"}
-    options = ["-q", "-x", "-m", "not long", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    limited = ["sh", "-c", f'ulimit -t {LIMIT}; exec "$@"', "sh"]
-    command = [*limited, sys.executable, "-S", "-m", "pytest", *options, *tests]
-    try:
-        run = subprocess.run(
-            command, cwd=place, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return False, f"took more than {PATIENCE} s"
-    said = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return run.returncode == 0, (said or run.stdout.splitlines()[-1:] or [run.stderr[-200:]])[0][:200]
 
 
 def tried(mutant: Mutant, place: Path) -> dict[str, object]:
@@ -208,18 +167,6 @@ def main() -> int:
             with args.journal.open("a") as out:
                 out.write(json.dumps(result) + "\n")
     return told(results)
-
-
-def told(results: Sequence[dict[str, object]]) -> int:
-    """Print scores and survivors; return how many survived."""
-    survivors = [result for result in results if result["survived"]]
-    total, left = (Counter(str(result["module"]) for result in some) for some in (results, survivors))
-    for module, count in total.items():
-        print(f"{module}: {count - left[module]} of {count} noticed")
-    for result in survivors:
-        print(f"{result['module']}:{result['line']}: {result['before']}  ->  {result['after']}")
-    print(f"{len(results) - len(survivors)} of {len(results)} mutants noticed")
-    return len(survivors)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,137 @@
+"""Break the native core in one place at a time and see whether tests notice: the edits of `native_edits.py`.
+
+python .ci/native_mutants.py [--journal FILE] [--minutes M] [--only TEXT] [--place FOLDER]
+
+All of them are compiled at once, for the baseline alone: each edited expression becomes a choice between the original
+and its edit, by a number in the environment. So the core is compiled once, not a hundred times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mutated import ROOT, copied, tests_pass, told
+from native_edits import EDITS
+
+NATIVE = Path("src/graceful_plan/core/native")
+VARIABLE = "GP_MUTANT"
+CHOICE = f"""#pragma once
+#include <cstdlib>
+inline const int gp_mutant = [] {{
+  const char* said = std::getenv("{VARIABLE}");
+  return said ? std::atoi(said) : -1;
+}}();
+"""
+BASELINE = {
+    Path("CMakeLists.txt"): (
+        ("  list(APPEND GP_ISAS v3 v4)\n", ""),
+        ("set(GP_KERNEL_FLAGS -O3", "set(GP_KERNEL_FLAGS -O1"),
+    ),
+    NATIVE / "core.hpp": (("#if defined(__x86_64__)\n  __builtin_cpu_init", "#if 0\n  __builtin_cpu_init"),),
+}
+"""What makes a build of one instruction set, quickly."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """An expression of a file in another one's place."""
+
+    number: int
+    file: str
+    before: str
+    after: str
+    tests: tuple[str, ...]
+
+    def entered(self, text: str) -> str:
+        """Return the file's text with a choice in place of the expression.
+
+        Operators that stand before the expression belong to it, so that `a - b` may become `a + b`.
+        """
+        begin, rest = self.before.split("«")
+        old, end = rest.split("»")
+        if text.count(begin + old + end) != 1:
+            raise SystemExit(f"{self.file} has this {text.count(begin + old + end)} times: {begin + old + end}")
+        sign = "+ " if old[:2] in ("+ ", "- ") else ""
+        choice = f"{sign}(gp_mutant == {self.number} ? ({self.after}) : ({old}))"
+        return text.replace(begin + old + end, begin + choice + end)
+
+
+def edits() -> Iterator[Edit]:
+    """Number the edits."""
+    number = 0
+    for file, (tests, some) in EDITS.items():
+        for before, after in some:
+            yield Edit(number, file, before, after, tests)
+            number += 1
+
+
+def replaced(file: Path, *changes: tuple[str, str]) -> None:
+    """Replace texts, each of which a file has once."""
+    text = file.read_text(encoding="utf-8")
+    for old, new in changes:
+        if text.count(old) != 1:
+            raise SystemExit(f"{file} has {text.count(old)} times: {old}")
+        text = text.replace(old, new)
+    file.write_text(text, encoding="utf-8")
+
+
+def built(place: Path) -> None:
+    """Enter all edits into a copy of the tree, compile it, and put the result where the copy's tests find it."""
+    for edit in edits():
+        file = place / NATIVE / edit.file
+        file.write_text(edit.entered(file.read_text(encoding="utf-8")), encoding="utf-8")
+    for name, changes in BASELINE.items():
+        replaced(place / name, *changes)
+    chosen = place / "choice.hpp"
+    chosen.write_text(CHOICE, encoding="utf-8")
+    out = place / "built"
+    options = ["-G", "Ninja", f"-DPython_EXECUTABLE={sys.executable}", f"-DCMAKE_CXX_FLAGS=-include {chosen}"]
+    subprocess.run(["cmake", "-S", place, "-B", out, *options], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(["cmake", "--build", out, "--parallel", "1", "--target", "_native"], check=True)
+    (native,) = out.glob("_native*.so")
+    (old,) = (place / "src/graceful_plan/core").glob("_native*.so")
+    os.replace(native, old)
+
+
+def main() -> int:
+    """Try edits and print the share that was noticed, and those that were not."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin no further edit after this time")
+    parser.add_argument("--only", default="", help="edits of files whose names have this in them")
+    parser.add_argument("--place", type=Path, help="keep what is compiled there, and go on with what is there")
+    parser.add_argument("--journal", type=Path, default=ROOT / "build" / "native_mutants.jsonl")
+    args = parser.parse_args()
+    end = time.monotonic() + 60.0 * args.minutes
+    args.journal.parent.mkdir(exist_ok=True)
+    args.journal.touch()
+    results = [json.loads(line) for line in args.journal.open()]
+    known = {(result["module"], result["before"]) for result in results}
+    with tempfile.TemporaryDirectory() as scratch:
+        place = args.place or Path(scratch)
+        if not (place / "built").exists():
+            built(copied(place))
+        for tests in sorted({tests for tests, _ in EDITS.values()}):
+            if not (found := tests_pass(place, tests))[0]:
+                raise SystemExit(f"{tests} fail as it is: {found[1]}")
+        for edit in edits():
+            if (edit.file, edit.before) in known or args.only not in edit.file or time.monotonic() > end:
+                continue
+            survived, said = tests_pass(place, edit.tests, **{VARIABLE: str(edit.number)})
+            result = {"module": edit.file, "before": edit.before, "after": edit.after}
+            results.append({**result, "survived": survived, "said": said, "line": 0})
+            with args.journal.open("a") as out:
+                out.write(json.dumps(results[-1]) + "\n")
+    return told(results)
+
+
+if __name__ == "__main__":
+    main()
