@@ -122,7 +122,7 @@ EDITS = {
             ("«2.0 * k.leave_tilt * flight.tilt»", "0.0 * flight.tilt"),
             ("arrives *= «missed»", "(1.0 - missed)"),
             ("keep -= «caught»", "D{}"),
-            ("mass = mass * keep «+ leaving»", "+ 0.5 * leaving"),
+            ("mass = «mass * keep + leaving»", "mass * keep + 0.5 * leaving"),
             ("top = «landing.height + flight.high - flight.low»", "landing.height + flight.high"),
         ),
     ),

@@ -8,7 +8,9 @@ import pytest
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free, state_contacts
-from graceful_plan.query.goals import MOST_GOALS, resolve_goal, resolve_start
+from graceful_plan.query import usable as usable_module
+from graceful_plan.query.goals import resolve_goal, resolve_start
+from graceful_plan.query.usable import MOST_GOALS
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene
@@ -68,6 +70,35 @@ def test_of_too_many_goals_the_nearest_are_planned_for(scene: Scene, start: np.n
     hurried = resolve_goal(goals, scene, start, cancelled=lambda: True)
     assert len(hurried.index) and "no time to look at" in hurried.detail
     assert set(exactly_free(hurried.q, scene)) == {True}
+
+
+def test_of_twenty_thousand_goals_only_the_nearest_are_looked_at(
+    scene: Scene, start: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+    monkeypatch.setattr(usable_module, "exactly_free", lambda q, scene: seen.extend(q) or exactly_free(q, scene))
+    goals = np.random.default_rng(3).uniform(*scene.limits.position.T, (20_000, 7))
+    resolved = resolve_goal(goals, scene, start)
+    assert len(resolved.index) == MOST_GOALS and len(seen) < 4000
+    away = np.linalg.norm(goals - start, axis=1)
+    nearest = np.argsort(away)[: len(seen) + MOST_GOALS]
+    assert set(resolved.index) <= set(nearest.tolist())
+    passed_over = np.setdiff1d(np.flatnonzero(away < away[list(resolved.index)].max()), resolved.index)
+    assert len(passed_over) > 100 and not exactly_free(goals[passed_over], scene).any()
+
+
+def test_who_is_in_a_hurry_looks_on_until_one_is_usable(scene: Scene, start: np.ndarray, colliding: np.ndarray) -> None:
+    """Of goals that collide but for the last, and of those among which the first are free."""
+    goals = np.tile(colliding, (300, 1))
+    goals[-1] = scene.keyframes["ready"]
+    late = start + np.sign(colliding - start) * np.abs(colliding - scene.keyframes["ready"]).max()
+    assert resolve_goal(goals, scene, late, hurried=lambda: True).index == (299,)
+    goals[:30] = start
+    several: list[object] = [*goals, PoseGoal.at([3.0, 0.0, 0.5])]
+    for given in (goals, several):
+        resolved = resolve_goal(given, scene, start, hurried=lambda: True)
+        assert set(range(30)) <= set(resolved.index) and "no time to look at" in resolved.detail
+    assert resolve_goal(several, scene, start).index == (*range(30), 299)
 
 
 def test_a_goal_among_a_thousand_that_cannot_be_used_is_found(scene: Scene, start: np.ndarray) -> None:

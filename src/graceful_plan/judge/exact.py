@@ -139,9 +139,10 @@ def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True)
 
 def exactly_free(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
     """Tell which configurations may be the start or the goal: nothing collides, but for allowed contacts at an end."""
-    judge, ok = Judge(scene), np.ones(len(q), dtype=bool)
-    ok[[touch.sample for touch in judge.touches(q) if judge.is_violation(touch, at_end=True)]] = False
-    return ok
+    judge = Judge(scene)
+    # Row by row, since the first violation of a configuration is enough.
+    collides = [any(judge.is_violation(touch, at_end=True) for touch in judge.touches(row[None])) for row in q]
+    return ~np.array(collides, dtype=bool)
 
 
 def motion_violations(

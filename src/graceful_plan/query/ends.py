@@ -11,13 +11,17 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.path import Path
 from graceful_plan.query.escape import TARGET_CLEARANCE, way_out
-from graceful_plan.query.goals import Configuration, Goal, Resolved, has_poses, resolve_goal, resolve_start
+from graceful_plan.query.goals import Configuration, Goal, has_poses, resolve_goal, resolve_start
+from graceful_plan.query.usable import Resolved
 from graceful_plan.result import PlanResult, PlanStatus
 
 Array = np.ndarray
 
 _SHARE_OF_GOALS = 0.6
 """Of the time, for inverse kinematics: what it has found by then is what there is to choose from."""
+_SHARE_OF_SETS, _SHARE_OF_WAYS = 0.2, 0.3
+"""Of the time, for exact geometry's look at more configurations once one is usable, and for ways out of more of them
+once one has clearance: the nearest come first, and a motion to one of them is worth more than a look at another."""
 _TOLD = 5
 """Goals that are told what they are lacking."""
 _NO_WAY = "{}: free, but no short move leads to 2 mm of clearance of the planner's sphere model"
@@ -84,7 +88,14 @@ def find_ends(
     starts = constrained("start", resolve_start(start, scene), constraints)
     if not len(starts.q):
         return PlanResult(status=PlanStatus.INVALID_START, detail=starts.detail)
-    found = resolve_goal(goal, scene, starts.q[0], seed=seed, cancelled=lambda: cancelled() or late(_SHARE_OF_GOALS))
+    found = resolve_goal(
+        goal,
+        scene,
+        starts.q[0],
+        seed=seed,
+        cancelled=lambda: cancelled() or late(_SHARE_OF_GOALS),
+        hurried=lambda: late(_SHARE_OF_SETS),
+    )
     goals = constrained("goal", found, constraints)
     if cancelled():
         return PlanResult(status=PlanStatus.CANCELLED, detail="before the search")
@@ -93,7 +104,7 @@ def find_ends(
     if not len(goals.q):
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=goals.detail)
     held = constraints.around(np.vstack([starts.q[:1], goals.q]))
-    ends = ways_out(starts.q[0], goals.q, held, rng, cancelled, lambda: late(1.0))
+    ends = ways_out(starts.q[0], goals.q, held, rng, cancelled, late)
     if isinstance(ends, PlanResult):
         return ends
     index = tuple(goals.index[k] for k in ends.goal_index)
@@ -115,12 +126,12 @@ def ways_out(
     constraints: SceneConstraints,
     rng: np.random.Generator,
     cancelled: Callable[[], bool] = lambda: False,
-    late: Callable[[], bool] = lambda: False,
+    late: Callable[[float], bool] = lambda _: False,
 ) -> Ends | PlanResult:
     """Find a way from the start, and to as many goals as have one; a result that says so if there is none."""
 
     def over() -> bool:
-        return cancelled() or late()
+        return cancelled() or late(1.0)
 
     departure = way_out(start, constraints, rng, over=over)
     if departure is None and over():
@@ -132,12 +143,12 @@ def ways_out(
     tight = np.flatnonzero(~clear)
     nearest = tight[np.argsort(np.linalg.norm(goals[tight] - start, axis=1), kind="stable")]
     for tried, k in enumerate(nearest):
-        if over() and (tried or ways):
+        if (over() and (tried or ways)) or (ways and late(_SHARE_OF_WAYS)):
             break
         found = way_out(goals[k], constraints, rng, over=over)
         ways += [(int(k), found.reversed())] if found is not None else []
     arrivals = sorted(ways, key=lambda way: way[0])
-    if cancelled() or (not arrivals and late()):
+    if cancelled() or (not arrivals and late(1.0)):
         return _ended(cancelled())
     if not arrivals:
         return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_NO_WAY.format("goal"))
