@@ -33,13 +33,18 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 import failbench
 import graceful_plan as gp
 from failbench import scenario
 from failbench.calibrations.failures import Failures, read_failures, write_failures
+from failbench.policies.adapters import REACH
+from failbench.policies.mlp import Mlp
+from failbench.sweeps.dataset import read_manifest
 from failbench.sweeps.sweep import read_sweep
 from failbench.sweeps.work import Sweep, SweepMotion
+from failbench.traces.folder import chosen
 from graceful_plan import documents, kept
 from graceful_plan.compare.problems.suite import load_suite
 from graceful_plan.compare.runs.best_motions import BestMotions
@@ -49,8 +54,11 @@ from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.spill.constants import SpillSettings
+from graceful_plan.floor.files.moving_ai import MovingAIScenario, read_scenarios, write_scenarios
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.urdf.srdf import read_srdf
+from graceful_plan.viewer.opening import asked
+from graceful_plan.viewer.recorded import RecordedRollouts
 
 SLOW = 10
 """Seconds after which a reader counts as hanging."""
@@ -173,6 +181,12 @@ def scene_of(scene: gp.Scene) -> dict[str, Any]:
     return {name: getattr(model, name) for name in names} | {"tasks": dict(scene.tasks)}
 
 
+def floor_of(file: Path) -> Any:
+    """What a map of map_server says."""
+    floor = gp.FloorMap.from_map_server(file)
+    return floor.occupancy, floor.resolution, floor.origin, floor.distance
+
+
 def front_of(front: gp.ParetoFront) -> list[Any]:
     """Numbers of a front; the weights that its points are the best for go to infinity."""
     return [(point.path, point.trajectory, point.cost) for point in front.points]
@@ -225,6 +239,20 @@ READERS: Mapping[str, Reader] = {
     "sweep": Reader(("sweep/journal.sqlite",), lambda f: read_sweep(f / "sweep")),
     "sweep JSON": Reader(("sweep.json",), lambda f: Sweep.from_json(f / "sweep.json")),
     "failures": Reader(("failures.npz",), lambda f: read_failures(f / "failures.npz")),
+    "network": Reader(("net.npz",), lambda f: (lambda net: (net.weights, net.biases))(Mlp.load(f / "net.npz"))),
+    "rollouts to look at": Reader(
+        ("sweep/manifest.json", "sweep/rollouts/part-00000.parquet"),
+        lambda f: RecordedRollouts(f / "sweep", 1.0).worst_first(),
+    ),
+    "rollouts to trace": Reader(
+        ("sweep/manifest.json",), lambda f: chosen(Sweep.from_document(read_manifest(f / "sweep")["sweep"]), None)
+    ),
+    "scene to look at": Reader(("desk.yaml", "desk.xml"), lambda f: asked(f / "desk.yaml")[0].start),
+    "map of map_server": Reader(("floor.yaml", "floor.pgm"), lambda f: floor_of(f / "floor.yaml")),
+    "map of shares": Reader(("scale.yaml", "scale.pgm"), lambda f: floor_of(f / "scale.yaml")),
+    "map as PNG": Reader(("grey.yaml", "grey.png"), lambda f: floor_of(f / "grey.yaml")),
+    "map of MovingAI": Reader(("floor.map",), lambda f: gp.FloorMap.from_moving_ai(f / "floor.map").distance),
+    "scenarios of MovingAI": Reader(("floor.scen",), lambda f: read_scenarios(f / "floor.scen")),
     "kept array": Reader((f"{'0' * 64}.npz",), kept_array),
 }
 ANY_NUMBER = frozenset({"kept array", "failures", "comparison"})
@@ -276,7 +304,25 @@ def write_valid(folder: Path) -> None:
     (folder / "sweep.json").write_text(json.dumps(sweep.to_document()))
     failbench.generate(sweep, folder / "sweep")
     write_some_failures(folder / "failures.npz")
+    write_maps(folder)
+    shutil.copy(REACH, folder / "net.npz")
     np.savez(folder / f"{'0' * 64}.npz", values=np.arange(6.0))
+
+
+def write_maps(folder: Path) -> None:
+    """Write a floor as map_server's files with a PGM, a plain one and a PNG, and as MovingAI's."""
+    occupancy = np.where(np.random.default_rng(0).random((9, 12)) < 0.3, 100, 0)
+    floor = gp.FloorMap(occupancy=occupancy, resolution=0.1, origin=(1.0, -1.0, 0.3))
+    floor.save(folder / "floor.yaml")
+    floor.save_moving_ai(folder / "floor.map")
+    write_scenarios(folder / "floor.scen", [MovingAIScenario((0, 0), (11, 8), 15.5)] * 9, "floor.map", (9, 12))
+    said = (folder / "floor.yaml").read_text()
+    (folder / "scale.yaml").write_text(said.replace("floor.pgm", "scale.pgm").replace("trinary", "scale"))
+    (folder / "scale.pgm").write_text("P2\n# plain\n12 9\n1000\n" + "\n".join(map(str, range(0, 972, 9))) + "\n")
+    (folder / "grey.yaml").write_text(said.replace("floor.pgm", "grey.png"))
+    Image.fromarray(np.dstack([np.where(occupancy, 0, 254), np.full((9, 12), 255)]).astype(np.uint8)).save(
+        folder / "grey.png"
+    )
 
 
 def write_meshes(folder: Path) -> None:

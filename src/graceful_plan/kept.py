@@ -34,6 +34,7 @@ _BROKEN = (
     zipfile.BadZipFile,
     zlib.error,
     NotImplementedError,
+    MemoryError,
 )
 
 

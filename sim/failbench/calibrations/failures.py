@@ -8,12 +8,10 @@ touched in the healthy run.
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -31,6 +29,7 @@ from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import AHEAD
 from graceful_plan.costs.objective import moving_batch
 from graceful_plan.exceptions import FormatError, SettingError
+from graceful_plan.formats.npz_file import read_arrays
 
 Array = np.ndarray
 
@@ -225,19 +224,19 @@ def read_failures(file: str | FilePath) -> list[Failures]:
     Raises:
         FormatError: If it is something else.
     """
+    data = read_arrays(file)
     try:
-        with FilePath(file).open("rb") as source, np.load(source, allow_pickle=False) as data:
-            document = json.loads(str(data["about"]))
-            if (document["schema"], document["version"]) != (_SCHEMA, _VERSION):
-                raise FormatError(str(file), f"not {_SCHEMA} of version {_VERSION}")
-            return [
-                Failures(
-                    **{name: tuple(x) if isinstance(x, list) else x for name, x in about.items()},
-                    **{name: data[f"{i}.{name}"] for name in _ARRAYS},
-                )
-                for i, about in enumerate(document["motions"])
-            ]
+        document = json.loads(str(data["about"]))
+        if (document["schema"], document["version"]) != (_SCHEMA, _VERSION):
+            raise FormatError(str(file), f"not {_SCHEMA} of version {_VERSION}")
+        return [
+            Failures(
+                **{name: tuple(x) if isinstance(x, list) else x for name, x in about.items()},
+                **{name: data[f"{i}.{name}"] for name in _ARRAYS},
+            )
+            for i, about in enumerate(document["motions"])
+        ]
     except FormatError:
         raise
-    except (ValueError, KeyError, TypeError, OSError, EOFError, BadZipFile, zlib.error, NotImplementedError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FormatError(str(file), f"no file of failures: {error}") from None

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import FormatError, ShapeError
+from graceful_plan.formats.npz_file import read_arrays
 
 Array = np.ndarray
 
@@ -69,11 +68,7 @@ class Mlp:
         Raises:
             FormatError: If it is no such file.
         """
-        try:
-            with open(file, "rb") as stream, np.load(stream, allow_pickle=False) as found:
-                arrays: dict[str, ArrayLike] = {name: found[name] for name in found.files}
-        except (OSError, ValueError, EOFError, BadZipFile) as error:
-            raise FormatError(str(file), f"is no .npz file of arrays: {error}") from error
+        arrays = read_arrays(file)
         layers = range(len(arrays) // 2)
         wanted = {f"{kind}{i}" for i in layers for kind in "wb"}
         if not arrays or set(arrays) != wanted:

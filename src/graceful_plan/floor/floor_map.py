@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.floor.files.map_server import read_map_server, write_map_server
+from graceful_plan.floor.files.map_server import FARTHEST, RESOLUTIONS, read_map_server, write_map_server
 from graceful_plan.floor.files.moving_ai import read_moving_ai, write_moving_ai
 from graceful_plan.floor.furnishing import furnished
 from graceful_plan.floor.slicing import sliced
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.sensed.height_map import HeightMap
@@ -77,15 +77,18 @@ class FloorMap:
         occupancy = given.astype(np.int8)
         occupancy.flags.writeable = False
         object.__setattr__(self, "occupancy", occupancy)
-        if not (self.resolution > 0.0 and math.isfinite(self.resolution)):
-            raise SettingError("resolution", self.resolution, "a finite width of a cell above 0 [m]")
+        least, most = RESOLUTIONS
+        if not (is_real(self.resolution) and least <= self.resolution <= most):
+            raise SettingError("resolution", self.resolution, f"a width of a cell from {least:g} to {most:g} m")
         x, y, yaw = finite_array("origin", np.asarray(self.origin), ndim=1, last=3).tolist()
+        if max(abs(x), abs(y), abs(yaw)) > FARTHEST:
+            raise SettingError("origin", self.origin, f"numbers of at most {FARTHEST:g}")
         object.__setattr__(self, "origin", (x, y, yaw))
         object.__setattr__(self, "entities", tuple(self.entities))
         for solid in self.entities:
             if solid.entity is None:
                 raise SettingError(f"entity of {solid.name}", None, "a class of the severity table")
-        if not 1 <= self.occupied_from <= 100:
+        if not (is_real(self.occupied_from) and 1 <= self.occupied_from <= 100):
             raise SettingError("occupied_from", self.occupied_from, "a share from 1 to 100 per cent")
 
     # --- making one ---------------------------------------------------------------------------------------------------

@@ -73,15 +73,15 @@ def usable(
     inside = np.clip(q, lower, upper)
     excess = np.abs(q - inside).max(axis=1)
     outside, moved = np.flatnonzero(excess > CLAMPED), np.flatnonzero((excess > 0) & (excess <= CLAMPED))
-    notes = [f"{_beyond(words[i], q[i], scene)}; moved onto it" for i in moved[:_TOLD]]
+    notes = [f"{_beyond(words[i], q[i], scene)}; moved onto it" for i in map(int, moved[:_TOLD])]
     notes += [f"so were {len(moved) - _TOLD} more"] if len(moved) > _TOLD else []
 
     within = np.flatnonzero(excess <= CLAMPED)
     nearest = within[np.argsort(np.linalg.norm(inside[within] - start, axis=1), kind="stable")]
     free, blocked, unseen = _sorted_out(inside[nearest], scene, cancelled, hurried)
-    problems = [_beyond(words[i], q[i], scene) for i in outside[:_TOLD]]
+    problems = [_beyond(words[i], q[i], scene) for i in map(int, outside[:_TOLD])]
     problems += [f"no time to look at {unseen} of {len(q)}"] if unseen else []
-    problems += [collision(words[i], inside[i], scene) for i in nearest[blocked[:_TOLD]]]
+    problems += [collision(words[i], inside[i], scene) for i in map(int, nearest[blocked[:_TOLD]])]
     untold = len(outside[_TOLD:]) + len(blocked[_TOLD:])
     problems += [f"{untold} more of {len(q)} likewise"] if untold else []
     if len(free) > MOST_GOALS:

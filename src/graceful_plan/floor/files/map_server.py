@@ -19,6 +19,10 @@ from graceful_plan.yaml_file import Block, read_yaml
 
 Array = np.ndarray
 
+RESOLUTIONS = (1e-3, 100.0)
+"""Widths of cells that can be planned on [m]."""
+FARTHEST = 1e7
+"""Of an origin [m or rad]: maps may be in coordinates of a survey."""
 _KEYS = ("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
@@ -46,9 +50,12 @@ def read_map_server(file: Path, image: Path | None, most_cells: int) -> MapServe
         root = read_yaml(file)
         root.only(*_KEYS)
         resolution = root["resolution"].number()
-        if not 0.0 < resolution <= 1e3:
-            raise root["resolution"].error(f"a resolution of {resolution:g} m, expected one above 0 and at most 1000")
+        least, most = RESOLUTIONS
+        if not least <= resolution <= most:
+            raise root["resolution"].error(f"a resolution of {resolution:g} m, expected {least:g} to {most:g}")
         x, y, yaw = root["origin"].numbers(3)
+        if not max(abs(x), abs(y), abs(yaw)) <= FARTHEST:
+            raise root["origin"].error(f"numbers of at most {FARTHEST:g}")
         picture = _picture_file(root["image"], file) if image is None else image
         said = root.get("mode")
         mode = "trinary" if said is None else said.string()
@@ -90,16 +97,17 @@ def _thresholds(root: Block, mode: str) -> tuple[float, float]:
 def _occupancy(
     picture: GreyPicture, mode: str, negate: bool, thresholds: tuple[float, float]
 ) -> Int[Array, "row column"]:
+    grey = np.arange(picture.most + 1)
     if mode == "raw":
-        return np.where(picture.grey <= 100, picture.grey, -1).astype(np.int8)
+        return np.where(grey <= 100, grey, -1).astype(np.int8)[picture.grey]
     occupied, free = thresholds
-    share = picture.share if negate else (picture.most - picture.grey) / float(picture.most)
-    between = np.full(share.shape, -1.0)
-    if mode == "scale":
-        between = np.rint(100.0 * (share - free) / (occupied - free))
-        if picture.transparent is not None:
-            between[picture.transparent] = -1.0
-    return np.where(share > occupied, 100.0, np.where(share < free, 0.0, between)).astype(np.int8)
+    share = (grey if negate else picture.most - grey) / float(picture.most)
+    between = np.rint(100.0 * (share - free) / (occupied - free)) if mode == "scale" else np.full(share.shape, -1.0)
+    found = np.where(share > occupied, 100.0, np.where(share < free, 0.0, between)).astype(np.int8)[picture.grey]
+    if mode == "scale" and picture.transparent is not None:
+        certain = (share > occupied) | (share < free)
+        found[picture.transparent & ~certain[picture.grey]] = -1
+    return found
 
 
 def write_map_server(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Bool, Int
 from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
 
 Array = np.ndarray
@@ -32,11 +32,6 @@ class GreyPicture:
     grey: Int[Array, "row column"]
     most: int
     transparent: Bool[Array, "row column"] | None = None
-
-    @property
-    def share(self) -> Float[Array, "row column"]:
-        """How white the pixels are, from 0 to 1."""
-        return self.grey / float(self.most)
 
 
 def read_picture(file: Path, most_pixels: int) -> GreyPicture:
@@ -93,7 +88,7 @@ def _binary(content: bytes, most: int) -> Int[Array, " pixel"]:
 def _plain(file: Path, content: bytes) -> Int[Array, " pixel"]:
     if re.search(rb"[^0-9\s]|[0-9]{6}", content):
         raise FormatError(str(file), "the pixels of this plain PGM are not whole numbers of at most 5 digits")
-    return np.array(content.split(), dtype=np.int32)
+    return np.fromstring(content, dtype=np.int32, sep=" ")
 
 
 def _read_png(file: Path, head: bytes, most_pixels: int) -> GreyPicture:

@@ -1,0 +1,70 @@
+"""Arrays from NumPy's .npz files of strangers: what they say they hold is added up before any of it is made."""
+
+from __future__ import annotations
+
+import math
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+
+Array = np.ndarray
+
+MOST_BYTES = 2**30
+"""Of all arrays of a file together."""
+_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+_BROKEN = (
+    *NOT_READ,
+    KeyError,
+    EOFError,
+    TypeError,
+    SyntaxError,  # and the next one: from headers that are no Python
+    tokenize.TokenError,
+    RuntimeError,  # deep nesting, encryption
+    MemoryError,
+    NotImplementedError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def read_arrays(file: str | Path, most_bytes: int = MOST_BYTES) -> dict[str, Array]:
+    """Read the arrays of an .npz file by name. Nothing in it is run.
+
+    Raises:
+        FormatError: If it is broken, holds more than so many bytes or anything but arrays of numbers and texts, or is
+            not there.
+    """
+    try:
+        opened = Path(file).open("rb")
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error)) from None
+    try:
+        with opened, zipfile.ZipFile(opened) as archive:
+            needed = sum(_size(archive, member) for member in archive.infolist())
+            if needed > most_bytes:
+                raise FormatError(str(file), f"holds {needed} bytes of arrays; at most {most_bytes} are read")
+            opened.seek(0)
+            with np.load(opened, allow_pickle=False) as found:
+                return {name: found[name] for name in found.files}
+    except _BROKEN as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(str(file), f"is no .npz file of arrays: {error}") from None
+
+
+def _size(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
+    """Return how many bytes an array takes by its header, which has to be what the member holds."""
+    with archive.open(member) as content:
+        head: IO[Any] = content
+        shape, _, dtype = _HEADERS[npy.read_magic(head)](head)
+        size = math.prod(shape) * dtype.itemsize
+        if dtype.hasobject or min(shape, default=0) < 0 or size > member.file_size:
+            raise ValueError(f"{member.filename} has {member.file_size} bytes for {dtype} {shape}")
+        return size
