@@ -242,7 +242,7 @@ def test_a_scene_is_cut_where_something_stands_between_two_heights():
     with pytest.raises(SettingError, match="nothing is so high"):
         FloorMap.from_scene(scene, heights=(5.0, 6.0))
     with pytest.raises(SettingError, match="wider cells"):
-        FloorMap.from_scene(scene, resolution=1e-5)
+        FloorMap.from_scene(scene, resolution=1e-3, bounds=(0.0, 100.0, 0.0, 100.0))
 
 
 def test_a_turned_map_becomes_the_same_floor_as_a_scene():

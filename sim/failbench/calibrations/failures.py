@@ -224,7 +224,7 @@ def read_failures(file: str | FilePath) -> list[Failures]:
     Raises:
         FormatError: If it is something else.
     """
-    data = read_arrays(file)
+    data: dict[str, Any] = dict(read_arrays(file))
     try:
         document = json.loads(str(data["about"]))
         if (document["schema"], document["version"]) != (_SCHEMA, _VERSION):

@@ -10,6 +10,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.control.drive_state import DriveCommand, DriveState, wrapped
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
@@ -42,9 +43,14 @@ def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: flo
         before: What it was told before.
         base: Its limits.
         dt: Time between the two [s], above 0.
+
+    Raises:
+        SettingError: If the time is not above 0.
+        NonFiniteError: If a speed is not finite.
     """
     if not dt > 0.0:
         raise SettingError("dt", dt, "a time above 0 s")
+    finite_array("wanted and before", [wanted, before], ndim=2, last=2)
     least = -base.v_max if base.reverse else 0.0
     v = min(max(wanted.v, before.v - base.a_max * dt, least), before.v + base.a_max * dt, base.v_max)
     omega = min(max(wanted.omega, before.omega - base.alpha_max * dt), before.omega + base.alpha_max * dt)
@@ -71,6 +77,12 @@ class Pivot:
     still: float = 0.0
     bend: float = 0.0
     acceleration: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("still", "bend", "acceleration"):
+            value = getattr(self, name)
+            if not (is_real(value) and math.isfinite(value)) or (name == "acceleration" and value <= 0.0):
+                raise SettingError(f"Pivot.{name}", value, "a finite number, of the acceleration above 0")
 
     def ahead(self, v: float, omega: float) -> float:
         """Return how far ahead of the origin it is [m]."""
@@ -112,7 +124,7 @@ class Tracking:
     def __post_init__(self) -> None:
         for name in ("k_x", "k_y", "k_h", "k_rate", "k_integral", "lead", "share"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
+            if not (is_real(value) and math.isfinite(value) and value >= 0.0):
                 raise SettingError(f"Tracking.{name}", value, "a finite number of at least 0")
 
     def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:
@@ -121,7 +133,11 @@ class Tracking:
         Args:
             state: Where the base is and how fast.
             wanted: Where it should be now and how fast.
+
+        Raises:
+            NonFiniteError: If a number is not finite.
         """
+        finite_array("state and wanted", [state, wanted], ndim=2, last=5)
         c, s = math.cos(state.yaw), math.sin(state.yaw)
         dx, dy = wanted.x - state.x, wanted.y - state.y
         ahead = self.pivot.ahead(wanted.v, wanted.omega)

@@ -11,9 +11,16 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real
 
 Array = np.ndarray
+
+FARTHEST = 1e4
+"""Of places [m], and of angles [rad]."""
+FASTEST = 1e3
+"""[m/s, rad/s]."""
+MOST_PLACES = 100_000
+"""Of a path that a controller follows: it looks at all of it again for every command."""
 
 
 class DriveState(NamedTuple):
@@ -55,7 +62,8 @@ class Surroundings:
     Raises:
         ShapeError: If the arrays do not fit together.
         NonFiniteError: If a number is NaN or infinite.
-        SettingError: If a severity or a size is below 0, or a shape is of an entity that has no severity.
+        SettingError: If a severity or a size is below 0, a direction is not of length 1, a number is too large, or a
+            shape is of an entity that has no severity.
     """
 
     shape: Float[Array, "shape 7"]
@@ -70,17 +78,26 @@ class Surroundings:
         velocity: ArrayLike | None = None,
         severity: ArrayLike | tuple[()] = (),
     ) -> None:
-        rows = finite_array("shape", np.asarray(shape, dtype=float).reshape(-1, 7), ndim=2)
-        owner = np.full(len(rows), -1) if entity is None else np.asarray(entity)
-        moves = np.zeros((len(rows), 2)) if velocity is None else finite_array("velocity", velocity, ndim=2)
-        worth = finite_array("severity", np.asarray(severity, dtype=float), ndim=1)
+        rows = finite_array("shape", shape)
+        rows = finite_array("shape", rows if rows.size else rows.reshape(0, 7), ndim=2, last=7)
+        owner = np.full(len(rows), -1) if entity is None else finite_array("entity", entity, ndim=1)
+        moves = np.zeros((len(rows), 2)) if velocity is None else finite_array("velocity", velocity)
+        worth = (
+            np.zeros(0) if isinstance(severity, tuple) and not severity else finite_array("severity", severity, ndim=1)
+        )
         for name, given, expected in (("entity", owner, (len(rows),)), ("velocity", moves, (len(rows), 2))):
             if given.shape != expected:
                 raise ShapeError(name, given.shape, f"{expected}, a row for each shape")
         if (rows[:, 4:] < 0.0).any() or (worth < 0.0).any():
             raise SettingError("shape", rows[:, 4:], "sizes and severities of at least 0")
-        if len(owner) and not (-1 <= owner.min() and owner.max() < len(worth)):
-            raise SettingError("entity", int(owner.max()), f"below {len(worth)}, the number of severities; -1 for none")
+        if len(owner) and not (-1 <= owner.min() and owner.max() < len(worth) and (owner == np.rint(owner)).all()):
+            valid = f"whole numbers below {len(worth)}, the number of severities; -1 for none"
+            raise SettingError("entity", float(owner.max()), valid)
+        for name, given, most in (("shape", rows, FARTHEST), ("velocity", moves, FASTEST), ("severity", worth, 1e15)):
+            if given.size and np.abs(given).max() > most:
+                raise SettingError(name, float(np.abs(given).max()), f"numbers of at most {most:g}")
+        if (np.abs(np.hypot(rows[:, 2], rows[:, 3]) - 1.0) > 1e-3).any():
+            raise SettingError("shape", rows[:, 2:4], "directions of length 1: cosine and sine of an angle")
         for name, value in (
             ("shape", np.ascontiguousarray(rows)),
             ("entity", np.ascontiguousarray(owner, dtype=np.int32)),
@@ -106,12 +123,13 @@ class Surroundings:
             velocity: Of each [m/s].
             severity: Of each, if they are entities; 0 for what is none.
         """
-        places = np.asarray(centre, dtype=float).reshape(-1, 2)
+        places = np.atleast_2d(finite_array("centre", centre))
+        places = finite_array("centre", places if places.size else places.reshape(0, 2), ndim=2, last=2)
         n = len(places)
-        rows = np.column_stack([places, np.ones(n), np.zeros((n, 3)), np.broadcast_to(radius, (n,))])
+        rows = np.column_stack([places, np.ones(n), np.zeros((n, 3)), _for_each("radius", radius, n)])
         if severity is None:
             return cls(rows, velocity=velocity)
-        worth = np.broadcast_to(np.asarray(severity, dtype=float), (n,))
+        worth = _for_each("severity", severity, n)
         entity = np.where(worth > 0.0, np.cumsum(worth > 0.0) - 1, -1)
         return cls(rows, entity, velocity, worth[worth > 0.0])
 
@@ -119,3 +137,41 @@ class Surroundings:
 def wrapped(angle: float) -> float:
     """Return an angle in [-pi, pi)."""
     return math.remainder(angle, 2.0 * math.pi)
+
+
+def checked_state(state: DriveState) -> DriveState:
+    """Return a state that controllers may reckon with.
+
+    Raises:
+        ShapeError: If it is not five numbers.
+        NonFiniteError: If one of them is not finite: a base that does not know where it is has to be stopped.
+        SettingError: If one of them is too large.
+    """
+    row = finite_array("state", list(state), ndim=1, last=5)
+    if np.abs(row[:3]).max() > FARTHEST or np.abs(row[3:]).max() > FASTEST:
+        raise SettingError("state", row.tolist(), f"places and angles up to {FARTHEST:g}, speeds up to {FASTEST:g}")
+    return DriveState(*row.tolist())
+
+
+def checked_places(path: ArrayLike) -> Float[Array, "n 2"]:
+    """Return a path on the floor, of whose columns the first two count.
+
+    Raises:
+        ShapeError: If it has not from one to `MOST_PLACES` rows of at least two columns.
+        NonFiniteError: If a number of it is not finite.
+        SettingError: If a place is too far away.
+    """
+    places = finite_array("path", path)
+    if places.ndim != 2 or places.shape[1] < 2 or not 1 <= len(places) <= MOST_PLACES:
+        raise ShapeError("path", places.shape, f"(1 to {MOST_PLACES}, 2)")
+    places = np.ascontiguousarray(places[:, :2])
+    if np.abs(places).max() > FARTHEST:
+        raise SettingError("path", float(np.abs(places).max()), f"places up to {FARTHEST:g} m")
+    return places
+
+
+def _for_each(name: str, value: ArrayLike | float, n: int) -> Float[Array, " n"]:
+    given = finite_array(name, [value] * n if is_real(value) else value)  # type: ignore[arg-type]
+    if given.shape != (n,):
+        raise ShapeError(name, given.shape, f"() or ({n},)")
+    return given

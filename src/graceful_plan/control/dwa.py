@@ -27,12 +27,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.control.diff_drive_controller import limited
-from graceful_plan.control.drive_state import DriveCommand, DriveState, Surroundings
+from graceful_plan.control.drive_state import DriveCommand, DriveState, Surroundings, checked_places, checked_state
 from graceful_plan.core import _native
 from graceful_plan.costs.models.coast.coast import coasting_arrays
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.coast.tables import coast_tables
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_scene
@@ -90,8 +91,11 @@ class DWA:
     def __post_init__(self) -> None:
         for name in ("heading", "velocity", "path", "clearance", "impact", "margin", "ahead", "tolerance"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
+            if not (is_real(value) and math.isfinite(value) and value >= 0.0):
                 raise SettingError(f"DWA.{name}", value, "a finite number of at least 0")
+        for name in ("most_impact", "horizon", "period", "window", "near"):
+            if not is_real(getattr(self, name)):
+                raise SettingError(f"DWA.{name}", getattr(self, name), "a number")
         if not self.most_impact >= 0.0:
             raise SettingError("DWA.most_impact", self.most_impact, "a number of at least 0")
         if not 0.05 <= self.horizon <= 60.0:
@@ -179,8 +183,15 @@ class DynamicWindow:
             path: Where to go, from place to place; it stops at the last one [m].
             around: What stands and moves there.
             every: Whether all candidates are looked at, which changes nothing but the time that it takes.
+
+        Raises:
+            ShapeError: If state or path are not of the right shape.
+            NonFiniteError: If a number of them is not finite: a base that does not know where it is has to be stopped.
+            SettingError: If a number of them is too large.
         """
-        places = np.ascontiguousarray(np.asarray(path, dtype=float)[:, :2])
+        state, places = checked_state(state), checked_places(path)
+        if not isinstance(around, Surroundings):
+            raise SettingError("around", around, "Surroundings, such as those of `seen`")
         if np.hypot(*(places[-1] - [state.x, state.y])) <= self.settings.tolerance and self.scene.base is not None:
             told = limited(
                 DriveCommand(0.0, 0.0), DriveCommand(state.v, state.omega), self.scene.base, self.settings.period

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.control.drive_state import DriveCommand, DriveState, wrapped
+from graceful_plan.control.drive_state import DriveCommand, DriveState, checked_places, checked_state, wrapped
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
@@ -40,7 +41,7 @@ class PurePursuit:
 
     def __post_init__(self) -> None:
         for name in ("seconds", "nearest", "speed", "in_place"):
-            if not getattr(self, name) > 0.0:
+            if not (is_real(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise SettingError(f"PurePursuit.{name}", getattr(self, name), "a number above 0")
 
     def command(self, state: DriveState, path: Float[Array, "n 2"], base: DiffDrive) -> DriveCommand:
@@ -50,7 +51,13 @@ class PurePursuit:
             state: Where the base is.
             path: Places on the floor in W [m].
             base: Its limits; they hold for what is returned, accelerations do not (see `limited`).
+
+        Raises:
+            ShapeError: If state or path are not of the right shape.
+            NonFiniteError: If a number of them is not finite.
+            SettingError: If a number of them is too large.
         """
+        state, path = checked_state(state), checked_places(path)
         s, _ = foot(path, state)
         length = lengths(path)
         ahead = max(self.nearest, self.seconds * abs(state.v))

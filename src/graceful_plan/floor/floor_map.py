@@ -34,6 +34,8 @@ UNKNOWN = -1
 """Occupancy of a cell that nobody has seen."""
 MAX_CELLS = 2**26
 """Of a map: 8192 x 8192."""
+_FAR = 2.0**40
+"""Cells from the origin; what is farther is no less off the map."""
 WALL_HEIGHT = 1.0
 """Default height of what stands on occupied cells, as a scene [m]: above the bundled bases."""
 
@@ -65,7 +67,10 @@ class FloorMap:
     name: str = "floor"
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.occupancy)
+        try:
+            given = np.asarray(self.occupancy)
+        except ValueError:
+            raise ShapeError("occupancy", (), "(rows, columns), as many in each row") from None
         if given.ndim != 2 or given.size == 0 or given.size > MAX_CELLS:
             raise ShapeError("occupancy", given.shape, f"(rows, columns), at most {MAX_CELLS} cells")
         if given.dtype == bool:
@@ -84,8 +89,12 @@ class FloorMap:
         if max(abs(x), abs(y), abs(yaw)) > FARTHEST:
             raise SettingError("origin", self.origin, f"numbers of at most {FARTHEST:g}")
         object.__setattr__(self, "origin", (x, y, yaw))
-        object.__setattr__(self, "entities", tuple(self.entities))
+        object.__setattr__(self, "entities", tuple(self.entities or ()))
+        if not isinstance(self.name, str) or not self.name.isprintable():
+            raise SettingError("name", self.name, "a text without control characters")
         for solid in self.entities:
+            if not isinstance(solid, Solid):
+                raise SettingError("entities", solid, "Solids with a class")
             if solid.entity is None:
                 raise SettingError(f"entity of {solid.name}", None, "a class of the severity table")
         if not (is_real(self.occupied_from) and 1 <= self.occupied_from <= 100):
@@ -105,7 +114,7 @@ class FloorMap:
             FormatError: If a file is broken, truncated, too large or hostile, or not there.
         """
         read = read_map_server(Path(file), None if image is None else Path(image), MAX_CELLS)
-        return cls(occupancy=read.occupancy, resolution=read.resolution, origin=read.origin, name=Path(file).stem)
+        return cls(occupancy=read.occupancy, resolution=read.resolution, origin=read.origin, name=_name_of(file))
 
     @classmethod
     def from_moving_ai(cls, file: str | Path, resolution: float = 1.0) -> FloorMap:
@@ -115,7 +124,7 @@ class FloorMap:
             FormatError: If the file is broken, truncated or too large, or not there.
         """
         blocked = read_moving_ai(Path(file), MAX_CELLS)
-        return cls(occupancy=blocked, resolution=resolution, name=Path(file).stem)
+        return cls(occupancy=blocked, resolution=resolution, name=_name_of(file))
 
     @classmethod
     def from_scene(
@@ -210,15 +219,15 @@ class FloorMap:
 
     def cells(self, xy: Sequence[float] | ArrayLike) -> Int[Array, "*batch 2"]:
         """Return column and row of the cells that points of W are in; they may be off the map."""
-        return np.floor(self.on_map(xy) / self.resolution).astype(int)
+        return np.floor(np.clip(self.on_map(xy) / self.resolution, -_FAR, _FAR)).astype(int)
 
     def centres(self, cells: Sequence[Any] | ArrayLike) -> Float[Array, "*batch 2"]:
         """Return the centres in W [m] of cells, given by column and row."""
-        return self.in_world((np.asarray(cells, dtype=float) + 0.5) * self.resolution)
+        return self.in_world((finite_array("cells", np.asarray(cells), last=2) + 0.5) * self.resolution)
 
     def clearance(self, xy: Sequence[float] | ArrayLike) -> Float[Array, "*batch"]:
         """Return how far obstacles are from points of W, at least [m]; 0 off the map and on what is occupied."""
-        points = self.on_map(xy)
+        points = np.clip(self.on_map(xy), -_FAR * self.resolution, _FAR * self.resolution)
         cells = np.floor(points / self.resolution).astype(int)
         rows, columns = self.shape
         inside = np.all((cells >= 0) & (cells < (columns, rows)), axis=-1)
@@ -277,3 +286,8 @@ class FloorMap:
             keyframes=keyframes,
             name=self.name,
         )
+
+
+def _name_of(file: str | Path) -> str:
+    """Return a file's name as a text that any scene may have."""
+    return "".join(letter if letter.isprintable() else "_" for letter in Path(file).stem)

@@ -12,7 +12,8 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.exceptions import SettingError
-from graceful_plan.path import finite_array
+from graceful_plan.floor.files.map_server import RESOLUTIONS
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene import roles
 from graceful_plan.scene.scene import Scene
 
@@ -34,8 +35,9 @@ def sliced(
     low, high = finite_array("heights", np.asarray(heights), ndim=1, last=2).tolist()
     if not low < high:
         raise SettingError("heights", heights, "the lower one first [m]")
-    if not 0.0 < resolution < np.inf:
-        raise SettingError("resolution", resolution, "a finite width of a cell above 0 [m]")
+    least, most = RESOLUTIONS
+    if not (is_real(resolution) and least <= resolution <= most):
+        raise SettingError("resolution", resolution, f"a width of a cell from {least:g} to {most:g} m")
     model, data, probe = _with_probe(scene, resolution, high - low)
     kept = scene.robot_bodies | roles.held_bodies(scene.model, scene.notes)
     geoms = [

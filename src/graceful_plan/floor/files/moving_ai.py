@@ -141,5 +141,5 @@ def _content(file: Path, most: int) -> bytes:
 def _write(file: Path, content: bytes) -> None:
     try:
         file.write_bytes(content)
-    except OSError as error:
-        raise FormatError(str(file), f"cannot be written: {error.strerror}") from None
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error).replace("read", "written", 1)) from None

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
+
+_LEAST, _MOST = 1e-4, 1e3
+"""Of what a base has; of `wheel_max` times the radius too."""
 
 GRAVITY_SHARE = 2.0
 """Default of what friction and the load stand across the heading [m/s^2]: a fifth of gravity, which nothing aboard tips
@@ -57,17 +62,22 @@ class DiffDrive:
 
     def __post_init__(self) -> None:
         for name in ("joints", "wheels"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+            given = getattr(self, name)
+            if isinstance(given, str) or not isinstance(given, Iterable):
+                raise SettingError(f"DiffDrive.{name}", given, "names of joints")
+            object.__setattr__(self, name, tuple(given))
         if len(set(self.joints)) != 3 or not all(isinstance(name, str) for name in self.joints):
             raise SettingError("DiffDrive.joints", self.joints, "three names: slide x, slide y and hinge yaw")
-        if self.wheel_max is None:
-            object.__setattr__(self, "wheel_max", self.v_max / self.radius if self.radius else math.nan)
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name in ("joints", "wheels", "reverse"):
+            if item.name in ("joints", "wheels", "reverse") or (item.name == "wheel_max" and value is None):
                 continue
-            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0.0):
-                raise SettingError(f"DiffDrive.{item.name}", value, "a finite number above 0")
+            if not (is_real(value) and _LEAST <= value <= _MOST):
+                raise SettingError(f"DiffDrive.{item.name}", value, f"a finite number above 0, {_LEAST:g} to {_MOST:g}")
+        if self.wheel_max is None:
+            object.__setattr__(self, "wheel_max", self.v_max / self.radius)
+        if self.rim_max > _MOST:
+            raise SettingError("DiffDrive.wheel_max", self.wheel_max, f"at most {_MOST:g} m/s at the rim")
         if self.slip < 1.0:
             raise SettingError("DiffDrive.slip", self.slip, "at least 1, the share of wheels that do not slip")
         if self.load > 1.0:
