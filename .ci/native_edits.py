@@ -6,7 +6,12 @@ once in their file, so that a change of the core that moves them is noticed.
 
 from __future__ import annotations
 
-GEOMETRY = ("tests/core/test_kernels.py", "tests/core/test_many_spheres.py", "tests/core/test_cells.py")
+GEOMETRY = (
+    "tests/core/test_kernels.py",
+    "tests/core/test_many_spheres.py",
+    "tests/core/test_cells.py",
+    "tests/core/test_ball_among_shapes.py",
+)
 DROPS = ("tests/costs/models/test_drop_kernel.py", "tests/costs/models/test_drop.py")
 SPILLS = ("tests/costs/models/test_spill_model.py", "tests/costs/models/test_stop_spill.py")
 BODIES = ("tests/costs/models/test_body.py",)

@@ -243,6 +243,11 @@ def test_edge_cost_is_length_and_integral(table):
         step = COST_STEP + length / (len(s) - 1)
         assert abs(impact - exact) <= 0.5 * step * np.abs(np.diff(values)).sum() + 1e-9
     assert np.all(kernels.edge_costs(q0, q0, severity) == 0.0)
+    # Along a short edge the impact hardly changes, so that it is charged for just the length.
+    q = q0[kernels.impact(q0, severity) > 0.1]
+    short = kernels.edge_costs(q, q + 1e-9, severity)
+    assert len(q) > 3
+    np.testing.assert_allclose(short[:, 1] / short[:, 0], kernels.impact(q, severity), rtol=1e-6)
 
 
 # --- all of them ------------------------------------------------------------------------------------------------------

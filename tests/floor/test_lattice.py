@@ -219,7 +219,8 @@ def test_what_is_off_the_map_is_an_obstacle():
         distance=np.full((30, 30), 9.0), resolution=RESOLUTION, discs=DISCS, settings=settings,
         impact=np.ones((30, 30, 16)),
     )  # fmt: skip
-    assert lattice.path([1, 1, 0], [2.8, 1, 0]).status is LatticeStatus.GOAL_BLOCKED
+    for x in np.linspace(2.75, 2.999, 9):  # until only what is ahead of the middle is off the map
+        assert lattice.path([1, 1, 0], [x, 1, 0]).status is LatticeStatus.GOAL_BLOCKED
     assert lattice.path([1, 1, 0], [2.7, 1, math.pi / 2]).status is LatticeStatus.SOLVED
     rng = np.random.default_rng(0)
     for start, goal in rng.uniform([0.5, 0.5, -4], [2.5, 2.5, 4], (20, 2, 3)):

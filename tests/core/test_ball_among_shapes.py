@@ -1,0 +1,104 @@
+"""A ball on three slides among single shapes, where distances and their slopes are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.core.arrays import BoundArrays
+from graceful_plan.core.compile import compile_scene
+from graceful_plan.core.kernels import Kernels
+
+RADIUS = 0.05
+_SCENE = """
+<mujoco><compiler autolimits="true"/>
+<asset>{mesh}</asset>
+<custom><numeric name="robot/velocity_limit" data="1 1 1"/><numeric name="robot/acceleration_limit" data="1 1 1"/>
+</custom>
+<worldbody>
+  <body name="obstacle" pos="0.1 -0.05 0.07" quat="0.8 0.2 -0.3 0.45"><geom {geom}/></body>
+  <body name="robot/x"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body name="robot/y"><joint name="y" type="slide" axis="0 1 0" range="-1 1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <body name="robot/z"><joint name="z" type="slide" axis="0 0 1" range="-1 1"/><geom name="ball" size="0.05"/>
+        <site name="tool"/>
+  </body></body></body>
+</worldbody></mujoco>"""
+SOLIDS = {
+    "sphere": 'type="sphere" size="0.2"',
+    "capsule": 'type="capsule" size="0.15 0.2"',
+    "cylinder": 'type="cylinder" size="0.2 0.22"',
+    "box": 'type="box" size="0.2 0.25 0.3"',
+}
+
+
+def scene_of(geom: str, mesh: str = "") -> gp.Scene:
+    return gp.Scene.from_mjcf(_SCENE.format(geom=geom, mesh=mesh), robot="robot/", tool="tool")
+
+
+def places(n: int, seed: int, size: float = 1.0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-size, size, (n, 3))
+
+
+@pytest.mark.parametrize("shape", SOLIDS)
+def test_inside_the_gradient_leads_out_the_shortest_way(shape: str) -> None:
+    kernels = compile_scene(scene_of(SOLIDS[shape])).kernels
+    q = places(4000, 0, 0.4)
+    clearance, gradient = kernels.clearance_gradient(q)
+    within = clearance < -RADIUS - 0.01  # where the ball's centre is inside
+    assert within.sum() > 100
+    h = 5e-3
+    gained = kernels.clearance(q[within] + h * gradient[within]) - clearance[within]
+    assert np.mean(np.abs(gained - h) < 1e-5) > 0.95  # but for where two sides are as near
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_distances_to_blades_are_those_of_mujoco(seed: int) -> None:
+    """At edges that are so sharp that a point beside them sees one face of both."""
+    rng = np.random.default_rng(seed)
+    corners = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.1, 0.3, 0.01], [0.2, 0.1, -0.02]])[rng.permutation(4)]
+    vertices = " ".join(f"{x:.6g}" for x in corners.ravel())
+    scene = scene_of('name="blade" type="mesh" mesh="blade"', f'<mesh name="blade" vertex="{vertices}"/>')
+    ball, blade = scene.model.geom("ball").id, scene.model.geom("blade").id
+    q = places(400, seed, 0.5)
+    expected = np.array([mujoco.mj_geomDistance(scene.model, scene.data_at(x), ball, blade, 10.0, None) for x in q])
+    got, outside = compile_scene(scene).kernels.clearance(q), expected > 1e-3
+    np.testing.assert_allclose(got[outside], expected[outside], atol=2e-4)
+
+
+@pytest.mark.parametrize("shape", SOLIDS)
+def test_a_distance_that_is_kept_counts_like_a_margin(shape: str) -> None:
+    compiled = compile_scene(scene_of(SOLIDS[shape]))
+    bounds = replace(BoundArrays.none(len(compiled.world.kind)), keep=np.full(len(compiled.world.kind), 0.07))
+    kept = Kernels(compiled.robot, compiled.world, compiled.hazards, bounds=bounds)
+    q = places(2000, 1, 0.6)
+    plain = compiled.kernels.clearance(q)
+    np.testing.assert_allclose(kept.clearance(q), plain - 0.07, atol=2e-6)
+    certain = np.abs(plain - 0.07) > 1e-5
+    assert 100 < np.sum(plain[certain] > 0.07) < 1900
+    np.testing.assert_array_equal(kept.free(q)[certain], plain[certain] > 0.07)
+    np.testing.assert_array_equal(kept.edges_free(q, q)[certain], plain[certain] > 0.07)
+
+
+def test_no_obstacle_fits_between_two_samples_of_an_edge() -> None:
+    """What the ball touches for longer than a step is met, wherever on the edge it is; so is what it ends in."""
+    thin = 0.002
+    kernels = compile_scene(scene_of(f'type="sphere" size="{thin}"')).kernels
+    middle, reach = np.array([0.1, -0.05, 0.07]), RADIUS + thin
+    rng = np.random.default_rng(2)
+    for axis in range(3):
+        q0, q1 = np.tile(middle, (400, 1)), np.tile(middle, (400, 1))
+        q0[:, axis] -= rng.uniform(1.1 * reach, 0.9, 400)
+        q1[:, axis] += rng.uniform(1.1 * reach, 0.9, 400)
+        assert not kernels.edges_free(q0, q1, step=1.98 * reach).any()
+        q1[:, axis] = middle[axis] - reach + 2e-5
+        assert kernels.free(q0).all() and not kernels.free(q1).any()
+        for a, b in ((q0, q1), (q1, q0)):
+            assert not kernels.edges_free(a, b, step=0.5).any()
+        q1[:, axis] = middle[axis] - reach - 2e-5
+        assert kernels.edges_free(q0, q1, step=0.5).all()
