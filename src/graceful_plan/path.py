@@ -24,6 +24,20 @@ def is_real(value: object) -> TypeGuard[float]:
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
 
 
+def real_array(name: str, value: object) -> Float[Array, "..."]:
+    """Return `value` as a float64 array, in which there may be numbers that are not finite.
+
+    Raises:
+        ShapeError: If it is ragged, or holds anything but numbers.
+    """
+    try:
+        if isinstance(value, np.ma.MaskedArray):
+            value = np.ma.filled(value.astype(np.float64), np.nan)  # what is masked is not known
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None
+
+
 def finite_array(
     name: str, value: ArrayLike, *, ndim: int | None = None, last: int | None = None
 ) -> Float[Array, "..."]:
@@ -33,12 +47,7 @@ def finite_array(
         ShapeError: If it is ragged, of the wrong number of axes or of the wrong last axis.
         NonFiniteError: If it holds a NaN or an infinity.
     """
-    try:
-        if isinstance(value, np.ma.MaskedArray):
-            value = np.ma.filled(value.astype(np.float64), np.nan)  # what is masked is not known
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ShapeError(name, (), f"numbers in a rectangular array ({error})") from None
+    array = real_array(name, value)
     if (ndim is not None and array.ndim != ndim) or (last is not None and (array.ndim == 0 or array.shape[-1] != last)):
         axes = ["...", "n"] if ndim is None else ["n"] * ndim
         raise ShapeError(name, array.shape, f"({', '.join([*axes[:-1], str(last)] if last is not None else axes)})")

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import graceful_plan as gp
 from graceful_plan.control.diff_drive_controller import (
     Pivot,
     Tracking,
@@ -12,9 +13,9 @@ from graceful_plan.control.diff_drive_controller import (
     limited,
     wheel_speeds,
 )
-from graceful_plan.control.drive_state import DriveCommand, DriveState
+from graceful_plan.control.drive_state import DriveCommand, DriveState, Surroundings
 from graceful_plan.control.pure_pursuit import PurePursuit, foot
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import NonFiniteError, SettingError, ShapeError
 from hall import BASE
 
 SPEEDS = st.floats(-2, 2), st.floats(-4, 4)
@@ -112,3 +113,59 @@ def test_settings_are_checked(make):
         make()
     with pytest.raises(SettingError, match="dt"):
         limited(DriveCommand(0, 0), DriveCommand(0, 0), BASE, 0.0)
+
+
+NAN = float("nan")
+HERE, PATH = DriveState(0.0, 0.0, 0.0, 0.0, 0.0), np.array([[0.0, 0.0], [1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("state", "path"),
+    [
+        (HERE._replace(x=NAN), PATH), (HERE._replace(omega=math.inf), PATH), (HERE._replace(v=1e200), PATH),
+        (HERE, PATH * NAN), (HERE, PATH * 1e300), (HERE, np.zeros((0, 2))),
+        (HERE, np.zeros((200_000, 2))),
+    ],
+)  # fmt: skip
+def test_who_does_not_know_where_it_is_gets_no_command(state, path):
+    """An error, by which a loop stops the base: comparisons with NaN would all be false, and it would drive on."""
+    window = gp.DWA().bind(gp.load_scene("hallway"))
+    with pytest.raises((ShapeError, NonFiniteError, SettingError), match=r"state|path"):
+        PurePursuit().command(state, path, BASE)
+    with pytest.raises((ShapeError, NonFiniteError, SettingError), match=r"state|path"):
+        window.choose(state, path, Surroundings(np.zeros((0, 7))))
+
+
+def test_commands_that_are_no_numbers_are_not_limited_to_some():
+    for wanted, before in (((NAN, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.0, NAN))):
+        with pytest.raises(NonFiniteError, match="wanted and before"):
+            limited(DriveCommand(*wanted), DriveCommand(*before), BASE, 0.1)
+    with pytest.raises(NonFiniteError, match="state and wanted"):
+        Tracking().command(HERE._replace(yaw=NAN), HERE)
+    with pytest.raises(SettingError, match=r"Pivot\.acceleration"):
+        Pivot(acceleration=0.0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"shape": np.zeros((1, 6))}, {"shape": [[1e9, 0, 1, 0, 0.1, 0.1, 0]]}, {"shape": [[1, 0, 5, 0, 0.1, 0.1, 0]]},
+        {"shape": [[1, 0, 0, 0, 0.1, 0.1, 0]]}, {"entity": [0.5], "severity": [1.0]}, {"entity": [NAN]},
+        {"velocity": [[1e9, 0.0]]}, {"velocity": [[NAN, 0.0]]}, {"entity": [0], "severity": [1e308]},
+        {"entity": [0], "severity": [NAN]},
+    ],
+)  # fmt: skip
+def test_surroundings_that_mean_nothing_are_refused(wrong):
+    with pytest.raises((ShapeError, NonFiniteError, SettingError)):
+        Surroundings(**({"shape": [[1.0, 0.0, 1.0, 0.0, 0.1, 0.1, 0.0]]} | wrong))
+
+
+def test_discs_that_mean_nothing_are_refused():
+    """An unknown severity, above all, is not that of nobody."""
+    for centre, radius, severity in (
+        ([[1.0, 0.0]], 0.2, NAN),
+        ([[1.0, 0.0]], [0.1, 0.2], None),
+        ([1.0, 0.0, 2.0], 0.1, None),
+    ):
+        with pytest.raises((ShapeError, NonFiniteError)):
+            Surroundings.discs(centre, radius, severity=severity)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
 
 import graceful_plan as gp
 from graceful_plan.exceptions import FormatError, SettingError, ShapeError, UnknownNameError
@@ -265,3 +266,36 @@ def test_walls_go_into_any_scene():
     scene = floor.to_scene()
     more = scene.edit(add=[floor.walls("more", height=0.5)])
     assert more.model.body("more").geomnum[0] == 2
+
+
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"occupancy": [[0], [0, 1]]}, {"occupancy": [[NAN]]}, {"occupancy": [["a"]]}, {"resolution": 1e-320},
+        {"resolution": 1e300}, {"resolution": NAN}, {"origin": (1e300, 0.0, 0.0)}, {"origin": (0.0, NAN, 0.0)},
+        {"occupied_from": NAN}, {"name": "a\0b"}, {"name": "\ud800"}, {"entities": ("vase",)},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_maps_that_nobody_could_plan_on_are_refused(change):
+    with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
+        FloorMap(**({"occupancy": [[0, 100]], "resolution": 0.1} | change))
+
+
+def test_questions_about_far_away_and_files_that_cannot_be(tmp_path):
+    floor = FloorMap(occupancy=[[0, 0], [0, 100]], resolution=0.1)
+    assert floor.clearance([[1e300, 0.0], [0.05, -1e300], [0.05, 0.05]]).tolist() == pytest.approx(
+        [0.0, 0.0, 0.0707], abs=1e-3
+    )
+    assert (floor.cells([1e300, -1e300]) == [2**40, -(2**40)]).all()
+    for write in (floor.save, floor.save_moving_ai):
+        for name in ("a\0.yaml", str(tmp_path / "absent" / "a.yaml")):
+            with pytest.raises(FormatError, match="cannot be written"):
+                write(name)
+    with pytest.raises(SettingError, match="resolution"):
+        FloorMap.from_scene(gp.load_scene("tabletop"), resolution=1e-9)
+    (tmp_path / "a\nb.map").write_text("type octile\nheight 1\nwidth 1\nmap\n.\n")
+    assert FloorMap.from_moving_ai(tmp_path / "a\nb.map").name == "a_b"

@@ -106,3 +106,13 @@ def test_words_say_what_both_motions_cost_and_what_colours_mean(result, task):
 
 def test_the_defaults_are_seen_by_this_machine_alone():
     assert opening.HOST == "127.0.0.1"
+
+
+def test_what_could_not_be_planned_is_refused_before_there_is_a_page(task):
+    for wrong in ({"time_limit": float("nan")}, {"time_limit": -1.0}, {"w": float("nan")}):
+        with pytest.raises(gp.GracefulPlanError, match=next(iter(wrong))):
+            asked(task, **wrong)
+    for goal in ("nowhere", [1.0, 2.0], [float("nan")] * 7):
+        with pytest.raises(gp.GracefulPlanError):
+            asked(task, goal=goal)
+    assert asked(task, goal="ready")[0].goal == "ready"

@@ -89,6 +89,7 @@ class EpisodeBatch:
 
         Raises:
             PolicyError: If an action has the wrong shape, or is not finite.
+            SettingError: If an episode has not begun, or its time is over.
         """
         sims = np.array(sorted(actions))
         episodes = [self._running(sim) for sim in sims.tolist()]
@@ -124,7 +125,8 @@ class EpisodeBatch:
 
     def _running(self, sim: int) -> Episode:
         episode = self.episodes[sim]
-        assert episode is not None, "begin it first"
+        if episode is None or episode.timed_out:
+            raise SettingError("episode", sim, "one that has begun and is not over: reset it first")
         return episode
 
     def _field_of(self, sim: int, name: str) -> Array:

@@ -22,6 +22,7 @@ from failbench.rollouts.sampling import MOST, Draws, check_whole, draw
 from failbench.validation import Scenarios, chosen_faults
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 
 Array = np.ndarray
 
@@ -72,8 +73,10 @@ def evaluate(
     check_whole("seed", seed, 0)
     check_confidence(confidence)
     for name, value in (("rate", rate), ("delay", delay)):
-        if not 0.0 <= value < np.inf:
+        if not (is_real(value) and 0.0 <= value < np.inf):
             raise SettingError(name, value, "a finite number >= 0")
+    if recovery is not None and not isinstance(recovery, Recovery):
+        raise SettingError("recovery", recovery, "a Recovery, such as StopOnFailure()")
     work = _Work(task, factory, (os.cpu_count() or 1) if threads is None else threads, recovery, delay)
     draws, starts = draw(seed, n), [seed + i for i in range(n)]
     total = n * (1 + len(faults))

@@ -15,12 +15,17 @@ from failbench.simulated.states import STATE
 from failbench.simulated.world import SimSettings, World, build_world
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, UnknownNameError, UnsupportedError
+from graceful_plan.path import is_real
 from graceful_plan.scene.placement import Placement
 
 Array = np.ndarray
 
 _TRIES = 20
 """Starts that are drawn before the robot begins where the task says."""
+
+
+def _is_pair(value: object) -> bool:
+    return isinstance(value, tuple | list) and len(value) == 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,20 +57,25 @@ class PolicySettings:
     simulation: SimSettings = SimSettings()
 
     def __post_init__(self) -> None:
-        steps = self.period / self.simulation.timestep
+        if not isinstance(self.simulation, SimSettings):
+            raise SettingError("simulation", self.simulation, "SimSettings")
+        steps = self.period / self.simulation.timestep if is_real(self.period) and 0.0 < self.period <= LONGEST else 0.0
         if not (1.0 <= round(steps) and abs(steps - round(steps)) < 1e-6):
             raise SettingError("period", self.period, f"a multiple of the time step, {self.simulation.timestep:g} s")
-        if self.limit is not None and not self.period <= self.limit <= LONGEST:
+        if self.limit is not None and not (is_real(self.limit) and self.period <= self.limit <= LONGEST):
             raise SettingError("limit", self.limit, f"between the period and {LONGEST:g} s")
-        for name in ("horizon", "noise", "dwell"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise SettingError(name, getattr(self, name), "a finite number >= 0")
-        if not 0.0 < self.speed <= 1.0:
+        for name, most in (("horizon", LONGEST), ("noise", 10.0), ("dwell", LONGEST)):
+            if not (is_real(getattr(self, name)) and 0.0 <= getattr(self, name) <= most):
+                raise SettingError(name, getattr(self, name), f"a finite number >= 0, at most {most:g}")
+        if not (is_real(self.speed) and 0.0 < self.speed <= 1.0):
             raise SettingError("speed", self.speed, "0 < speed <= 1")
-        if len(self.reach) != 2 or not all(math.isfinite(x) and x > 0.0 for x in self.reach):
+        if not (_is_pair(self.reach) and all(is_real(x) and math.isfinite(x) and x > 0.0 for x in self.reach)):
             raise SettingError("reach", self.reach, "a distance [m] and an angle [rad], both > 0")
-        if len(self.size) != 2 or not all(isinstance(n, int) and 1 <= n <= 4096 for n in self.size):
+        if not (_is_pair(self.size) and all(isinstance(n, int) and 1 <= n <= 4096 for n in self.size)):
             raise SettingError("size", self.size, "height and width in pixels, 1 to 4096")
+        cameras = self.cameras
+        if not isinstance(cameras, tuple | list) or not all(isinstance(name, str) for name in cameras):
+            raise SettingError("cameras", cameras, "a tuple of names")
 
     @property
     def steps(self) -> int:
@@ -170,6 +180,8 @@ def policy_task(name: str, settings: PolicySettings | None = None) -> PolicyTask
         UnsupportedError: If FailBench cannot simulate it, somebody moves in it, or its robot drives.
     """
     settings = PolicySettings() if settings is None else settings
+    if not isinstance(name, str):
+        raise UnknownNameError("scene", repr(name), gp.scenes())
     whole = name in gp.scenes() or name.endswith((".yaml", ".xml"))
     scene_name, task_name = (name, "") if whole else (name.rpartition("/")[0], name.rpartition("/")[2])
     tasks = gp.load_scene(scene_name or name).tasks

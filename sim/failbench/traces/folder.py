@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from failbench.rollouts.sampling import check_whole
 from failbench.sweeps.dataset import check_arrow, read_manifest
 from failbench.sweeps.work import Sweep, execution_of, jobs_of
 from failbench.traces.trace import Sampling, trace
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import NOT_READ, FormatError, SettingError, why_not_read
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -99,7 +100,7 @@ def write_traces(
         Rows of each table.
 
     Raises:
-        FormatError: If there is no complete dataset.
+        FormatError: If there is no complete dataset, or the folder cannot be made.
         SettingError: If there is no such rollout.
         MissingExtra: If pyarrow is not installed.
         NoPicture: If there is no OpenGL and pictures are asked for.
@@ -109,6 +110,7 @@ def write_traces(
     manifest, output = read_manifest(Path(dataset)), Path(output)
     sweep = Sweep.from_document(manifest["sweep"])
     numbers = chosen(sweep, rollouts)
+    make_folder(output)
     counts: dict[str, int] = dict.fromkeys(TABLES, 0)
     writers = {table: _TableWriter(output / table, table) for table in TABLES if table != "images" or kept.images}
     for number in numbers:
@@ -132,6 +134,10 @@ def traced(sweep: Sweep, number: int, sampling: Sampling) -> Iterator[dict[str, 
 
 def chosen(sweep: Sweep, rollouts: Sequence[int] | None) -> list[int]:
     """Return the numbers of rollouts that are meant, all if none are named."""
+    if rollouts is not None and not isinstance(rollouts, Sequence):
+        raise SettingError("rollouts", rollouts, "numbers of rollouts")
+    for number in rollouts or ():
+        check_whole("rollouts", number, 0)
     numbers = (
         list(range(len(sweep.motions) * len(sweep.faults) * sweep.rollouts)) if rollouts is None else list(rollouts)
     )
@@ -140,6 +146,18 @@ def chosen(sweep: Sweep, rollouts: Sequence[int] | None) -> list[int]:
     for number in numbers:
         sweep.place(number)
     return numbers
+
+
+def make_folder(output: Path) -> None:
+    """Make a folder to write into, with those above it.
+
+    Raises:
+        FormatError: If that is not possible.
+    """
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except NOT_READ as error:
+        raise FormatError(str(output), why_not_read(error).replace("read", "written", 1)) from None
 
 
 def arrow_type(name: str) -> pa.DataType:

@@ -7,15 +7,17 @@ failed well is in the episodes: harm, and what broke. There are no videos; pictu
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from failbench.rollouts.sampling import check_whole
 from failbench.sweeps.dataset import check_arrow, read_dataset
 from failbench.sweeps.work import Sweep, execution_of
-from failbench.traces.folder import chosen, traced
+from failbench.traces.folder import chosen, make_folder, traced
 from failbench.traces.trace import Sampling
 from graceful_plan.exceptions import SettingError
 
@@ -50,18 +52,19 @@ def write_lerobot(
         The number of frames.
 
     Raises:
-        FormatError: If there is no complete dataset.
         SettingError: If there is no such rollout, frames a second are no whole number, robots differ, or the folder is
             there.
+        FormatError: If there is no complete dataset, or the folder cannot be made.
         MissingExtra: If pyarrow is not installed.
     """
     check_arrow()
     whole, output = read_dataset(dataset), Path(output)
     sweep = whole.sweep
     fps = _frames_a_second(sweep, every)
-    if output.exists():
+    if os.path.lexists(output):
         raise SettingError("output", str(output), "a folder that is not there yet")
     numbers = chosen(sweep, rollouts)
+    make_folder(output)
     told = whole.rollouts.select(["fault", "degree", "motion", "observed_impact"]).to_pylist()
     tasks = list(dict.fromkeys(_task(told[number]) for number in numbers))
     episodes, frames = [], []
@@ -84,6 +87,7 @@ def write_lerobot(
 
 
 def _frames_a_second(sweep: Sweep, every: int) -> int:
+    check_whole("every", every, 1)
     fps = 1.0 / (every * sweep.settings.timestep)
     if abs(fps - round(fps)) > 1e-6 or fps < 1.0:
         raise SettingError("every", every, f"steps of {sweep.settings.timestep:g} s of which a whole number makes 1 s")

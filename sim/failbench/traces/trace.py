@@ -19,6 +19,7 @@ from failbench.pictures.offscreen import Offscreen, find_camera
 from failbench.recording.closeup import CARRIED, ROBOT, Closeup
 from failbench.recording.records import Job
 from failbench.rollouts.execution import Execution
+from failbench.rollouts.sampling import check_whole
 from failbench.rollouts.single import steps
 from failbench.simulated.states import warnings_counted_only
 from graceful_plan.exceptions import SettingError
@@ -45,10 +46,15 @@ class Sampling:
     camera: str | None = None
 
     def __post_init__(self) -> None:
-        if self.every < 1:
-            raise SettingError("every", self.every, "at least 1 step")
-        if self.images < 0 or self.images % self.every:
+        check_whole("every", self.every, 1)
+        check_whole("images", self.images, 0)
+        if self.images % self.every:
             raise SettingError("images", self.images, f"0, or a multiple of every = {self.every}")
+        size = self.size if isinstance(self.size, tuple | list) and len(self.size) == 2 else (0, 0)
+        for length in size:
+            check_whole("size", length, 1, 4096)
+        if self.camera is not None and not isinstance(self.camera, str):
+            raise SettingError("camera", self.camera, "the name of a camera")
 
 
 def trace(execution: Execution, job: Job, *, horizon: float = 1.0, sampling: Sampling | None = None) -> Iterator[Rows]:

@@ -84,7 +84,7 @@ def resolve_goal(
     several = _poses_among(goal)
     if several:
         return _several(several, scene, np.asarray(start, dtype=float), seed, cancelled, hurried)
-    q = _configurations(cast("Configuration | Sequence[Configuration]", goal), scene)
+    q = configurations_of(cast("Configuration | Sequence[Configuration]", goal), scene)
     begin = np.asarray(start, dtype=float)
     return usable(_words(len(q)), _the_short_way(q, begin, scene), scene, begin, cancelled=cancelled, hurried=hurried)
 
@@ -168,7 +168,7 @@ def _given(
     """Resolve those of several goals that are configurations."""
     if not given:
         return Resolved(np.zeros((0, len(scene.joints))), ())
-    rows = [_configurations(cast("Configuration", goals[k]), scene) for k in given]
+    rows = [configurations_of(cast("Configuration", goals[k]), scene) for k in given]
     of = np.repeat(given, [len(row) for row in rows])
     q = _the_short_way(np.concatenate(rows), start, scene)
     found = usable([f"goal {k}" for k in of], q, scene, start, cancelled=cancelled, hurried=hurried)
@@ -206,12 +206,19 @@ def _words(count: int) -> Sequence[str]:
     return ["goal"] if count == 1 else [f"goal {k}" for k in range(count)]
 
 
-def _configurations(goal: Configuration | Sequence[Configuration], scene: Scene) -> Float[Array, "n nq"]:
+def configurations_of(goal: Configuration | Sequence[Configuration], scene: Scene) -> Float[Array, "n nq"]:
+    """Return configurations and keyframes as rows.
+
+    Raises:
+        ShapeError: If one does not fit the scene's joints.
+        NonFiniteError: If one holds a NaN or an infinity.
+        UnknownNameError: If there is no keyframe of a name.
+    """
     nq = len(scene.joints)
     if isinstance(goal, str):
         return _named(goal, scene)[None]
     if isinstance(goal, Sequence) and any(isinstance(item, str) for item in goal):
-        return np.concatenate([_configurations(item, scene) for item in goal])  # type: ignore[arg-type]
+        return np.concatenate([configurations_of(item, scene) for item in goal])  # type: ignore[arg-type]
     q = finite_array("goal", goal, last=nq)  # type: ignore[arg-type]
     if q.ndim > 2 or q.size == 0:
         raise ShapeError("goal", q.shape, f"({nq},) or (n >= 1, {nq})")

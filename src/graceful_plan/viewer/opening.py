@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import time
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from types import TracebackType
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, cast, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +15,11 @@ from numpy.typing import ArrayLike
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective, evaluate
 from graceful_plan.exceptions import GracefulPlanError, SettingError, UnknownNameError
-from graceful_plan.path import Path, finite_array
-from graceful_plan.query.goals import Goal
+from graceful_plan.path import Path, finite_array, is_real
+from graceful_plan.query.goals import Configuration, Goal, configurations_of, has_poses
 from graceful_plan.result import PlanResult
 from graceful_plan.scene.loading.bundled import load_scene, mobile_scenes, scenes
+from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.scene import Scene, Task
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
@@ -141,6 +143,8 @@ def asked(
         if scene is None:
             raise SettingError("scene", None, "the scene of the motion")
         place = scene.scene if isinstance(scene, Task) else scene
+        if not isinstance(place, Scene):
+            raise SettingError("scene", scene, "the Scene or Task of the motion")
         motion = _timed(what, place)
         question = Question(
             scene=place,
@@ -168,6 +172,8 @@ def _timed(what: PlanResult | Trajectory | Path, scene: Scene) -> Trajectory:
 
 def _limit(given: float | None, scene: Scene) -> float:
     if given is not None:
+        if not (is_real(given) and 0.0 < given < np.inf):
+            raise SettingError("time_limit", given, "a finite time above 0 s")
         return given
     return TIME_LIMIT if scene.base is None else DRIVING_LIMIT
 
@@ -193,4 +199,6 @@ def _ends(
         if start not in scene.keyframes:
             raise UnknownNameError("keyframe", start, scene.keyframes)
         start = scene.keyframes[start]
+    if not isinstance(goal, BasePose) and not has_poses(goal):
+        configurations_of(cast("Configuration | Sequence[Configuration]", goal), scene)
     return scene, finite_array("start", start, ndim=1, last=len(scene.joints)), goal

@@ -14,8 +14,9 @@ from failbench.policies.gym import registered
 from failbench.policies.gym.environment import FailBenchEnv, FailBenchVectorEnv
 from failbench.policies.gym.registration import register
 from failbench.policies.gym.wrappers import WithFaults
+from failbench.policies.policy import PolicyError
 from failbench.policies.task import PolicySettings, policy_task
-from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 
 SHORT = PolicySettings(limit=0.5, horizon=0.1)
 DELAY = faults()["control_delay"](degree="severe", targets=("all",))
@@ -156,3 +157,46 @@ def test_stable_baselines_finds_nothing_wrong():
         env = gymnasium.make(name, settings=SHORT, action=action).unwrapped
         checker.check_env(env, skip_render_check=True)
         env.close()
+
+
+def test_actions_and_options_that_mean_nothing_are_refused(short):
+    env = FailBenchEnv(short)
+    nothing = np.zeros(7)
+    with pytest.raises(SettingError, match="reset it first"):
+        env.step(nothing)
+    env.reset(seed=0)
+    for wrong in (np.full(7, np.nan), np.zeros(3), np.array(["a"] * 7)):
+        with pytest.raises((PolicyError, ShapeError)):
+            env.step(wrong)
+    for options in ({"onset": np.nan}, {"onset": -1.0}, {"onset": "soon"}):
+        with pytest.raises(SettingError, match="onset"):
+            env.reset(options={"fault": DELAY, **options})
+    with pytest.raises(SettingError, match="fault"):
+        env.reset(options={"fault": "gripper_failure"})
+    env.reset(seed=0)
+    while not env.step(nothing)[3]:
+        pass
+    with pytest.raises(SettingError, match="reset it first"):
+        env.step(nothing)
+    with pytest.raises(SettingError, match="harm_weight"):
+        FailBenchEnv(short, harm_weight=np.nan)
+    for count in (0, 10**9):
+        with pytest.raises(SettingError, match="num_envs"):
+            FailBenchVectorEnv(count, short)
+    many = FailBenchVectorEnv(2, short)
+    many.reset(seed=0)
+    with pytest.raises(ShapeError, match="a row for each environment"):
+        many.step(np.zeros((1, 7)))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"period": float("nan")}, {"period": 1e300}, {"limit": float("nan")}, {"horizon": 1e300}, {"noise": 1e300},
+        {"dwell": 1e300}, {"speed": float("nan")}, {"reach": (float("nan"), 1.0)}, {"size": (0, 1)},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_episodes_without_end_are_refused(wrong):
+    with pytest.raises(SettingError, match=next(iter(wrong))):
+        PolicySettings(**wrong)

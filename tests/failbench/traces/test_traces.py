@@ -83,7 +83,7 @@ def test_the_gripper_carries_what_it_holds():
 
 
 def test_what_is_sampled_is_checked():
-    with pytest.raises(SettingError, match="every = 0, expected at least 1 step"):
+    with pytest.raises(SettingError, match="every = 0, expected a whole number, at least 1"):
         Sampling(every=0)
     with pytest.raises(SettingError, match="images = 7, expected 0, or a multiple of every = 5"):
         Sampling(images=7)
@@ -180,3 +180,19 @@ def test_pictures_are_of_the_states(dataset, tmp_path):
     first = pandas.read_parquet(tmp_path / "images")["image"][0]
     assert first["bytes"].startswith(b"\x89PNG")
     assert "dtype: image" in (tmp_path / "README.md").read_text()
+
+
+def test_steps_and_folders_that_cannot_be_are_refused(dataset, tmp_path):
+    (tmp_path / "file").write_text("")
+    for write in (write_traces, write_lerobot):
+        for output in (tmp_path / "file" / "below", "a\0b"):
+            with pytest.raises(FormatError, match="cannot be written"):
+                write(dataset, output)
+        with pytest.raises(SettingError, match="rollouts"):
+            write(dataset, tmp_path / "x", rollouts=[-1])
+    with pytest.raises(SettingError, match="every = 0"):
+        write_lerobot(dataset, tmp_path / "x", every=0)
+    for wrong in ({"every": 0}, {"images": -5}, {"size": (0, 0)}, {"size": (10**6, 10**6)}):
+        with pytest.raises(SettingError, match=next(iter(wrong))):
+            Sampling(**wrong)
+    assert not (tmp_path / "x").exists()

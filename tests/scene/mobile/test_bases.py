@@ -82,3 +82,11 @@ def test_joints_are_looked_up():
 def test_poses_of_a_base_are_finite_numbers(given):
     with pytest.raises(SettingError, match="BasePose"):
         gp.BasePose(*given)
+
+
+@pytest.mark.parametrize("name", ["radius", "track", "slip", "v_max", "omega_max", "a_max", "alpha_max", "wheel_max"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e300, 1e-300, -1.0, 0.0])
+def test_a_base_that_no_single_precision_holds_is_refused(name, value):
+    base = {"joints": ("x", "y", "yaw"), "radius": 0.1, "track": 0.4, "v_max": 1.0, "omega_max": 1.0}
+    with pytest.raises(SettingError, match=name):
+        gp.DiffDrive(**({**base, "a_max": 1.0, "alpha_max": 1.0} | {name: value}))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from jaxtyping import TypeCheckError
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
@@ -156,7 +157,7 @@ def test_a_hundred_thousand_points_are_few_surfaces(scene: gp.Scene) -> None:
         (lambda: gp.PointCloud(name="seen", points=[[0.0, 1.0, 2.0]], resolution=0.0), SettingError),
         (lambda: gp.PointCloud(name="seen", points=[[0.0, 1.0, 2.0]], inflation=-1.0), SettingError),
         (lambda: gp.PointCloud(name="seen", points=[[0.0, 1.0, 2000.0]]), SettingError),
-        (lambda: gp.PointCloud(name="seen", points=[[0.0] * 3, [400.0] * 3], resolution=1e-6).boxes, SettingError),
+        (lambda: gp.PointCloud(name="seen", points=[[0.0] * 3, [400.0] * 3], resolution=1e-3).boxes, SettingError),
         (lambda: gp.PointCloud(name="seen", points=[[0.0] * 3], pose=np.zeros((4, 4))), Exception),
         (lambda: gp.PointCloud.from_depth("seen", np.zeros(3), np.eye(3), np.eye(4)), ShapeError),
         (lambda: gp.PointCloud.from_depth("seen", np.ones((3, 3)), np.zeros((3, 3)), np.eye(4)), SettingError),
@@ -176,3 +177,28 @@ def test_names_are_taken_once_and_boxes_are_not_too_many(scene: gp.Scene) -> Non
     dust = np.random.default_rng(0).uniform(0.0, 1.0, (60_000, 3))
     with pytest.raises(SettingError, match="resolution of dust"):
         scene.edit(add=[gp.PointCloud(name="dust", points=dust, resolution=0.002)])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: gp.PointCloud(name="seen", points=[[0.0] * 3, [0.0] * 2]),
+        lambda: gp.PointCloud(name="seen", points=[["a", "b", "c"]]),
+        lambda: gp.PointCloud(name="seen", points=[[0.0] * 3], resolution=1e-300),
+        lambda: gp.PointCloud(name="seen", points=[[0.0] * 3], resolution=float("nan")),
+        lambda: gp.PointCloud(name="seen", points=[[0.0] * 3], inflation=1e9),
+        lambda: gp.PointCloud.from_depth("seen", np.ones((3, 3)), np.eye(3), np.eye(4), near=float("nan")),
+        lambda: gp.PointCloud.from_depth("seen", np.full((3, 3), np.inf), np.eye(3), np.eye(4), far=np.inf),
+        lambda: gp.PointCloud.from_depth("seen", np.ones((3, 3)), np.eye(3), np.eye(4), near=2.0, far=1.0),
+        lambda: gp.HeightMap(name="map", heights=[[1.0], [1.0, 2.0]], cell=0.1, corner=(0.0, 0.0)),
+        lambda: gp.HeightMap(name="map", heights=[[np.inf]], cell=0.1, corner=(0.0, 0.0)),
+        lambda: gp.HeightMap(name="map", heights=[[1e300]], cell=0.1, corner=(0.0, 0.0)),
+        lambda: gp.HeightMap(name="map", heights=[[1.0]], cell=1e300, corner=(0.0, 0.0)),
+        lambda: gp.HeightMap(name="map", heights=[[1.0]], cell=0.1, corner=(1e300, 0.0)),
+        lambda: gp.HeightMap(name="map", heights=[[1.0]], cell=0.1, corner=(0.0, 0.0), bottom=float("nan")),
+    ],
+)
+def test_what_no_sensor_saw_is_refused(wrong) -> None:
+    """A height without end, above all, is not one of nothing."""
+    with pytest.raises((gp.GracefulPlanError, TypeCheckError)):
+        wrong()

@@ -22,8 +22,10 @@ from failbench.policies.gym.spaces import Spaces
 from failbench.policies.policy import Observation
 from failbench.policies.rollouts import outcome
 from failbench.policies.task import PolicySettings, PolicyTask, policy_task
+from failbench.rollouts.sampling import check_whole
 from graceful_plan.array_types import Bool, Float, Int, UInt8
-from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
+from graceful_plan.path import is_real
 
 try:
     import gymnasium
@@ -37,6 +39,8 @@ Array = np.ndarray
 REWARDS = ("joint_distance", "success")
 _SHARED = ("action", "reward", "harm_weight", "settings")
 """Settings of environments that vector environments have, too."""
+_MOST_ENVIRONMENTS = 10_000
+"""Each takes some hundred kilobytes."""
 _BONUS = 1.0
 """Reward for reaching the goal."""
 
@@ -167,6 +171,8 @@ class FailBenchVectorEnv(VectorEnv[Any, Array, Array]):
         running = np.flatnonzero(~self._over)
         for i in again.tolist():
             self.core.begin(i, self._rngs[i], {})
+        if len(actions) != self.num_envs:
+            raise ShapeError("actions", np.shape(actions), f"({self.num_envs}, ...), a row for each environment")
         if len(running):
             self.core.advance({i: actions[i] for i in running.tolist()})
         rewards, ended, cut = np.zeros(self.num_envs), np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
@@ -204,6 +210,12 @@ class _Core:
     ) -> None:
         if reward not in REWARDS:
             raise UnknownNameError("reward", reward, REWARDS)
+        if not (is_real(harm_weight) and 0.0 <= harm_weight < np.inf):
+            raise SettingError("harm_weight", harm_weight, "a finite number of at least 0")
+        check_whole("num_envs", count, 1, _MOST_ENVIRONMENTS)
+        check_whole("threads", threads, 1, _MOST_ENVIRONMENTS)
+        if not isinstance(task, PolicyTask | str) or not isinstance(settings, PolicySettings | None):
+            raise SettingError("task or settings", (task, settings), "a name or PolicyTask, and PolicySettings")
         self.task = policy_task(task, settings) if isinstance(task, str) else task
         self.spaces = Spaces(self.task, action)
         self.faulting = Faulting(fault)

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from failbench.policies.policy import Observation
+from failbench.policies.policy import Observation, PolicyError
 from failbench.policies.task import PolicyTask
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.path import real_array
 
 Array = np.ndarray
 
@@ -65,8 +66,16 @@ class Spaces:
         self._targets[sim] = seen.tool
 
     def meant(self, sim: int, action: Array) -> tuple[str, Float[Array, " n"]]:
-        """Return the kind of an action, and the action in units."""
-        given = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+        """Return the kind of an action, and the action in units.
+
+        Raises:
+            PolicyError: If it has the wrong shape, or is not finite.
+        """
+        given = real_array("action", action)
+        if given.shape != self.action.shape or not np.isfinite(given).all():
+            wanted = f"{self.action.shape} finite numbers"
+            raise PolicyError(self._kind, f"returned an action of shape {given.shape}, expected {wanted}")
+        given = np.clip(given, -1.0, 1.0)
         if self._kind == "joint_position":
             return self._kind, self._low + 0.5 * (given + 1.0) * (self._high - self._low)
         if self._kind == "joint_velocity":

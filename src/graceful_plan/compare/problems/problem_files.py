@@ -19,6 +19,7 @@ from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
 from graceful_plan.compare.problems.plain_values import Value
 from graceful_plan.compare.problems.problem_formats import moveit_problem, robometrics_problems, vamp_problems
 from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from graceful_plan.path import is_real
 
 __all__ = ["Obstacle", "ProblemFile", "load_problems"]
 
@@ -49,7 +50,7 @@ def load_problems(
         UnknownNameError: If there is no such group.
         SettingError: If `fingers` is not in [0, 0.04].
     """
-    if not 0.0 <= fingers <= _WIDEST:
+    if not (is_real(fingers) and 0.0 <= fingers <= _WIDEST):
         raise SettingError("fingers", fingers, f"a number in [0, {_WIDEST}] [m]")
     place = Path(path)
     found = tuple(_folder(place, fingers) if place.is_dir() else _file(place, fingers))

@@ -7,6 +7,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 from graceful_plan.scene.loading.naming import check_new
 
 Array = np.ndarray
@@ -15,6 +16,15 @@ _ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """In which cells are joined to rows, rows to plates and plates to blocks; the one with the fewest boxes counts."""
 MOST_BOXES = 20_000
 """Of one body: MuJoCo takes seconds for more."""
+FARTHEST = 500.0
+"""From the origin of W: beyond is no place for a robot, and indices of cells stay small [m]."""
+_LEAST, _MOST = 1e-4, 100.0
+
+
+def check_width(name: str, value: object) -> None:
+    """Raise a SettingError if something is no width that cells may have [m]."""
+    if not (is_real(value) and _LEAST <= value <= _MOST):
+        raise SettingError(name, value, f"a width above 0, {_LEAST:g} to {_MOST:g} m")
 
 
 def closed(full: Bool[Array, "x y z"]) -> Bool[Array, "x y z"]:

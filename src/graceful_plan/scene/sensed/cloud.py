@@ -11,15 +11,11 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real, real_array
 from graceful_plan.scene.roles import rigid_pose
-from graceful_plan.scene.sensed.boxes import add_boxes, closed, joined
+from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, closed, joined
 
 Array = np.ndarray
-
-_FARTHEST = 500.0
-"""From the origin of W: beyond is no place for a robot, and indices of cells stay small [m]."""
-
 
 _MOST_CELLS = 1e8
 """In the box around all points, one byte each."""
@@ -56,19 +52,19 @@ class PointCloud:
     entity: str | None = None
 
     def __post_init__(self) -> None:
-        points = np.asarray(self.points, dtype=np.float64)
+        points = real_array(f"points of {self.name}", self.points)
         if points.ndim != 2 or points.shape[1] != 3:
             raise ShapeError(f"points of {self.name}", points.shape, "(n, 3)")
-        if not (np.isfinite(self.resolution) and self.resolution > 0.0):
-            raise SettingError(f"resolution of {self.name}", self.resolution, "a width above 0 m")
-        if not (np.isfinite(self.inflation) and self.inflation >= 0.0):
-            raise SettingError(f"inflation of {self.name}", self.inflation, "a finite distance of at least 0 m")
+        check_width(f"resolution of {self.name}", self.resolution)
+        if not (is_real(self.inflation) and 0.0 <= self.inflation <= FARTHEST):
+            valid = f"a finite distance of at least 0 m, at most {FARTHEST:g}"
+            raise SettingError(f"inflation of {self.name}", self.inflation, valid)
         points = points[np.isfinite(points).all(axis=1)]
         if self.pose is not None:
             X_WS = rigid_pose(f"pose of {self.name}", self.pose)
             points = points @ X_WS[:3, :3].T + X_WS[:3, 3]
-        if points.size and np.abs(points).max() > _FARTHEST:
-            raise SettingError(f"points of {self.name}", float(np.abs(points).max()), f"within {_FARTHEST:g} m of W")
+        if points.size and np.abs(points).max() > FARTHEST:
+            raise SettingError(f"points of {self.name}", float(np.abs(points).max()), f"within {FARTHEST:g} m of W")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "pose", None)
 
@@ -99,8 +95,16 @@ class PointCloud:
             resolution: As of a cloud.
             inflation: As of a cloud.
             entity: As of a cloud.
+
+        Raises:
+            ShapeError: If depth or camera matrix are no such arrays.
+            SettingError: If a depth is out of its range, or the camera matrix cannot be inverted.
         """
-        image = np.asarray(depth, dtype=np.float64)
+        for word, value in (("near", near), ("far", far)):
+            if not (is_real(value) and 0.0 <= value <= FARTHEST and near <= far):
+                valid = f"near at most far, both from 0 to {FARTHEST:g} m"
+                raise SettingError(f"{word} of {name}", value, valid)
+        image = real_array(f"depth of {name}", depth)
         if image.ndim != 2:
             raise ShapeError(f"depth of {name}", image.shape, "(rows, columns)")
         K = finite_array(f"intrinsics of {name}", intrinsics, ndim=2, last=3)

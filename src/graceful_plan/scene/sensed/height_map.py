@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.path import finite_array
-from graceful_plan.scene.sensed.boxes import add_boxes, joined
+from graceful_plan.path import finite_array, is_real, real_array
+from graceful_plan.scene.sensed.boxes import FARTHEST, add_boxes, check_width, joined
 
 Array = np.ndarray
 
@@ -26,7 +26,7 @@ class HeightMap:
     | field   | meaning                                                                | unit | shape   |
     |---------|------------------------------------------------------------------------|------|---------|
     | name    | of the new body                                                        |      |         |
-    | heights | in W, the first index along x, the second one along y; NaN where empty | m    | x y     |
+    | heights | in W, the first index along x, the second one along y; NaN or -infinity where empty | m    | x y     |
     | cell    | width of a cell                                                        | m    |         |
     | corner  | x and y in W of the corner of the first cell                           | m    | 2       |
     | bottom  | height that columns begin at                                           | m    |         |
@@ -35,7 +35,7 @@ class HeightMap:
 
     Raises:
         ShapeError: If the heights are no grid.
-        SettingError: If a width is not above 0.
+        SettingError: If a width is out of its range, or a place or a height farther than 500 m.
     """
 
     name: str
@@ -47,16 +47,23 @@ class HeightMap:
     entity: str | None = None
 
     def __post_init__(self) -> None:
-        heights = np.asarray(self.heights, dtype=np.float64)
+        heights = real_array(f"heights of {self.name}", self.heights)
         if heights.ndim != 2:
             raise ShapeError(f"heights of {self.name}", heights.shape, "(along x, along y)")
         for word in ("cell", "step"):
-            if not (np.isfinite(getattr(self, word)) and getattr(self, word) > 0.0):
-                raise SettingError(f"{word} of {self.name}", getattr(self, word), "a width above 0 m")
-        finite_array(f"bottom of {self.name}", [self.bottom])
-        object.__setattr__(self, "heights", heights)
+            check_width(f"{word} of {self.name}", getattr(self, word))
+        if not is_real(self.bottom):
+            raise SettingError(f"bottom of {self.name}", self.bottom, "a height [m]")
         corner = finite_array(f"corner of {self.name}", np.asarray(self.corner), ndim=1, last=2)
+        object.__setattr__(self, "heights", heights)
         object.__setattr__(self, "corner", corner)
+        known = heights[~np.isnan(heights) & (heights != -np.inf)]
+        farthest = np.abs(
+            [self.bottom, *corner, *(corner + np.multiply(heights.shape, self.cell)), known.max(initial=0)]
+        )
+        # A height without end would stand for nothing, and a robot would go where it was seen.
+        if not farthest.max() <= FARTHEST:
+            raise SettingError(self.name, float(farthest.max()), f"heights and places within {FARTHEST:g} m of W")
 
     @property
     def boxes(self) -> tuple[Float[Array, "box 3"], Float[Array, "box 3"]]:
