@@ -165,10 +165,12 @@ def plan(
     said = _compiled(compiled, limit)
     if isinstance(ends, PlanResult):
         return _with_notes(ends, said)
-    clock = Clock(started + limit, paces_of(scene), limit)
+    # Of what the ends have left there has to be a share for the search, too, however long the last steps once took.
+    elapsed = time.perf_counter() - started
+    clock = Clock(started + limit, paces_of(scene), max(limit - elapsed, 0.0))
     poses = poses_of(goal, ends.goal_index)
     request = replace(request, constraints=ends.constraints, poses=poses, clock=clock)
-    budget = Budget(_until_last_steps(request), iterations, stop, started)
+    budget = Budget(_until_last_steps(request, elapsed), iterations, stop, started)
     try:
         result = _search_and_finish(request, ends, budget, rng)
     except NonFiniteCostError as error:
@@ -187,13 +189,18 @@ def _with_notes(result: PlanResult, notes: Sequence[str]) -> PlanResult:
     return replace(result, detail="; ".join([*notes, *([result.detail] if result.detail else [])]))
 
 
-def _until_last_steps(request: Request) -> float:
-    """Return how much of its time a call may spend before it has to time and to judge what was found [s]."""
-    limit = request.clock.limit
-    if not np.isfinite(limit):
-        return limit
-    departing = min(_TIMING_RESERVE, limit / 4.0) if request.objective.scene.moving else 0.0
-    return limit - request.clock.reserve(limit) - departing
+def _until_last_steps(request: Request, elapsed: float) -> float:
+    """Return how much of its time a call may spend before it has to time and to judge what was found [s].
+
+    Args:
+        request: What is asked for.
+        elapsed: How much it has spent [s].
+    """
+    clock = request.clock
+    if not np.isfinite(clock.limit):
+        return clock.limit
+    departing = min(_TIMING_RESERVE, clock.limit / 4.0) if request.objective.scene.moving else 0.0
+    return elapsed + clock.left - clock.reserve(clock.limit) - departing
 
 
 def _waived(held: SceneConstraints) -> list[str]:
@@ -227,7 +234,7 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             quick = _quick_motions(found, request, ends, problem, budget)
             first = first_verified(chain(known if cancelled else (), quick), request)
             # Now it is known what timing and judging take here.
-            budget.time_limit = min(budget.time_limit, _until_last_steps(request))
+            budget.time_limit = min(budget.time_limit, _until_last_steps(request, budget.elapsed))
         judged = first if soon else None
         if judged is None or not judged.verdict.passed:
             candidates, why_not = _motions(found, request, ends, problem, (budget, rng), known)

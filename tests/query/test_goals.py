@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import time
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,8 @@ import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free, state_contacts
 from graceful_plan.query import usable as usable_module
+from graceful_plan.query.deadline.clock import Clock, Paces
+from graceful_plan.query.ends import find_ends
 from graceful_plan.query.goals import resolve_goal, resolve_start
 from graceful_plan.query.usable import MOST_GOALS
 from graceful_plan.scene.placement import Placement
@@ -217,3 +222,28 @@ def test_joints_without_an_end_turn_the_short_way() -> None:
             assert abs(found[0] - start) <= np.pi + 1e-9 or not lower <= start + np.pi <= upper
     (near,) = resolve_goal([-3.0], wrist, np.array([3.0])).q
     assert near[0] == pytest.approx(2.0 * np.pi - 3.0)
+
+
+def test_what_the_ends_took_is_not_kept_for_the_last_steps(
+    scene: Scene, start: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They keep a share of what is left; of the whole limit, it once left a search nothing when steps had been slow."""
+    left: list[float] = []
+
+    def slow_ends(*given: object, **more: object) -> object:
+        time.sleep(0.1)
+        return find_ends(*given, **more)  # type: ignore[arg-type]
+
+    def clock(deadline: float, paces: Paces, limit: float) -> Clock:
+        left.append(limit)
+        raise InterruptedError
+
+    module = sys.modules[gp.plan.__module__]
+    monkeypatch.setattr(module, "find_ends", slow_ends)
+    monkeypatch.setattr(module, "Clock", clock)
+    with pytest.raises(InterruptedError):
+        gp.plan(start, "ready", scene, time_limit=60.0)
+    assert left[0] <= 59.9
+    slow = Paces()
+    slow.took("judging", 100.0)
+    assert Clock(time.perf_counter() + left[0], slow, left[0]).reserve(left[0]) <= 0.71 * left[0]

@@ -96,7 +96,7 @@ class Clock:
     |----------|------------------------------------------|------|
     | deadline | reading of `time.perf_counter`           | s    |
     | paces    | how long steps take                      |      |
-    | limit    | what the call has in all                 | s    |
+    | limit    | what the call had when its search began  | s    |
     """
 
     deadline: float = np.inf
