@@ -73,6 +73,7 @@ fuzz: $(VENV)/.package $(VENV)/.dev
 # What survives is looked at one by one: see .ci/mutants.md.
 mutants: $(VENV)/.package $(VENV)/.dev $(VENV)/.checks
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python .ci/mutants.py $(ARGS)
+	$(BIN)/python .ci/native_mutants.py
 
 audit: $(VENV)/.checks
 	$(BIN)/python .ci/audit.py $(ARGS)
