@@ -185,3 +185,20 @@ def test_the_lever_is_one_for_all() -> None:
         == gp.KeepContents().lever
         == LEVER
     )
+
+
+def test_projections_leave_slides_alone_that_turn_nothing() -> None:
+    text = """<mujoco><compiler angle="radian" autolimits="true"/><custom>
+      <numeric name="r/velocity_limit" data="1 1 1"/><numeric name="r/acceleration_limit" data="1 1 1"/></custom>
+    <worldbody><body name="r/a" pos="0 0 1"><joint name="r/x" axis="1 0 0" range="-1 1"/><geom size=".02"/>
+      <body name="r/b" pos="0 0 .2"><joint name="r/slide" type="slide" axis="1 1 0" range="-1 1"/><geom size=".02"/>
+        <body name="r/c" pos="0 0 .2"><joint name="r/y" axis="0 1 0" range="-1 1"/><geom size=".02"/>
+          <site name="r/tool" pos="0 0 .1" quat="0 1 0 0"/></body></body></body></worldbody></mujoco>"""
+    scene = gp.Scene.from_mjcf(text, robot="r/", tool="r/tool")
+    held = SceneConstraints(scene, [gp.Upright(0.2)])
+    q = samples(scene, 200, seed=3)
+    projected = held.kernels.projected(q)
+    moved = np.abs(projected - q).max(axis=1) > 1e-6
+    assert moved.sum() > 50
+    np.testing.assert_array_equal(projected[:, 1], q[:, 1])
+    assert held.holds(projected[moved]).mean() > 0.95
