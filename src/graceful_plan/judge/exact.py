@@ -82,17 +82,17 @@ class Judge:
             q: Configurations.
             start: What to call the first one.
         """
-        model = self._placement.model
-        for sample, configuration in enumerate(q, start):
-            data = self._placement.place(configuration)
-            with within_memory("looking for contacts"):
+        model, place = self._placement.model, self._placement.place
+        with within_memory("looking for contacts"):  # around the loop: it takes as long as a look does
+            for sample, configuration in enumerate(q, start):
+                data = place(configuration)
                 mujoco.mj_collision(model, data)
-            if data.ncon:
-                contact = data.contact
-                pairs, distances = contact.geom, contact.dist
-                for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
-                    if distance < 0.0 and self._checked[a, b]:
-                        yield Touch(sample, min(a, b), max(a, b), distance)
+                if data.ncon:
+                    contact = data.contact
+                    pairs, distances = contact.geom, contact.dist
+                    for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
+                        if distance < 0.0 and self._checked[a, b]:
+                            yield Touch(sample, min(a, b), max(a, b), distance)
 
     def is_violation(self, touch: Touch, *, at_end: bool) -> bool:
         """Whether a touch is a collision, given whether it belongs to the stretch of contact at an end of the path."""
