@@ -20,7 +20,7 @@ from graceful_plan.judge.exact import Judge
 from graceful_plan.scene.contacts import unchecked_links
 
 TITLE = "Robots from packages: URDF and MJCF as they are published"
-CONFIGURATIONS, QUERIES = 600, 50
+CONFIGURATIONS, QUERIES = 2000, 50
 ASKED, SECONDS = 10, 10.0
 """Of the queries that are not solved, how many OMPL is asked, and for how long [s]."""
 SOON, CALLED = 3.0, 0.95
