@@ -19,7 +19,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import Judge
 from graceful_plan.scene.contacts import unchecked_links
 
-TITLE = "Robots from packages: URDF and MJCF as they are published"
+TITLE = "Robots from URDF"
 CONFIGURATIONS, QUERIES = 2000, 50
 ASKED, SECONDS = 10, 10.0
 """Of the queries that are not solved, how many OMPL is asked, and for how long [s]."""

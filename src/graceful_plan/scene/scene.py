@@ -26,6 +26,7 @@ from graceful_plan.scene.edit import Solid, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
+from graceful_plan.scene.loading.self_contacts import OFTEN, link_contacts, touching, warn_of_untested_links
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import (
@@ -42,7 +43,6 @@ from graceful_plan.scene.model_parts import (
 )
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.screening import load_spec
-from graceful_plan.scene.self_contacts import OFTEN, link_contacts, touching, warn_of_untested_links
 from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary

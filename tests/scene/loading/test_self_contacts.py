@@ -11,7 +11,7 @@ import pytest
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnsupportedError
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.scene.self_contacts import touching
+from graceful_plan.scene.loading.self_contacts import touching
 
 FOLDED = [0.0, 2.6, 2.6]
 """The last link crosses the first."""
