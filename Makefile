@@ -21,7 +21,7 @@ help:
 	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
 	@echo "make test   run the tests, less than 4 minutes"
 	@echo "make test-long  run further cases, and tests that take longer"
-	@echo "make test-robots  run tests with robots from packages, which are 130 MB"
+	@echo "make test-robots  run tests with robots from packages, which are 370 MB"
 	@echo "make test-policies  run tests of policies with Stable-Baselines3 and torch, which are 200 MB"
 	@echo "make test-viewer  run tests of the viewer, in a browser if there are chromium and its driver"
 	@echo "make fuzz   break 20,000 files and 15,000 native calls, about 20 minutes"

@@ -145,9 +145,9 @@ def _search(problem: ProblemFile, seed: int) -> float:
     )
     objective = gp.Objective(w=0.0).bind(problem.scene)
     planner, rng = gp.RRTConnect(shortcut=None), np.random.default_rng(seed)
-    began = time.perf_counter()
+    began = time.process_time()
     next(iter(planner.solve(asked, objective, Budget(5.0), rng)), None)
-    return time.perf_counter() - began
+    return time.process_time() - began
 
 
 def _median(do: Callable[[], object], repeats: int) -> float:
@@ -170,13 +170,13 @@ def _call_table(calls: list[CallFigures]) -> str:
                 group,
                 f"{sum(call.status == 'SOLVED' for call in mine)}/{len(mine)}",
                 *(f"{1e3 * middle[name]:.2f}" for name in _TIMES),
-                f"{middle['wall'] / middle['search']:.1f}",
+                f"{middle['cpu'] / middle['search']:.1f}",
                 f"{middle['exact'] / middle['verify']:.1f}",
                 f"{np.median([call.samples for call in mine]):.0f}",
                 f"{sum(c.looked_at for c in mine) / max(1, sum(c.samples for c in mine)):.1%}",
             )
         )
-    names = ("call, CPU", "call", "search", "verified", "exactly everywhere")
+    names = ("call, CPU", "call", "search, CPU", "verified", "exactly everywhere")
     ratios = ("call / search", "exactly / verified", "samples", "of them not proved")
     return report.table(("problems, ms", "solved", *names, *ratios), rows)
 
@@ -191,8 +191,8 @@ def _targets(calls: list[CallFigures]) -> Iterator[report.Target]:
     cpu = 1e3 * np.array([call.cpu for call in calls])
     for what, value, most in (("median", np.median(cpu), 5.0), ("95 %", np.percentile(cpu, 95), 12.0)):
         yield _at_most(f"plan(w=0) to a verified first motion, CPU, {what}", float(value), most, "ms")
-    ratio = float(np.median([call.wall for call in calls]) / np.median([call.search for call in calls]))
-    yield _at_most("whole call divided by its search", ratio, 10.0, "")
+    ratio = float(np.median([call.cpu for call in calls]) / np.median([call.search for call in calls]))
+    yield _at_most("whole call divided by its search, CPU", ratio, 10.0, "")
 
 
 # --- changes of a scene -----------------------------------------------------------------------------------------------

@@ -1,60 +1,46 @@
-"""Robots from URDF as their makers publish them: do they load, how long does it take, and what is planned?"""
+"""Robots as their makers publish them: do they load, how long does it take, and what is planned?"""
 
 from __future__ import annotations
 
 import os
 import tempfile
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 import graceful_plan as gp
-from benchmarks import report, suite
+from benchmarks import package_robots, report, suite
+from benchmarks.exact_ompl import finds_path
 from graceful_plan.core import covers
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.judge.exact import Judge
-from graceful_plan.scene.urdf.reading import Packages
+from graceful_plan.scene.contacts import unchecked_links
 
 TITLE = "Robots from URDF"
-FOLDER = "ROBOT_DATA"
-"""Variable that names the folder with the models: `share` of the package example-robot-data."""
-ROBOTS = (
-    ("Panda", "panda_description/urdf/panda.urdf", "panda_hand_tcp", 0.03),
-    ("UR5", "ur_description/urdf/ur5_robot.urdf", "tool0", None),
-    ("UR3", "ur_description/urdf/ur3_robot.urdf", "tool0", None),
-    ("xArm 7", "xarm_description/urdf/xarm7.urdf", "link_eef", None),
-    ("SO-101", "so_arm_description/urdf/so101.urdf", "gripper_frame_link", None),
-    ("Z1", "z1_description/urdf/z1.urdf", "gripperStator", None),
-    ("Jaco 2", "kinova_description/robots/kinova.urdf", "j2s6s200_end_effector", None),
-    ("TIAGo", "tiago_description/robots/tiago_no_hand.urdf", "arm_tool_link", None),
-)
-"""Name, file, link of the tool, position of the fingers."""
-OTHERS = "ROBOT_WHEELS"
-"""Variable that names a folder with the content of the packages airo-models 0.0.12 and rtb-data 2.0.0, if it is set."""
-_IIWA = "rtbdata/xacro/kuka_description/kuka_lbr_iiwa"
-OTHER_ROBOTS = (
-    ("UR5e", "airo_models/arms/ur5e/ur5e.urdf", "tool0", {}),
-    ("iiwa 14", f"{_IIWA}/urdf/lbr_iiwa_14_r820.urdf", "tool0", {"kuka_lbr_iiwa_support": _IIWA}),
-)
-"""Name, file, link of the tool, folders of packages by name."""
-ACCELERATION = 5.0
-CONFIGURATIONS, QUERIES = 600, 25
+CONFIGURATIONS, QUERIES = 2000, 50
+ASKED, SECONDS = 10, 10.0
+"""Of the queries that are not solved, how many OMPL is asked, and for how long [s]."""
+SOON, CALLED = 3.0, 0.95
+"""What is to be: first motion from nothing [s], and the share of free configurations that are called so."""
 MEASURED = f"""\
-Models of the package `example-robot-data` 6.0.0, one line of code each, nothing changed in them; robots alone,
-without surroundings. "Load" reads the URDF, looks for links that always touch, and divides meshes where their hulls
+Models of the packages `example-robot-data` 6.0.0, `airo-models` 0.0.12 (UR5e), `rtb-data` 2.0.0 (iiwa 14), `robosuite`
+1.5.2 (MJCF) and `gymnasium-robotics` 1.4.2 (Fetch), nothing changed in them but that Fetch's base stands still; robots
+alone, without surroundings, but for Fetch's floor and table. The filters of robosuite's models let all links of most
+arms pass through each other: they are loaded with `self_collision="links"`. "Load" reads a model, looks for links that
+always touch, and of URDFs divides meshes where their hulls
 touch too often; "compile" covers the links with spheres; both with nothing kept on disk. "Again": both in another
 process that finds what the first one kept. Of {CONFIGURATIONS} configurations
 drawn evenly within the limits, "free" are those that exact geometry on convex hulls calls so, and "called free" is
 which share of them the kernels call free. "Wrongly": of the others, the share that the kernels call free. Queries:
-{QUERIES} pairs of free configurations, w = 0, first motion within 1 s. Robots that are not in the table cannot be
-read; why is below. UR5e and iiwa 14 are of the packages airo-models 0.0.12 and rtb-data 2.0.0. Arms of UR never
-point down through their own foot, so that half of the pairs of a UR5 or UR5e have no path between them: the joint
-of the shoulder turns by two turns, and goals are on the other side of where it would have to pass.
+{QUERIES} pairs of free configurations, w = 0, first motion within 1 s; all motions are verified. "OMPL": of at most
+{ASKED} queries that are not solved, for how many OMPL's RRT-Connect finds a path within {SECONDS:g} s by exact geometry
+alone; where it is none, there may be none: upper arms of UR cannot pass their own foot, so
+that joint angles of the shoulder, which turns by two turns, come in three ranges without a path between them. "First":
+a motion, the median. "Pairs": of links that may not touch. Robots that are not in the table cannot be read; why is
+below it. Targets are for UR5e, UR5, iiwa, Kinova3, Panda, SO-101, Fetch and TIAGo.
 """
 
 Array = np.ndarray
@@ -65,6 +51,7 @@ class RobotFigures:
     """What came of one robot."""
 
     joints: int
+    pairs: int
     load: float
     compile: float
     again: float
@@ -74,31 +61,34 @@ class RobotFigures:
     wrongly: float
     solved: int
     first: float
+    asked: int
+    ompl: int
 
 
 def run(options: suite.Options) -> str:
     """Try every robot."""
-    folder = Path(os.environ.get(FOLDER, ""))
-    if not (folder / "example-robot-data").is_dir():
-        return (
-            f"{MEASURED}\nNot measured: the variable {FOLDER} does not name a folder with example-robot-data in it.\n"
-        )
-    rows, told = [], []
-    for name, load in _loads(folder)[: options.pick(len(ROBOTS) + len(OTHER_ROBOTS), quick=1)]:
+    there = package_robots.loads()
+    if not there:
+        return f"{MEASURED}\nNot measured: there is none of the packages; {package_robots.FOLDER} may name a folder.\n"
+    rows, told, wanted = [], [], {}
+    for robot, load in there[: options.pick(len(there), quick=1)]:
         try:
-            one = examine(load)
+            one = examine(load, seconds=options.pick(SECONDS, quick=1.0))
         except gp.GracefulPlanError as error:
-            told.append(f"{name}: {type(error).__name__}, {str(error).replace(str(folder), '')}")
+            told.append(f"{robot.name}: {type(error).__name__}, {error}")
             continue
+        if robot.of_issue:
+            wanted[robot.name] = one
         rows.append([
-            name, one.joints, report.quantity(one.load, " s"), report.quantity(one.compile, " s"),
+            robot.name, one.joints, one.pairs, report.quantity(one.load, " s"), report.quantity(one.compile, " s"),
             report.quantity(one.again, " s"), one.spheres,
             report.percent(one.free), report.percent(one.called), report.percent(one.wrongly),
-            f"{one.solved} of {QUERIES}", report.quantity(1e3 * one.first, " ms"),
+            f"{one.solved} of {QUERIES}", f"{one.ompl} of {one.asked}", report.quantity(1e3 * one.first, " ms"),
         ])  # fmt: skip
     header = (
         "robot",
         "joints",
+        "pairs",
         "load",
         "compile",
         "again",
@@ -107,10 +97,29 @@ def run(options: suite.Options) -> str:
         "called free",
         "wrongly",
         "solved",
-        "first, median",
+        "OMPL",
+        "first",
     )
     others = f"Not read: {'; '.join(told)}.\n" if told else ""
-    return f"{MEASURED}\n{report.table(header, rows)}\n{others}"
+    return "\n".join([MEASURED, report.targets(_targets(wanted)), report.table(header, rows), others])
+
+
+def _targets(robots: dict[str, RobotFigures]) -> Iterator[report.Target]:
+    reached = {
+        f"robots that have a first motion within {SOON:g} s of nothing": [
+            name for name, one in robots.items() if one.load + one.compile + one.first <= SOON
+        ],
+        f"robots of whose free configurations {CALLED:.0%} are called free": [
+            name for name, one in robots.items() if one.called >= CALLED
+        ],
+        "robots with a motion for all queries for which OMPL finds a path": [
+            name for name, one in robots.items() if one.ompl == 0
+        ],
+    }
+    for what, names in reached.items():
+        missing = ", ".join(name for name in robots if name not in names)
+        measured = f"{len(names)} of {len(robots)}" + (f", not {missing}" if missing else "")
+        yield report.Target(what=what, wanted=f"all {len(robots)}", measured=measured, met=len(names) == len(robots))
 
 
 @contextmanager
@@ -125,25 +134,8 @@ def _cache_in(folder: str) -> Generator[None]:
             os.environ["XDG_CACHE_HOME"] = before
 
 
-def _loads(folder: Path) -> list[tuple[str, Callable[[], gp.Scene]]]:
-    """Return names of robots, and what loads each."""
-    robots = folder / "example-robot-data" / "robots"
-    loads: list[tuple[str, Callable[[], gp.Scene]]] = [
-        (name, partial(_load, robots / file, tool, [folder], fingers)) for name, file, tool, fingers in ROBOTS
-    ]
-    others = os.environ.get(OTHERS)
-    for name, file, tool, packages in OTHER_ROBOTS if others else ():
-        places = {package: Path(others or "") / place for package, place in packages.items()}
-        loads.append((name, partial(_load, Path(others or "") / file, tool, places, None)))
-    return loads
-
-
-def _load(path: Path, tool: str, packages: Packages, fingers: float | None) -> gp.Scene:
-    return gp.Scene.from_urdf(path, tool=tool, acceleration=ACCELERATION, packages=packages, fingers=fingers)
-
-
-def examine(load: Callable[[], gp.Scene]) -> RobotFigures:
-    """Load a robot and plan for it."""
+def examine(load: Callable[[], gp.Scene], seconds: float = SECONDS) -> RobotFigures:
+    """Load a robot and plan for it; OMPL has so many seconds for a query that is not solved."""
     with tempfile.TemporaryDirectory() as empty, _cache_in(empty):
         started = time.perf_counter()
         scene = load()
@@ -160,14 +152,16 @@ def examine(load: Callable[[], gp.Scene]) -> RobotFigures:
     free = np.array([k not in touched for k in range(len(q))])
     called = compiled.kernels.free(q)
     pairs = q[free][: 2 * QUERIES].reshape(-1, 2, q.shape[1])
-    solved, first = 0, []
+    unsolved, first = [], []
     for start, goal in pairs:
         begun = time.perf_counter()
         result = gp.plan(start, goal, scene, w=0.0, time_limit=1.0, callback=lambda _: True)
         first.append(time.perf_counter() - begun)
-        solved += result.status is gp.PlanStatus.SOLVED
+        if result.status is not gp.PlanStatus.SOLVED:
+            unsolved.append((start, goal))
     return RobotFigures(
         joints=len(scene.joints),
+        pairs=unchecked_links(scene.model, scene.robot_bodies, scene.collision_pairs(), scene.allowed_contacts)[0],
         load=loaded - started,
         compile=done - loaded,
         again=again,
@@ -175,6 +169,8 @@ def examine(load: Callable[[], gp.Scene]) -> RobotFigures:
         free=float(free.mean()),
         called=float(called[free].mean()),
         wrongly=float(called[~free].mean()) if (~free).any() else 0.0,
-        solved=solved,
+        solved=len(pairs) - len(unsolved),
         first=float(np.median(first)),
+        asked=len(unsolved[:ASKED]),
+        ompl=sum(finds_path(start, goal, scene, seconds) for start, goal in unsolved[:ASKED]),
     )

@@ -71,6 +71,22 @@ def test_links_of_meshes_are_contained(seed: int) -> None:
     assert away.max() <= cover.bound[3] + 1e-9
 
 
+def test_a_large_base_is_covered_once_by_large_spheres(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1.0, 1.0, (60, 3)) * [0.35, 0.3, 0.2]
+    mesh = f'<mesh name="m" vertex="{" ".join(f"{x:.5f}" for x in points.ravel())}"/>'
+    geom = '<geom type="mesh" mesh="m"/>'
+    model = mujoco.MjModel.from_xml_string(_MESHES.format(assets=mesh, geoms=geom))
+    asked, cover_of = [], sphere_cover.hull_cover
+    monkeypatch.setattr(sphere_cover, "hull_cover", lambda *given: asked.append(given[2]) or cover_of(*given))
+    X = _poses(model)
+    cover = group_cover(model, (0,), X, base=True)
+    assert asked == [covers.BASE_PROTRUSION]
+    inside = _inside(model, X, rng)
+    apart = np.linalg.norm(inside[:, None] - cover.spheres[:, :3], axis=-1) - cover.spheres[:, 3]
+    assert apart.min(axis=1).max() < 1e-9
+
+
 def test_a_cover_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     model = _model(2)
     X, geoms = _poses(model), tuple(range(model.ngeom))

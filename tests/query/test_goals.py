@@ -247,3 +247,21 @@ def test_what_the_ends_took_is_not_kept_for_the_last_steps(
     slow = Paces()
     slow.took("judging", 100.0)
     assert Clock(time.perf_counter() + left[0], slow, left[0]).reserve(left[0]) <= 0.71 * left[0]
+
+
+_SLEDGE = """<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1"/>
+  <body name="sledge" pos="0 0 .051"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+    <geom name="runner" type="box" size=".2 .1 .05"/><site name="tip"/></body></worldbody></mujoco>"""
+
+
+def test_where_nothing_leads_out_of_a_tight_place_the_nearest_pair_is_named():
+    def sledge(*allowed):
+        return gp.Scene.from_mjcf(
+            _SLEDGE, robot="sledge", tool="tip", velocity=[1.0], acceleration=[1.0], allowed_contacts=allowed
+        )
+
+    result = gp.plan([0.0], [0.5], sledge(), w=0.0, time_limit=0.3)
+    assert result.status is gp.PlanStatus.INVALID_START
+    assert result.detail.endswith("runner is 1 mm from floor; if they may touch, say AllowedContact('runner', 'floor')")
+    allowed = sledge(gp.AllowedContact("runner", "floor"))
+    assert gp.plan([0.0], [0.5], allowed, w=0.0, time_limit=0.3).status is gp.PlanStatus.SOLVED

@@ -97,6 +97,16 @@ def test_a_body_stands_for_what_hangs_rigidly_on_it() -> None:
         geoms_named(model, "paw")
 
 
+def test_a_body_without_geoms_stands_back_behind_a_geom_of_its_name() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/><body name="floor"/><body name="void"/>
+        <body name="ball"><geom name="ball" size=".1"/><geom name="other" size=".1"/></body></worldbody></mujoco>"""
+    )
+    assert geoms_named(model, "floor") == _ids(model, "floor")
+    assert geoms_named(model, "ball") == _ids(model, "ball", "other")
+    assert geoms_named(model, "void") == ()
+
+
 def test_allowed_pairs_are_taken_out() -> None:
     model = mujoco.MjModel.from_xml_string(_ARM)
     declared = [AllowedContact("hand", "cup"), AllowedContact("cup", "world", "ends")]

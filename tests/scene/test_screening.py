@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import LIBRARY
 
-from graceful_plan.exceptions import GracefulPlanError, SceneError, TooLargeError
+from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError, TooLargeError
 from graceful_plan.scene.model_parts import check_numbers, check_supported
 from graceful_plan.scene.screening import compile_spec, load_spec, within_memory
 
@@ -51,6 +51,34 @@ def test_text_and_specs_pass_too() -> None:
 def test_small_replicas_are_welcome() -> None:
     text = f"<mujoco><worldbody><replicate count='12' offset='3 0 0'>{_BOX}</replicate></worldbody></mujoco>"
     assert compile_spec(load_spec(text)).ngeom == 12
+
+
+def test_a_folder_may_be_given_that_files_are_in(tmp_path: Path) -> None:
+    _write(tmp_path, "shared/cup.xml", f'<mujocoinclude><body name="cup">{_BOX}</body></mujocoinclude>')
+    _write(tmp_path, "meshes/a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    body = '<geom type="mesh" mesh="a"/><include file="../shared/cup.xml"/>'
+    text = f"""<mujoco><compiler meshdir="../meshes"/><asset><mesh name="a" file="a.obj"/></asset>
+      <worldbody>{body}</worldbody></mujoco>"""
+    world = _write(tmp_path, "robot/world.xml", text)
+    told = _refusal(world).message
+    assert "meshdir='../meshes' is outside of the folder" in told and "folder=DIR) allows those below DIR" in told
+    model = compile_spec(load_spec(world, tmp_path))
+    assert model.body("cup").id == 1 and model.nmesh == 1
+    with pytest.raises(SettingError, match=r"folder = '.*meshes', expected one that '.*world.xml' is in"):
+        load_spec(world, tmp_path / "meshes")
+    with pytest.raises(SettingError, match="folder = "):
+        load_spec(world, world)
+
+
+@pytest.mark.parametrize("given", ["../../x.xml", "/etc/passwd", "../link/x.xml", "../link/../../x.xml"])
+def test_nothing_outside_of_a_folder_that_was_given(tmp_path: Path, given: str) -> None:
+    root = tmp_path / "root"
+    _write(tmp_path, "x.xml", "<mujocoinclude/>")
+    _write(root, "y.xml", "<mujocoinclude/>")
+    (root / "link").symlink_to(tmp_path, target_is_directory=True)
+    world = _write(root, "robot/world.xml", f'<mujoco><worldbody><include file="{given}"/></worldbody></mujoco>')
+    with pytest.raises(SceneError, match=f"only files below '{root}'"):
+        load_spec(world, root)
 
 
 _HOSTILE = {  # attack: (line, words of the message, content of line 2)

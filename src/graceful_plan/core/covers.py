@@ -36,7 +36,8 @@ GEOM_KINDS = {
 """Names of the types of geoms that can be represented."""
 BASE_PROTRUSION = 0.03
 """How far spheres may stick out of large geoms of the base [m]; they only keep the arm off its own foot."""
-_MANY = 200
+_MANY, _LIKELY_MANY = 200, 1000
+"""Spheres of a base from which on it is covered by larger ones: counted, and as sizes let expect."""
 _MOST_KEPT = 512
 """Covers of links in memory; those not asked for longest go first."""
 _SLOW = 0.05
@@ -122,9 +123,12 @@ def _mesh_bytes(model: mujoco.MjModel, mesh: int) -> bytes:
 def _group_cover(
     model: mujoco.MjModel, geoms: tuple[int, ...], X_LG: Float[Array, "geom 4 4"], *, base: bool, protrusion: float
 ) -> GroupCover:
-    reach = [_roomy(model, geom, protrusion) for geom in geoms]
-    covers = [_geom_cover(model, geom, far) for geom, far in zip(geoms, reach, strict=True)]
-    if base and sum(len(radii) for _, radii in covers) > _MANY:
+    halves = [_half_sizes(model, geom) for geom in geoms]
+    reach = [sphere_cover.roomy(half, protrusion) for half in halves]
+    # A mobile base of many is not covered finely first, just to count.
+    likely = sum(map(sphere_cover.likely_count, halves, reach)) if base else 0.0
+    covers = [] if likely > _LIKELY_MANY else [_geom_cover(model, g, far) for g, far in zip(geoms, reach, strict=True)]
+    if base and (not covers or sum(len(radii) for _, radii in covers) > _MANY):
         covers = [_geom_cover(model, g, max(BASE_PROTRUSION, far)) for g, far in zip(geoms, reach, strict=True)]
     centres, radii, sticks_out = [], [], 0.0
     for geom, X, (c, r), far in zip(geoms, X_LG, covers, reach, strict=True):
@@ -150,10 +154,9 @@ def _not_inside_others(centres: Float[Array, "sphere 3"], radii: Float[Array, " 
     return ~np.any(contains & ~twins & ~np.eye(len(radii), dtype=bool), axis=1)
 
 
-def _roomy(model: mujoco.MjModel, geom: int, protrusion: float) -> float:
-    """Return how far the spheres of a geom may stick out: farther if it is large [m]."""
+def _half_sizes(model: mujoco.MjModel, geom: int) -> tuple[float, float, float]:
     a, b, c = (float(x) for x in model.geom_aabb[geom, 3:])
-    return sphere_cover.roomy((a, b, c), protrusion)
+    return a, b, c
 
 
 def _geom_cover(

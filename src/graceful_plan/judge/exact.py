@@ -29,6 +29,8 @@ _LOG = logging.getLogger(__name__)
 
 DEEPEST_SUPPORT = 0.003
 """How deep [m] a carried object may sink into its support at the ends of a path."""
+_NEAR = 0.05
+"""From which distance on things are not near [m]: farther than spheres stick out."""
 _GRAZE = 1e-6
 """Contacts of an object with its support that are shallower [m] are rounding, wherever they are on the path."""
 
@@ -80,17 +82,17 @@ class Judge:
             q: Configurations.
             start: What to call the first one.
         """
-        model = self._placement.model
-        for sample, configuration in enumerate(q, start):
-            data = self._placement.place(configuration)
-            with within_memory("looking for contacts"):
+        model, place = self._placement.model, self._placement.place
+        with within_memory("looking for contacts"):  # around the loop: it takes as long as a look does
+            for sample, configuration in enumerate(q, start):
+                data = place(configuration)
                 mujoco.mj_collision(model, data)
-            if data.ncon:
-                contact = data.contact
-                pairs, distances = contact.geom, contact.dist
-                for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
-                    if distance < 0.0 and self._checked[a, b]:
-                        yield Touch(sample, min(a, b), max(a, b), distance)
+                if data.ncon:
+                    contact = data.contact
+                    pairs, distances = contact.geom, contact.dist
+                    for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
+                        if distance < 0.0 and self._checked[a, b]:
+                            yield Touch(sample, min(a, b), max(a, b), distance)
 
     def is_violation(self, touch: Touch, *, at_end: bool) -> bool:
         """Whether a touch is a collision, given whether it belongs to the stretch of contact at an end of the path."""
@@ -135,6 +137,22 @@ def state_contacts(q: Float[Array, " nq"], scene: Scene, *, at_end: bool = True)
     for touch in sorted(touches, key=lambda t: t.distance, reverse=True):
         deepest[touch.first, touch.second] = touch
     return [judge.named(touch) for touch in sorted(deepest.values(), key=lambda t: t.distance)]
+
+
+def nearest_pair(q: Float[Array, " nq"], scene: Scene) -> Contact | None:
+    """Return what is nearest to each other of all that may not touch, what moves first; None if nothing is near.
+
+    Args:
+        q: The configuration.
+        scene: Where.
+    """
+    judge, data = Judge(scene), scene.data_at(q)
+    pairs = scene.collision_pairs().tolist()
+    away = [mujoco.mj_geomDistance(scene.model, data, a, b, _NEAR, None) for a, b in pairs]
+    if min(away, default=_NEAR) >= _NEAR:
+        return None
+    nearest = int(np.argmin(away))
+    return judge.named(Touch(0, *sorted(pairs[nearest]), away[nearest]))
 
 
 def exactly_free(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:

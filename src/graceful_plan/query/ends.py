@@ -9,11 +9,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
+from graceful_plan.judge.exact import nearest_pair
 from graceful_plan.path import Path
 from graceful_plan.query.escape import TARGET_CLEARANCE, way_out
 from graceful_plan.query.goals import Configuration, Goal, has_poses, resolve_goal, resolve_start
 from graceful_plan.query.usable import Resolved
 from graceful_plan.result import PlanResult, PlanStatus
+from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
@@ -137,7 +139,7 @@ def ways_out(
     if departure is None and over():
         return _ended(cancelled())
     if departure is None:
-        return PlanResult(status=PlanStatus.INVALID_START, detail=_NO_WAY.format("start"))
+        return PlanResult(status=PlanStatus.INVALID_START, detail=_no_way("start", start, constraints.scene))
     clear = constraints.clearance(goals) >= TARGET_CLEARANCE
     ways = [(int(k), Path(goals[k : k + 1])) for k in np.flatnonzero(clear)]
     tight = np.flatnonzero(~clear)
@@ -151,9 +153,19 @@ def ways_out(
     if cancelled() or (not arrivals and late(1.0)):
         return _ended(cancelled())
     if not arrivals:
-        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_NO_WAY.format("goal"))
+        return PlanResult(status=PlanStatus.INVALID_GOAL, detail=_no_way("goal", goals[0], constraints.scene))
     index, paths = zip(*arrivals, strict=True)
     return Ends(constraints=constraints, departure=departure, arrivals=paths, goal_index=index)
+
+
+def _no_way(word: str, q: Float[Array, " nq"], scene: Scene) -> str:
+    """Say that nothing leads out of a tight place, and what is tight there."""
+    told, near = _NO_WAY.format(word), nearest_pair(q, scene)
+    if near is None:
+        return told
+    pair = ", ".join(repr(name.partition("#")[0]) for name in near[:2])  # of unnamed geoms their body
+    away = f"{near.first} is {-1e3 * near.depth:.3g} mm from {near.second}"
+    return f"{told}; {away}; if they may touch, say AllowedContact({pair})"
 
 
 def _ended(cancelled: bool) -> PlanResult:

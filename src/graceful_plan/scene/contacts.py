@@ -92,6 +92,8 @@ def declared_contacts(model: mujoco.MjModel, notes: Notes, tool_body: int) -> tu
 def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
     """Return the geoms of a rigid group of bodies by the name of its first, or else the geom of that name.
 
+    A body without geoms that collide stands back behind a geom of its name.
+
     Raises:
         UnknownNameError: If there is neither.
     """
@@ -99,8 +101,9 @@ def geoms_named(model: mujoco.MjModel, name: str) -> tuple[int, ...]:
     if body < 0 and is_name(name):
         # What `names` calls a nameless one, such as a finger that nobody named.
         body = next((b for b in range(model.nbody) if name == f"#{b}"), -1)
-    if body >= 0:
-        return colliding_geoms(model, {0} if body == 0 else rigid_group(model, body))
+    found = colliding_geoms(model, {0} if body == 0 else rigid_group(model, body)) if body >= 0 else ()
+    if found or (body >= 0 and lookup(model, _OBJ.mjOBJ_GEOM, name) < 0):
+        return found
     return (find(model, _OBJ.mjOBJ_GEOM, "body or geom", name),)
 
 

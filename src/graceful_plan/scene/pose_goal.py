@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from typing import Self
 
 Array = np.ndarray
+
+_ROOT_STEPS = 40
+"""Of the fixed-point iteration, which halves its error at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +129,51 @@ class PoseGoal:
         X_WT[:3, :3] = R @ R_WT if frame == "world" else R_WT @ R
         X_WT[:3, 3] = site.xpos + (p if frame == "world" else R_WT @ p)
         return cls(X_WT, position_tolerance, orientation_tolerance, free_yaw)
+
+    def region(self, half_size: ArrayLike | None = None, turns: ArrayLike | None = None, count: int = 64) -> list[Self]:
+        """Return goals all over a region around this one, to be given to `plan` together; this one is the first.
+
+        They are spread evenly over offsets and turns, which are drawn independently of each other: the goals are
+        samples, nothing between them counts. `plan` looks at the nearest first.
+
+        Args:
+            half_size: How far the tool may be off, along its own axes in this goal [m]: half of a box; 0 by default.
+            turns: How far it may be turned there about each of its own axes, first x, then y, then z [rad]; 0 by
+                default, and up to pi, which leaves the axis free.
+            count: Number of goals.
+
+        Raises:
+            ShapeError: If these are not of length 3.
+            SettingError: If one is negative, a turn is beyond pi, or there is to be no goal.
+        """
+        given = {"half_size": half_size, "turns": turns}
+        room = np.concatenate(
+            [np.zeros(3) if x is None else finite_array(name, x, ndim=1, last=3) for name, x in given.items()]
+        )
+        if (room < 0.0).any() or (room[3:] > np.pi).any():
+            raise SettingError("region", room.tolist(), "half sizes >= 0 and turns from 0 to pi")
+        if count < 1:
+            raise SettingError("count", count, "at least 1")
+        wide = np.flatnonzero(room > 0.0)
+        # Roberts' additive recurrence, whose steps are powers of the inverse of the root of x^(d + 1) = x + 1.
+        root = 2.0
+        for _ in range(_ROOT_STEPS):
+            root = (1.0 + root) ** (1.0 / (len(wide) + 1.0))
+        share = np.arange(count)[:, None] * root ** -(1.0 + np.arange(len(wide))) % 1.0
+        off = np.zeros((count, 6))
+        off[:, wide] = room[wide] * (2.0 * np.where(share < 0.5, share, share - 1.0))  # the first is 0
+        return [self._moved(row) for row in off]
+
+    def _moved(self, off: Float[Array, " 6"]) -> Self:
+        """Return this goal moved along its own axes, then turned about x, y, z of the tool [m and rad]."""
+        X, turn = self.X_WT.copy(), np.empty(9)
+        X[:3, 3] += X[:3, :3] @ off[:3]
+        for axis, angle in zip(np.eye(3), off[3:], strict=True):
+            quat = np.empty(4)
+            mujoco.mju_axisAngle2Quat(quat, axis, angle)
+            mujoco.mju_quat2Mat(turn, quat)
+            X[:3, :3] = X[:3, :3] @ turn.reshape(3, 3)
+        return replace(self, X_WT=X)
 
 
 def pose_error(goal: PoseGoal, X_WT: Float[Array, "4 4"]) -> tuple[float, float]:

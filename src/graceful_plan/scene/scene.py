@@ -26,6 +26,7 @@ from graceful_plan.scene.edit import Solid, moved, removed
 from graceful_plan.scene.elements import AllowedContact, Contents, EntityNote, Notes
 from graceful_plan.scene.facts import SceneFacts
 from graceful_plan.scene.harm.severity import SeverityTable, given_severity
+from graceful_plan.scene.loading.self_contacts import OFTEN, link_contacts, touching, warn_of_untested_links
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.mobile.wheels import described_drive
 from graceful_plan.scene.model_parts import (
@@ -46,7 +47,7 @@ from graceful_plan.scene.sensed.cloud import PointCloud
 from graceful_plan.scene.sensed.height_map import HeightMap
 from graceful_plan.scene.summary import summary
 from graceful_plan.scene.tasks import check_keyframes, find_keyframes, model_keyframes, task_ends
-from graceful_plan.scene.urdf.composing import OFTEN, TOOL, composed, held_still, touching, velocities
+from graceful_plan.scene.urdf.composing import TOOL, composed, held_still, velocities
 from graceful_plan.scene.urdf.reading import Packages, read_urdf
 from graceful_plan.scene.urdf.srdf import read_srdf
 
@@ -93,6 +94,8 @@ class Scene(SceneFacts):
         torque: Sequence[float] | None = None,
         keyframes: Mapping[str, ArrayLike] | None = None,
         allowed_contacts: Sequence[AllowedContact] = (),
+        self_collision: str = "model",
+        folder: str | Path | None = None,
         body_class: str = "arm_collapse",
         base: DiffDrive | None = None,
         name: str | None = None,
@@ -101,7 +104,7 @@ class Scene(SceneFacts):
 
         Args:
             source: MJCF file, MJCF text or a MjSpec. Files and text are screened for hostile content first, and may
-                name other files only in the same folder and below; a MjSpec is trusted.
+                name other files only in the same folder and below, or in `folder`; a MjSpec is trusted.
             robot: Prefix of the robot's body names, e.g. "panda/", or the name of its root body.
             tool: Name of the site that stands for the tool, or of a body, whose frame it then is. The hinges and slides
                 between the world and it are planned.
@@ -120,6 +123,10 @@ class Scene(SceneFacts):
             torque: The same [N m or N]. Default: the model's actuators; infinite if they have no limits.
             keyframes: Configurations by name, besides the model's own keyframes.
             allowed_contacts: What may touch, besides gripper and carried object.
+            self_collision: "model": links of the robot may touch where the model's filters say so, with a warning if
+                they say it of all. "links": none may but those that a joint lies between, those that overlap nearly
+                wherever the joints are, and excluded pairs. `describe` lists them.
+            folder: That all files which the model names are in, for models whose `meshdir` leads out of their own.
             body_class: How the arm fails: "arm_collapse", "arm_braked" or "base_coast".
             base: How the robot drives. Default: the model's custom numerics and texts "<robot>drive/FIELD". Without it
                 planar joints move in all directions.
@@ -127,11 +134,13 @@ class Scene(SceneFacts):
 
         Raises:
             SceneError: If the model is broken or hostile.
+            SettingError: If `folder` does not have the source in it, or there is no such kind of `self_collision`.
             UnsupportedError: If it has features that cannot be represented.
             UnknownNameError: If a body, site, joint or class does not exist.
         """
-        spec = load_spec(source)
+        spec = load_spec(source, folder)
         add_tool(spec, tool)
+        overlaps = link_contacts(spec, robot, tool, self_collision, allowed_contacts)
         base = base or described_drive(spec, robot)
         table, overrides = given_severity(severity)
         notes = Notes(
@@ -151,10 +160,11 @@ class Scene(SceneFacts):
             severity=table,
             overrides=overrides,
             keyframes={k: tuple(finite_array(f"keyframe {k}", q, ndim=1)) for k, q in (keyframes or {}).items()},
-            allowed=tuple(allowed_contacts),
+            allowed=(*overlaps, *allowed_contacts),
         )
         scene = cls.build(spec, notes)
         check_keyframes(notes, scene.limits)
+        warn_of_untested_links(scene.model, scene.robot_bodies, robot)
         return scene if carried is None else scene.attach(carried, X_TO=X_TO, contents=contents)
 
     @classmethod
@@ -214,10 +224,10 @@ class Scene(SceneFacts):
         states = {} if told is None else told.keyframes([joint.name for joint in chain])
         disabled = () if told is None else told.contacts(robot)
         spec = composed(robot, tool, world, pose)
-        touches = touching(spec, prefix, chain, (*disabled, *allowed_contacts))
+        touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
         if decompose is None and touches.often > OFTEN:
             spec = composed(read_urdf(source, packages, decompose=None), tool, world, pose)
-            touches = touching(spec, prefix, chain, (*disabled, *allowed_contacts))
+            touches = touching(spec, prefix, prefix + TOOL, (*disabled, *allowed_contacts))
         return cls.from_mjcf(
             spec,
             robot=prefix,

@@ -7,6 +7,7 @@ timesteps. The screen reads the XML with a streaming parser, so that nothing is 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ from xml.parsers import expat
 
 import mujoco
 
-from graceful_plan.exceptions import NOT_READ, SceneError, TooLargeError, why_not_read
+from graceful_plan.exceptions import NOT_READ, SceneError, SettingError, TooLargeError, why_not_read
 from graceful_plan.scene.loading.weighing import Swollen, check_png, weighed
 
 MAX_BYTES = 10_000_000
@@ -63,11 +64,16 @@ _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _BAD_NUMBER = re.compile(r"(?i)^[+-]?(nan|inf|infinity)(\(.*\))?$")
 
 
-def load_spec(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
+def load_spec(source: str | Path | mujoco.MjSpec, folder: str | Path | None = None) -> mujoco.MjSpec:
     """Read a model from a file, from text that starts with "<", or copy a MjSpec.
+
+    Args:
+        source: Which.
+        folder: That no file which the model names may be outside of; that of the model's file if None.
 
     Raises:
         SceneError: If it is broken or hostile, with file and line.
+        SettingError: If the model's file is not in that folder.
     """
     if not isinstance(source, str | Path):
         return source.copy()
@@ -77,8 +83,18 @@ def load_spec(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     file = Path(source)
     if file.suffix.lower() == ".mjb":
         raise SceneError("binary models cannot be screened; give the MJCF", file=str(file))
-    _Screen(file.parent.resolve()).model(file)
+    _Screen(_root(file, folder), up=folder is not None).model(file)
     return _parsed(None, file)
+
+
+def _root(file: Path, folder: str | Path | None) -> Path:
+    """Return the folder that files have to be in."""
+    if folder is None:
+        return file.parent.resolve()
+    root = Path(folder).resolve()
+    if not (root.is_dir() and file.resolve().is_relative_to(root)):
+        raise SettingError("folder", str(folder), f"one that {str(file)!r} is in")
+    return root
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -130,6 +146,8 @@ class _Screen:
     """One look at a model and the files that it includes; `root` is the folder that it must not leave."""
 
     root: Path | None
+    up: bool = False
+    """Whether ".." may lead from one folder below the root into another."""
     elements: int = 0
     files: int = 0
     reading: list[Path] = field(default_factory=list)
@@ -141,6 +159,16 @@ class _Screen:
     spent: dict[str, float] = field(default_factory=lambda: dict.fromkeys(BUDGETS, 0.0))
     weighed: set[Path] = field(default_factory=set)
     """Files of assets that are in what is spent."""
+
+    @property
+    def allowed(self) -> str:
+        """Where files may be."""
+        return f"below {str(self.root)!r}" if self.up else "in the folder of the scene"
+
+    @property
+    def hint(self) -> str:
+        """How to allow others."""
+        return "" if self.up or self.root is None else "; Scene.from_mjcf(..., folder=DIR) allows those below DIR"
 
     def spend(self, what: str, amount: int | float) -> str | None:
         """Take something from a budget; return what to say if there is not so much in it."""
@@ -191,10 +219,11 @@ class _Screen:
         for place in sorted(self.places):
             for folder in folders:
                 path = Path(folder) / given
-                if path.is_absolute() or ".." in path.parts:
+                if path.is_absolute() or (".." in path.parts and not self.up):
                     return None
                 resolved = (place / path).resolve()  # a symbolic link may lead out
-                if not resolved.is_relative_to(self.root):
+                by_name = Path(os.path.normpath(place / path))  # what is opened by somebody who does not follow it
+                if not (resolved.is_relative_to(self.root) and by_name.is_relative_to(self.root)):
                     return None
                 if resolved.is_file():
                     found.append(resolved)
@@ -204,7 +233,7 @@ class _Screen:
         """Screen a file that is named by an asset. If there is none, MuJoCo says where it looked."""
         found = self.found(asset.given, sorted(self.folders))
         if found is None:
-            message = f"file {asset.given!r} of <{asset.tag}>: only files in the folder of the scene, by relative path"
+            message = f"file {asset.given!r} of <{asset.tag}>: only files {self.allowed}, by relative path{self.hint}"
             raise SceneError(message, file=asset.file, line=asset.line)
         for file in set(found) - self.weighed:
             self.weighed.add(file)
@@ -313,7 +342,7 @@ class _XmlReader:
             self.asset(tag, value)
         elif key in _FOLDERS:
             if self.screen.found(".", [value]) is None:
-                self.refuse(f"{key}={value!r} is outside of the folder of the scene")
+                self.refuse(f"{key}={value!r} is outside of the folder of the scene{self.screen.hint}")
             self.screen.folders.add(value)
         elif tag == "size" and key == "memory":
             self.refuse("the memory size cannot be set")
@@ -360,7 +389,7 @@ class _XmlReader:
             self.refuse(f"{what}: only files in the folder of the scene, no addresses")
         found = self.screen.found(given)
         if found is None:
-            self.refuse(f"{what}: only files in the folder of the scene, by relative path")
+            self.refuse(f"{what}: only files {self.screen.allowed}, by relative path{self.screen.hint}")
         if not found:
             self.refuse(f"{what}: there is no such file")
         for file in found:

@@ -51,3 +51,14 @@ def test_calls_are_on_the_page_and_in_the_terminal():
     assert "Calls by kind of problem" in page(summary)
     assert "refused" in bench.text(summary)
     assert [row["group"] for row in summary.to_document()["calls"]] == ["a", "b", ALL]
+
+
+def test_a_planner_that_solves_nothing_is_in_the_table_of_calls():
+    refused = [bench.Run(problem=name, planner="q", seed=0, status="TIMEOUT", seconds=0.01) for name in ("a1", "a2")]
+    good = made_up()
+    for planners in (("p", "q"), ("q", "p")):
+        both = replace(comparison([*good.runs, *refused], planners, tuple(good.groups)), groups=good.groups)
+        lines = bench.text(bench.summarise(both)).splitlines()
+        assert any("path 10 ms" in line or "path" in line for line in lines)
+        row = next(line for line in lines if line.startswith("a ") and " q " in line)
+        assert row.split()[2] == "0/2" and row.rstrip().endswith("–")

@@ -232,3 +232,14 @@ def test_what_does_not_fit_a_scene_is_named(scene: gp.Scene) -> None:
         values(gp.costs.EnergyCost((1.0, 1.0)), scene, states(scene, 1))
     with pytest.raises(ShapeError, match=r"JointCost\.centre has shape"):
         values(gp.costs.JointCost(centre=(0.0, 1.0)), scene, states(scene, 1))
+
+
+def test_kernels_of_impacts_that_words_stand_for_are_kept_by_scene_and_pace(scene: gp.Scene) -> None:
+    def kernel(of: gp.Scene, cost: gp.ImpactCost, paces: tuple[float, float] = search_paces()) -> object:
+        return gp.Objective(impact=cost, exposure="length").bind(of, paces).kernel
+
+    first = kernel(scene, gp.ImpactCost())
+    assert kernel(scene, gp.ImpactCost()) is first
+    others = [kernel(scene, gp.ImpactCost(), (0.5, 0.5)), kernel(scene, gp.ImpactCost(own_loss=False))]
+    severe = scene.with_severity({"laptop": 1000.0})
+    assert all(other is not first for other in [*others, kernel(severe, gp.ImpactCost())])

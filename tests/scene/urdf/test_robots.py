@@ -1,22 +1,23 @@
-"""Robots as their makers publish them, from a package that `make test-robots` installs: they load, and move."""
+"""Robots as their makers publish them, from packages that `make test-robots` installs: they load, and move."""
 
 from __future__ import annotations
 
+import os
 import sysconfig
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 import graceful_plan as gp
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.exceptions import SceneError
 from graceful_plan.judge.exact import Judge
 
 DATA = Path(sysconfig.get_path("purelib")) / "cmeel.prefix" / "share"
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(not (DATA / "example-robot-data").is_dir(), reason="make test-robots installs the models"),
-]
+MJCF = Path(os.environ.get("ROBOT_WHEELS") or sysconfig.get_path("purelib"))
+pytestmark = pytest.mark.long
 # Of 200 configurations that exact geometry calls free, the kernels call so at least this share; of 6 queries so many.
 ROBOTS = [
     ("panda_description/urdf/panda.urdf", "panda_hand_tcp", 0.85, 6),
@@ -29,9 +30,46 @@ ROBOTS = [
 
 @pytest.mark.parametrize(("file", "tool", "called", "solved"), ROBOTS)
 def test_a_published_robot_moves(file: str, tool: str, called: float, solved: int) -> None:
-    path = DATA / "example-robot-data" / "robots" / file
-    scene = gp.Scene.from_urdf(path, tool=tool, acceleration=5.0, packages=[DATA])
-    q = np.random.default_rng(0).uniform(*scene.limits.position.T, (400, len(scene.joints)))
+    path = _there(DATA / "example-robot-data" / "robots" / file)
+    _moves(gp.Scene.from_urdf(path, tool=tool, acceleration=5.0, packages=[DATA]), called, solved)
+
+
+@pytest.mark.parametrize(("name", "joints", "solved"), [("kinova3", 7, 6), ("iiwa", 7, 6), ("ur5e", 6, 1)])
+def test_a_published_mjcf_arm_moves(name: str, joints: int, solved: int) -> None:
+    path = _there(MJCF / "robosuite" / "models" / "assets" / "robots" / name / "robot.xml")
+    scene = gp.Scene.from_mjcf(
+        path,
+        robot="base",
+        tool="right_hand",
+        velocity=[2.0] * joints,
+        acceleration=[5.0] * joints,
+        self_collision="links",
+    )
+    _moves(scene, 0.95, solved)
+
+
+def test_a_published_fetch_moves_its_arm_at_a_table() -> None:
+    file = _there(MJCF / "gymnasium_robotics" / "envs" / "assets" / "fetch" / "reach.xml")
+    with pytest.raises(SceneError, match=r"meshdir='../stls/fetch' is outside .* folder=DIR\) allows"):
+        gp.Scene.from_mjcf(file, robot="robot0:", tool="robot0:grip", velocity=[1.0] * 11, acceleration=[3.0] * 11)
+    spec = mujoco.MjSpec.from_file(str(file))
+    for k in range(3):  # its base stands still
+        spec.delete(spec.joint(f"robot0:slide{k}"))
+    scene = gp.Scene.from_mjcf(
+        spec, robot="robot0:", tool="robot0:grip", velocity=[0.1] + [1.0] * 7, acceleration=[0.5] + [3.0] * 7
+    )
+    _moves(scene, 0.9, 6)
+
+
+def _there(path: Path) -> Path:
+    if not path.is_file():
+        pytest.skip("make test-robots installs the models")
+    return path
+
+
+def _moves(scene: gp.Scene, called: float, solved: int) -> None:
+    lower, upper = scene.limits.position.T
+    q = np.random.default_rng(0).uniform(lower, upper, (400, len(scene.joints)))
     judge = Judge(scene)
     touched = {touch.sample for touch in judge.touches(q) if judge.is_violation(touch, at_end=False)}
     free = q[[k for k in range(len(q)) if k not in touched]][:200]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -82,10 +83,11 @@ def text(summary: Summary) -> str:
 
 def _calls(calls: Sequence[CallSummary]) -> str:
     header = ["kind", "planner", "solved", "refused", "first [ms]", "motion [ms]", "CPU [ms]", "over p99 [ms]"]
+    early = EARLY if any(row.early for row in calls) else ()  # a planner that solves nothing has none
     rows = [
         [row.group, row.planner, f"{row.solved}/{row.runs}", str(row.refused)]
         + [number(1e3 * t) for t in (row.search, row.motion_wall, row.motion_cpu, max(row.over, 0.0))]
-        + [number(value) for value in row.early]
+        + [number(value) for value in row.early or (math.nan,) * len(early)]
         for row in calls
     ]
-    return documents.table([*header, *(f"path {1e3 * at:g} ms" for at in EARLY if calls[0].early)], rows)
+    return documents.table([*header, *(f"path {1e3 * at:g} ms" for at in early)], rows)

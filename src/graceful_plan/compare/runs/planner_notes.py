@@ -192,7 +192,12 @@ def imported_planner(name: str) -> type[Planner]:
     if inspect.isfunction(planner):
         planner = adapted(planner)
     if planner is None:
-        valid = [key for key, value in vars(module).items() if _is_planner(value) and not inspect.isabstract(value)]
+        valid = [
+            key
+            for key, value in vars(module).items()
+            if (_is_planner(value) and not inspect.isabstract(value))
+            or (inspect.isfunction(value) and value.__module__ == module_name and not key.startswith("_"))
+        ]
         raise UnknownNameError(f"planner of {module_name}", cls_name, valid)
     if not _is_planner(planner):
         raise PlannerImportError(name, "is no class derived from graceful_plan.Planner, and no function")

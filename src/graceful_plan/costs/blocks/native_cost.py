@@ -42,6 +42,12 @@ def _kernel(scene: Scene, cost: NativeCost) -> ImpactKernel:
     return cost.kernel(scene)
 
 
+@per_scene(most=_MOST_KERNELS)
+def _impact_kernel(scene: Scene, cost: ImpactCost, paces: tuple[float, float]) -> ImpactKernel | None:
+    """Keep kernels of costs that words stand for: every call of `plan` asks for those of the same one or two."""
+    return cost.kernel(scene, paces)
+
+
 def native_kernel(cost: Cost, scene: Scene, paces: tuple[float, float]) -> ImpactKernel | None:
     """Return what computes a cost in the core, None if Python has to.
 
@@ -51,7 +57,8 @@ def native_kernel(cost: Cost, scene: Scene, paces: tuple[float, float]) -> Impac
         paces: As of `NativeModel.kernel`.
     """
     if isinstance(cost, ImpactCost):
-        return cost.kernel(scene, paces)
+        named = isinstance(cost.model, str) and isinstance(cost.consequence, str)
+        return _impact_kernel(scene, cost, paces) if named else cost.kernel(scene, paces)
     if isinstance(cost, NativeCost):
         return _kernel(scene, cost)
     if not isinstance(cost, SumCost):
