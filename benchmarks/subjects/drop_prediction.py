@@ -21,14 +21,17 @@ from graceful_plan.costs.models.mixture.mixture import Footprint
 Array = np.ndarray
 
 TITLE = "Drop model: predicted and observed hits, event by event"
-MEASURED = """\
+TALL = 2.0
+"""Height over width of what is carried, from which on it is tall: bottles, tall glasses, vases, cans."""
+MEASURED = f"""\
 Scenes: variants of the bundled ones (`benchmarks/variants.py`), with things moved, turned, taken away and added, other
 ends of all tasks, and things carried that no bundled task carries; calibration has seen none of them. Motions: by
 RRT-Connect, planned by the default planner with w = 0.1, 0.3 and 1 ("optimised"), and over random via points, at 0.3 to
 1.0 of the velocity limits. The gripper fails at a random time; the object is held by the fingers where they can,
 otherwise by a weld. An event is a drop and an entity: did the object touch it within one second (what entities do to
 each other is not counted)? "Skill": Brier skill over the base rate of the same events. "ECE": 20 bins of equal counts.
-"Ratio": predicted hits over observed ones. Intervals are 95 %, whole motions drawn with replacement. "Aimed": Algorithm
+"Ratio": predicted hits over observed ones. "Tall": what is carried is, as it is held at the start, at least {TALL:g}
+times as high as it is wide. Intervals are 95 %, whole motions drawn with replacement. "Aimed": Algorithm
 1 with the object moved to where ballistics takes it at the height of each entity. "Unseen": the scenes of
 `benchmarks/unseen`, with furniture and objects of their own.
 """
@@ -126,7 +129,7 @@ def events_of(
     """Predict the events of drops with every model."""
     scenes = scenes_of(drops, load)
     columns: dict[str, list[Array]] = {name: [] for name in ("scene", "motion", "severity", "happened")}
-    labels: dict[str, list[Array]] = {"made": [], "hit": []}
+    labels: dict[str, list[Array]] = {"made": [], "hit": [], "carried": []}
     predicted: dict[str, list[Array]] = {name: [] for name in models}
     for i, part in enumerate(drops):
         scene = scenes[part.scene, part.task]
@@ -140,6 +143,7 @@ def events_of(
         labels["made"].append(np.full(counted.sum(), "optimised" if part.motion.startswith("auto") else "others"))
         what = np.array([_SURFACES.get(entity.category, "things") for entity in scene.entities.values()])
         labels["hit"].append(np.broadcast_to(what, hit.shape)[counted])
+        labels["carried"].append(np.full(counted.sum(), "tall" if is_tall(scene, part.q[0]) else "others"))
         for name, model in models.items():
             predicted[name].append(model(scene, part.q, part.qd)[counted])
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
@@ -148,6 +152,18 @@ def events_of(
         predicted={name: np.concatenate(parts) for name, parts in predicted.items()},
         labels={name: np.concatenate(parts) for name, parts in labels.items()},
     )
+
+
+def is_tall(scene: gp.Scene, q: Array) -> bool:
+    """Whether what is carried is tall, as it is held in a configuration."""
+    data = scene.data_at(q)
+    geoms = list(scene.components["carried"].geoms)
+    half, middle = scene.model.geom_aabb[geoms, 3:], scene.model.geom_aabb[geoms, :3]
+    R_WG = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    centre = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", R_WG, middle)
+    reach = np.einsum("gij,gj->gi", np.abs(R_WG), half)
+    size = (centre + reach).max(axis=0) - (centre - reach).min(axis=0)
+    return bool(size[2] >= TALL * size[:2].max())
 
 
 def _carried(scene: gp.Scene, probability: Array) -> Array:
@@ -221,6 +237,11 @@ def _hit_rows(events: Mapping[str, Events]) -> list[Sequence[object]]:
         part = _part(events[scenes], made, what)
         if len(part.happened):
             rows.append((scenes, made, what or "all", *part.figures("footprint")))
+    for scenes, what in product(events, ("", *HIT)):
+        part = _part(events[scenes], "optimised", what)
+        part = part.only(part.labels["carried"] == "tall")
+        if len(part.happened):
+            rows.append((f"{scenes}, tall things carried", "optimised", what or "all", *part.figures("footprint")))
     return rows
 
 

@@ -224,15 +224,15 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
         )
         drives = request.objective.scene.base is not None
         known = [] if drives else known_motions(request, problem, ends, budget, rng)
-        asked = replace(request, planner=beginning_with(known, request.planner))
-        known_is_enough = bool(known) and request.preference is None and is_enough(request.objective)
+        asked = replace(request, planner=beginning_with(known, request))
+        known_is_enough = bool(known) and request.preference is None and is_enough(request)
         found = Search() if known_is_enough else _searched(asked, problem, ends, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         cancelled, first = budget.cancelled(), None
         soon = cancelled or wants_it_soon(found)
-        if found.paths and (soon or drives or clock.can_insure):
-            quick = _quick_motions(found, request, ends, problem, budget)
-            first = first_verified(chain(known if cancelled else (), quick), request)
+        if (found.paths or known) and (soon or drives or clock.can_insure):
+            quick = _quick_motions(found, request, ends, problem, budget) if found.paths else ()
+            first = first_verified(chain(known if cancelled or not found.paths else (), quick), request)
             # Now it is known what timing and judging take here.
             budget.time_limit = min(budget.time_limit, _until_last_steps(request, budget.elapsed))
         judged = first if soon else None

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from benchmarks.subjects import drop_physics, failbench_soak, failbench_speed, transcription
+from benchmarks.subjects import drop_physics, drop_prediction, failbench_soak, failbench_speed, transcription
 from motions import Drop, Shake, execution
 
 import failbench
@@ -193,3 +193,15 @@ def test_motions_that_cannot_be_observed_are_told(lifted, monkeypatch):
         "refused: a: joint 'panda/joint1' at 0.5, b: no motion of least F"
     )
     assert transcription._harm_target(cases[:2]).met is None
+
+
+# --- drop prediction --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "tall"), [("pass_bottle", True), ("serve_cake", False)])
+def test_a_bottle_is_tall_as_long_as_it_stands(name: str, tall: bool) -> None:
+    task = gp.load_scene("dining_table").tasks[name]
+    assert drop_prediction.is_tall(task.scene, task.start) is tall
+    lying = task.start.copy()
+    lying[-2] -= np.pi / 2  # the wrist tips it
+    assert not drop_prediction.is_tall(task.scene, lying)

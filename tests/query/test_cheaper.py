@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.constraints.scene_constraints import SceneConstraints, default_constraints
 from graceful_plan.costs.objective import Objective, search_paces
-from graceful_plan.query.cheaper import cheaper
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.cheaper import cheaper, is_enough, known_motions
+from graceful_plan.query.deadline.clock import Clock
+from graceful_plan.query.ends import Ends, find_ends
+from graceful_plan.query.request import Request
 from sizes import first_quick
 
 DROPS = gp.ImpactCost(model=gp.Footprint())
@@ -69,3 +76,38 @@ def test_settings_of_the_cheaper_model_are_the_shipped_ones(task: gp.Task) -> No
     bound = gp.Objective(impact=replace(ARM, own_loss=False)).bind(task.scene)
     found = cheaper(bound)
     assert found is not None and found.objective.impact == DROPS
+
+
+@pytest.mark.parametrize(
+    ("of", "limit", "begins", "alone"),
+    [
+        ("dining_table/serve_stew", 5.0, True, False),
+        ("dining_table/serve_stew", 1.0, True, True),
+        ("dining_table/serve_stew", 0.3, False, False),
+        ("desk/bring_coffee", np.inf, False, False),
+    ],
+)
+def test_where_next_to_nothing_may_slop_over_the_shortest_motion_competes(
+    of: str, limit: float, *, begins: bool, alone: bool
+) -> None:
+    scene, name = of.split("/")
+    task = gp.load_scene(scene).tasks[name]
+    objective = gp.Objective().bind(task.scene, search_paces(1.0))
+    held = SceneConstraints(task.scene, default_constraints(task.scene))
+    ends = find_ends(task.start, task.goal, held, np.random.default_rng(0))
+    assert isinstance(ends, Ends)
+    request = Request(
+        planner=gp.Auto(), objective=objective, constraints=ends.constraints, clock=Clock(np.inf, limit=limit)
+    )
+    problem = SceneProblem(
+        kernels=ends.constraints.kernels,
+        start=ends.departure.q[-1],
+        goals=np.stack([arrival.q[0] for arrival in ends.arrivals]),
+        margin=0.001,
+        constraints=ends.constraints,
+    )
+    known = known_motions(request, problem, ends, Budget(iterations=4), np.random.default_rng(1))
+    assert bool(known) is begins
+    assert (bool(known) and is_enough(request)) is alone
+    for motion in known:
+        assert motion.cost.total == pytest.approx(gp.evaluate(motion.trajectory, task.scene).total)

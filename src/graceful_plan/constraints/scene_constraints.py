@@ -38,6 +38,9 @@ _SHARES = (0.6, 0.5, 0.4, 0.3)
 _NARROW = 0.25
 """Angle for what is felt [rad] below which paths are worth more of the time than descents from bad ones: with 0.4 of it
 instead of 0.15, J of nearly full soup, tray and pan fell by 26, 18 and 0 %; that of a coffee rose by 12 %."""
+_CALM = 0.15
+"""Angle for what is felt [rad] below which motions are planned from the shortest ones on; see `query.cheaper`. With
+0.25 a bucket, a cruet and a tray of cups gained nothing or lost."""
 _SLOWDOWN = 1.08
 """By how much a motion is slowed down at least."""
 _MOST_SLOWDOWNS = 40
@@ -76,6 +79,8 @@ class SceneConstraints:
         """Whether something that is carried has to stay level."""
         self.narrow = any(isinstance(felt, FeltCone) and felt.angle < _NARROW for felt in self.felt)
         """Whether that leaves so little room that good paths are hard to find."""
+        self.calm = any(isinstance(felt, FeltCone) and felt.angle < _CALM for felt in self.felt)
+        """Whether it leaves so little that this alone decides how long a motion takes."""
         self._speeds = tuple(rule for _, rule in rules if isinstance(rule, SpeedRule))
         resting = [rule for c in carrying for rule in c.resting(scene)]
         self.kernels: Kernels = bounded_kernels(scene, [*(rule for _, rule in rules), *resting])

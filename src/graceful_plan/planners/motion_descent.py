@@ -34,6 +34,8 @@ _ROUND = 20
 _HARDENINGS = 3
 """How often a descent that ends too close to something is pressed harder away from it, for `_MORE` evaluations each."""
 _MORE = 40
+_FOR_ROOM = 1
+"""How often for more room than has to be."""
 _WORKERS = 2
 _UNTIMED_HOPS = 4
 """Hops where no clock limits them."""
@@ -149,6 +151,7 @@ class MotionDescents:
         velocity: Limits of the joints [rad/s or m/s].
         acceleration: Limits of the joints [rad/s^2 or m/s^2].
         is_free: Whether nothing is hit along a curve that came from some start.
+        has_room: Whether it passes everything with room to spare.
         effort: How much of what there is to do.
         felt: Limits on what is felt where something is carried.
         counts_points: Whether the cost is summed over the samples of the motion.
@@ -159,6 +162,7 @@ class MotionDescents:
     velocity: Float[Array, " nq"]
     acceleration: Float[Array, " nq"]
     is_free: Callable[[Spline, Start], bool]
+    has_room: Callable[[Spline, Start], bool] = lambda _curve, _start: True
     effort: Effort = Effort()
     felt: Sequence[_native.FeltLimit] = ()
     counts_points: bool = False
@@ -214,7 +218,7 @@ class MotionDescents:
             return None
         for hardening in range(_HARDENINGS + 1):
             curve = Spline(descent.controls)
-            if self.is_free(curve, start):
+            if self.is_free(curve, start) and (hardening >= _FOR_ROOM or self.has_room(curve, start)):
                 return Landed(curve, descent.value, index)
             if hardening < _HARDENINGS:
                 descent.harden()

@@ -33,7 +33,8 @@ def search_for_motions(request: Request, problem: SceneProblem, budget: Budget, 
     Of its paths the best is at the end; `others` are the best of each other search, the best first.
     """
     objective, planner, callback = request.objective, request.planner, request.callback
-    asked = _NARROW_SHARE if request.constraints.narrow else _SHARE
+    held = request.constraints
+    asked = _NARROW_SHARE if held.narrow and not held.calm and objective.w > 0.0 else _SHARE
     if objective.descended() is None:
         return search(planner, problem, objective, budget, rng, callback, kept=ALL)
     if not isinstance(planner, Auto) or planner.initial is not None or objective.w == 0.0:
