@@ -14,6 +14,7 @@ namespace gp {
 struct FloorShape {
   int entity;  // -1: an obstacle
   double x, y, ux, uy, a, b, round, vx, vy;
+  double spread = 0;  // standard deviation of its place
 
   // Of a point at a time; inside of a rectangle minus the way to its nearest side.
   double distance(double px, double py, double time) const {
@@ -118,6 +119,20 @@ class Coasting {
 
   const Footprint2d& footprint() const { return footprint_; }
 
+  // Whether somebody may be met at all.
+  bool reaches(const State& at, const FloorShape& who) const {
+    const double speed = std::fabs(at.v);
+    if (speed <= kStill) return false;
+    double far = farthest_, longest = lasts_;
+    for (const Stop& stop : stop_) {
+      far = std::max(far, speed * stop.delay + speed * speed / (2 * stop.a));
+      longest = std::max(longest, stop.delay + speed / stop.a);
+    }
+    const double blur = std::hypot(spread_, drift_ * far, who.spread);
+    const double most = far + footprint_.reach() + kFarOff * blur + std::hypot(who.vx, who.vy) * longest / kSlowest;
+    return who.distance(at.x, at.y, 0) < most;
+  }
+
   // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all.
   bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work) const {
     std::fill(work.hit.begin(), work.hit.end(), 0.0);
@@ -136,7 +151,8 @@ class Coasting {
     work.whom.clear(), work.what.clear();
     for (size_t k = 0; k < shape.size(); ++k) {
       const bool counts = shape[k].entity < 0 || !severity || severity[shape[k].entity] > 0;
-      const double moves = std::hypot(shape[k].vx, shape[k].vy) * std::max(longest, lasts_);
+      const double moves =
+          std::hypot(shape[k].vx, shape[k].vy) * std::max(longest, lasts_) + kFarOff * shape[k].spread;
       if (counts && shape[k].distance(at.x, at.y, 0) < most + moves)
         (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
     }
@@ -176,6 +192,7 @@ class Coasting {
 
   // How likely a base at a place touches a shape there.
   double touch(const FloorShape& shape, const double at[4], double time, double spread) const {
+    if (shape.spread > 0) spread = std::hypot(spread, shape.spread);
     if (shape.distance(at[0], at[1], time) > footprint_.reach() + kFarOff * spread) return 0.0;
     const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
     return 0.5 * std::erfc(d / spread * 0.7071067811865476);
