@@ -37,6 +37,7 @@ from graceful_plan.query.cheaper import beginning_with, is_enough, known_motions
 from graceful_plan.query.deadline.clock import Clock, paces_of
 from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
+from graceful_plan.query.driving.among_moving import search_among_walkers
 from graceful_plan.query.driving.drives import driven, stops
 from graceful_plan.query.driving.postures import BASE
 from graceful_plan.query.driving.tight import rolling_ends
@@ -273,8 +274,10 @@ def _motions(
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
     """Search by J; by a measure of risk or at the times of what moves where these decide."""
     if request.objective.scene.base is not None:
-        means = budget, rng, request.callback
         share = _DRIVE_SHARE if problem.start.size == BASE else _ARM_DRIVE_SHARE
+        if request.objective.scene.moving:
+            return search_among_walkers(request, problem, budget, rng, share=share)
+        means = budget, rng, request.callback
         return search(request.planner, problem, request.objective, *means, kept=ALL, share=share)
     if request.preference is not None:
         return request.preference.search(request.planner, problem, budget, rng, request.callback)

@@ -14,11 +14,13 @@ from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.driving.pacing import paced
 from graceful_plan.query.driving.postures import BASE
 from graceful_plan.query.driving.reposed import reposed
 from graceful_plan.query.driving.slowing import slower_where_it_pays
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.query.driving.stages import DriveStage, Move, stages
+from graceful_plan.query.driving.walkers import Walkers
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.motions import Motion, charged, price_of_time
 from graceful_plan.query.request import Request
@@ -44,6 +46,10 @@ _REPOSED, _LINES = 8, 2
 """How often postures are chosen along a motion, and along how many that the arm stays in."""
 _WORTH = 1e-3
 """Relative gain below which no more postures are chosen."""
+_INTO = 1e6
+"""What is added to the ranking of motions that drive into somebody."""
+_PACE = 0.75
+"""Mean share of the fastest speed, to tell when a later stage of a drive begins."""
 _JOINED = 0.45 * np.pi
 """Turns at either end up to which a curve may turn instead [rad]."""
 
@@ -99,11 +105,36 @@ def _in_the_plane(
         if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not _has_plenty(request))):
             continue
         for parts in _joined_ends(stages(whole)):
-            with budget.share(_CURVE_SHARE * budget.remaining_seconds) as part:
-                drive = connected([one for stage in parts for one in _smooth(stage, smoother, problem, part)])
-            for motion in _timed(drive, whole, arrival, request):
-                yielded = True
-                yield motion, drive
+            wait: float | None = 0.0
+            while wait is not None:
+                with budget.share(_CURVE_SHARE * budget.remaining_seconds) as part:
+                    drive = connected(list(_smooth_all(parts, replace(smoother, begins=wait), problem, part)))
+                made = _timed(drive, whole, arrival, request)
+                for motion in made:
+                    yielded = True
+                    yield motion, drive
+                # Who waits meets others elsewhere: once more, for setting out then.
+                wait = _wait(made[-1].trajectory) if made and wait == 0.0 and not budget.exhausted else None
+
+
+def _wait(trajectory: Trajectory) -> float | None:
+    """Return for how long a motion rests before it goes, None if it does not [s]."""
+    waits = len(trajectory) > 1 and np.array_equal(trajectory.q[0], trajectory.q[1])
+    return float(trajectory.t[1] - trajectory.t[0]) if waits else None
+
+
+def _smooth_all(
+    parts: Sequence[DriveStage], smoother: Smoother, problem: SceneProblem, budget: Budget
+) -> Iterator[Stretch]:
+    """Yield what replaces stages, each for about when it begins."""
+    begins = smoother.begins
+    for stage in parts:
+        yield from _smooth(stage, replace(smoother, begins=begins), problem, budget)
+        way = np.abs(np.diff(stage.q, axis=0))
+        metres, turn = float(np.hypot(way[:, 0], way[:, 1]).sum()), float(way[:, 2].sum())
+        speed = _PACE * smoother.speed
+        begins += metres / (speed * smoother.base.v_max)
+        begins += 0.0 if _rolls(stage) else turn / (speed * smoother.base.omega_max)
 
 
 def _has_plenty(request: Request) -> bool:
@@ -132,30 +163,47 @@ def stops(searched: Search, request: Request, ends: Ends) -> list[Motion]:
 
 
 def _smoother(request: Request, problem: SceneProblem) -> Smoother:
-    base = request.objective.scene.base
+    base, walkers = request.objective.scene.base, _walkers(request)
     assert base is not None
     return Smoother(
-        objective=request.objective,
+        objective=request.objective if walkers is None else walkers.still,
         base=base,
         clearance=problem.clearance_gradient,
         time_price=price_of_time(request),
         speed=request.speed,
+        walkers=walkers,
     )
 
 
+def _walkers(request: Request) -> Walkers | None:
+    return Walkers(request.objective) if request.objective.scene.moving else None
+
+
 def _timed(drive: Drive, whole: Path, arrival: int, request: Request) -> list[Motion]:
+    """Return motions along a curve: as fast as can be, and with the law of time that pays."""
     if not drive.stretches:
         return []
+    walkers, price, wait = _walkers(request), price_of_time(request), 0.0
     with request.clock.measured("timing"):
         try:
-            fast = _motion(drive, whole, arrival, request)
-            slower = slower_where_it_pays(drive, fast.trajectory, request.objective, price_of_time(request))
-            return [fast, *([_motion(drive, whole, arrival, request, slower)] if slower is not None else [])]
+            fast = _trajectory(drive, request)
+            found = [charged(whole, fast, arrival, request)]
+            if walkers is None:
+                slower = slower_where_it_pays(drive, fast, request.objective, price)
+            else:
+                slower, wait = paced(drive, fast, walkers, price, request.max_wait)
+            if slower is not None or wait > 0.0:
+                later = _trajectory(drive, request, slower).delayed(wait)
+                found.append(charged(whole, later, arrival, replace(request, max_wait=0.0)))
         except RetimingError:
             return []
+        if walkers is None:
+            return found
+        into = [_INTO * walkers.meets(motion.trajectory) for motion in found]
+        return [replace(one, ranking=one.ranking + more) for one, more in zip(found, into, strict=True)]
 
 
-def _motion(drive: Drive, whole: Path, arrival: int, request: Request, slower: Restraint | None = None) -> Motion:
+def _trajectory(drive: Drive, request: Request, slower: Restraint | None = None) -> Trajectory:
     scene = request.objective.scene
 
     def timing(limits: Restraint) -> Trajectory:
@@ -164,7 +212,7 @@ def _motion(drive: Drive, whole: Path, arrival: int, request: Request, slower: R
 
         return timed(drive, scene.limits, scene.joints, speed=request.speed, restraint=both)
 
-    return charged(whole, request.constraints.timed(timing), arrival, request)
+    return request.constraints.timed(timing)
 
 
 def _joined_ends(parts: Sequence[DriveStage]) -> Iterator[list[DriveStage]]:
