@@ -38,9 +38,8 @@ _CRUISE = 0.7
 """Share of the fastest speed at which a cell is crossed in two ticks."""
 _SHARES = (1.0, 0.5, 0.0)
 """Of the way from the disc inside of the robot to the one around it: what keeps clear, one after the other."""
-_REACH, _APART = 2.8, 0.4
+_REACH, _APART = 3.0, 0.5
 """How far off somebody is looked at, and between these places [m]."""
-_DIRECTIONS = 8
 _MOST_VELOCITIES = 4
 _KEPT = 0.2
 """Clearance to those who move, besides the discs [m]."""
@@ -58,7 +57,7 @@ class FloorInTime(Planner):
     Args:
         cell: Width of a cell [m].
         around: How far beyond start and goals the map reaches, if the limits of the base let it [m].
-        late: How many seconds later than without anybody the base may arrive.
+        late: How many seconds it may take, besides one for each metre of length and width of the map.
     """
 
     name: ClassVar[str] = "floor_in_time"
@@ -91,13 +90,13 @@ class FloorInTime(Planner):
         discs, top = footprint(objective.scene, start)
         inside, outside = float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
         floor = floor_around(objective.scene, top, np.array([start, *problem.goals])[:, :2], (_FINE, self.around))
-        charge = _Charge(self, objective, outside, start)
+        seconds = sum(floor.size) + self.late
+        charge = _Charge(self, objective, start, outside + _KEPT, seconds)
         for share in _SHARES:
             if not budget.spend():
                 return
             cells = _Cells.of(floor, self.cell, inside + share * (outside - inside), (start, goals[0]))
-            ticks = int((cells.crossing + self.late) / charge.tick)
-            grid = TimedGrid(free=cells.free, ticks=ticks)
+            grid = TimedGrid(free=cells.free, ticks=charge.ticks)
             found = grid.cheapest(cells.start, cells.goal, lambda tick, xy=cells.xy: charge(tick, xy))
             if len(found.cells) == 0:
                 continue
@@ -116,8 +115,6 @@ class _Cells:
     free: Bool[Array, "row column"]
     start: tuple[int, int]
     goal: tuple[int, int]
-    crossing: float
-    """Time to get along a quarter of the way around all of them at 1 m/s, at most [s]."""
 
     @classmethod
     def of(
@@ -135,27 +132,32 @@ class _Cells:
             place = int(np.clip(column, 0, columns - 1)), int(np.clip(row, 0, rows - 1))
             free[place[::-1]] = True
             places.append(place)
-        return cls(xy, free, places[0], places[1], width + height)
+        return cls(xy, free, places[0], places[1])
 
 
 class _Charge:
     """What moves cost at ticks."""
 
-    def __init__(self, of: FloorInTime, objective: SceneObjective, radius: float, start: Float[Array, " nq"]) -> None:
+    def __init__(
+        self, of: FloorInTime, objective: SceneObjective, start: Float[Array, " nq"], kept: float, seconds: float
+    ) -> None:
         base = objective.scene.base
         assert base is not None
         self.objective, self.cell, self.start = objective, of.cell, start
         self.tick = 0.5 * of.cell / (_CRUISE * base.v_max)
-        self.walkers = [_Walker(self, entity, radius) for entity in objective.scene.moving.values()]
+        self.ticks = int(seconds / self.tick)
+        halves = 2 * (self.ticks + max(move.ticks for move in MOVES))
+        self.walkers = [
+            _Walker(self, entity, kept + _radius(entity), halves) for entity in objective.scene.moving.values()
+        ]
         self.own = np.array([of.cell * move.length + _TIME * self.tick * move.ticks for move in MOVES])
 
     def __call__(self, tick: int, xy: Float[Array, "row column 2"]) -> Float[Array, "move row column"]:
         cost = np.repeat(self.own, xy.shape[0] * xy.shape[1]).reshape(len(MOVES), *xy.shape[:2])
         for k, move in enumerate(MOVES):
-            t = self.tick * (tick + 0.5 * move.ticks)
             middle = xy + 0.5 * self.cell * np.array([move.columns, move.rows])
             for walker in self.walkers:
-                walker.add(cost[k], move, middle, t)
+                walker.add(cost[k], k, middle, 2 * tick + move.ticks)
         return cost
 
     def speed(self, move: Move) -> float:
@@ -166,36 +168,35 @@ class _Charge:
 class _Walker:
     """One who moves: a table of w times the impact by where the base is, seen from them, and where it drives."""
 
-    def __init__(self, charge: _Charge, entity: MovingEntity, radius: float) -> None:
-        self.charge, self.entity = charge, entity
-        self.kept = (
-            float(np.linalg.norm(entity.half_size[:2]) if not entity.is_round else entity.size[0]) + radius + _KEPT
-        )
+    def __init__(self, charge: _Charge, entity: MovingEntity, kept: float, halves: int) -> None:
+        self.charge, self.entity, self.kept = charge, entity, kept
         n = int(np.ceil(_REACH / _APART))
         self.places = _APART * np.arange(-n, n + 1)
-        self.moves = [(k, move) for k, move in enumerate(MOVES) if move.length > 0.0]
+        self.t = 0.5 * charge.tick * np.arange(halves)
+        shape, self.velocity, _ = seen_from_above(entity, self.t)
+        self.position = shape[:, :2]
         self.tables: dict[tuple[float, ...], Float[Array, "move place place"]] = {}
 
-    def add(self, cost: Float[Array, "row column"], move: Move, xy: Float[Array, "row column 2"], t: float) -> None:
-        """Add what a move costs at a time, from everywhere."""
-        there = self.entity.at(t).position[:2]
-        off = xy - there
-        near = np.abs(off).max(axis=-1) < _REACH
+    def add(self, cost: Float[Array, "row column"], move: int, xy: Float[Array, "row column 2"], half: int) -> None:
+        """Add what a move costs in the middle of a tick, or between two, from everywhere."""
+        x, y = np.moveaxis(xy - self.position[half], -1, 0)
+        near = (np.abs(x) < _REACH) & (np.abs(y) < _REACH)
         if not near.any():
             return
-        if self.charge.objective.w > 0.0 and move.length > 0.0:
-            x, y = np.moveaxis(np.rint(off[near] / _APART).astype(int) + len(self.places) // 2, -1, 0)
-            cost[near] += self.charge.tick * move.ticks * self._table(t)[MOVES.index(move), x, y]
-        cost[near & (np.hypot(off[..., 0], off[..., 1]) < self.kept)] = np.inf
+        x, y = x[near], y[near]
+        more = np.where(np.hypot(x, y) < self.kept, np.inf, 0.0)
+        if self.charge.objective.w > 0.0 and MOVES[move].length > 0.0:
+            at = (np.rint(of / _APART).astype(int) + len(self.places) // 2 for of in (x, y))
+            more += self.charge.tick * MOVES[move].ticks * self._table(half)[move][tuple(at)]
+        cost[near] += more
 
-    def _table(self, t: float) -> Float[Array, "move place place"]:
+    def _table(self, half: int) -> Float[Array, "move place place"]:
         """Return w times the impact of each move, for the velocity at a time."""
-        velocity = seen_from_above(self.entity, np.array([t]))[1][0]
-        key = tuple(np.round(velocity, 1).tolist())
+        key = tuple(np.round(self.velocity[half], 1).tolist())
         if key not in self.tables and len(self.tables) >= _MOST_VELOCITIES:
             key = min(self.tables, key=lambda known: float(np.hypot(known[0] - key[0], known[1] - key[1])))
         if key not in self.tables:
-            self.tables[key] = self._looked_at(t)
+            self.tables[key] = self._looked_at(float(self.t[half]))
         return self.tables[key]
 
     def _looked_at(self, t: float) -> Float[Array, "move place place"]:
@@ -208,13 +209,19 @@ class _Walker:
         x, y = np.meshgrid(self.places, self.places, indexing="ij")
         q = np.tile(self.charge.start, (x.size, 1))
         q[:, 0], q[:, 1] = there[0] + x.ravel(), there[1] + y.ravel()
-        for k, move in self.moves:
+        for k, move in enumerate(MOVES):
+            if move.length == 0.0:
+                continue
             way = np.array([move.columns, move.rows]) / move.length
             qd = np.zeros_like(q)
             q[:, 2], qd[:, :2] = np.arctan2(way[1], way[0]), self.charge.speed(move) * way
             found = impact.moving_state(moving_batch(alone, q, qd, np.full(len(q), t)))
             table[k] = objective.w * found.reshape(x.shape)
         return table
+
+
+def _radius(entity: MovingEntity) -> float:
+    return float(entity.size[0] if entity.is_round else np.linalg.norm(entity.size[:2]))
 
 
 def _without_collinear(xy: Float[Array, "point 2"]) -> Float[Array, "point 2"]:

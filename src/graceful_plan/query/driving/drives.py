@@ -183,18 +183,18 @@ def _timed(drive: Drive, whole: Path, arrival: int, request: Request) -> list[Mo
     """Return motions along a curve: as fast as can be, and with the law of time that pays."""
     if not drive.stretches:
         return []
-    walkers, price, wait = _walkers(request), price_of_time(request), 0.0
+    walkers, price, wait, at_once = _walkers(request), price_of_time(request), 0.0, replace(request, max_wait=0.0)
     with request.clock.measured("timing"):
         try:
             fast = _trajectory(drive, request)
-            found = [charged(whole, fast, arrival, request)]
+            found = [charged(whole, fast, arrival, at_once)]
             if walkers is None:
                 slower = slower_where_it_pays(drive, fast, request.objective, price)
             else:
                 slower, wait = paced(drive, fast, walkers, price, request.max_wait)
             if slower is not None or wait > 0.0:
                 later = _trajectory(drive, request, slower).delayed(wait)
-                found.append(charged(whole, later, arrival, replace(request, max_wait=0.0)))
+                found.append(charged(whole, later, arrival, at_once))
         except RetimingError:
             return []
         if walkers is None:

@@ -29,7 +29,7 @@ _PIECE, _FEWEST, _MOST = 0.2, 6, 48
 """Length of a piece [m], and how many there are."""
 _TICK = 0.1
 """Width of an interval of time [s]."""
-_SEEN = 0.2
+_SEEN = 0.3
 """Between the times at which impact is looked at [s]."""
 _LATER = 1.5
 """Times the fastest duration, and so many seconds: when a base has arrived that dawdles [s]."""
