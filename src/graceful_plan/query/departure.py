@@ -62,7 +62,7 @@ def best_departure(
         objective: In a scene where something moves.
         max_wait: Longest wait [s].
     """
-    wait = _best_wait(trajectory, objective, max_wait)[0]
+    wait = _best_wait(trajectory, objective, max_wait)[0] if max_wait > 0.0 else 0.0
     delayed = trajectory.delayed(wait)
     return delayed, objective.breakdown(delayed)
 

@@ -41,6 +41,8 @@ _SHARES = (1.0, 0.5, 0.0)
 _REACH, _APART = 3.0, 0.5
 """How far off somebody is looked at, and between these places [m]."""
 _MOST_VELOCITIES = 4
+_SLOW = 0.5
+"""Impact at half the speed, as a share: routes need no more, the law of time looks again."""
 _KEPT = 0.2
 """Clearance to those who move, besides the discs [m]."""
 _TIME = 0.3
@@ -211,6 +213,10 @@ class _Walker:
         q[:, 0], q[:, 1] = there[0] + x.ravel(), there[1] + y.ravel()
         for k, move in enumerate(MOVES):
             if move.length == 0.0:
+                continue
+            fast = move._replace(ticks=move.ticks // 2)
+            if fast in MOVES[:k]:
+                table[k] = _SLOW * table[MOVES.index(fast)]
                 continue
             way = np.array([move.columns, move.rows]) / move.length
             qd = np.zeros_like(q)

@@ -91,7 +91,8 @@ def driven(
             if number >= _LINES and found[0][0].ranking > (1.0 - _WORTH) * before:
                 break
     found.sort(key=lambda one: one[0].ranking)
-    return [*(motion for motion, _ in found), *stops(searched, request, ends)], ""
+    passes = smoother.walkers is not None and any(motion.ranking < _INTO for motion, _ in found)
+    return [*(motion for motion, _ in found), *([] if passes else stops(searched, request, ends))], ""
 
 
 def _in_the_plane(
@@ -114,7 +115,8 @@ def _in_the_plane(
                     yielded = True
                     yield motion, drive
                 # Who waits meets others elsewhere: once more, for setting out then.
-                wait = _wait(made[-1].trajectory) if made and wait == 0.0 and not budget.exhausted else None
+                wait = _wait(made[0].trajectory) if made and wait == 0.0 and not budget.exhausted else None
+                wait = wait if smoother.walkers is not None else None
 
 
 def _wait(trajectory: Trajectory) -> float | None:
@@ -146,9 +148,13 @@ def _chosen(paths: Sequence[Path], smoother: Smoother, kept: int) -> Iterator[tu
 
     First what an ordinary planner would return, which takes little time: nobody is to get less.
     """
+    unaware = replace(smoother, walkers=None)
     if smoother.objective.w > 0.0 and paths:
-        yield paths[0], smoother.shortest()
-    yield from ((path, smoother) for path in reversed(paths[-kept:]))
+        yield paths[0], unaware.shortest()
+    for path in reversed(paths[-kept:]):
+        yield path, smoother
+        if smoother.walkers is not None:  # whom the law of time alone lets pass
+            yield path, unaware
 
 
 def stops(searched: Search, request: Request, ends: Ends) -> list[Motion]:
@@ -183,24 +189,35 @@ def _timed(drive: Drive, whole: Path, arrival: int, request: Request) -> list[Mo
     """Return motions along a curve: as fast as can be, and with the law of time that pays."""
     if not drive.stretches:
         return []
-    walkers, price, wait, at_once = _walkers(request), price_of_time(request), 0.0, replace(request, max_wait=0.0)
+    walkers, price = _walkers(request), price_of_time(request)
+    if walkers is not None:
+        return _in_time(drive, whole, arrival, request, walkers)
     with request.clock.measured("timing"):
         try:
             fast = _trajectory(drive, request)
-            found = [charged(whole, fast, arrival, at_once)]
-            if walkers is None:
-                slower = slower_where_it_pays(drive, fast, request.objective, price)
-            else:
-                slower, wait = paced(drive, fast, walkers, price, request.max_wait)
-            if slower is not None or wait > 0.0:
-                later = _trajectory(drive, request, slower).delayed(wait)
-                found.append(charged(whole, later, arrival, at_once))
+            found = [charged(whole, fast, arrival, request)]
+            if (slower := slower_where_it_pays(drive, fast, request.objective, price)) is not None:
+                found.append(charged(whole, _trajectory(drive, request, slower), arrival, request))
+            return found
         except RetimingError:
             return []
-        if walkers is None:
-            return found
-        into = [_INTO * walkers.meets(motion.trajectory) for motion in found]
-        return [replace(one, ranking=one.ranking + more) for one, more in zip(found, into, strict=True)]
+
+
+def _in_time(drive: Drive, whole: Path, arrival: int, request: Request, walkers: Walkers) -> list[Motion]:
+    """Do so among those who move; motions that drive into somebody rank behind all others."""
+    found, at_once = [], replace(request, max_wait=0.0)  # the law of time knows when to go
+    try:
+        fast = _trajectory(drive, request)
+        slower, wait = paced(drive, fast, walkers, price_of_time(request), request.max_wait)
+        laws = [fast] if slower is None and wait == 0.0 else [_trajectory(drive, request, slower).delayed(wait), fast]
+    except RetimingError:
+        return []
+    with request.clock.measured("timing"):
+        for trajectory in laws:
+            motion = charged(whole, trajectory, arrival, at_once)
+            into = _INTO * walkers.meets(trajectory)
+            found.append(replace(motion, ranking=motion.ranking + into))
+    return found
 
 
 def _trajectory(drive: Drive, request: Request, slower: Restraint | None = None) -> Trajectory:

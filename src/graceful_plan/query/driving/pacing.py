@@ -25,11 +25,11 @@ SHARES = np.array([1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.12])
 """Of the fastest speed."""
 _LOOKED_AT = np.array([0.12, 0.55, 1.0])
 """Shares at which impact is looked at; between them it is interpolated."""
-_PIECE, _FEWEST, _MOST = 0.2, 6, 48
+_PIECE, _FEWEST, _MOST = 0.25, 6, 36
 """Length of a piece [m], and how many there are."""
 _TICK = 0.1
 """Width of an interval of time [s]."""
-_SEEN = 0.3
+_SEEN = 0.4
 """Between the times at which impact is looked at [s]."""
 _LATER = 1.5
 """Times the fastest duration, and so many seconds: when a base has arrived that dawdles [s]."""
@@ -113,9 +113,12 @@ class Charges:
         latest = max_wait + _LATER * float(pieces.seconds.sum()) + _MORE
         t = _SEEN * np.arange(int(np.ceil(latest / _SEEN)) + 1)
         q, at = np.repeat(pieces.q, len(t), axis=0), np.tile(t, n)
-        looked = np.stack(
-            [walkers.impact(q, a * np.repeat(pieces.qd, len(t), axis=0), at).reshape(n, len(t)) for a in _LOOKED_AT]
-        )
+        qd, soonest = np.repeat(pieces.qd, len(t), axis=0), np.append(0.0, np.cumsum(pieces.seconds)[:-1])
+        reached = at > np.repeat(soonest, len(t)) - 2.0 * _SEEN
+        looked = np.zeros((len(_LOOKED_AT), n * len(t)))
+        for k, a in enumerate(_LOOKED_AT):
+            looked[k, reached] = walkers.impact(q[reached], a * qd[reached], at[reached])
+        looked = looked.reshape(-1, n, len(t))
         rate = np.zeros((n, len(SHARES)))
         if w > 0.0:
             rate = np.stack([still.quick_states(pieces.q, a * pieces.qd) for a in SHARES], axis=1)

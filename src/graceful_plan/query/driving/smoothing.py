@@ -187,9 +187,11 @@ class Smoother:
             impact, by_q, by_qd = self._impact_slopes(rows, rates)
             harm = impact + np.einsum("kun,un->ku", dq, by_q) + np.einsum("kun,un->ku", dqd, by_qd)
         if self.walkers is not None:
-            (more, gap), (others, gaps) = self._passing(at, self.walkers), self._passing(near, self.walkers)
-            impact, harm = impact + more[0], harm + others
-            clearance, close = np.minimum(clearance, gap[0]), np.minimum(close, gaps)
+            more, m_q, m_qd, m_t = self.walkers.slopes(rows, rates, self.begins + at.time[0])
+            others = more + np.einsum("kun,un->ku", dq, m_q) + np.einsum("kun,un->ku", dqd, m_qd)
+            impact, harm = impact + more, harm + others + (near.time - at.time) * m_t
+            clearance = np.minimum(clearance, self._gap(at, self.walkers)[0])
+            close = np.minimum(close, self._gap(near, self.walkers))
         value = self._charge(at, impact[None], clearance[None], room)
         return (self._charge(near, harm, close, room) - value) / _NUDGE
 
@@ -208,15 +210,15 @@ class Smoother:
             impact = self.objective.quick_states(rows, rates).reshape(at.bend.shape)
         clearance = self.clearance(rows)[0].reshape(at.bend.shape)
         if self.walkers is not None:
-            more, gap = self._passing(at, self.walkers)
-            impact, clearance = impact + more, np.minimum(clearance, gap)
+            more = self.walkers.impact(rows, rates, self.begins + at.time.ravel())
+            impact = impact + more.reshape(at.time.shape)
+            clearance = np.minimum(clearance, self._gap(at, self.walkers))
         return self._charge(at, impact, clearance, room)
 
-    def _passing(self, at: _Travelled, walkers: Walkers) -> tuple[Float[Array, "curve u"], Float[Array, "curve u"]]:
-        """Return what those who move add to the impact of curves, and what is left of what they are to be kept from."""
-        q, qd = (of.reshape(-1, of.shape[-1]) for of in (at.q, at.qd))
-        t = self.begins + at.time.ravel()
-        return walkers.impact(q, qd, t).reshape(at.time.shape), walkers.gap(q, t).reshape(at.time.shape) - KEPT
+    def _gap(self, at: _Travelled, walkers: Walkers) -> Float[Array, "curve u"]:
+        """Return what is left of what those who move are to be kept from [m]."""
+        gap = walkers.gap(at.q.reshape(-1, at.q.shape[-1]), self.begins + at.time.ravel())
+        return gap.reshape(at.time.shape) - KEPT
 
     def _charge(
         self, at: _Travelled, impact: Float[Array, "curve u"], clearance: Float[Array, "curve u"], room: Closeness

@@ -17,6 +17,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.driving.footprint import footprint
+from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.query.departure import as_if_nobody_moved
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -26,6 +27,10 @@ KEPT = 0.15
 """Clearance to people that is planned with, from discs around the robot [m]; the judge asks for more than none."""
 STANDING = 0.01
 """Speed below which a base stands, and others walk into it [m/s]."""
+_NUDGE = 1e-4
+"""For differences [m, rad, m/s, rad/s, s]."""
+_HARDLY = 1e-6
+"""Impact below which nobody is hit."""
 _LOOKS = 200
 """At a motion."""
 
@@ -52,6 +57,29 @@ class Walkers:
         if self.objective.w == 0.0 or not isinstance(cost, ImpactCost):
             return np.zeros(len(q))
         return cost.moving_state(moving_batch(self.objective.scene, q, qd, t))
+
+    def slopes(
+        self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], t: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, " n"]]:
+        """Return `impact`, and its derivatives by place and heading of the base, by its velocities, and by time.
+
+        By differences, where somebody may be hit at all.
+        """
+        value = self.impact(q, qd, t)
+        by_q, by_qd, by_t = np.zeros_like(q), np.zeros_like(q), np.zeros(len(q))
+        some = np.flatnonzero(value > _HARDLY)
+        if not len(some):
+            return value, by_q, by_qd, by_t
+        n, changes = q.shape[1], 2 * BASE + 1
+        more = np.zeros((changes, len(some), 2 * n + 1)) + np.concatenate([q, qd, t[:, None]], axis=1)[some]
+        column = [*range(BASE), *range(n, n + BASE), 2 * n]
+        for k, changed in enumerate(column):
+            more[k, :, changed] += _NUDGE
+        flat = more.reshape(-1, 2 * n + 1)
+        found = self.impact(flat[:, :n], flat[:, n : 2 * n], flat[:, -1]).reshape(changes, -1)
+        slope = (found - value[some]) / _NUDGE
+        by_q[some, :BASE], by_qd[some, :BASE], by_t[some] = slope[:BASE].T, slope[BASE : 2 * BASE].T, slope[-1]
+        return value, by_q, by_qd, by_t
 
     def gap(self, q: Float[Array, "n nq"], t: Float[Array, " n"]) -> Float[Array, " n"]:
         """Return how far discs around the robot are from the nearest of them, as predicted [m]."""
