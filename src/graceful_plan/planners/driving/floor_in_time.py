@@ -230,7 +230,7 @@ def _radius(entity: MovingEntity) -> float:
     return float(entity.size[0] if entity.is_round else np.linalg.norm(entity.size[:2]))
 
 
-def _without_collinear(xy: Float[Array, "point 2"]) -> Float[Array, "point 2"]:
+def _without_collinear(xy: Float[Array, "_ 2"]) -> Float[Array, "_ 2"]:
     """Leave out waits, and points on the straight line from the one before to the next."""
     xy = xy[np.append(True, np.abs(np.diff(xy, axis=0)).max(axis=1) > 0.0)]
     if len(xy) < 3:
