@@ -24,7 +24,7 @@ def add_map(parser: argparse.ArgumentParser) -> None:
         "--map",
         type=FilePath,
         metavar="FILE",
-        help="plan on a floor map instead: YAML of map_server, or .map of MovingAI",
+        help="plan on a floor map: YAML of map_server, or .map of MovingAI",
     )
     parser.add_argument("--robot", default="jackal", help="who drives on it: jackal or fetch (default jackal)")
     parser.add_argument(

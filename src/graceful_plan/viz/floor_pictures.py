@@ -217,8 +217,15 @@ def _offset(axes: Any, disc: tuple[Float[Array, " 2"], float], to: Float[Array, 
     )  # fmt: skip
 
 
-def _name(axes: Any, name: str, at: Float[Array, " 2"]) -> None:
+def _name(axes: Any, name: str, at: Float[Array, " 2"], *, above: bool = False) -> None:
     axes.annotate(
-        name, at, xytext=(0, -16), textcoords="offset points", ha="center", fontsize=8, bbox=HALO, zorder=8,
-        annotation_clip=True,
-    )  # fmt: skip
+        name,
+        at,
+        xytext=(0, 14 if above else -20),
+        textcoords="offset points",
+        ha="center",
+        fontsize=8,
+        weight="bold" if above else "normal",
+        bbox=HALO,
+        zorder=8,
+    )

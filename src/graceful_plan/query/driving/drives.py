@@ -91,8 +91,9 @@ def driven(
             if number >= _LINES and found[0][0].ranking > (1.0 - _WORTH) * before:
                 break
     found.sort(key=lambda one: one[0].ranking)
-    passes = smoother.walkers is not None and any(motion.ranking < _INTO for motion, _ in found)
-    return [*(motion for motion, _ in found), *([] if passes else stops(searched, request, ends))], ""
+    # Among those who move, laws of time take a while: that along the path itself was tried before.
+    last = [] if smoother.walkers is not None and found else stops(searched, request, ends)
+    return [*(motion for motion, _ in found), *last], ""
 
 
 def _in_the_plane(
@@ -106,6 +107,8 @@ def _in_the_plane(
         if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not _has_plenty(request))):
             continue
         for parts in _joined_ends(stages(whole)):
+            if yielded and smoother.walkers is not None and budget.exhausted:
+                return
             wait: float | None = 0.0
             while wait is not None:
                 with budget.share(_CURVE_SHARE * budget.remaining_seconds) as part:

@@ -99,7 +99,8 @@ class Coasting {
     std::vector<double> hit, most, met, free, braked, touched;
     std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
-    std::vector<Spun> spun;  // of the tables, at the speed and rate of turning of the state before
+    std::vector<Spun> spun;          // of the tables, at the speed and rate of turning of the state before
+    std::vector<double> spun_reach;  // how far off its places each table's are
     double spun_speed = 0, spun_rate = 0;
   };
   struct State {
@@ -143,13 +144,22 @@ class Coasting {
       far = std::max(far, speed * stop.delay + speed * speed / (2 * stop.a));
       longest = std::max(longest, stop.delay + speed / stop.a);
     }
-    const double around = footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far, who.spread);
     const double step = longest / kLooks, between = std::hypot(who.vx, who.vy) * step;
     for (int k = 0; k < kLooks; ++k) {
       const double gone = std::min(far, speed * step * (k + 1));
-      if (who.distance(at.x, at.y, step * k) < around + between + gone) return true;
+      if (who.distance(at.x, at.y, step * k) < around(who, far) + between + gone) return true;
     }
     return false;
+  }
+  double around(const FloorShape& who, double far) const {
+    return footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far, who.spread);
+  }
+  // How far somebody is at least while a base comes to rest that goes so far, less what both reach and blur.
+  double nearest(const State& at, const FloorShape& who, double longest, double far) const {
+    const double v = std::hypot(who.vx, who.vy), step = longest / kLooks;
+    double d = who.distance(at.x, at.y, 0);
+    for (int k = 1; v > 0 && k < kLooks; ++k) d = std::min(d, who.distance(at.x, at.y, step * k));
+    return d - v * step - around(who, std::max(far, farthest_));
   }
 
   // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all.
@@ -175,6 +185,8 @@ class Coasting {
         (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
     }
     if (work.whom.empty()) return false;
+    double gap = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
+    for (const size_t k : work.whom) gap = std::min(gap, nearest(at, shape[k], std::max(longest, lasts_), far));
     const double sign = at.v < 0 ? -1 : 1, bend = at.omega / at.v * sign;
     const double straightens = turn_ * at.omega * at.omega;
     // Released wheels go along the others' arc if nothing turns so far.
@@ -182,10 +194,13 @@ class Coasting {
     for (size_t f = 0; f < family_.size(); ++f) {
       const Family& family = family_[f];
       if (alike && family.released && has({false, family.bend})) continue;
+      double goes = 0;
+      for (const size_t i : alike ? any_[f] : own_[f]) goes = std::max(goes, work.free[i] + work.braked[i]);
+      if (gap > goes) continue;
       const double turns = family.released ? straightens : std::numeric_limits<double>::infinity();
       follow(at, {sign, bend + family.bend, turns, speed, far, alike ? any_[f] : own_[f]}, shape, work);
     }
-    if (!share_.empty()) tabulated(at, shape, work);
+    if (!share_.empty()) tabulated(at, gap, shape, work);
     return true;
   }
 
@@ -283,12 +298,16 @@ class Coasting {
 
   // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned
   // round.
-  void tabulated(const State& q, const std::vector<FloorShape>& shape, Work& work) const {
+  void tabulated(const State& q, double gap, const std::vector<FloorShape>& shape, Work& work) const {
     const double speed = std::fabs(q.v), sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
     // States of a batch often differ by place and time alone.
     if (work.spun.empty() || work.spun_speed != speed || work.spun_rate != q.omega) spin(speed, q.omega, work);
     const Spun* row = work.spun.data();
     for (size_t f = 0; f < share_.size(); ++f) {
+      if (gap > work.spun_reach[f]) {
+        row += samples_;
+        continue;
+      }
       work.place.clear();
       for (size_t k = 0; k < samples_; ++k, ++row) {
         const double x = sign * row->x, y = sign * row->y;
@@ -303,6 +322,7 @@ class Coasting {
   }
   void spin(double speed, double rate, Work& work) const {
     const Node v = node(speeds_, speed), w = node(rates_, rate);
+    work.spun_reach.assign(share_.size(), 0.0);
     work.spun.clear(), work.spun_speed = speed, work.spun_rate = rate;
     for (size_t f = 0; f < share_.size(); ++f) {
       for (size_t k = 0; k < samples_; ++k) {
@@ -316,6 +336,7 @@ class Coasting {
             for (size_t n = 0; n < kPlace; ++n) p[n] += weight * row[n];
           }
         }
+        work.spun_reach[f] = std::max(work.spun_reach[f], std::hypot(p[0], p[1]));
         work.spun.push_back({p[0], p[1], std::cos(p[2]), std::sin(p[2]), p[4],
                              std::hypot(spread_, drift_ * std::hypot(p[0], p[1])),
                              std::min(1.0, p[3] * p[3] / (unit_ * unit_))});
