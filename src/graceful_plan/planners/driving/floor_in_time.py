@@ -66,7 +66,7 @@ class FloorInTime(Planner):
     anytime: ClassVar[bool] = False
 
     cell: float = 0.25
-    around: float = 2.0
+    around: float = 8.0
     late: float = 8.0
 
     def __post_init__(self) -> None:

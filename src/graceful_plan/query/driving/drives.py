@@ -151,11 +151,14 @@ def _chosen(paths: Sequence[Path], smoother: Smoother, kept: int) -> Iterator[tu
 
     First what an ordinary planner would return, which takes little time: nobody is to get less.
     """
-    unaware = replace(smoother, walkers=None)
+    unaware, best = replace(smoother, walkers=None), list(reversed(paths[-kept:]))
+    if smoother.walkers is not None and best:  # a search over time found it
+        yield best[0], smoother
     if smoother.objective.w > 0.0 and paths:
         yield paths[0], unaware.shortest()
-    for path in reversed(paths[-kept:]):
-        yield path, smoother
+    for path in best:
+        if smoother.walkers is None or path is not best[0]:
+            yield path, smoother
         if smoother.walkers is not None:  # whom the law of time alone lets pass
             yield path, unaware
 
