@@ -31,7 +31,7 @@ def ben() -> gp.MovingEntity:
 
 def main(picture: Path | None = None, iterations: int | None = None) -> dict[str, gp.PlanResult]:
     """Plan both ways, say what each would do to whom, and draw the second; return the results."""
-    budget = {"time_limit": 6.0} if iterations is None else {"iterations": iterations}
+    budget = {"time_limit": 10.0} if iterations is None else {"iterations": iterations}
     floor = office()
     still = floor.to_scene("jackal")
     scene = still.with_moving(ben())

@@ -230,8 +230,8 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             first = first_verified(chain(known if cancelled else (), quick), request)
             # Now it is known what timing and judging take here.
             budget.time_limit = min(budget.time_limit, _until_last_steps(request))
-            in_time = drives and bool(request.objective.scene.moving)  # each curve takes a while there
-            soon = soon or (in_time and budget.exhausted and first is not None and first.verdict.passed)
+            late = budget.remaining_seconds <= 0.0 and drives and bool(request.objective.scene.moving)
+            soon = soon or (late and first is not None and first.verdict.passed)  # each curve takes a while there
         judged = first if soon else None
         if judged is None or not judged.verdict.passed:
             candidates, why_not = _motions(found, request, ends, problem, (budget, rng), known)

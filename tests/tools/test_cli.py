@@ -399,6 +399,7 @@ def test_demo_labels_say_the_weight():
     assert {f"w = {w:g}" for w in demo.WEIGHTS.values()} == {label.split(" (")[0] for label in demo.WEIGHTS}
 
 
+@pytest.mark.long
 def test_plan_on_a_map_with_people_and_a_picture(run, tmp_path):
     gp.FloorMap(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
     people = ("--entity", "adult", "2.5", "0.6", "--walker", "adult", "4.5", "2.5", "4.5", "0.5", "1.0")

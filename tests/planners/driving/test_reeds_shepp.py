@@ -16,7 +16,7 @@ SCENE = hall()
 PLANNERS = (ReedsSheppRRT, ReedsSheppRRTStar, ReedsSheppPRM)
 
 
-def found(planner, scene=SCENE, iterations=250, w=0.0):
+def found(planner, scene=SCENE, iterations=120, w=0.0):
     problem, objective = asked(scene, [-4.0, 0.0, 0.0], [[4.0, 0.0, 0.0]], w)
     paths = list(planner.solve(problem, objective, Budget(iterations=iterations), np.random.default_rng(1)))
     return paths, problem, objective
@@ -41,6 +41,7 @@ def test_no_curve_is_tighter_than_the_radius():
     assert turned.sum() <= way.sum() / 0.8 + 1e-6
 
 
+@pytest.mark.long
 def test_through_plan_with_result_and_verdict():
     result = gp.plan("west", "east", SCENE, w=0.0, planner="reeds_shepp_rrt_star", iterations=150)
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["rolling"].passed

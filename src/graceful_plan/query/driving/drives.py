@@ -107,7 +107,7 @@ def _in_the_plane(
         if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not _has_plenty(request))):
             continue
         for parts in _joined_ends(stages(whole)):
-            if yielded and smoother.walkers is not None and budget.exhausted:
+            if yielded and smoother.walkers is not None and budget.remaining_seconds <= 0.0:
                 return
             wait: float | None = 0.0
             while wait is not None:
@@ -118,7 +118,7 @@ def _in_the_plane(
                     yielded = True
                     yield motion, drive
                 # Who waits meets others elsewhere: once more, for setting out then.
-                wait = _wait(made[0].trajectory) if made and wait == 0.0 and not budget.exhausted else None
+                wait = _wait(made[0].trajectory) if made and wait == 0.0 and budget.remaining_seconds > 0.0 else None
                 wait = wait if smoother.walkers is not None else None
 
 
