@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.floor.timed_paths import MOVES, Move, TimedGrid
+from graceful_plan.floor.timed_paths import MOVES, TimedGrid, TimedMove
 
 TICKS = 7
 
@@ -41,7 +41,7 @@ def test_costs_are_those_of_the_best_of_all_paths(seed):
     if np.isfinite(found.cost):
         paid = 0.0
         for (c, r), (c1, r1), t, t1 in zip(found.cells, found.cells[1:], found.ticks, found.ticks[1:], strict=False):
-            paid += charges[t, MOVES.index(Move(c1 - c, r1 - r, t1 - t)), r, c]
+            paid += charges[t, MOVES.index(TimedMove(c1 - c, r1 - r, t1 - t)), r, c]
         assert paid == pytest.approx(found.cost)
         assert found.ticks[0] == 0 and tuple(found.cells[0]) == (0, 0) and tuple(found.cells[-1]) == (2, 1)
 
@@ -67,6 +67,6 @@ def test_what_makes_no_sense_is_refused():
     with pytest.raises(SettingError, match="ticks"):
         TimedGrid(free=np.ones((1000, 1000), dtype=bool), ticks=1000)
     with pytest.raises(SettingError, match="moves"):
-        TimedGrid(free=np.ones((2, 2), dtype=bool), ticks=3, moves=(Move(1, 0, 0),))
+        TimedGrid(free=np.ones((2, 2), dtype=bool), ticks=3, moves=(TimedMove(1, 0, 0),))
     with pytest.raises(SettingError, match="goal"):
         TimedGrid(free=np.ones((2, 2), dtype=bool), ticks=3).cheapest((0, 0), (2, 0), lambda _: np.zeros((17, 2, 2)))

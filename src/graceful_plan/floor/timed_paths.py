@@ -23,7 +23,7 @@ MOST_STATES = 20_000_000
 """Cells times ticks."""
 
 
-class Move(NamedTuple):
+class TimedMove(NamedTuple):
     """A step to a neighbour, or to wait."""
 
     columns: int
@@ -36,10 +36,10 @@ class Move(NamedTuple):
         return float(np.hypot(self.columns, self.rows))
 
 
-def _moves() -> tuple[Move, ...]:
+def _moves() -> tuple[TimedMove, ...]:
     around = [(c, r) for c in (-1, 0, 1) for r in (-1, 0, 1) if (c, r) != (0, 0)]
-    fast = [Move(c, r, 3 if c and r else 2) for c, r in around]
-    return (Move(0, 0, 1), *fast, *(Move(c, r, 2 * ticks) for c, r, ticks in fast))
+    fast = [TimedMove(c, r, 3 if c and r else 2) for c, r in around]
+    return (TimedMove(0, 0, 1), *fast, *(TimedMove(c, r, 2 * ticks) for c, r, ticks in fast))
 
 
 MOVES = _moves()
@@ -83,7 +83,7 @@ class TimedGrid:
 
     free: Bool[Array, "row column"]
     ticks: int
-    moves: tuple[Move, ...] = MOVES
+    moves: tuple[TimedMove, ...] = MOVES
 
     def __post_init__(self) -> None:
         if not np.size(self.free):
@@ -131,7 +131,7 @@ class TimedGrid:
             ticks.append(tick)
         return TimedPath(cells=np.array(cells[::-1]), ticks=np.array(ticks[::-1]), cost=cost)
 
-    def _step(self, move: Move) -> tuple[tuple[slice, slice], tuple[slice, slice], Bool[Array, "row column"]]:
+    def _step(self, move: TimedMove) -> tuple[tuple[slice, slice], tuple[slice, slice], Bool[Array, "row column"]]:
         """Return where a move may begin, where it then ends, and whether both and what is beside are free."""
         rows, columns = self.free.shape
 

@@ -29,7 +29,7 @@ from graceful_plan.tools.console import (
     sentence,
     show,
 )
-from graceful_plan.tools.map_options import PICTURES, add_map, chosen_map, map_problem
+from graceful_plan.tools.floor.map_options import PICTURES, add_map, chosen_map, map_problem
 from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 from graceful_plan.tools.validation import Validation, check_failures, validate_motion

@@ -21,7 +21,7 @@ from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.floor.floor_map import FloorMap
-from graceful_plan.floor.timed_paths import MOVES, Move, TimedGrid
+from graceful_plan.floor.timed_paths import MOVES, TimedGrid, TimedMove
 from graceful_plan.path import Path
 from graceful_plan.planners.driving.footprint import floor_around, footprint, turns_and_straights
 from graceful_plan.planners.driving.postures import BASE
@@ -162,7 +162,7 @@ class _Charge:
                 walker.add(cost[k], k, middle, 2 * tick + move.ticks)
         return cost
 
-    def speed(self, move: Move) -> float:
+    def speed(self, move: TimedMove) -> float:
         """Of the base on a move [m/s]."""
         return self.cell * move.length / (self.tick * move.ticks)
 

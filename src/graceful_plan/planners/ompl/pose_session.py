@@ -71,7 +71,7 @@ class PoseSession:
             space.setBounds(self._bounds(around))
             si = ob.SpaceInformation(space)
             si.setStateValidityChecker(lambda s: curves.state_free(_pose(s)))
-            si.setMotionValidator(_Validator(si, curves))
+            si.setMotionValidator(_CurveValidator(si, curves))
             si.setup()
             definition = self._definition(si, curves)
             planner = getattr(og, self.kind.name)(si)
@@ -168,7 +168,7 @@ class PoseSession:
             else:
                 goals.addState(state)
         definition.setGoal(goals)
-        definition.setOptimizationObjective(_Objective(si, curves))
+        definition.setOptimizationObjective(_CurveObjective(si, curves))
         return definition
 
     def _path(self, poses: Float[Array, "pose 3"], curves: _Curves) -> Float[Array, "vertex nq"]:
@@ -234,7 +234,7 @@ class _Curves:
 
 
 @final
-class _Validator(ob.MotionValidator):
+class _CurveValidator(ob.MotionValidator):
     """Checks motions in one batch each."""
 
     def __init__(self, si: ob.SpaceInformation, curves: _Curves) -> None:
@@ -246,7 +246,7 @@ class _Validator(ob.MotionValidator):
 
 
 @final
-class _Objective(ob.OptimizationObjective):
+class _CurveObjective(ob.OptimizationObjective):
     """J of curves."""
 
     def __init__(self, si: ob.SpaceInformation, curves: _Curves) -> None:

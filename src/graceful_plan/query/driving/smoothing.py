@@ -247,4 +247,5 @@ class Smoother:
         duration = metres / np.maximum(pace, 1e-9)
         qd = rate / np.maximum(duration, 1e-9)[..., None]
         time = (np.cumsum(duration, axis=1) - 0.5 * duration) / n
-        return _Travelled(q, qd, np.linalg.norm(rate, axis=-1), metres, bend, duration, time)
+        length = np.linalg.norm(rate, axis=-1)
+        return _Travelled(q=q, qd=qd, length=length, metres=metres, bend=bend, duration=duration, time=time)
