@@ -58,6 +58,7 @@ SUBJECTS = (
     "policies",
     "transcription",
     "moving_entities",
+    "walking_past",
     "driving",
     "whole_body",
     "base_failures",

@@ -37,6 +37,7 @@ from graceful_plan.query.cheaper import beginning_with, is_enough, known_motions
 from graceful_plan.query.deadline.clock import Clock, paces_of
 from graceful_plan.query.deadline.quick import quick_motions, wants_it_soon
 from graceful_plan.query.departure import RESERVE, search_among_moving
+from graceful_plan.query.driving.among_moving import search_among_walkers
 from graceful_plan.query.driving.drives import driven, stops
 from graceful_plan.query.driving.postures import BASE
 from graceful_plan.query.driving.tight import rolling_ends
@@ -61,7 +62,8 @@ _TIMING_RESERVE = RESERVE + 0.2
 """Seconds kept besides to time candidates and to evaluate the chosen one if something moves, at most a quarter of all.
 """
 _DRIVE_SHARE, _ARM_DRIVE_SHARE = 0.5, 0.3
-"""Of the time, for the search of a base's path, of one without and with an arm; the rest is for curves near it."""
+"""Of the time, for the search of a base's path, of one without and with an arm or among those who move; the rest is for
+curves near it."""
 _COMPILED_SOON = 0.1
 """Compiling is not worth a word if it took less [s]: several times what bundled scenes take."""
 _UNVERIFIED = "a path was found, but there was no time to judge a motion along it: it is NOT verified"
@@ -235,6 +237,8 @@ def _search_and_finish(request: Request, ends: Ends, budget: Budget, rng: np.ran
             first = first_verified(chain(known if cancelled or not found.paths else (), quick), request)
             # Now it is known what timing and judging take here.
             budget.time_limit = min(budget.time_limit, _until_last_steps(request, budget.elapsed))
+            late = budget.remaining_seconds <= 0.0 and drives and bool(request.objective.scene.moving)
+            soon = soon or (late and first is not None and first.verdict.passed)  # each curve takes a while there
         judged = first if soon else None
         if judged is None or not judged.verdict.passed:
             candidates, why_not = _motions(found, request, ends, problem, (budget, rng), known)
@@ -280,8 +284,10 @@ def _motions(
 def _searched(request: Request, problem: SceneProblem, ends: Ends, budget: Budget, rng: np.random.Generator) -> Search:
     """Search by J; by a measure of risk or at the times of what moves where these decide."""
     if request.objective.scene.base is not None:
-        means = budget, rng, request.callback
         share = _DRIVE_SHARE if problem.start.size == BASE else _ARM_DRIVE_SHARE
+        if request.objective.scene.moving:
+            return search_among_walkers(request, problem, budget, rng, share=_ARM_DRIVE_SHARE)
+        means = budget, rng, request.callback
         return search(request.planner, problem, request.objective, *means, kept=ALL, share=share)
     if request.preference is not None:
         return request.preference.search(request.planner, problem, budget, rng, request.callback)

@@ -89,3 +89,10 @@ def test_a_patient_robot_spares_the_walking_person(capsys):
     )
     assert spared < 0.1 * alone
     assert "patient: waits" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_who_walks_on_a_map_is_not_driven_into(capsys, tmp_path):
+    results = _load("map_with_people").main(tmp_path / "floor.png", iterations=30_000)
+    assert results["with regard for time"].verdict.checks["passing_by"].passed
+    assert "drives into 'ben'" in capsys.readouterr().out and (tmp_path / "floor.png").exists()

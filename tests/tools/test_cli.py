@@ -397,3 +397,33 @@ def test_demo_says_what_the_graceful_motion_costs_and_buys():
 
 def test_demo_labels_say_the_weight():
     assert {f"w = {w:g}" for w in demo.WEIGHTS.values()} == {label.split(" (")[0] for label in demo.WEIGHTS}
+
+
+@pytest.mark.long
+def test_plan_on_a_map_with_people_and_a_picture(run, tmp_path):
+    gp.FloorMap(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
+    people = ("--entity", "adult", "2.5", "0.6", "--walker", "adult", "4.5", "2.5", "4.5", "0.5", "1.0")
+    words = ("plan", "--map", str(tmp_path / "hall.yaml"), "--start", "0.6,1.5,0", "--goal", "4,1.5", *people)
+    code, out, _ = run(*words, "--iterations", "3000", "--json", "--picture", str(tmp_path / "hall.png"))
+    told = json.loads(out)
+    assert (code, told["status"]) == (cli.DONE, "SOLVED") and told["verdict"]["checks"]["passing_by"]["passed"]
+    assert {"adult_1", "adult_walking_1"} <= set(told["cost"]["impact_by_entity"])
+    assert (tmp_path / "hall.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--start", "1,1", "--goal", "2,2"), "--start"),
+        (("--start", "1", "1", "0", "--goal", "2,x"), "--goal"),
+        (("--start", "1,1,0", "--goal", "2,2", "--task", "any"), "--task"),
+        (("--start", "1,1,0", "--goal", "2,2", "--robot", "spot"), "spot"),
+        (("--start", "1,1,0", "--goal", "2,2", "--entity", "ghost", "1", "2"), "ghost"),
+        (("--start", "1,1,0", "--goal", "2,2", "--walker", "adult", "1", "2", "1", "2", "1"), "--walker"),
+        (("--start", "1,1,0", "--goal", "2,2", "--picture", "map.txt"), ".png"),
+    ],
+)
+def test_what_is_wrong_with_a_map_is_named(run, tmp_path, words, said):
+    gp.FloorMap(occupancy=np.zeros((60, 100), dtype=bool), resolution=0.05).save(tmp_path / "hall.yaml")
+    code, _, err = run("plan", "--map", str(tmp_path / "hall.yaml"), *words)
+    assert code == cli.MISUSE and said in err

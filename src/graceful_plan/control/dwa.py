@@ -29,13 +29,13 @@ from graceful_plan.array_types import Float
 from graceful_plan.control.diff_drive_controller import limited
 from graceful_plan.control.drive_state import DriveCommand, DriveState, Surroundings, checked_places, checked_state
 from graceful_plan.core import _native
-from graceful_plan.costs.models.coast.coast import coasting_arrays
 from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.coast.native import coasting_arrays
 from graceful_plan.costs.models.coast.tables import coast_tables
+from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
-from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
@@ -43,8 +43,6 @@ Array = np.ndarray
 
 _MUCH = 1e12
 """Stands for infinity in the core."""
-_SOON = 0.05
-"""Time after which velocities of moving entities are seen [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,11 +216,11 @@ def seen(scene: Scene, t: float = 0.0, *, static: bool = True) -> Surroundings:
         static: Whether what stands still is in it too.
     """
     tables = _standing(scene)
-    moving = [_moving_row(entity, t) for entity in scene.moving.values()]
+    moving = [seen_from_above(entity, np.array([t])) for entity in scene.moving.values()]
     count = len(scene.entities)
-    shape = [*(tables[0] if static else ()), *(row for row, _ in moving)]
+    shape = [*(tables[0] if static else ()), *(row[0] for row, _, _ in moving)]
     entity = [*(tables[1] if static else ()), *range(count, count + len(moving))]
-    velocity = np.concatenate([np.zeros((len(shape) - len(moving), 2)), *(v[None] for _, v in moving)])
+    velocity = np.concatenate([np.zeros((len(shape) - len(moving), 2)), *(v for _, v, _ in moving)])
     body = [entity.severity["body"] if "body" in entity.severity else 0.0 for entity in scene.entities.values()]
     walking = [float(scene.moving_severity[name]["body"]) for name in scene.moving]
     return Surroundings(np.array(shape).reshape(-1, 7), np.array(entity, dtype=int), velocity, [*body, *walking])
@@ -240,13 +238,3 @@ def _limits(base: DiffDrive) -> Float[Array, " 8"]:
         least, base.v_max, base.omega_max, base.a_max, base.alpha_max, base.lateral_max, base.lever, base.rim_max,
     )  # fmt: skip
     return np.array(values, dtype=float)
-
-
-def _moving_row(entity: MovingEntity, t: float) -> tuple[Float[Array, " 7"], Float[Array, " 2"]]:
-    """Return the outline of a moving entity at a time, and its velocity then."""
-    there = entity.at([t, t + _SOON])
-    (x, y), yaw = there.position[0, :2], float(there.yaw[0])
-    velocity = (there.position[1, :2] - there.position[0, :2]) / _SOON
-    half = (0.0, 0.0) if entity.is_round else (float(entity.size[0]), float(entity.size[1]))
-    rounding = float(entity.size[0]) if entity.is_round else 0.0
-    return np.array([x, y, math.cos(yaw), math.sin(yaw), *half, rounding]), velocity

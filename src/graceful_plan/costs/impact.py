@@ -126,7 +126,7 @@ class ImpactCost(Cost):
 
     def hazard_severity(self, scene: Scene) -> Float[Array, "component hazard"]:
         """S of each component against each of `hazards`; the object itself is harmed by the component "carried"."""
-        counted = self.components  # the base of a robot is feared by who stands still
+        counted = self.counted(scene)
         moving = [
             [severity[name] if name in counted else 0.0 for severity in scene.moving_severity.values()]
             for name in scene.components
@@ -141,7 +141,7 @@ class ImpactCost(Cost):
         """P of each component against each of `hazards`, given a failure at each state."""
         parts, scene = [self.interaction.probability(batch)], batch.scene
         if scene.moving:
-            parts.append(np.asarray(sum(moving_model(self.interaction).sources(batch, self.components).values())))
+            parts.append(np.asarray(sum(moving_model(self.interaction).sources(batch, self.counted(scene)).values())))
         if self.counts_own_loss(scene):
             parts.append(np.asarray(sum(self._own_sources(batch).values())))
         return np.concatenate(parts, axis=2)
@@ -151,7 +151,7 @@ class ImpactCost(Cost):
         scene = batch.scene
         parts = [(self.interaction.sources(batch), len(scene.entities))]
         if scene.moving:
-            parts.append((moving_model(self.interaction).sources(batch, self.components), len(scene.moving)))
+            parts.append((moving_model(self.interaction).sources(batch, self.counted(scene)), len(scene.moving)))
         if self.counts_own_loss(scene):
             parts.append((self._own_sources(batch), 1))
         rows = len(batch), len(scene.components)
@@ -177,6 +177,14 @@ class ImpactCost(Cost):
     def state(self, batch: StateBatch) -> Float[Array, " n"]:
         """Expected severity given a failure at each state."""
         return np.einsum("nce,ce->n", self.probability(batch), self.hazard_severity(batch.scene))
+
+    def moving_state(self, batch: StateBatch) -> Float[Array, " n"]:
+        """Return the part of `state` that is of moving entities."""
+        scene = batch.scene
+        if not scene.moving:
+            return np.zeros(len(batch))
+        P = np.asarray(sum(moving_model(self.interaction).sources(batch, self.counted(scene)).values()))
+        return np.einsum("nce,ce->n", P, self.hazard_severity(scene)[:, len(scene.entities) : len(scene.hazards)])
 
     def gradient(self, batch: StateBatch) -> Float[Array, "n nq"] | None:
         """Derivative of the expected severity with respect to q at constant velocity, None if the model has none."""

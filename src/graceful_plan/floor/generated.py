@@ -30,7 +30,7 @@ _RADIUS = {"adult": 0.25, "child": 0.18, "pet": 0.15, "heirloom": 0.15, "glass":
 """Of the cylinders that stand for who may be harmed [m]."""
 _HEIGHT = {"adult": 1.7, "child": 1.1, "pet": 0.5, "heirloom": 0.6, "glass": 0.5}
 _TRIES = 200
-_CYLINDER = 0.075
+CYLINDER = 0.075
 """Radius of the obstacles of a course [m], as in the BARN challenge."""
 
 
@@ -144,14 +144,14 @@ def obstacle_course(
         "resolution": (0.01 <= resolution <= 0.1, "from 0.01 to 0.1 m"),
     }
     _check(checks, locals())
-    rng, cell, free = np.random.default_rng((17, seed)), 2.0 * _CYLINDER, 1.0
+    rng, cell, free = np.random.default_rng((17, seed)), 2.0 * CYLINDER, 1.0
     for _ in range(_TRIES):
-        filled = _automaton(rng, (round(width / cell), round((length - 1.0) / cell)), fill)
+        filled = automaton(rng, (round(width / cell), round((length - 1.0) / cell)), fill)
         rows, columns = round(width / resolution), round((length + 2.0 * free) / resolution)
         occupied = np.zeros((rows, columns), dtype=bool)
         for row, column in np.argwhere(filled):
             at = np.array([free + 0.5 + (column + 0.5) * cell, (row + 0.5) * cell])
-            occupied |= _disc(occupied.shape, resolution, at, _CYLINDER)
+            occupied |= _disc(occupied.shape, resolution, at, CYLINDER)
         ends = np.array([[free, 0.5 * width], [free + length, 0.5 * width]])
         field = _Field(occupied, resolution, passage, ends)
         way = field.lengths(ends[0])[tuple((ends[1] / resolution).astype(int)[::-1])]
@@ -261,10 +261,12 @@ def _disc(
     return cells
 
 
-def _automaton(rng: np.random.Generator, shape: tuple[int, int], fill: float) -> Bool[Array, "row column"]:
+def automaton(
+    rng: np.random.Generator, shape: tuple[int, int], fill: float, smoothings: int = 2
+) -> Bool[Array, "row column"]:
     """Cells filled by chance, then smoothed: a cell is filled if five of nine are, and stays so with two besides."""
     filled = rng.uniform(size=shape) < fill
-    for _ in range(2):
+    for _ in range(smoothings):
         around = np.pad(filled, 1).astype(int)
         count = sum(around[1 + i : 1 + i + shape[0], 1 + j : 1 + j + shape[1]] for i in (-1, 0, 1) for j in (-1, 0, 1))
         filled = (count >= 5) | (filled & (count >= 3))

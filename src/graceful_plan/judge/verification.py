@@ -19,6 +19,7 @@ from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.drive_checks import drive_checks
 from graceful_plan.judge.exact import Judge, Touch, motion_violations
 from graceful_plan.judge.motion_samples import ClearanceBound, MotionSamples, joint_travel, motion_samples, reach
+from graceful_plan.judge.passing_by import passing_check
 from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.rule_checks import rule_checks
@@ -105,8 +106,9 @@ def verify(
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
         "consistency" and "rest"; "contents" where they are to stay in a vessel, and one for each other constraint, such
-        as "upright"; and "start", "goal", "cost", "second_opinion" where asked for. Without "cost" among them, nothing
-        is said about what the motion costs.
+        as "upright"; of bases "rolling", "drive_limits" and, where somebody moves, "passing_by"; and "start", "goal",
+        "cost", "second_opinion" where asked for. Without "cost" among them, nothing is said about what the motion
+        costs.
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.
@@ -136,6 +138,8 @@ def verify(
         checks |= _dynamics(motion, scene)
     if scene.base is not None:
         checks |= drive_checks(motion, scene.base)
+        if scene.moving and isinstance(motion, Trajectory):
+            checks["passing_by"] = passing_check(motion, scene)
     end = motion.t[[0, -1]] if isinstance(motion, Trajectory) else (0.0, float(np.sum(motion.segment_lengths)))
     if start is not None:
         starts = finite_array("start", start, ndim=1, last=nq)[None]

@@ -62,7 +62,7 @@ def best_departure(
         objective: In a scene where something moves.
         max_wait: Longest wait [s].
     """
-    wait = _best_wait(trajectory, objective, max_wait)[0]
+    wait = _best_wait(trajectory, objective, max_wait)[0] if max_wait > 0.0 else 0.0
     delayed = trajectory.delayed(wait)
     return delayed, objective.breakdown(delayed)
 
@@ -93,7 +93,7 @@ def search_among_moving(
     The trace and what the callback is told are of the search as if nobody moved. The best path is at the end.
     """
     planner, objective, callback = request.planner, request.objective, request.callback
-    still = SceneObjective(objective.objective, _as_if_nobody_moved(objective.scene), objective.paces)
+    still = SceneObjective(objective.objective, as_if_nobody_moved(objective.scene), objective.paces)
     held = request.constraints.on(still.scene)
     with budget.share(_STILL * budget.remaining_seconds, _STILL * budget.remaining_iterations) as part:
         among_still = replace(problem, kernels=held.kernels, constraints=held)
@@ -110,7 +110,7 @@ def search_among_moving(
 
 
 @per_scene
-def _as_if_nobody_moved(scene: Scene) -> Scene:
+def as_if_nobody_moved(scene: Scene) -> Scene:
     """Return a scene without those who move, the same in every call: compiling it takes as long as a short call."""
     return scene.without_moving()
 

@@ -29,9 +29,11 @@ from graceful_plan.tools.console import (
     sentence,
     show,
 )
+from graceful_plan.tools.floor.map_options import PICTURES, add_map, chosen_map, map_problem
 from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 from graceful_plan.tools.validation import Validation, check_failures, validate_motion
+from graceful_plan.viz.floor_pictures import draw_floor
 
 
 def add_to(commands: Any) -> None:
@@ -42,7 +44,13 @@ def add_to(commands: Any) -> None:
 
     plan = add_command(commands, "plan", _plan, "plan one motion")
     add_scene(plan)
-    plan.add_argument("--start", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
+    add_map(plan)
+    plan.add_argument(
+        "--start",
+        nargs="+",
+        metavar="Q",
+        help="keyframe, or one number a joint; default: the task's; on a map x, y, yaw",
+    )
     plan.add_argument("--goal", nargs="+", metavar="Q", help="keyframe, or one number a joint; default: the task's")
     weight = f"safety weight; 0 is an ordinary planner (default {DEFAULT_WEIGHT:g})"
     plan.add_argument("--w", type=float, default=DEFAULT_WEIGHT, help=weight)
@@ -94,8 +102,11 @@ def _plan(args: argparse.Namespace) -> int:
         check_arrow()
     check_failures(args.validate)
     planner = chosen_planner(args)
-    scene, start, goal = chosen_problem(args)
-    task = chosen_task(args)[1]
+    check_file(args.picture, PICTURES)
+    scene, start, goal = chosen_problem(args) if args.map is None else map_problem(args)
+    if args.picture is not None and scene.base is None:
+        raise SettingError("--picture", str(args.picture), "none: this robot does not drive; see `graceful-plan view`")
+    task = None if args.map is not None else chosen_task(args)[1]
     if args.validate and task is None:
         raise SettingError("--validate", args.validate, "a task, by --task: without one nothing is carried")
     settings: dict[str, Any] = {"w": args.w, "planner": planner, "speed": args.speed, **budget(args)}
@@ -105,6 +116,9 @@ def _plan(args: argparse.Namespace) -> int:
         if result.trajectory is not None and result.status is gp.PlanStatus.SOLVED:
             if args.output is not None:
                 documents.write_motion(result.trajectory, args.output)
+            if args.picture is not None:
+                floor = None if args.map is None else chosen_map(args)
+                draw_floor(scene, result.trajectory, args.picture, floor=floor, objective=gp.Objective(w=args.w))
             if args.validate and task is not None:
                 progress.stage(f"FailBench: {args.validate} failures")
                 validation = validate_motion(
@@ -120,8 +134,8 @@ def _answer(args: argparse.Namespace, result: gp.PlanResult, validation: Validat
         text += ["", documents.cost_table({f"w = {args.w:g}": result.cost})]
     if validation is not None:
         text += ["", validation.text]
-    if solved and args.output is not None:
-        text += ["", f"wrote {args.output}"]
+    if solved:
+        text += ["", *(f"wrote {file}" for file in (args.output, args.picture) if file is not None)]
     asked = {} if validation is None else {"validation": validation.document}
     show(args, documents.result_document(result) | asked, "\n".join(text))
     return DONE if solved else FAILED

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import ClassVar, final
 
 import numpy as np
@@ -22,7 +21,7 @@ from graceful_plan.exceptions import SettingError
 from graceful_plan.floor.floor_map import FloorMap
 from graceful_plan.floor.grid_paths import FloorGrid
 from graceful_plan.path import Path
-from graceful_plan.planners.driving.footprint import footprint
+from graceful_plan.planners.driving.footprint import floor_around, footprint, turns_and_straights
 from graceful_plan.planners.driving.postures import BASE, postures
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import positive
@@ -31,8 +30,6 @@ from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
-_FLOOR = 0.03
-"""Heights that a base drives over [m]."""
 _NEAR = 2.5
 """How far from entities impact is looked at [m]: a base that fails at 2 m/s hardly goes farther."""
 _COARSE = 4
@@ -91,7 +88,7 @@ class FloorThetaStar(Planner):
         discs, top = footprint(objective.scene, start)
         inside, outside = float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
         ends = np.array([start, *problem.goals])[:, :2]
-        floor = self._floor(objective.scene, top, ends)
+        floor = floor_around(objective.scene, top, ends, (self.resolution, self.around))
         # What costs nothing first: where impact decides, looking at it takes its time.
         for charged in (False, True)[: 1 + (objective.w > 0.0)]:
             charge = objective.w * self._impact(floor, objective, start, budget) if charged else None
@@ -103,17 +100,9 @@ class FloorThetaStar(Planner):
                     found = grid.path(start[:2], goal[:2], method="theta_star", time_limit=_left(budget))
                     if not len(found.xy):
                         continue
-                    q = np.concatenate([begin.q[:-1], _turns_and_straights(found.xy, start, goal)])
+                    q = np.concatenate([begin.q[:-1], turns_and_straights(found.xy, start, goal)])
                     if problem.edges_free(q[:-1], q[1:]).all():
                         yield Path(q).without_duplicates()
-
-    def _floor(self, scene: Scene, top: float, ends: Float[Array, "end 2"]) -> FloorMap:
-        """Cut the map around where the base may be."""
-        bounds = []
-        for values, (low, high) in zip(ends.T, scene.limits.position[:2], strict=True):
-            bounds += [max(low, values.min() - self.around) - 0.5, min(high, values.max() + self.around) + 0.5]
-        heights = _FLOOR, max(top, 2.0 * _FLOOR)
-        return FloorMap.from_scene(scene, heights=heights, resolution=self.resolution, bounds=bounds)
 
     def _impact(
         self, floor: FloorMap, objective: SceneObjective, start: Float[Array, " nq"], budget: Budget
@@ -150,18 +139,3 @@ def _near_entities(xy: Float[Array, "row column 2"], scene: Scene) -> Bool[Array
             reach = _NEAR + float(scene.model.geom_rbound[geom])
             near |= np.linalg.norm(xy - data.geom_xpos[geom, :2], axis=-1) < reach
     return near
-
-
-def _turns_and_straights(
-    xy: Float[Array, "point 2"], start: Float[Array, " nq"], goal: Float[Array, " nq"]
-) -> Float[Array, "vertex nq"]:
-    """Return the way through points, driven forward, with a turn in place at each; headings go on beyond pi."""
-    points = np.concatenate([start[None, :2], xy[1:-1], goal[None, :2]])
-    poses, yaw = [start[:BASE]], float(start[2])
-    for a, b in pairwise(points):
-        if np.hypot(*(b - a)) > 0.0:
-            direction = math.atan2(b[1] - a[1], b[0] - a[0])
-            yaw += math.remainder(direction - yaw, 2.0 * math.pi)
-            poses += [np.array([*a, yaw]), np.array([*b, yaw])]
-    q = np.column_stack([poses, np.tile(start[BASE:], (len(poses), 1))])
-    return np.concatenate([q, goal[None]])

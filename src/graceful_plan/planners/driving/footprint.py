@@ -1,4 +1,4 @@
-"""What of a robot counts on a floor map: discs around it from above, and how high it is."""
+"""Between scenes and floor maps: discs around a robot, the map around where it may be, and ways over points."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.floor.floor_map import FloorMap
 from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.scene.scene import Scene
 
@@ -16,6 +17,8 @@ Array = np.ndarray
 
 _SLICES = 5
 """Discs of a cover, at most."""
+_FLOOR = 0.03
+"""Heights that a base drives over [m]."""
 
 
 def footprint(scene: Scene, q: Float[Array, " nq"]) -> tuple[Float[Array, "disc 3"], float]:
@@ -42,3 +45,35 @@ def footprint(scene: Scene, q: Float[Array, " nq"]) -> tuple[Float[Array, "disc 
         bottom, top = (centre[inside, 1] - radius[inside]).min(), (centre[inside, 1] + radius[inside]).max()
         discs.append([0.5 * (a + b), 0.5 * (bottom + top), math.hypot(0.5 * (b - a), 0.5 * (top - bottom))])
     return np.array(discs), float((centre[:, 2] + radius).max())
+
+
+def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings: tuple[float, float]) -> FloorMap:
+    """Cut the map around where a base may be out of a scene.
+
+    Args:
+        scene: The scene.
+        top: How high the robot is [m].
+        ends: Start and goals [m].
+        settings: Width of a cell, and how far beyond the ends the map reaches, if the limits of the base let it [m].
+    """
+    resolution, around = settings
+    bounds = []
+    for values, (low, high) in zip(ends.T, scene.limits.position[:2], strict=True):
+        bounds += [max(low, values.min() - around) - 0.5, min(high, values.max() + around) + 0.5]
+    heights = _FLOOR, max(top, 2.0 * _FLOOR)
+    return FloorMap.from_scene(scene, heights=heights, resolution=resolution, bounds=bounds)
+
+
+def turns_and_straights(
+    xy: Float[Array, "point 2"], start: Float[Array, " nq"], goal: Float[Array, " nq"]
+) -> Float[Array, "vertex nq"]:
+    """Return the way through points, driven forward, with a turn in place at each; headings go on beyond pi."""
+    points = np.concatenate([start[None, :2], xy[1:-1], goal[None, :2]])
+    poses, yaw = [start[:BASE]], float(start[2])
+    for a, b in pairwise(points):
+        if np.hypot(*(b - a)) > 0.0:
+            direction = math.atan2(b[1] - a[1], b[0] - a[0])
+            yaw += math.remainder(direction - yaw, 2.0 * math.pi)
+            poses += [np.array([*a, yaw]), np.array([*b, yaw])]
+    q = np.column_stack([poses, np.tile(start[BASE:], (len(poses), 1))])
+    return np.concatenate([q, goal[None]])

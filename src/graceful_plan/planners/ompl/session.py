@@ -33,7 +33,7 @@ _PROVEN = 1e-8  # relative gap to the least possible cost at which a path is the
 
 
 @contextmanager
-def _quiet() -> Generator[None, None, None]:
+def quiet() -> Generator[None, None, None]:
     """Silence OMPL's console output, for it reports normal events (such as seeding again) as errors."""
     level = ou.getLogLevel()
     ou.setLogLevel(ou.LOG_NONE)
@@ -120,7 +120,7 @@ class Session:
         self.questions, self.best = questions, _Best()
         self.sampler = InformedSampler(problem, facts.length_bound)
         self.informed = kind.informed and facts.length_bound > 0.0
-        with _quiet():
+        with quiet():
             ou.RNG.setSeed(seed)  # before anything that draws is built
             self.space = ob.RealVectorStateSpace(len(problem.start))
             self._set_bounds(problem.lower, problem.upper)
@@ -167,7 +167,7 @@ class Session:
             used += 1
             return used > _SLICE_ITERATIONS or (timed and budget.elapsed >= end) or not budget.spend()
 
-        with _quiet():
+        with quiet():
             self.planner.solve(ob.PlannerTerminationCondition(stop))
             if not self.definition.hasExactSolution():
                 self.definition.clearSolutionPaths()

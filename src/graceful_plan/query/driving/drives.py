@@ -14,11 +14,13 @@ from graceful_plan.planners.driving.drive_lattice import DriveLattice
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
 from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.driving.pacing import paced
 from graceful_plan.query.driving.postures import BASE
 from graceful_plan.query.driving.reposed import reposed
 from graceful_plan.query.driving.slowing import slower_where_it_pays
 from graceful_plan.query.driving.smoothing import Smoother
 from graceful_plan.query.driving.stages import DriveStage, Move, stages
+from graceful_plan.query.driving.walkers import Walkers
 from graceful_plan.query.ends import Ends
 from graceful_plan.query.motions import Motion, charged, price_of_time
 from graceful_plan.query.request import Request
@@ -44,6 +46,10 @@ _REPOSED, _LINES = 8, 2
 """How often postures are chosen along a motion, and along how many that the arm stays in."""
 _WORTH = 1e-3
 """Relative gain below which no more postures are chosen."""
+_INTO = 1e6
+"""What is added to the ranking of motions that drive into somebody."""
+_PACE = 0.75
+"""Mean share of the fastest speed, to tell when a later stage of a drive begins."""
 _JOINED = 0.45 * np.pi
 """Turns at either end up to which a curve may turn instead [rad]."""
 
@@ -85,7 +91,9 @@ def driven(
             if number >= _LINES and found[0][0].ranking > (1.0 - _WORTH) * before:
                 break
     found.sort(key=lambda one: one[0].ranking)
-    return [*(motion for motion, _ in found), *stops(searched, request, ends)], ""
+    # Among those who move, laws of time take a while: that along the path itself was tried before.
+    last = [] if smoother.walkers is not None and found else stops(searched, request, ends)
+    return [*(motion for motion, _ in found), *last], ""
 
 
 def _in_the_plane(
@@ -99,11 +107,39 @@ def _in_the_plane(
         if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not _has_plenty(request))):
             continue
         for parts in _joined_ends(stages(whole)):
-            with budget.share(_CURVE_SHARE * budget.remaining_seconds) as part:
-                drive = connected([one for stage in parts for one in _smooth(stage, smoother, problem, part)])
-            for motion in _timed(drive, whole, arrival, request):
-                yielded = True
-                yield motion, drive
+            if yielded and smoother.walkers is not None and budget.remaining_seconds <= 0.0:
+                return
+            wait: float | None = 0.0
+            while wait is not None:
+                with budget.share(_CURVE_SHARE * budget.remaining_seconds) as part:
+                    drive = connected(list(_smooth_all(parts, replace(smoother, begins=wait), problem, part)))
+                made = _timed(drive, whole, arrival, request)
+                for motion in made:
+                    yielded = True
+                    yield motion, drive
+                # Who waits meets others elsewhere: once more, for setting out then.
+                wait = _wait(made[0].trajectory) if made and wait == 0.0 and budget.remaining_seconds > 0.0 else None
+                wait = wait if smoother.walkers is not None else None
+
+
+def _wait(trajectory: Trajectory) -> float | None:
+    """Return for how long a motion rests before it goes, None if it does not [s]."""
+    waits = len(trajectory) > 1 and np.array_equal(trajectory.q[0], trajectory.q[1])
+    return float(trajectory.t[1] - trajectory.t[0]) if waits else None
+
+
+def _smooth_all(
+    parts: Sequence[DriveStage], smoother: Smoother, problem: SceneProblem, budget: Budget
+) -> Iterator[Stretch]:
+    """Yield what replaces stages, each for about when it begins."""
+    begins = smoother.begins
+    for stage in parts:
+        yield from _smooth(stage, replace(smoother, begins=begins), problem, budget)
+        way = np.abs(np.diff(stage.q, axis=0))
+        metres, turn = float(np.hypot(way[:, 0], way[:, 1]).sum()), float(way[:, 2].sum())
+        speed = _PACE * smoother.speed
+        begins += metres / (speed * smoother.base.v_max)
+        begins += 0.0 if _rolls(stage) else turn / (speed * smoother.base.omega_max)
 
 
 def _has_plenty(request: Request) -> bool:
@@ -115,9 +151,16 @@ def _chosen(paths: Sequence[Path], smoother: Smoother, kept: int) -> Iterator[tu
 
     First what an ordinary planner would return, which takes little time: nobody is to get less.
     """
+    unaware, best = replace(smoother, walkers=None), list(reversed(paths[-kept:]))
+    if smoother.walkers is not None and best:  # a search over time found it
+        yield best[0], smoother
     if smoother.objective.w > 0.0 and paths:
-        yield paths[0], smoother.shortest()
-    yield from ((path, smoother) for path in reversed(paths[-kept:]))
+        yield paths[0], unaware.shortest()
+    for path in best:
+        if smoother.walkers is None or path is not best[0]:
+            yield path, smoother
+        if smoother.walkers is not None:  # whom the law of time alone lets pass
+            yield path, unaware
 
 
 def stops(searched: Search, request: Request, ends: Ends) -> list[Motion]:
@@ -132,30 +175,58 @@ def stops(searched: Search, request: Request, ends: Ends) -> list[Motion]:
 
 
 def _smoother(request: Request, problem: SceneProblem) -> Smoother:
-    base = request.objective.scene.base
+    base, walkers = request.objective.scene.base, _walkers(request)
     assert base is not None
     return Smoother(
-        objective=request.objective,
+        objective=request.objective if walkers is None else walkers.still,
         base=base,
         clearance=problem.clearance_gradient,
         time_price=price_of_time(request),
         speed=request.speed,
+        walkers=walkers,
     )
 
 
+def _walkers(request: Request) -> Walkers | None:
+    return Walkers(request.objective) if request.objective.scene.moving else None
+
+
 def _timed(drive: Drive, whole: Path, arrival: int, request: Request) -> list[Motion]:
+    """Return motions along a curve: as fast as can be, and with the law of time that pays."""
     if not drive.stretches:
         return []
+    walkers, price = _walkers(request), price_of_time(request)
+    if walkers is not None:
+        return _in_time(drive, whole, arrival, request, walkers)
     with request.clock.measured("timing"):
         try:
-            fast = _motion(drive, whole, arrival, request)
-            slower = slower_where_it_pays(drive, fast.trajectory, request.objective, price_of_time(request))
-            return [fast, *([_motion(drive, whole, arrival, request, slower)] if slower is not None else [])]
+            fast = _trajectory(drive, request)
+            found = [charged(whole, fast, arrival, request)]
+            if (slower := slower_where_it_pays(drive, fast, request.objective, price)) is not None:
+                found.append(charged(whole, _trajectory(drive, request, slower), arrival, request))
+            return found
         except RetimingError:
             return []
 
 
-def _motion(drive: Drive, whole: Path, arrival: int, request: Request, slower: Restraint | None = None) -> Motion:
+def _in_time(drive: Drive, whole: Path, arrival: int, request: Request, walkers: Walkers) -> list[Motion]:
+    """Do so among those who move; motions that drive into somebody rank behind all others."""
+    found, at_once = [], replace(request, max_wait=0.0)  # the law of time knows when to go
+    try:
+        fast = _trajectory(drive, request)
+        slower, wait = paced(drive, fast, walkers, price_of_time(request), request.max_wait)
+        laws = [fast] if slower is None and wait == 0.0 else [_trajectory(drive, request, slower).delayed(wait), fast]
+    except RetimingError:
+        return []
+    with request.clock.measured("timing"):
+        for trajectory in laws:
+            motion = charged(whole, trajectory, arrival, at_once)
+            into = _INTO * walkers.meets(trajectory)
+            found.append(replace(motion, ranking=motion.ranking + into))
+    return found
+
+
+def _trajectory(drive: Drive, request: Request, slower: Restraint | None = None) -> Trajectory:
     scene = request.objective.scene
 
     def timing(limits: Restraint) -> Trajectory:
@@ -164,7 +235,7 @@ def _motion(drive: Drive, whole: Path, arrival: int, request: Request, slower: R
 
         return timed(drive, scene.limits, scene.joints, speed=request.speed, restraint=both)
 
-    return charged(whole, request.constraints.timed(timing), arrival, request)
+    return request.constraints.timed(timing)
 
 
 def _joined_ends(parts: Sequence[DriveStage]) -> Iterator[list[DriveStage]]:

@@ -41,7 +41,17 @@ def slower_where_it_pays(
         return None
     impact = np.stack([objective.quick_states(trajectory.q, share * trajectory.qd) for share in SHARES])
     price = (time_price + objective.w * impact) / SHARES[:, None]
-    share = SHARES[np.argmin(price, axis=0)]
+    return capped(grid, trajectory, SHARES[np.argmin(price, axis=0)])
+
+
+def capped(grid: CurveGrid, trajectory: Trajectory, share: Float[Array, " point"]) -> Restraint | None:
+    """Return limits on the path speed at shares of that of a motion; None if they are 1 everywhere.
+
+    Args:
+        grid: Of the curve, at the samples of the motion.
+        trajectory: The motion.
+        share: At each of them.
+    """
     if (share == 1.0).all():
         return None
     rate = _path_speed(grid, trajectory)

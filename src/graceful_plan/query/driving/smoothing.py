@@ -20,6 +20,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.driving.moving_curve import Curvature, MovingCurve
+from graceful_plan.query.driving.walkers import KEPT, Walkers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.timing.bspline import basis
 from graceful_plan.timing.drive_curve import Roll, rolled
@@ -58,6 +59,7 @@ class _Travelled:
     | metres   | of the base                            | m          | curve u    |
     | bend     | curvature                              | rad/m      | curve u    |
     | duration |                                        | s          | curve u    |
+    | time     | since the curve began                  | s          | curve u    |
     """
 
     q: Float[Array, "curve u nq"]
@@ -66,6 +68,7 @@ class _Travelled:
     metres: Float[Array, "curve u"]
     bend: Float[Array, "curve u"]
     duration: Float[Array, "curve u"]
+    time: Float[Array, "curve u"]
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,8 @@ class Smoother:
         clearance: Signed clearance of configurations [m], and its gradient.
         time_price: What a second costs besides.
         speed: Fraction of the limits of speed to use.
+        walkers: Those who move; the objective is then that as if nobody did.
+        begins: When the base sets out [s].
     """
 
     objective: SceneObjective
@@ -102,6 +107,8 @@ class Smoother:
     clearance: Callable[[Float[Array, "n nq"]], tuple[Float[Array, " n"], Float[Array, "n nq"]]]
     time_price: float
     speed: float
+    walkers: Walkers | None = None
+    begins: float = 0.0
 
     def shortest(self) -> Smoother:
         """Return the same for an objective in which no impact counts."""
@@ -179,6 +186,12 @@ class Smoother:
         if self.objective.w > 0.0:
             impact, by_q, by_qd = self._impact_slopes(rows, rates)
             harm = impact + np.einsum("kun,un->ku", dq, by_q) + np.einsum("kun,un->ku", dqd, by_qd)
+        if self.walkers is not None:
+            more, m_q, m_qd, m_t = self.walkers.slopes(rows, rates, self.begins + at.time[0])
+            others = more + np.einsum("kun,un->ku", dq, m_q) + np.einsum("kun,un->ku", dqd, m_qd)
+            impact, harm = impact + more, harm + others + (near.time - at.time) * m_t
+            clearance = np.minimum(clearance, self._gap(at, self.walkers)[0])
+            close = np.minimum(close, self._gap(near, self.walkers))
         value = self._charge(at, impact[None], clearance[None], room)
         return (self._charge(near, harm, close, room) - value) / _NUDGE
 
@@ -195,7 +208,17 @@ class Smoother:
         impact = np.zeros(at.bend.shape)
         if self.objective.w > 0.0:
             impact = self.objective.quick_states(rows, rates).reshape(at.bend.shape)
-        return self._charge(at, impact, self.clearance(rows)[0].reshape(at.bend.shape), room)
+        clearance = self.clearance(rows)[0].reshape(at.bend.shape)
+        if self.walkers is not None:
+            more = self.walkers.impact(rows, rates, self.begins + at.time.ravel())
+            impact = impact + more.reshape(at.time.shape)
+            clearance = np.minimum(clearance, self._gap(at, self.walkers))
+        return self._charge(at, impact, clearance, room)
+
+    def _gap(self, at: _Travelled, walkers: Walkers) -> Float[Array, "curve u"]:
+        """Return what is left of what those who move are to be kept from [m]."""
+        gap = walkers.gap(at.q.reshape(-1, at.q.shape[-1]), self.begins + at.time.ravel())
+        return gap.reshape(at.time.shape) - KEPT
 
     def _charge(
         self, at: _Travelled, impact: Float[Array, "curve u"], clearance: Float[Array, "curve u"], room: Closeness
@@ -223,4 +246,6 @@ class Smoother:
             pace = np.minimum(pace, metres / np.maximum(slowest, 1e-9))
         duration = metres / np.maximum(pace, 1e-9)
         qd = rate / np.maximum(duration, 1e-9)[..., None]
-        return _Travelled(q, qd, np.linalg.norm(rate, axis=-1), metres, bend, duration)
+        time = (np.cumsum(duration, axis=1) - 0.5 * duration) / n
+        length = np.linalg.norm(rate, axis=-1)
+        return _Travelled(q=q, qd=qd, length=length, metres=metres, bend=bend, duration=duration, time=time)

@@ -14,6 +14,7 @@ namespace gp {
 struct FloorShape {
   int entity;  // -1: an obstacle
   double x, y, ux, uy, a, b, round, vx, vy;
+  double spread = 0;  // standard deviation of its place
 
   // Of a point at a time; inside of a rectangle minus the way to its nearest side.
   double distance(double px, double py, double time) const {
@@ -86,6 +87,11 @@ class Coasting {
   };
 
  public:
+  // The same of a base that spins, in its own frame.
+  struct Spun {
+    double x, y, cos, sin, time, spread, worth;
+  };
+
   // What is written to for each state.
   struct Work {
     Work(const Coasting& of, size_t n_entity)
@@ -93,6 +99,9 @@ class Coasting {
     std::vector<double> hit, most, met, free, braked, touched;
     std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
+    std::vector<Spun> spun;          // of the tables, at the speed and rate of turning of the state before
+    std::vector<double> spun_reach;  // how far off its places each table's are
+    double spun_speed = 0, spun_rate = 0;
   };
   struct State {
     double x, y, yaw, v, omega;
@@ -110,6 +119,14 @@ class Coasting {
       const Family family{stop.released, stop.bend};
       if (std::find(family_.begin(), family_.end(), family) == family_.end()) family_.push_back(family);
     }
+    for (const Family& family : family_) {
+      own_.emplace_back(), any_.emplace_back();
+      for (size_t i = 0; i < stop_.size(); ++i) {
+        if (stop_[i].bend != family.bend) continue;
+        any_.back().push_back(i);
+        if (stop_[i].released == family.released) own_.back().push_back(i);
+      }
+    }
     unit_ = of.constants.data()[0], spread_ = of.constants.data()[1], drift_ = of.constants.data()[2];
     turn_ = of.constants.data()[3];
     require(unit_ > 0 && spread_ > 0 && drift_ >= 0 && turn_ >= 0, "constants of a base");
@@ -117,6 +134,33 @@ class Coasting {
   }
 
   const Footprint2d& footprint() const { return footprint_; }
+
+  // Whether somebody may be met at all: at no time a base goes farther than at its first speed.
+  bool reaches(const State& at, const FloorShape& who) const {
+    const double speed = std::fabs(at.v);
+    if (speed <= kStill) return false;
+    double far = farthest_, longest = lasts_;
+    for (const Stop& stop : stop_) {
+      far = std::max(far, speed * stop.delay + speed * speed / (2 * stop.a));
+      longest = std::max(longest, stop.delay + speed / stop.a);
+    }
+    const double step = longest / kLooks, between = std::hypot(who.vx, who.vy) * step;
+    for (int k = 0; k < kLooks; ++k) {
+      const double gone = std::min(far, speed * step * (k + 1));
+      if (who.distance(at.x, at.y, step * k) < around(who, far) + between + gone) return true;
+    }
+    return false;
+  }
+  double around(const FloorShape& who, double far) const {
+    return footprint_.reach() + kFarOff * std::hypot(spread_, drift_ * far, who.spread);
+  }
+  // How far somebody is at least while a base comes to rest that goes so far, less what both reach and blur.
+  double nearest(const State& at, const FloorShape& who, double longest, double far) const {
+    const double v = std::hypot(who.vx, who.vy), step = longest / kLooks;
+    double d = who.distance(at.x, at.y, 0);
+    for (int k = 1; v > 0 && k < kLooks; ++k) d = std::min(d, who.distance(at.x, at.y, step * k));
+    return d - v * step - around(who, std::max(far, farthest_));
+  }
 
   // P by entity of one state, in work.hit; with severities, of those that have one. False if it is zero for all.
   bool hits(const State& at, const std::vector<FloorShape>& shape, const double* severity, Work& work) const {
@@ -136,21 +180,27 @@ class Coasting {
     work.whom.clear(), work.what.clear();
     for (size_t k = 0; k < shape.size(); ++k) {
       const bool counts = shape[k].entity < 0 || !severity || severity[shape[k].entity] > 0;
-      const double moves = std::hypot(shape[k].vx, shape[k].vy) * std::max(longest, lasts_);
+      const double moves = std::hypot(shape[k].vx, shape[k].vy) * std::max(longest, lasts_) + kFarOff * shape[k].spread;
       if (counts && shape[k].distance(at.x, at.y, 0) < most + moves)
         (shape[k].entity < 0 ? work.what : work.whom).push_back(k);
     }
     if (work.whom.empty()) return false;
+    double gap = std::numeric_limits<double>::infinity();  // to the next that may be met, all blur taken off
+    for (const size_t k : work.whom) gap = std::min(gap, nearest(at, shape[k], std::max(longest, lasts_), far));
     const double sign = at.v < 0 ? -1 : 1, bend = at.omega / at.v * sign;
     const double straightens = turn_ * at.omega * at.omega;
     // Released wheels go along the others' arc if nothing turns so far.
     const bool alike = std::fabs(bend) * far <= straightens;
-    for (const Family& family : family_) {
+    for (size_t f = 0; f < family_.size(); ++f) {
+      const Family& family = family_[f];
       if (alike && family.released && has({false, family.bend})) continue;
+      double goes = 0;
+      for (const size_t i : alike ? any_[f] : own_[f]) goes = std::max(goes, work.free[i] + work.braked[i]);
+      if (gap > goes) continue;
       const double turns = family.released ? straightens : std::numeric_limits<double>::infinity();
-      follow(at, {sign, bend + family.bend, turns, speed, far, family, alike}, shape, work);
+      follow(at, {sign, bend + family.bend, turns, speed, far, alike ? any_[f] : own_[f]}, shape, work);
     }
-    if (!share_.empty()) tabulated(at, shape, work);
+    if (!share_.empty()) tabulated(at, gap, shape, work);
     return true;
   }
 
@@ -161,11 +211,10 @@ class Coasting {
     bool operator==(const Family&) const = default;
   };
   // Where a failing base goes: its gear, curvature, the angle by which it turns at most; its speed, and how far; which
-  // stops are meant, and whether it does not matter if wheels were let go.
+  // stops are meant.
   struct Way {
     double sign, bend, most, speed, far;
-    Family family;
-    bool alike;
+    const std::vector<size_t>& stops;
   };
   struct Stop {
     double p, a, k, delay;
@@ -176,6 +225,7 @@ class Coasting {
 
   // How likely a base at a place touches a shape there.
   double touch(const FloorShape& shape, const double at[4], double time, double spread) const {
+    if (shape.spread > 0) spread = std::hypot(spread, shape.spread);
     if (shape.distance(at[0], at[1], time) > footprint_.reach() + kFarOff * spread) return 0.0;
     const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
     return 0.5 * std::erfc(d / spread * 0.7071067811865476);
@@ -234,8 +284,7 @@ class Coasting {
       // What is touched at a place may have been met anywhere since the place before.
       const double met = k == 0 ? done : 0.5 * (done + kSpacing * (k - 1));
       double energy = 0, moving = 0, left_of = 0;
-      for (size_t i = 0; i < stop_.size(); ++i) {
-        if (stop_[i].bend != way.family.bend || (stop_[i].released != way.family.released && !way.alike)) continue;
+      for (const size_t i : way.stops) {
         const double left = std::clamp(1 - (met - work.free[i]) / std::max(work.braked[i], 1e-12), 0.0, 1.0);
         energy += stop_[i].p * std::min(1.0, left * worth);
         if (left > 0) moving += stop_[i].p, left_of += stop_[i].p * left;
@@ -249,11 +298,33 @@ class Coasting {
 
   // Places of bases that spin, from tables by speed and rate of turning; what drives backwards is the same turned
   // round.
-  void tabulated(const State& q, const std::vector<FloorShape>& shape, Work& work) const {
-    const Node v = node(speeds_, std::fabs(q.v)), w = node(rates_, q.omega);
-    const double sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
+  void tabulated(const State& q, double gap, const std::vector<FloorShape>& shape, Work& work) const {
+    const double speed = std::fabs(q.v), sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
+    // States of a batch often differ by place and time alone.
+    if (work.spun.empty() || work.spun_speed != speed || work.spun_rate != q.omega) spin(speed, q.omega, work);
+    const Spun* row = work.spun.data();
     for (size_t f = 0; f < share_.size(); ++f) {
+      if (gap > work.spun_reach[f]) {
+        row += samples_;
+        continue;
+      }
       work.place.clear();
+      for (size_t k = 0; k < samples_; ++k, ++row) {
+        const double x = sign * row->x, y = sign * row->y;
+        work.place.push_back(
+            {{q.x + c * x - s * y, q.y + s * x + c * y, c * row->cos - s * row->sin, s * row->cos + c * row->sin},
+             row->time,
+             row->spread,
+             row->worth});
+      }
+      meet(shape, share_[f], work);
+    }
+  }
+  void spin(double speed, double rate, Work& work) const {
+    const Node v = node(speeds_, speed), w = node(rates_, rate);
+    work.spun_reach.assign(share_.size(), 0.0);
+    work.spun.clear(), work.spun_speed = speed, work.spun_rate = rate;
+    for (size_t f = 0; f < share_.size(); ++f) {
       for (size_t k = 0; k < samples_; ++k) {
         double p[kPlace] = {};
         for (int i = 0; i < 2; ++i) {
@@ -265,14 +336,11 @@ class Coasting {
             for (size_t n = 0; n < kPlace; ++n) p[n] += weight * row[n];
           }
         }
-        const double x = sign * p[0], y = sign * p[1], ch = std::cos(q.yaw + p[2]), sh = std::sin(q.yaw + p[2]);
-        const double worth = std::min(1.0, p[3] * p[3] / (unit_ * unit_));
-        work.place.push_back({{q.x + c * x - s * y, q.y + s * x + c * y, ch, sh},
-                              p[4],
-                              std::hypot(spread_, drift_ * std::hypot(x, y)),
-                              worth});
+        work.spun_reach[f] = std::max(work.spun_reach[f], std::hypot(p[0], p[1]));
+        work.spun.push_back({p[0], p[1], std::cos(p[2]), std::sin(p[2]), p[4],
+                             std::hypot(spread_, drift_ * std::hypot(p[0], p[1])),
+                             std::min(1.0, p[3] * p[3] / (unit_ * unit_))});
       }
-      meet(shape, share_[f], work);
     }
   }
   struct Node {
@@ -309,6 +377,7 @@ class Coasting {
 
   static constexpr size_t kStop = 6, kPlace = 5;
   static constexpr int kSamples = 64;      // places along the way at which is seen what it meets, at most
+  static constexpr int kLooks = 16;        // times at which is seen whether somebody may be near
   static constexpr double kSpacing = 0.1;  // between them [m]
   static constexpr double kStill = 1e-6;   // speed below which a base stands [m/s]
   static constexpr double kFarOff = 6;     // spreads beyond which nothing is touched
@@ -318,6 +387,7 @@ class Coasting {
   Footprint2d footprint_;
   std::vector<Stop> stop_;
   std::vector<Family> family_;
+  std::vector<std::vector<size_t>> own_, any_;  // stops of each: its own, and those of both kinds of wheels
   std::vector<double> share_, speeds_, rates_, place_;
   size_t samples_ = 0;
   double unit_ = 1, spread_ = 1, drift_ = 0, turn_ = 0, farthest_ = 0, lasts_ = 0;

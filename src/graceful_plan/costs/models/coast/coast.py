@@ -32,18 +32,12 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.coast.constants import CoastSettings
-from graceful_plan.costs.models.coast.four_wheel import one_sided_ways
-from graceful_plan.costs.models.coast.tables import coast_tables
+from graceful_plan.costs.models.coast.native import coast_model, reals
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
-from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
-
-
-SKIDS = 1.2
-"""Effective track over track above which a base is a skid-steer."""
 
 
 @final
@@ -68,12 +62,12 @@ class Coast(NativeModel):
         P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
         if scene.base is not None and P.size:
             native = coast_model(scene, self.settings)
-            P[:, list(scene.components).index("body")] = native.probability(_reals(batch.q), _reals(batch.qd))
+            P[:, list(scene.components).index("body")] = native.probability(reals(batch.q), reals(batch.qd))
         return P
 
     def moving(self) -> MovingModel:
-        """Nothing is known of entities that move: they are not hit."""
-        return MovingModel(drop=0.0, collapse=0.0)
+        """Return the model for entities that move: a failing base meets them where they then are."""
+        return MovingModel(drop=0.0, collapse=0.0, coast=1.0, base=self.settings)
 
     def kernel(
         self,
@@ -88,8 +82,8 @@ class Coast(NativeModel):
         if scene.base is None:
             return kernels.overlap(np.zeros_like(severity))
         row = severity[list(scene.components).index("body")]
-        speed = _reals(scene.limits.velocity)
-        native = _native.CoastImpact(coast_model(scene, self.settings), _reals(row), speed, *paces)
+        speed = reals(scene.limits.velocity)
+        native = _native.CoastImpact(coast_model(scene, self.settings), reals(row), speed, *paces)
         return ImpactKernel(kernels, native)
 
     def gradients(
@@ -99,41 +93,3 @@ class Coast(NativeModel):
         del own
         kernel = self.kernel(batch.scene, severity, (1.0, 1.0))
         return None if kernel is None else kernel.state_slopes(batch.q, batch.qd)[1:]
-
-
-def _turns_on(scene: Scene, settings: CoastSettings) -> float:
-    """How far a base turns on after its wheels were let go, by its rate of turning squared [s^2/rad]."""
-    assert scene.base is not None
-    return settings.straightens if scene.base.slip > SKIDS else 1e6
-
-
-@per_scene(most=4)
-def coast_model(scene: Scene, settings: CoastSettings) -> _native.CoastModel:
-    """Return the model in the core, for a scene with a base."""
-    tables = coast_tables(scene)
-    return _native.CoastModel(
-        compile_scene(scene).kernels.core,
-        entity=np.ascontiguousarray(tables.entity, dtype=np.int32),
-        shape=_reals(tables.shape),
-        n_entity=len(scene.entities),
-        **coasting_arrays(scene, settings),
-    )
-
-
-def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Array, "..."]]:
-    """Return what the core needs to know of a base and of how it fails, by the names that it has there."""
-    assert scene.base is not None
-    tables = coast_tables(scene)
-    ways = one_sided_ways(tables.body, settings)
-    return {
-        "disc": _reals(tables.disc),
-        "stops": _reals(settings.stops(scene.base.load)),
-        "constants": _reals(
-            [settings.reference_speed, settings.position_spread, settings.drift, _turns_on(scene, settings)]
-        ),
-        **{name: _reals(value) for name, value in ways._asdict().items()},
-    }
-
-
-def _reals(values: object) -> Float[Array, "..."]:
-    return np.ascontiguousarray(values, dtype=np.float64)

@@ -35,12 +35,14 @@ class CoastTables:
     | entity | which entity a shape is of; -1 for obstacles                                     |      | shape   |
     | shape  | rectangles from above: centre, direction, half sizes, and by how much rounded    | m    | shape 7 |
     | body   | its mass, and where it is                                                        |      |         |
+    | height | from what it rolls over to its highest point                                     | m    | 2       |
     """
 
     disc: Float[Array, "disc 3"]
     entity: Int[Array, " shape"]
     shape: Float[Array, "shape 7"]
     body: BaseBody
+    height: tuple[float, float]
 
 
 @per_scene
@@ -67,6 +69,7 @@ def coast_tables(scene: Scene) -> CoastTables:
         entity=np.array(entity, dtype=np.int32),
         shape=np.array(shape).reshape(-1, 7),
         body=_body(scene.base, model, data, body),
+        height=(low + _OVER_THE_FLOOR, high),
     )
 
 

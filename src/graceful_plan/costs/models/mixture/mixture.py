@@ -116,7 +116,8 @@ class Footprint(NativeModel):
     def moving(self) -> MovingModel:
         """Return the model for entities that move, with the constants and weights of this one."""
         weights = self.prior.weights()
-        return MovingModel(settings=self.settings, drop=weights["drop"], collapse=weights["collapse"])
+        shares = {"drop": weights["drop"], "collapse": weights["collapse"], "coast": self.base.share}
+        return MovingModel(settings=self.settings, base=self.base, **shares)
 
     def kernel(
         self,

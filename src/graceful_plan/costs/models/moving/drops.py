@@ -81,16 +81,16 @@ def moving_probability(
     falling = [row for name, row in rows.items() if name != "body"]
     drops = _drops(batch, settings) if falling and scene.carried is not None else None
     for column, entity in enumerate(scene.moving.values()):
-        times = _times(entity) if batch.time is None else batch.time[:, None]
+        times = path_times(entity) if batch.time is None else batch.time[:, None]
         times = np.broadcast_to(times, (len(batch), times.shape[-1]))
         if drops is not None:
-            P[:, falling, column] = _mean(drops.hit, entity, times)[:, None]
+            P[:, falling, column] = mean_over_times(drops.hit, entity, times)[:, None]
         if "body" in rows:
-            P[:, rows["body"], column] = _mean(lambda *pairs: _near_links(batch, *pairs), entity, times)
+            P[:, rows["body"], column] = mean_over_times(lambda *pairs: _near_links(batch, *pairs), entity, times)
     return P
 
 
-def _times(entity: MovingEntity) -> Float[Array, "1 k"]:
+def path_times(entity: MovingEntity) -> Float[Array, "1 k"]:
     """Return the middles of equal intervals of the predicted path [s]."""
     duration = entity.t[-1] - entity.t[0]
     length = np.linalg.norm(np.diff(entity.position, axis=0), axis=1).sum() + entity.growth * duration
@@ -100,7 +100,7 @@ def _times(entity: MovingEntity) -> Float[Array, "1 k"]:
     return entity.t[:1, None] + duration * (np.arange(count)[None] + 0.5) / count
 
 
-def _mean(
+def mean_over_times(
     probability: Callable[[MovingEntity, Int[Array, " pair"], Float[Array, " pair"]], Float[Array, " pair"]],
     entity: MovingEntity,
     times: Float[Array, "n k"],

@@ -11,6 +11,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.core.kernels import ImpactKernel
 from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.models.coast.constants import CoastSettings
+from graceful_plan.costs.models.coast.walkers import walkers_met
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.moving.drops import moving_probability
 from graceful_plan.costs.models.moving.kernel import moving_kernels
@@ -23,17 +25,21 @@ Array = np.ndarray
 @final
 @dataclass(frozen=True, kw_only=True)
 class MovingModel:
-    """Whom of those in `Scene.moving` failures hit: the shipped drop model, and a rule of thumb for the arm.
+    """Whom of those in `Scene.moving` failures hit: the drop and coast models, and a rule of thumb for the arm.
 
     Args:
         settings: Constants of the drop model.
         drop: P that the gripper lets go, given a failure.
         collapse: P that the arm collapses, given a failure.
+        coast: P that it is the base that fails, given a failure, if the robot drives; the others share the rest.
+        base: Constants of the coast model.
     """
 
     settings: DropSettings = field(default_factory=DropSettings.shipped)
     drop: float = 1.0
     collapse: float = 1.0
+    coast: float = 0.0
+    base: CoastSettings = field(default_factory=CoastSettings.shipped)
 
     def sources(
         self, batch: StateBatch, components: Collection[str] = COMPONENTS
@@ -44,18 +50,26 @@ class MovingModel:
             batch: States; without times, P is the mean over each entity's predicted path.
             components: Which to compute; the others are 0.
         """
-        P = moving_probability(batch, self.settings, components)
+        counted = [name for name in components if (self.collapse if name == "body" else self.drop) > 0.0]
+        P = moving_probability(batch, self.settings, counted)
         falls = np.array([name != "body" for name in batch.scene.components])[:, None]
-        return {"drop": self.drop * P * falls, "collapse": self.collapse * P * ~falls}
+        drives = batch.scene.base is not None and self.coast > 0.0 and "body" in components
+        aboard = 1.0 - self.coast if batch.scene.base is not None else 1.0
+        found = {"drop": aboard * self.drop * P * falls, "collapse": aboard * self.collapse * P * ~falls}
+        if drives:
+            met = self.coast * walkers_met(batch, self.base)
+            found["coast"] = np.where(falls, 0.0, met[:, None])
+        return found
 
     def kernels(
         self, scene: Scene, severity: Float[Array, "component moving"], paces: tuple[float, float]
     ) -> list[ImpactKernel] | None:
-        """Return native kernels that together guide a search, None if the arm counts, of which there are none.
+        """Return native kernels that together guide a search, None if arm or base count, of which there are none.
 
         Law: close to sums of P S from `sources` without times; they need not be the same.
         """
         falls = np.array([name != "body" for name in scene.components])
-        if self.collapse > 0.0 and (severity[~falls] > 0.0).any():
+        drives = scene.base is not None and self.coast > 0.0
+        if (self.collapse > 0.0 or drives) and (severity[~falls] > 0.0).any():
             return None
         return moving_kernels(scene, self.settings, self.drop * severity[falls].sum(axis=0), paces)

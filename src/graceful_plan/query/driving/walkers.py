@@ -1,0 +1,111 @@
+"""Moving entities around a base: what they make a failure cost at a time, and how close the sound robot comes to them.
+
+Searches and smooth curves know the scene as if nobody moved, in the core; what those who move add is looked at here, at
+the times at which the base gets there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.cost import moving_batch
+from graceful_plan.costs.impact import ImpactCost
+from graceful_plan.costs.models.coast.walkers import seen_from_above
+from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.planners.driving.footprint import footprint
+from graceful_plan.planners.driving.postures import BASE
+from graceful_plan.query.departure import as_if_nobody_moved
+from graceful_plan.timing.trajectory import Trajectory
+
+Array = np.ndarray
+
+KEPT = 0.15
+"""Clearance to people that is planned with, from discs around the robot [m]; the judge asks for more than none."""
+STANDING = 0.01
+"""Speed below which a base stands, and others walk into it [m/s]."""
+_NUDGE = 1e-4
+"""For differences [m, rad, m/s, rad/s, s]."""
+_HARDLY = 1e-6
+"""Impact below which nobody is hit."""
+_LOOKS = 200
+"""At a motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walkers:
+    """Those who move.
+
+    Args:
+        objective: In a scene where somebody does.
+    """
+
+    objective: SceneObjective
+
+    @cached_property
+    def still(self) -> SceneObjective:
+        """The objective as if nobody moved."""
+        of = self.objective
+        return SceneObjective(of.objective, as_if_nobody_moved(of.scene), of.paces)
+
+    def impact(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], t: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Return what they add to the impact of states at times; nothing by costs of one's own."""
+        cost = self.objective.objective.impact
+        if self.objective.w == 0.0 or not isinstance(cost, ImpactCost):
+            return np.zeros(len(q))
+        return cost.moving_state(moving_batch(self.objective.scene, q, qd, t))
+
+    def slopes(
+        self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], t: Float[Array, " n"]
+    ) -> tuple[Float[Array, " n"], Float[Array, "n nq"], Float[Array, "n nq"], Float[Array, " n"]]:
+        """Return `impact`, and its derivatives by place and heading of the base, by its velocities, and by time.
+
+        By differences, where somebody may be hit at all.
+        """
+        value = self.impact(q, qd, t)
+        by_q, by_qd, by_t = np.zeros_like(q), np.zeros_like(q), np.zeros(len(q))
+        some = np.flatnonzero(value > _HARDLY)
+        if not len(some):
+            return value, by_q, by_qd, by_t
+        n, changes = q.shape[1], 2 * BASE + 1
+        more = np.zeros((changes, len(some), 2 * n + 1)) + np.concatenate([q, qd, t[:, None]], axis=1)[some]
+        column = [*range(BASE), *range(n, n + BASE), 2 * n]
+        for k, changed in enumerate(column):
+            more[k, :, changed] += _NUDGE
+        flat = more.reshape(-1, 2 * n + 1)
+        found = self.impact(flat[:, :n], flat[:, n : 2 * n], flat[:, -1]).reshape(changes, -1)
+        slope = (found - value[some]) / _NUDGE
+        by_q[some, :BASE], by_qd[some, :BASE], by_t[some] = slope[:BASE].T, slope[BASE : 2 * BASE].T, slope[-1]
+        return value, by_q, by_qd, by_t
+
+    def gap(self, q: Float[Array, "n nq"], t: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Return how far discs around the robot are from the nearest of them, as predicted [m]."""
+        discs = self._discs
+        c, s = np.cos(q[:, 2, None]), np.sin(q[:, 2, None])
+        x = q[:, 0, None] + c * discs[:, 0] - s * discs[:, 1]
+        y = q[:, 1, None] + s * discs[:, 0] + c * discs[:, 1]
+        gap = np.full(len(q), np.inf)
+        for entity in self.objective.scene.moving.values():
+            shape = seen_from_above(entity, t)[0]
+            dx, dy = x - shape[:, 0, None], y - shape[:, 1, None]
+            ux, uy = shape[:, 2, None], shape[:, 3, None]
+            ex, ey = np.abs(ux * dx + uy * dy) - shape[:, 4, None], np.abs(ux * dy - uy * dx) - shape[:, 5, None]
+            outside = np.hypot(np.maximum(ex, 0.0), np.maximum(ey, 0.0)) + np.minimum(np.maximum(ex, ey), 0.0)
+            np.minimum(gap, (outside - shape[:, 6, None] - discs[:, 2]).min(axis=1), out=gap)
+        return gap
+
+    def meets(self, motion: Trajectory) -> bool:
+        """Whether the sound robot comes close to drive into one of them."""
+        t = motion.t[0] + motion.duration * np.linspace(0.0, 1.0, _LOOKS)
+        state = motion.at(t)
+        drives = np.linalg.norm(state.qd[:, :2], axis=1) > STANDING
+        return bool((drives & (self.gap(state.q, t) < 0.5 * KEPT)).any())
+
+    @cached_property
+    def _discs(self) -> Float[Array, "disc 3"]:
+        scene = self.objective.scene
+        posture = np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T)
+        return footprint(scene, posture)[0]

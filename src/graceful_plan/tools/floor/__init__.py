@@ -1,0 +1,1 @@
+"""Floor maps on the command line."""

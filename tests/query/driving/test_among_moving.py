@@ -1,0 +1,98 @@
+"""Bases among those who move: laws of time against all there are, and whole plans."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+import graceful_plan as gp
+from graceful_plan.query.driving.pacing import SHARES, Charges, Pieces, cheapest_law
+from graceful_plan.query.driving.walkers import Walkers
+from hall import hall
+
+SCENE = hall(extra="").edit(remove=["person", "pillar"])
+CROSSING = gp.MovingEntity(
+    "ann", "adult", size=[0.25, 0.85], t=[0.0, 4.0], position=[[0.0, -1.6, 0.85], [0.0, 1.6, 0.85]], spread=0.05
+)
+"""Who is in the middle of the hall when a base that drives straight on at once gets there."""
+
+
+def planned(scene, **given):
+    given.setdefault("iterations", 300)
+    return gp.plan("west", "east", scene, **given)
+
+
+def test_laws_of_time_are_as_good_as_the_best_of_all():
+    rng, n = np.random.default_rng(0), 3
+    speed = np.array([1.0, 1.5, 1.0])
+    pieces = Pieces(np.zeros((n, 3)), speed[:, None] * [1.0, 0.0, 0.0], 0.5 / speed, np.arange(n))
+    free = 1e6  # acceleration: every share may follow every other
+    for _ in range(10):
+        still = 1.0 + rng.uniform(0.0, 1.0, (n, len(SHARES))) * SHARES
+        moving = rng.uniform(0.0, 8.0, (n, 1, 60)) * (rng.uniform(size=(n, 1, 60)) < 0.3) * SHARES[:, None]
+        charges = Charges(still, moving, np.zeros((n, 60), dtype=bool))
+
+        def cost(shares, wait, charges=charges):
+            total, t = float(charges.still.min()) * wait, wait
+            for k, a in enumerate(shares):
+                takes = pieces.seconds[k] / SHARES[a]
+                total += takes * charges.second(k, a, np.array([t + 0.5 * takes]))[0]
+                t += takes
+            return total
+
+        everything = product(product(range(len(SHARES)), repeat=n), np.arange(0.0, 0.51, 0.1))
+        best = min(cost(shares, wait) for shares, wait in everything)
+        share, wait = cheapest_law(pieces, charges, 0.5, free)
+        found = cost([int(np.argmin(abs(SHARES - a))) for a in share], wait)
+        assert best - 1e-9 <= found <= 1.03 * best
+
+
+def test_nobody_is_driven_into_and_harm_is_less_than_without_regard_for_time():
+    scene = SCENE.with_moving(CROSSING)
+    unaware, aware = planned(SCENE), planned(scene)
+    assert unaware.status is aware.status is gp.PlanStatus.SOLVED
+    ran_over = gp.verify(unaware.trajectory, scene)
+    assert ran_over.failures == ("passing_by",) or list(ran_over.failures) == ["passing_by"]
+    assert aware.verdict.checks["passing_by"].passed and "ann" in aware.verdict.checks["passing_by"].detail
+    harm = gp.evaluate(unaware.trajectory, scene).impact_by_entity["ann"]
+    assert aware.cost.impact_by_entity["ann"] < 0.2 * harm
+    assert aware.trajectory.duration < unaware.trajectory.duration + 4.0
+    assert gp.evaluate(aware.trajectory, scene).total == pytest.approx(aware.cost.total)
+
+
+@pytest.mark.long
+def test_who_is_far_away_changes_nothing_and_w_of_0_still_drives_into_nobody():
+    far = gp.MovingEntity("ann", "adult", size=[0.25, 0.85], t=[0.0], position=[[30.0, 30.0, 0.85]])
+    assert planned(SCENE.with_moving(far)).trajectory.duration == pytest.approx(planned(SCENE).trajectory.duration)
+    ordinary = planned(SCENE.with_moving(CROSSING), w=0.0)
+    assert ordinary.status is gp.PlanStatus.SOLVED and ordinary.verdict.checks["passing_by"].passed
+
+
+@pytest.mark.long
+def test_the_planner_over_cells_and_time_alone():
+    result = planned(SCENE.with_moving(CROSSING), planner="floor_in_time")
+    assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["passing_by"].passed
+
+
+@pytest.mark.long
+def test_a_wall_of_people_is_a_problem_without_solution():
+    wall = gp.MovingEntity("crowd", "adult", size=[0.3, 1.9, 0.85], t=[0.0], position=[[0.0, 0.0, 0.85]])
+    result = planned(SCENE.with_moving(wall), iterations=1000)
+    assert result.status is gp.PlanStatus.TIMEOUT and "drives into" in result.detail
+
+
+def test_slopes_are_differences_of_impact():
+    walkers = Walkers(gp.Objective().bind(SCENE.with_moving(CROSSING)))
+    rng = np.random.default_rng(1)
+    q = np.column_stack([rng.uniform(-2, -0.5, 20), rng.uniform(-0.5, 0.5, 20), rng.uniform(-0.3, 0.3, 20)])
+    qd, t = np.tile([1.2, 0.0, 0.1], (20, 1)), np.full(20, 1.8)
+    value, by_q, by_qd, by_t = walkers.slopes(q, qd, t)
+    assert (value > 0.1).sum() > 3
+    d, h = rng.normal(size=(20, 3)), 1e-3
+    for slope, changed in (
+        ((by_q * d).sum(axis=1), lambda s: walkers.impact(q + s * d, qd, t)),
+        ((by_qd * d).sum(axis=1), lambda s: walkers.impact(q, qd + s * d, t)),
+        (by_t, lambda s: walkers.impact(q, qd, t + s)),
+    ):
+        known = (changed(h) - changed(-h)) / (2 * h)
+        assert np.mean(abs(slope - known) < 0.02 + 0.05 * abs(known)) >= 0.9  # it has kinks
