@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from browsing import click, enter, errors, picture, state, text, tick, until
 from places import ROOT
 
 import graceful_plan as gp
@@ -16,9 +17,6 @@ pytestmark = [
     # Sockets of driver and server that are closed by the garbage collector are no finding.
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
-
-_PATIENCE = 90.0
-"""Seconds after which a test gives up: the picture is drawn without a graphics card."""
 
 
 @pytest.fixture(scope="module")
@@ -41,59 +39,6 @@ def test_the_guide_runs(capsys):
     )
     exec(compile(snippet, "viewer.md", "exec"), {})
     assert capsys.readouterr().out.startswith("http://localhost:")
-
-
-def state(viewer):
-    return viewer._page.state
-
-
-def text(browser):
-    return browser.find_element("tag name", "body").text
-
-
-def until(condition):
-    """Wait until something is true, and return what it is."""
-    end = time.monotonic() + _PATIENCE
-    while time.monotonic() < end:
-        if found := condition():
-            return found
-        time.sleep(0.1)
-    raise AssertionError("it never came true")
-
-
-def click(browser, words):
-    until(lambda: browser.find_elements("xpath", f"//*[normalize-space(text())='{words}']"))[0].click()
-
-
-def tick(browser, label):
-    path = f"(//*[normalize-space(text())='{label}']/following::input[@type='checkbox'])[1]"
-    browser.find_element("xpath", path).click()
-
-
-def enter(browser, label, value, number=1):
-    """Type a value into a field behind a label."""
-    from selenium.webdriver.common.keys import Keys
-
-    path = f"(//*[normalize-space(text())='{label}']/following::input[@type='text'])[{number}]"
-    field = browser.find_element("xpath", path)
-    field.click()
-    field.send_keys(Keys.CONTROL, "a")
-    field.send_keys(str(value), Keys.ENTER, Keys.TAB)
-
-
-def errors(browser):
-    return [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-
-
-def picture(browser):
-    """The canvas as an array; not what lies over it."""
-    import base64
-    import io
-
-    import matplotlib.image
-
-    canvas = browser.find_element("tag name", "canvas")
-    return matplotlib.image.imread(io.BytesIO(base64.b64decode(canvas.screenshot_as_base64)), format="png")
 
 
 def test_the_page_opens_with_a_picture_and_both_costs(page):
