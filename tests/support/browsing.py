@@ -62,7 +62,9 @@ def picture(browser):
 
 def choose(browser, label, option):
     """Choose from the list behind a label."""
-    browser.find_element("xpath", f"(//*[normalize-space(text())='{label}']/following::input)[1]").click()
+    labels = browser.find_elements("xpath", f"//*[normalize-space(text())='{label}']")
+    shown = next(one for one in labels if one.is_displayed())  # tabs that are not open have labels, too
+    shown.find_element("xpath", "following::input[1]").click()
     listed = f"//*[@role='option' and normalize-space(.)='{option}']"
     until(lambda: [one for one in browser.find_elements("xpath", listed) if one.is_displayed()])[0].click()
 

@@ -99,7 +99,7 @@ def test_the_goal_is_dragged_by_its_handle(page, viewer):
 
     before = state(viewer).question
     X = before.goal_pose()
-    size = viewer._page._goal.scale
+    size = viewer._page.handles.goal.scale
     canvas = page.find_element("tag name", "canvas")
     rect = canvas.rect
     arrows = [(seen_at(viewer, X[:3, 3] + 0.75 * size * X[:3, k]), k) for k in range(3)]
@@ -133,7 +133,7 @@ def test_a_gripper_failure_at_half_time_shows_predicted_and_observed_harm(page, 
     assert float(found[2]) == pytest.approx(sum(replay.observed.values()), abs=0.006)
     shown = text(page)
     assert "predicted" in shown and "observed" in shown and "gripper_failure, severe, at 50%" in shown
-    until(lambda: viewer._page._t > replay.onset)
+    until(lambda: viewer._page.player.t > replay.onset)
     click(page, "Healthy motion again")
     until(lambda: state(viewer).replay is None)
     assert errors(page) == []
@@ -144,9 +144,9 @@ def test_the_ordinary_motion_is_shown_beside_the_other_one(page, viewer):
     (client,) = shown.server.get_clients().values()
     before, picture_before = np.array(client.camera.look_at), picture(page)
     for how, moves in (("beside it", True), ("as a ghost", False)):
-        with shown._lock:
-            shown._controls.other.value = how
-            shown._draw_plans()
+        with shown.lock:
+            shown.controls.other.value = how
+            shown.draw_plans()
         until(lambda moves=moves: (np.abs(client.camera.look_at - before).max() > 0.2) == moves)
         if moves:
             until(lambda: np.abs(picture(page) - picture_before).mean() > 1e-2)
@@ -154,14 +154,14 @@ def test_the_ordinary_motion_is_shown_beside_the_other_one(page, viewer):
 
 
 def test_it_plays_and_pauses(page, viewer):
-    if viewer._page._playing:
+    if viewer._page.player.playing:
         click(page, "Pause")
-        until(lambda: not viewer._page._playing)
-    t = viewer._page._t
+        until(lambda: not viewer._page.player.playing)
+    t = viewer._page.player.t
     click(page, "Play")
-    until(lambda: viewer._page._t != t)
+    until(lambda: viewer._page.player.t != t)
     click(page, "Pause")
-    until(lambda: not viewer._page._playing)
+    until(lambda: not viewer._page.player.playing)
     assert errors(page) == []
 
 
@@ -173,7 +173,7 @@ def test_layers_and_darkness_change_the_picture(page, viewer):
     page.find_element(
         "xpath", "(//*[normalize-space(text())='Risk map']/following::input[@type='checkbox'])[1]"
     ).click()
-    until(lambda: viewer._page._layer is not None)
+    until(lambda: viewer._page.stage.layer is not None)
     until(lambda: np.abs(picture(page) - before).mean() > 1e-3)
     tick(page, "Dark")
     until(lambda: picture(page)[:60, :60, :3].mean() < 0.3)
@@ -185,7 +185,7 @@ def test_a_base_that_drives_is_shown_and_fails(browser):
         browser.get(viewer.url)
         until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
         enter(browser, "Time [s]", 2)
-        until(lambda: state(viewer).at(viewer._page._t).going_on is not None)
+        until(lambda: state(viewer).at(viewer._page.player.t).going_on is not None)
         click(browser, "Failure")
         click(browser, "Let it fail")
         until(lambda: "power_lost" in text(browser) and re.search(r"all\s+[\d.]+\s+[\d.]+", text(browser)))

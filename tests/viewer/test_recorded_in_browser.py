@@ -47,7 +47,7 @@ def test_a_rollout_is_chosen_by_fault_and_happens_again(page, viewer):
     click(page, "Rollouts")
     until(lambda: "observed harm" in text(page))
     choose(page, "Fault", "gripper_failure")
-    tab = viewer._page._controls.recorded
+    tab = viewer._page.controls.recorded
     until(lambda: "gripper_failure, severe" in text(page) and "of 2" in text(page))
     row = tab.rollouts[tab.number]
     assert f"{row.impact:.3g}" in text(page)
@@ -55,7 +55,7 @@ def test_a_rollout_is_chosen_by_fault_and_happens_again(page, viewer):
     predicted, observed = harm(page)
     assert observed == pytest.approx(row.impact, abs=0.006)
     assert predicted == pytest.approx(sum(state(viewer).replay.predicted.values()), abs=0.006)
-    until(lambda: viewer._page._t > state(viewer).replay.onset)
+    until(lambda: viewer._page.player.t > state(viewer).replay.onset)
     assert errors(page) == []
 
 
@@ -64,7 +64,7 @@ def test_another_failure_is_made_up_beside_them(page, viewer):
     choose(page, "Fault", "power_loss")
     choose(page, "Degree", "critical")
     enter(page, "Moment [%]", 25)
-    until(lambda: viewer._page._controls.moment.value == 25)
+    until(lambda: viewer._page.controls.moment.value == 25)
     click(page, "Let it fail")
     until(lambda: "power_loss, critical, at 25%" in text(page))
     replay = state(viewer).replay
