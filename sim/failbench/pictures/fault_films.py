@@ -1,6 +1,6 @@
 """Every fault as a small film of its worst consequence; a program of its own, with `-m`.
 
-The films are of the failures that the contact sheet has as single pictures, at half their speed: the last moments before
+The films are of the failures that the contact sheet has as single pictures, at half their speed: what comes before
 the onset, with a green bar, then what comes of it, with a red one. The outline is where the healthy robot would be.
 """
 

@@ -19,7 +19,7 @@ from graceful_plan.viewer.browser.controls import build
 from graceful_plan.viewer.browser.first_picture import when_drawn
 from graceful_plan.viewer.browser.handles import Change, Handles
 from graceful_plan.viewer.browser.player import Player
-from graceful_plan.viewer.browser.stage import Stage
+from graceful_plan.viewer.browser.stage import DrawnStage
 from graceful_plan.viewer.failing import Failure, Replay, faults_of
 from graceful_plan.viewer.question import PlanAnswer, Question
 from graceful_plan.viewer.recorded import RecordedRollouts
@@ -72,7 +72,7 @@ class Page:
         drives = question.scene.base is not None
         self.handles = Handles(self.server, self.controls, drives, lambda *all: self._guarded(self._changed, *all))
         with self.lock:
-            self.stage = Stage(self.server, self.controls, question)
+            self.stage = DrawnStage(self.server, self.controls, question)
             self._place_handles()
             self._connect()
             if answer is not None:

@@ -22,7 +22,7 @@ from graceful_plan.viewer.state import ViewerState
 
 
 @final
-class Stage:
+class DrawnStage:
     """Draws what it is given; what that is, it does not decide.
 
     Args:
