@@ -13,7 +13,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
+.PHONY: help demo picture sheet films gallery test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
   release lock clean
 .DELETE_ON_ERROR:
 
@@ -43,9 +43,17 @@ picture: $(VENV)/.package
 	$(BIN)/graceful-plan demo --iterations 5000
 	cp graceful_plan_demo/demo.png docs/images/demo.png
 
-# The failures in the README; needs OpenGL, off-screen.
+# The failures of docs/gallery.md; needs OpenGL, off-screen.
 sheet: $(VENV)/.package
 	$(BIN)/python -m failbench.pictures.contact_sheet docs/images/faults.png
+
+# The failures of docs/faults-moving.md, in the same way; about a minute.
+films: $(VENV)/.package
+	$(BIN)/python -m failbench.pictures.fault_films docs/images/faults
+
+# What else docs/gallery.md shows; pages are taken in chromium, if it is there.
+gallery: $(VENV)/.package $(VENV)/.viewer
+	$(BIN)/python .ci/docs/gallery.py $(ARGS)
 
 # Idle workers take tests from busy ones: no file is so long that one core waits for it.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist worksteal

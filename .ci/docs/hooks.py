@@ -22,6 +22,7 @@ PAGES = {
 """Files of the repository that are pages of the site."""
 EXAMPLES = "examples.md"
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)(#[^)\s]*)?(?=\))")
+_LIST = re.compile(r"^(\w.*)\n(?=- )", flags=re.MULTILINE)
 _CODE = re.compile(r"^( *)(```|~~~).*?^\1\2 *$|`[^`\n]+`", flags=re.MULTILINE | re.DOTALL)
 _BLOCKS = r'<div class="arithmatex">\\\[(.*?)\\\]</div>', r"<p>\.\. math:: (.*?)</p>"
 _INLINE = r'<span class="arithmatex">\\\((.*?)\\\)</span>', r":math:<code>(.*?)</code>"
@@ -30,7 +31,8 @@ _INLINE = r'<span class="arithmatex">\\\((.*?)\\\)</span>', r":math:<code>(.*?)<
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made."""
-    made = {page: linked((ROOT / file).read_text(encoding="utf-8"), Path(file).parent) for file, page in PAGES.items()}
+    texts = {file: spaced((ROOT / file).read_text(encoding="utf-8")) for file in PAGES}
+    made = {page: linked(texts[file], Path(file).parent) for file, page in PAGES.items()}
     made[EXAMPLES] = examples()
     for page, text in made.items():
         files.append(File.generated(config, page, content=text))
@@ -64,6 +66,11 @@ def linked(text: str, folder: Path) -> str:
         pieces += [_LINK.sub(lambda link: target(link, folder), text[last : code.start()]), code[0]]
         last = code.end()
     return "".join([*pieces, _LINK.sub(lambda link: target(link, folder), text[last:])])
+
+
+def spaced(text: str) -> str:
+    """Return a text with a blank line before each list that follows a paragraph; readers on the web need none."""
+    return _LIST.sub(r"\1\n\n", text)
 
 
 def target(link: re.Match[str], folder: Path) -> str:

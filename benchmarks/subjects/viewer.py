@@ -131,7 +131,7 @@ def _first_picture(browser: Any, port: int) -> tuple[float, float, float]:
 def _playing(seconds: float) -> Iterator[report.Target]:
     with gp.view(SCENE, port=_PORT + 50) as viewer:
         page: Any = viewer._page
-        page._begin()
+        page.begin()
         page.state.worker.wait(30.0)
         sent: list[float] = []
         count = _counted(page)
@@ -140,13 +140,13 @@ def _playing(seconds: float) -> Iterator[report.Target]:
                 browser.get(viewer.url)
                 _until(lambda browser=browser: browser.execute_script("return window.drawn") > 0)
                 time.sleep(3.0)
-                page._toggle(True)
+                page.player.toggle(True)
                 time.sleep(1.0)
                 first, began, frames = count[0], time.perf_counter(), browser.execute_script("return window.drawn")
                 time.sleep(seconds)
                 drawn = browser.execute_script("return window.drawn") - frames
                 passed = time.perf_counter() - began
-                page._toggle(False)
+                page.player.toggle(False)
                 sent.append((count[0] - first) / passed)
                 yield _rate(f"drawn, {width} x {height} pixels", drawn / passed)
         yield _rate("sent", *sent)
@@ -156,10 +156,10 @@ def _sent(seconds: float) -> tuple[float]:
     """Frames a second that are computed without anybody who looks."""
     with gp.view(SCENE, port=_PORT + 50) as viewer:
         page: Any = viewer._page
-        page._begin()
+        page.begin()
         page.state.worker.wait(30.0)
         count = _counted(page)
-        page._toggle(True)
+        page.player.toggle(True)
         time.sleep(seconds)
         return (count[0] / seconds,)
 

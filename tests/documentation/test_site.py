@@ -80,6 +80,21 @@ def test_links_lead_to_pages(hooks, text, folder, expected):
     assert hooks.linked(text, Path(folder)) == expected
 
 
+def test_lists_after_paragraphs_are_lists(hooks):
+    assert hooks.spaced("A:\n- b\n- c\n  d\n- e\n") == "A:\n\n- b\n- c\n  d\n- e\n"
+
+
+def test_every_fault_is_seen_moving():
+    from failbench.pictures.contact_sheet import WORDS
+
+    text, films = (DOCS / "faults-moving.md").read_text(), DOCS / "images" / "faults"
+    assert set(WORDS) == set(failbench.faults()) == {film.stem for film in films.iterdir()}
+    for name, words in WORDS.items():
+        assert f"![{name}: {words}](images/faults/{name}.webp)" in text
+        assert b"ANIM" in (films / f"{name}.webp").read_bytes()[:64]
+    assert sum(film.stat().st_size for film in films.iterdir()) < 3e6
+
+
 @pytest.mark.parametrize(
     ("page", "display"),
     [

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from browsing import click, enter, errors, picture, state, text, tick, until
 from places import ROOT
 
 import graceful_plan as gp
@@ -16,9 +17,6 @@ pytestmark = [
     # Sockets of driver and server that are closed by the garbage collector are no finding.
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
-
-_PATIENCE = 90.0
-"""Seconds after which a test gives up: the picture is drawn without a graphics card."""
 
 
 @pytest.fixture(scope="module")
@@ -41,59 +39,6 @@ def test_the_guide_runs(capsys):
     )
     exec(compile(snippet, "viewer.md", "exec"), {})
     assert capsys.readouterr().out.startswith("http://localhost:")
-
-
-def state(viewer):
-    return viewer._page.state
-
-
-def text(browser):
-    return browser.find_element("tag name", "body").text
-
-
-def until(condition):
-    """Wait until something is true, and return what it is."""
-    end = time.monotonic() + _PATIENCE
-    while time.monotonic() < end:
-        if found := condition():
-            return found
-        time.sleep(0.1)
-    raise AssertionError("it never came true")
-
-
-def click(browser, words):
-    until(lambda: browser.find_elements("xpath", f"//*[normalize-space(text())='{words}']"))[0].click()
-
-
-def tick(browser, label):
-    path = f"(//*[normalize-space(text())='{label}']/following::input[@type='checkbox'])[1]"
-    browser.find_element("xpath", path).click()
-
-
-def enter(browser, label, value, number=1):
-    """Type a value into a field behind a label."""
-    from selenium.webdriver.common.keys import Keys
-
-    path = f"(//*[normalize-space(text())='{label}']/following::input[@type='text'])[{number}]"
-    field = browser.find_element("xpath", path)
-    field.click()
-    field.send_keys(Keys.CONTROL, "a")
-    field.send_keys(str(value), Keys.ENTER, Keys.TAB)
-
-
-def errors(browser):
-    return [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-
-
-def picture(browser):
-    """The canvas as an array; not what lies over it."""
-    import base64
-    import io
-
-    import matplotlib.image
-
-    canvas = browser.find_element("tag name", "canvas")
-    return matplotlib.image.imread(io.BytesIO(base64.b64decode(canvas.screenshot_as_base64)), format="png")
 
 
 def test_the_page_opens_with_a_picture_and_both_costs(page):
@@ -154,7 +99,7 @@ def test_the_goal_is_dragged_by_its_handle(page, viewer):
 
     before = state(viewer).question
     X = before.goal_pose()
-    size = viewer._page._goal.scale
+    size = viewer._page.handles.goal.scale
     canvas = page.find_element("tag name", "canvas")
     rect = canvas.rect
     arrows = [(seen_at(viewer, X[:3, 3] + 0.75 * size * X[:3, k]), k) for k in range(3)]
@@ -188,7 +133,7 @@ def test_a_gripper_failure_at_half_time_shows_predicted_and_observed_harm(page, 
     assert float(found[2]) == pytest.approx(sum(replay.observed.values()), abs=0.006)
     shown = text(page)
     assert "predicted" in shown and "observed" in shown and "gripper_failure, severe, at 50%" in shown
-    until(lambda: viewer._page._t > replay.onset)
+    until(lambda: viewer._page.player.t > replay.onset)
     click(page, "Healthy motion again")
     until(lambda: state(viewer).replay is None)
     assert errors(page) == []
@@ -199,9 +144,9 @@ def test_the_ordinary_motion_is_shown_beside_the_other_one(page, viewer):
     (client,) = shown.server.get_clients().values()
     before, picture_before = np.array(client.camera.look_at), picture(page)
     for how, moves in (("beside it", True), ("as a ghost", False)):
-        with shown._lock:
-            shown._controls.other.value = how
-            shown._draw_plans()
+        with shown.lock:
+            shown.controls.other.value = how
+            shown.draw_plans()
         until(lambda moves=moves: (np.abs(client.camera.look_at - before).max() > 0.2) == moves)
         if moves:
             until(lambda: np.abs(picture(page) - picture_before).mean() > 1e-2)
@@ -209,14 +154,14 @@ def test_the_ordinary_motion_is_shown_beside_the_other_one(page, viewer):
 
 
 def test_it_plays_and_pauses(page, viewer):
-    if viewer._page._playing:
+    if viewer._page.player.playing:
         click(page, "Pause")
-        until(lambda: not viewer._page._playing)
-    t = viewer._page._t
+        until(lambda: not viewer._page.player.playing)
+    t = viewer._page.player.t
     click(page, "Play")
-    until(lambda: viewer._page._t != t)
+    until(lambda: viewer._page.player.t != t)
     click(page, "Pause")
-    until(lambda: not viewer._page._playing)
+    until(lambda: not viewer._page.player.playing)
     assert errors(page) == []
 
 
@@ -228,7 +173,7 @@ def test_layers_and_darkness_change_the_picture(page, viewer):
     page.find_element(
         "xpath", "(//*[normalize-space(text())='Risk map']/following::input[@type='checkbox'])[1]"
     ).click()
-    until(lambda: viewer._page._layer is not None)
+    until(lambda: viewer._page.stage.layer is not None)
     until(lambda: np.abs(picture(page) - before).mean() > 1e-3)
     tick(page, "Dark")
     until(lambda: picture(page)[:60, :60, :3].mean() < 0.3)
@@ -240,7 +185,7 @@ def test_a_base_that_drives_is_shown_and_fails(browser):
         browser.get(viewer.url)
         until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
         enter(browser, "Time [s]", 2)
-        until(lambda: state(viewer).at(viewer._page._t).going_on is not None)
+        until(lambda: state(viewer).at(viewer._page.player.t).going_on is not None)
         click(browser, "Failure")
         click(browser, "Let it fail")
         until(lambda: "power_lost" in text(browser) and re.search(r"all\s+[\d.]+\s+[\d.]+", text(browser)))

@@ -77,7 +77,7 @@ def test_a_program_that_ends_without_closing_the_page_ends_quietly():
     code = """
 import graceful_plan as gp
 viewer = gp.view("tabletop", port=8395)
-viewer._page._begin()
+viewer._page.begin()
 viewer._page.state.worker.wait(30.0)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=_LONG)

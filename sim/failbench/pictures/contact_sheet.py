@@ -100,9 +100,7 @@ def contact_sheet(output: str | Path) -> Path:
     Raises:
         NoPicture: If there is no OpenGL that works without a window.
     """
-    task = gp.load_scene(SCENE).tasks[TASK]
-    plan = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50, seed=0, speed=0.5)
-    execution = execute(plan, build_world(task.scene))
+    execution = healthy_run()
     cells = []
     with Offscreen(execution.world.model, _WIDTH, _HEIGHT) as offscreen:
         for worst in worst_of(execution, tuple(WORDS)):
@@ -112,6 +110,13 @@ def contact_sheet(output: str | Path) -> Path:
     output.parent.mkdir(parents=True, exist_ok=True)
     _page([*cells, _legend()]).save(output, optimize=True)
     return output
+
+
+def healthy_run() -> Execution:
+    """Return the motion that every fault strikes, as a healthy robot executes it."""
+    task = gp.load_scene(SCENE).tasks[TASK]
+    plan = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=50, seed=0, speed=0.5)
+    return execute(plan, build_world(task.scene))
 
 
 def worst_of(execution: Execution, names: Sequence[str]) -> list[Worst]:
@@ -157,15 +162,27 @@ def _farthest(execution: Execution, job: Job) -> tuple[float, Worst]:
 
 def picture(execution: Execution, worst: Worst, offscreen: Offscreen) -> UInt8[Array, "height width 3"]:
     """Take the picture of a moment, with the outline of the healthy robot where that makes a difference."""
-    world, touches = execution.world, TouchPaint(execution.world, execution.baseline)
+    touches = TouchPaint(execution.world, execution.baseline)
     steps = round(worst.time / execution.dt) + 1
     *_, (_, intact) = healthy(execution, execution.checkpoint(worst.job.onset), steps)
     broken = intact
     for moment in film(execution, worst.job, horizon=steps * execution.dt, lead=0.0):
         touches.observe(moment.model, moment.data, moment.time)
         broken = moment.data
+    return beside_healthy(execution, broken, intact, touches, camera_on(execution, worst.place), offscreen)
+
+
+def beside_healthy(
+    execution: Execution,
+    broken: mujoco.MjData,
+    intact: mujoco.MjData,
+    touches: TouchPaint,
+    camera: mujoco.MjvCamera,
+    offscreen: Offscreen,
+) -> UInt8[Array, "height width 3"]:
+    """Take a picture of a broken robot with what it has hit, and the outline of the healthy one where it is apart."""
+    world = execution.world
     touches.paint(offscreen.model)
-    camera = _camera(execution, worst.place)
     pixels = offscreen.picture(broken, camera, touches.draw)
     tool, robot = world.model.site(world.scene.tool).id, world.striker_bodies["body"]
     if np.linalg.norm(broken.site_xpos[tool] - intact.site_xpos[tool]) < _VISIBLE:
@@ -174,7 +191,7 @@ def picture(execution: Execution, worst: Worst, offscreen: Offscreen) -> UInt8[A
     return outlined(pixels, shape)
 
 
-def _camera(execution: Execution, place: Float[Array, " xyz"]) -> mujoco.MjvCamera:
+def camera_on(execution: Execution, place: Float[Array, " xyz"]) -> mujoco.MjvCamera:
     """Return a camera that sees a place and what is around."""
     data = mujoco.MjData(execution.world.model)
     mujoco.mj_forward(execution.world.model, data)

@@ -1,6 +1,7 @@
 """Comparing planners on suites of problems: `graceful-plan bench`. Imported only on demand."""
 
 from graceful_plan.compare.problems.suite import Suite, load_suite, suites
+from graceful_plan.compare.reports.in_space import in_space
 from graceful_plan.compare.reports.output import check_exports, text, write
 from graceful_plan.compare.reports.summary import PlannerSummary, Summary, summarise
 from graceful_plan.compare.runs.best_motions import BestMotion, BestMotions
@@ -19,6 +20,7 @@ __all__ = [
     "Summary",
     "check_exports",
     "compare",
+    "in_space",
     "load_comparison",
     "load_suite",
     "read_known",

@@ -59,19 +59,19 @@ def _bench(args: argparse.Namespace) -> int:
     if args.report_only:
         comparison = bench.load_comparison(args.output)
         known = {} if args.known is None else bench.read_known(args.known, comparison.w)
-        summary = bench.summarise(bench.load_comparison(args.output, known))
+        summary, problems = bench.summarise(bench.load_comparison(args.output, known)), ()
     else:
-        summary = bench.summarise(_compared(args))
-    files = bench.write(summary, args.output, exports)
+        suite = bench.load_suite(args.suite)
+        summary, problems = bench.summarise(_compared(args, suite)), suite.problems
+    files = bench.write(summary, args.output, exports, space=bench.in_space(summary, problems))
     text = [bench.text(summary), "", *(f"wrote {file}" for file in files)]
     show(args, summary.to_document() | {"files": [str(file) for file in files]}, "\n".join(text))
     return DONE if any(planner.solved for planner in summary.planners) else FAILED
 
 
-def _compared(args: argparse.Namespace) -> Any:
+def _compared(args: argparse.Namespace, suite: Any) -> Any:
     from graceful_plan import compare as bench
 
-    suite = bench.load_suite(args.suite)
     known = None if args.known is None else bench.read_known(args.known, suite.w if args.w is None else args.w)
     named = [*(gp.PLANNERS if args.planner and args.planners is None else args.planners or ()), *args.planner]
     counter = RunCounter(args.json)

@@ -156,7 +156,7 @@ def run(
 def _in_space(front: gp.ParetoFront, choice: Choice, scene: gp.Scene) -> Mapping[str, str]:
     """Return the chosen motion, or that of the knee, in 3-D."""
     point = choice.point or front.knee or front.points[0]
-    document, why = report_view(point.trajectory, scene, front.points[0].trajectory)
+    document, why = report_view(point.trajectory, scene, front.points[0].trajectory, "shortest")
     name = "the chosen motion" if choice.point is not None else "the motion at the knee"
     return {"of": f"{name}, motion {point.motion:.4g} rad, impact {point.impact:.3g}", "page": document, "why": why}
 

@@ -32,6 +32,8 @@ _HORIZON, _COASTING = 1.5, 4.0
 """How long is simulated after the failure of an arm, and of a base [s]."""
 _STEP = 1.0 / 60.0
 """Time between frames [s]."""
+_DEGREE = "severe"
+"""What `shipped_effects` are of by default."""
 _SAME_HARM = 1e-6
 """By how much harm may differ that is the same."""
 
@@ -196,8 +198,9 @@ def _arm_replay(
     states = (data for _, data in fb.steps(execution, job, horizon=horizon))
     frames = [(data.xpos.copy(), data.xquat.copy()) for i, data in enumerate(states) if i % each == 0]
     score = importlib.import_module("failbench.recording.score")
-    prior = FaultPrior({failure.fault: 1.0}, shipped_effects(failure.degree), failure.fault)
-    notes = (*notes, *_said(rollout, scene))
+    effects, told = _effects(failure.degree)
+    prior = FaultPrior({failure.fault: 1.0}, effects, failure.fault)
+    notes = (*notes, *told, *_said(rollout, scene))
     return Replay(
         failure=failure,
         label=motion.label,
@@ -208,6 +211,14 @@ def _arm_replay(
         hits=tuple((event.striker, event.entity, event.time, event.position) for event in rollout.events),
         notes=notes,
     )
+
+
+def _effects(degree: str) -> tuple[Any, tuple[str, ...]]:
+    """Return what faults of a degree act like, and what there is to say if that is known of another degree only."""
+    try:
+        return shipped_effects(degree), ()
+    except UnknownNameError:
+        return shipped_effects(), (f"Predicted as for {_DEGREE} ones: what {degree} faults act like was not fitted.",)
 
 
 def _said(rollout: Any, scene: Scene) -> tuple[str, ...]:

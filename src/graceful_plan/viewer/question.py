@@ -14,6 +14,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import DEFAULT_WEIGHT, Objective
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.plan import plan
+from graceful_plan.planners.anytime.auto import Auto
 from graceful_plan.query.goals import Goal
 from graceful_plan.query.ik import solve_ik
 from graceful_plan.result import PlanResult, PlanStatus
@@ -146,12 +147,13 @@ class Question:
 
     # --- the answer ---------------------------------------------------------------------------------------------------
 
-    def plan(self, w: float, cancelled: Callable[[], bool]) -> PlanResult:
-        """Plan one motion."""
+    def plan(self, w: float, cancelled: Callable[[], bool], known: ShownMotion | None = None) -> PlanResult:
+        """Plan one motion; an arm begins with one that is known: in little time it might find nothing as good."""
         return plan(
             self.start,
             self.goal,
             self.scene,
+            planner="auto" if known is None or self.scene.base is not None else Auto(initial=known.trajectory.path),
             objective=Objective(impact=self.impact, w=w),
             time_limit=self.time_limit,
             seed=self.seed,
@@ -193,7 +195,7 @@ def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[
     if question.w == 0.0 and ordinary is not None:
         chosen = shown_motion(CHOSEN, ordinary.trajectory, question.scene, question.impact, ordinary.cost)
         return PlanAnswer(question=question, chosen=chosen, ordinary=ordinary, said=(of_ordinary, of_ordinary))
-    chosen, of_chosen = _shown(CHOSEN, question, question.plan(question.w, cancelled))
+    chosen, of_chosen = _shown(CHOSEN, question, question.plan(question.w, cancelled, ordinary))
     return PlanAnswer(question=question, chosen=chosen, ordinary=ordinary, said=(of_chosen, of_ordinary))
 
 

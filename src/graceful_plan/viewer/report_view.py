@@ -15,20 +15,23 @@ MOST = 12e6
 """Characters of a document, at most: scenes with large meshes would make reports that no one can send."""
 
 
-def report_view(motion: Trajectory, scene: Scene, ordinary: Trajectory | None = None) -> tuple[str, str]:
+def report_view(
+    motion: Trajectory, scene: Scene, ordinary: Trajectory | None = None, label: str = ORDINARY
+) -> tuple[str, str]:
     """Return a document with the motion in 3-D, or nothing, and then why.
 
     Args:
         motion: What is shown.
         scene: Where, with what is carried attached.
         ordinary: Shown as a ghost beside it.
+        label: Of the ghost.
     """
     if importlib.util.find_spec("viser") is None:
         return "", "the extra 'viz' shows it in 3-D: pip install 'graceful-plan[viz]'"
     from graceful_plan.viewer.browser.embedded import embedded
 
     question = Question(scene=scene, start=motion.q[0].copy(), goal=motion.q[-1].copy())
-    plain = None if ordinary is None else _shown(ORDINARY, ordinary, scene)
+    plain = None if ordinary is None else _shown(label, ordinary, scene)
     answer = PlanAnswer(
         question=question, chosen=_shown(CHOSEN, motion, scene), ordinary=plain, said=("", "not planned")
     )

@@ -155,7 +155,9 @@ def svg(draw: _Draw, name: str, height: float) -> str:
         figure = Figure(figsize=(_WIDTH, height), layout="constrained")
         draw(figure)
         out = io.StringIO()
-        figure.savefig(out, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        figure.savefig(
+            out, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        )
     text = out.getvalue()
     text = text[text.index("<svg") :]
     used = set(re.findall(r"[\"(]#([\w.-]+)", text))

@@ -38,20 +38,23 @@ def check_exports(names: Sequence[str]) -> None:
         check_arrow()
 
 
-def write(summary: Summary, folder: str | Path, exports: Sequence[str] = ()) -> tuple[Path, ...]:
+def write(
+    summary: Summary, folder: str | Path, exports: Sequence[str] = (), *, space: Mapping[str, str] | None = None
+) -> tuple[Path, ...]:
     """Write the report, what is known now, and exports; return the files.
 
     Args:
         summary: What to write about.
         folder: Where.
         exports: Of "csv", "parquet" and "arena" (see `tables` and `arena`).
+        space: What the page shows in 3-D, from `in_space`; nothing by default.
 
     Raises:
         GracefulPlanError: As for `check_exports`.
     """
     check_exports(exports)
     folder = Path(folder)
-    files = [write_report(summary, folder), write_known(summary.best, summary.comparison.w, folder)]
+    files = [write_report(summary, folder, space), write_known(summary.best, summary.comparison.w, folder)]
     for name in exports:
         files += EXPORTS[name](summary, folder)
     return tuple(files)

@@ -1,14 +1,16 @@
-"""A comparison as one HTML page that needs nothing else: no network, no scripts, figures inline."""
+"""A comparison as one HTML page that needs nothing else: no network, figures inline, scripts for the 3-D view alone."""
 
 from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from graceful_plan.compare.reports import figures
 from graceful_plan.compare.reports.calls import CallSummary
+from graceful_plan.compare.reports.in_space import section
+from graceful_plan.compare.reports.report_style import STYLE
 from graceful_plan.compare.reports.statistics import CONFIDENCE, TIE, Paired
 from graceful_plan.compare.reports.summary import PlannerSummary, Summary, gap, median
 from graceful_plan.compare.runs.records import EARLY
@@ -17,6 +19,8 @@ NAME = "report.html"
 _SIGNIFICANT = 0.05
 _DETAILS = 40
 """Outcomes other than SOLVED that are listed one by one, at most."""
+_DENSE = 12
+"""Columns of a table; one with more is set tighter, so that it fits a page of 1,300 pixels."""
 _OVERVIEW_NOTE = (
     "Medians over problems and seeds, of two middle values the worse; a run that was not solved counts as "
     "infinite (∞) in times and gaps, and not at all to the right of them. The best of each column is bold. Motion "
@@ -50,39 +54,18 @@ _PAIRS_NOTE = (
     "p: Wilcoxon's signed-rank test over the problems, two-sided; corrected by Holm's method for all the pairs "
     f"that were tested, bold below {_SIGNIFICANT:g}. The interval is a bootstrap over problems."
 )
-_STYLE = """
-:root { color-scheme: light dark; --paper: #fff; --ink: #111; --soft: #555; --rule: #e6e6e6; --line: #999;
-  --bad: #a40000; --warn: #fff4d6; }
-@media (prefers-color-scheme: dark) { :root { --paper: #16181d; --ink: #eee; --soft: #a8adb5; --rule: #3a3f47;
-  --line: #777; --bad: #ff8a80; --warn: #4a3a12; } svg { background: #fff; border-radius: 4px; padding: .4rem; } }
-body { font: 14px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 76rem;
-  margin: 1.2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.25rem; margin-bottom: 0; } h2 { font-size: 1.1rem; margin-top: 2rem; }
-p.lead { color: var(--soft); margin-top: .2rem; } p.note, figcaption { color: var(--soft); font-size: .87rem;
-  max-width: 56rem; }
-div.wide { overflow-x: auto; } figure { margin: 1rem 0; }
-svg { width: 100%; height: auto; max-width: 60rem; box-sizing: border-box; }
-table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; margin: .8rem 0; }
-th, td { padding: .22rem .5rem; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--rule); }
-th { font-weight: 600; border-bottom: 1px solid var(--line); vertical-align: bottom; white-space: normal; }
-th:first-child, td:first-child, td.text, th.text { text-align: left; }
-td.text { white-space: normal; } td.best { font-weight: 700; } td.bad { color: var(--bad); }
-span.swatch { display: inline-block; width: .7em; height: .7em; border-radius: 2px; margin-right: .45em;
-  outline: 1px solid var(--line); }
-.warn { background: var(--warn); border-left: 4px solid #e69f00; padding: .5rem .8rem; }
-""".strip()
 
 
-def write_report(summary: Summary, folder: Path) -> Path:
-    """Write the page; one that is there is replaced, once the new one is whole."""
+def write_report(summary: Summary, folder: Path, space: Mapping[str, str] | None = None) -> Path:
+    """Write the page, with what `in_space` returned; one that is there is replaced, once the new one is whole."""
     file = folder / NAME
     partial = file.with_suffix(".partial")
-    partial.write_text(page(summary), encoding="utf-8")
+    partial.write_text(page(summary, space), encoding="utf-8")
     partial.replace(file)
     return file
 
 
-def page(summary: Summary) -> str:
+def page(summary: Summary, space: Mapping[str, str] | None = None) -> str:
     """Return the page as text."""
     comparison = summary.comparison
     title = f"Planners on {comparison.suite}"
@@ -91,9 +74,10 @@ def page(summary: Summary) -> str:
         f'<p class="lead">{_text(_lead(summary))}</p>',
         *_warnings(summary),
         *(_sections(summary) if comparison.runs else ["<p>No run is done yet.</p>"]),
+        *section(space),
         *_machine(summary),
     ]
-    head = f'<meta charset="utf-8"><title>{_text(title)}</title><style>{_STYLE}</style>'
+    head = f'<meta charset="utf-8"><title>{_text(title)}</title><style>{STYLE}</style>'
     view = '<meta name="viewport" content="width=device-width, initial-scale=1">'
     body = "\n".join(parts)
     return f'<!DOCTYPE html>\n<html lang="en"><head>{head}{view}</head><body>\n{body}\n</body></html>\n'
@@ -283,7 +267,7 @@ def _outcomes(summary: Summary) -> Iterator[str]:
         for run in other[:_DETAILS]
     ]
     more = f" (the first {_DETAILS} of {len(other)})" if len(other) > _DETAILS else ""
-    table = _table(["problem", "planner", "seed", "status", "detail"], rows, text=True)
+    table = _table(["problem", "planner", "seed", "status", "detail"], rows)
     yield f"<details><summary>One by one{more}</summary>{table}</details>"
 
 
@@ -300,11 +284,14 @@ def _machine(summary: Summary) -> Iterator[str]:
     yield _table(["", ""], [[_cell(_text(key)), _cell(_text(value), "text")] for key, value in rows])
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, text: bool = False) -> str:
-    kind = ' class="text"' if text else ""
-    top = "".join(f"<th{kind}>{_text(name)}</th>" for name in header) if any(header) else ""
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table; headers stand over their columns, and may be broken where names have an underscore."""
+    kinds = [' class="text"' if rows and "text" in rows[0][i][:20] else "" for i in range(len(header))]
+    names = (_text(name).replace("_", "_<wbr>") for name in header)
+    top = "".join(f"<th{kind}>{name}</th>" for kind, name in zip(kinds, names, strict=True)) if any(header) else ""
     lines = "\n".join(f"<tr>{''.join(row)}</tr>" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>\n{lines}\n</tbody></table></div>'
+    dense = ' class="dense"' if len(header) > _DENSE else ""
+    return f'<div class="wide"><table{dense}><thead><tr>{top}</tr></thead><tbody>\n{lines}\n</tbody></table></div>'
 
 
 def _cell(content: str, kind: str = "") -> str:

@@ -77,7 +77,7 @@ class SceneQuery:
 def run(job: PlannerJob) -> Run:
     """Plan. Whatever is raised is an outcome."""
     try:
-        problem = _problem(job.problem)
+        problem = loaded_problem(job.problem)
         planner = job.planner.make()
         warm_up(job.problem, job.planner, min(job.seconds, _WARM_UP), job.w)
         # Garbage of the run before is not this one's.
@@ -94,12 +94,16 @@ def run(job: PlannerJob) -> Run:
 def load(job: PlannerJob) -> None:
     """Load a problem, which may take a while and is the fault of no planner. What is wrong with it, `run` will meet."""
     with suppress(Exception):
-        _problem(job.problem)
+        loaded_problem(job.problem)
 
 
 @lru_cache(maxsize=64)
-def _problem(note: ProblemNote) -> SceneQuery | AnalyticProblem:
-    """Load a problem, once in a process."""
+def loaded_problem(note: ProblemNote) -> SceneQuery | AnalyticProblem:
+    """Load a problem, once in a process.
+
+    Raises:
+        GracefulPlanError: If its scene or file is not here, or is broken.
+    """
     if note.kind == "analytic":
         return analytic_problems()[note.item]
     if note.kind == "file":
@@ -133,7 +137,7 @@ def warm_up(note: ProblemNote, planner: PlannerNote, seconds: float = _WARM_UP, 
         seconds: Time limit [s].
         w: Safety weight.
     """
-    problem = _problem(note)
+    problem = loaded_problem(note)
     try:
         if isinstance(problem, AnalyticProblem):
             for _ in planner.make().solve(

@@ -56,7 +56,7 @@ class DrawnPlans:
             self._other = DrawnScene(self._server, "/other", scene, opacity=opacity, shift=shift, only_moving=ghost)
             path = marks.add_path(self._server, "/other/path", answer.ordinary, greatest, thickness=_ORDINARY)
             middle = answer.ordinary.tool[len(answer.ordinary.tool) // 2]
-            self._nodes += [path, self._server.scene.add_label("/other/label", "w = 0", position=middle)]
+            self._nodes += [path, self._server.scene.add_label("/other/label", answer.ordinary.label, position=middle)]
 
     def put(self, position: Float[Array, "part 3"], turned: Float[Array, "part 4"]) -> None:
         """Move the robot of the ordinary motion, if it is drawn."""

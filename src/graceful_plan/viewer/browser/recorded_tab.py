@@ -28,6 +28,7 @@ class RecordedTab:
             self._place = gui.add_slider("Place by harm", 1, len(rollouts), 1, 1, hint="1 is the most harmful one")
             self._text = gui.add_html("")
             self._show = gui.add_button("Let it happen again", color="red")
+            self._told = gui.add_html("")
         self._filter()
         self._motion.on_update(lambda _: self._filter())
         self._fault.on_update(lambda _: self._filter())
@@ -36,6 +37,10 @@ class RecordedTab:
     def on_chosen(self, act: Callable[[int], None]) -> None:
         """Call a function with the number of the rollout that somebody wants to see."""
         self._show.on_click(lambda _: act(self.number) if len(self._order) else None)
+
+    def tell(self, text: str) -> None:
+        """Say what was predicted and observed of what is shown, in HTML."""
+        self._told.content = text
 
     @property
     def number(self) -> int:

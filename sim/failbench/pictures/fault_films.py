@@ -1,0 +1,99 @@
+"""Every fault as a small film of its worst consequence; a program of its own, with `-m`.
+
+The films are of the failures that the contact sheet has as single pictures, at half their speed: what comes before
+the onset, with a green bar, then what comes of it, with a red one. The outline is where the healthy robot would be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from failbench.pictures.contact_sheet import WORDS, Worst, beside_healthy, camera_on, healthy_run, worst_of
+from failbench.pictures.drawing import TouchPaint
+from failbench.pictures.offscreen import Offscreen
+from failbench.pictures.playback import film, healthy
+from failbench.rollouts.execution import Execution
+from failbench.simulated.states import CHECKPOINT
+from graceful_plan.array_types import UInt8
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Array = np.ndarray
+
+_WIDTH, _HEIGHT, _BAR = 320, 240, 6
+"""Of a film, and how high the bar at its lower edge is [pixels]."""
+_RATE, _SLOW = 12.5, 2.0
+"""Frames per second, and how many times slower than in reality they are played."""
+_LEAD, _TAIL, _LEAST = 0.3, 0.45, 0.8
+"""What is shown before the onset, after the worst moment, and after the onset at least [s]."""
+_REST = 1200.0
+"""How long the last frame stands [ms]."""
+_QUALITY = 55
+"""Of WebP, in per cent: edges stay sharp, and all films together below 3 MB."""
+_BEFORE, _AFTER, _TO_COME = (42, 127, 79), (194, 24, 91), (205, 205, 205)
+"""Colours of the bar."""
+
+
+def fault_films(folder: str | Path) -> tuple[Path, ...]:
+    """Write a film of each fault into a folder, as animated WebP.
+
+    Raises:
+        NoPicture: If there is no OpenGL that works without a window.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    execution, files = healthy_run(), []
+    with Offscreen(execution.world.model, _WIDTH, _HEIGHT) as offscreen:
+        for worst in worst_of(execution, tuple(WORDS)):
+            frames = list(_frames(execution, worst, offscreen))
+            times = [round(1000.0 / _RATE)] * (len(frames) - 1) + [_REST]
+            files.append(folder / f"{worst.job.fault.NAME}.webp")
+            frames[0].save(
+                files[-1], save_all=True, append_images=frames[1:], duration=times, loop=0, quality=_QUALITY, method=6
+            )
+    return tuple(files)
+
+
+def _frames(execution: Execution, worst: Worst, offscreen: Offscreen) -> Iterator[Image]:
+    from PIL import Image
+
+    dt = execution.dt
+    onset = execution.checkpoint(worst.job.onset)
+    first = max(0, onset - math.ceil(_LEAD / (CHECKPOINT * dt)))
+    lead, horizon = (onset - first) * CHECKPOINT * dt, max(_LEAST, worst.time + _TAIL)
+    every, steps = round(1.0 / (_RATE * _SLOW * dt)), round((lead + horizon) / dt)
+    touches = TouchPaint(execution.world, execution.baseline)
+    moments = film(execution, worst.job, horizon=horizon, lead=lead)
+    camera = camera_on(execution, worst.place)
+    for step, (moment, (_, intact)) in enumerate(zip(moments, healthy(execution, first, steps), strict=False)):
+        touches.observe(moment.model, moment.data, moment.time)
+        if step % every == 0:
+            pixels = beside_healthy(execution, moment.data, intact, touches, camera, offscreen)
+            _draw_bar(pixels, step / steps, lead / (lead + horizon))
+            yield Image.fromarray(pixels)
+
+
+def _draw_bar(pixels: UInt8[Array, "height width 3"], now: float, onset: float) -> None:
+    """Draw how far the film is over the lower edge of a picture: green until the onset, red after it."""
+    done, broken = round(now * _WIDTH), round(onset * _WIDTH)
+    pixels[-_BAR:] = _TO_COME
+    pixels[-_BAR:, : min(done, broken)] = _BEFORE
+    pixels[-_BAR:, broken : max(done, broken)] = _AFTER
+
+
+def main() -> None:
+    """Write the films into the folder that the command line names."""
+    parser = argparse.ArgumentParser(prog="fault_films", description=fault_films.__doc__)
+    parser.add_argument("folder", type=Path, help="where the films go")
+    fault_films(parser.parse_args().folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""What is seen in the space of the page: scene, both motions, names, footprint, risk map; and the chart of impact."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from graceful_plan.scene.scene import Scene
+from graceful_plan.viewer.browser import marks, words
+from graceful_plan.viewer.browser.cameras import Cameras
+from graceful_plan.viewer.browser.chart import ImpactChart
+from graceful_plan.viewer.browser.controls import Controls
+from graceful_plan.viewer.browser.drawn_scene import DrawnScene
+from graceful_plan.viewer.browser.plans import DrawnPlans
+from graceful_plan.viewer.poses import poses_along
+from graceful_plan.viewer.question import PlanAnswer, Question
+from graceful_plan.viewer.risk_layer import RiskLayer
+from graceful_plan.viewer.shapes import parts
+from graceful_plan.viewer.shown import ShownMotion
+from graceful_plan.viewer.state import ViewerState
+
+
+@final
+class DrawnStage:
+    """Draws what it is given; what that is, it does not decide.
+
+    Args:
+        server: viser's server.
+        controls: What is to be seen, and where words and chart are.
+        question: Drawn first.
+    """
+
+    def __init__(self, server: Any, controls: Controls, question: Question) -> None:
+        self._server, self._controls = server, controls
+        self._plans = DrawnPlans(server, Cameras(server, question))
+        self._footprints = marks.Footprints(server)
+        self._scene: DrawnScene | None = None
+        self.layer: Any = None
+        self._chart: ImpactChart | None = None
+        self._labels: list[Any] = []
+        self.set_scene(question)
+
+    def set_scene(self, question: Question) -> None:
+        """Draw the scene of a question from scratch, where its robot is at the start."""
+        if self._scene is not None:
+            self._scene.remove()
+        self.drawn: Scene = question.scene
+        self._scene = DrawnScene(self._server, "/scene", question.scene)
+        poses, _ = poses_along(question.scene, parts(question.scene), question.start[None], np.zeros(1))
+        self._scene.put(poses.position[0], poses.quaternion[0])
+        self.name_things(question)
+
+    def name_things(self, question: Question) -> None:
+        """Write names and severities on what may be hit, if they are wanted."""
+        for label in self._labels:
+            label.remove()
+        self._labels = []
+        if not self._controls.names.value:
+            return
+        data = question.scene.data_at(question.start)
+        for name, entity in question.scene.entities.items():
+            top = max(data.geom_xpos[list(entity.geoms)], key=lambda place: float(place[2]), default=np.zeros(3))
+            worst = max(entity.severity.values(), default=0.0)
+            self._labels.append(self._server.scene.add_label(f"/names/{name}", f"{name}: {worst:g}", position=top))
+
+    def set_plans(self, answer: PlanAnswer | None) -> None:
+        """Draw the paths, and the ordinary motion as it is to be shown."""
+        self._plans.draw(answer, self._controls.other.value)
+
+    def set_chart(self, motion: ShownMotion | None) -> None:
+        """Draw the chart of a motion."""
+        if self._chart is not None:
+            self._chart.handle.remove()
+            self._chart = None
+        if motion is not None:
+            with self._controls.chart_folder:
+                self._chart = ImpactChart(self._server, motion)
+
+    def lay(self, layer: RiskLayer | None) -> None:
+        """Lay a risk map into the scene instead of the one that is there."""
+        if self.layer is not None:
+            self.layer.remove()
+        self.layer = None if layer is None else marks.add_layer(self._server, layer)
+
+    def show(self, state: ViewerState, t: float, words_too: bool = True) -> None:
+        """Show a time [s]."""
+        moment = state.at(t)
+        if moment is None or self._scene is None:
+            return
+        replay = state.replay
+        with self._server.atomic():
+            self._scene.put(moment.position, moment.turned)
+            if moment.beside is not None:
+                self._plans.put(*moment.beside)
+            wanted = self._controls.footprint.value
+            self._footprints.show(moment.fall if wanted else None, moment.going_on if wanted else None)
+            hits = () if replay is None else replay.hits
+            self._scene.strike({name for _, name, after, _ in hits if replay and t >= replay.onset + after})
+        if words_too:
+            self._controls.now_text.content = words.now_words(moment.impact, failed=moment.failed)
+            if self._chart is not None:
+                self._chart.show(t)
