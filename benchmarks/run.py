@@ -65,6 +65,7 @@ SUBJECTS = (
     "lattice",
     "floor_maps",
     "tuning",
+    "annotation",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
