@@ -19,8 +19,8 @@ severities that the scene has. The model is asked at the endpoint of `ANNOTATE_E
 `ANNOTATE_MODEL`; it is not told the rows of the shipped table. Without these variables there is no model: a stand-in
 answers on this machine, which takes the first class with a word of its list in the entity's name, and the shipped row
 of that class. Its rows are therefore exact whenever its class is and the scene has no numbers of its own, which no
-model's are, and whoever wrote the list knew these scenes; its figures say that the way there and back works, and nothing
-about any model.
+model's are, and whoever wrote the list knew these scenes; its figures say that the way there and back works, and
+nothing about any model.
 """
 STAND_IN = "no model: names looked up in a list of words"
 
