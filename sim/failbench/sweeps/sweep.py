@@ -12,16 +12,15 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-import graceful_plan as gp
 from failbench.basics.chunks import Chunk
 from failbench.basics.errors import ExecutionRefused, SweepFailed
+from failbench.basics.versions import versions
 from failbench.fault.registry import to_document
 from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
@@ -176,11 +175,6 @@ def sweep_of(
         seed=seed,
         settings=SimSettings() if settings is None else settings,
     )
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of what decides about results."""
-    return {"graceful_plan": gp.__version__} | {name: metadata.version(name) for name in ("mujoco", "numpy")}
 
 
 def _prepared(sweep: Sweep) -> dict[str, Any]:
