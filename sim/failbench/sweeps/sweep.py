@@ -24,6 +24,7 @@ from failbench.basics.versions import versions
 from failbench.fault.registry import to_document
 from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
+from failbench.sweeps.card import write_card
 from failbench.sweeps.dataset import check_arrow, write_dataset
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.journal import SweepJournal
@@ -197,6 +198,7 @@ def _finish(journal: SweepJournal, folder: Path, executor: Executor | None, call
         raise SweepFailed(folder, list(errors.values()), len(sweep.chunks))
     rows = (journal.rows(chunk) for chunk in sweep.chunks)
     manifest = write_dataset(folder, rows, {"sweep": about["sweep"], "versions": about["versions"]})
+    write_card(folder, sweep, manifest)
     return Generated(folder=folder, manifest=manifest, healthy=_healthy(journal, sweep))
 
 
