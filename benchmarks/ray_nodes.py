@@ -45,6 +45,16 @@ class RayNodes:
         """Return the processes that do chunks at this moment."""
         return [pid for node in self._nodes for pid in _children(_raylet(node)) if b"_attempt" in _command(pid)]
 
+    def seconds(self) -> float:
+        """Return the CPU time that the processes of the cluster that live have taken, without drivers [s]."""
+        servers = [
+            info.process.pid
+            for node in (self._cluster.head_node, *self._nodes)
+            for infos in node.all_processes.values()
+            for info in infos
+        ]
+        return sum(process_seconds(pid) for server in servers for pid in (server, *_children(server)))
+
     def kill_node(self, chosen: random.Random) -> None:
         """Kill everything of a node at once, and let another one join."""
         node = chosen.choice(self._nodes)
@@ -75,3 +85,12 @@ def _command(pid: int) -> bytes:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
         return b""
+
+
+def process_seconds(pid: int) -> float:
+    """Return the CPU time that a process has taken [s]; 0 if it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

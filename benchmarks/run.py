@@ -69,6 +69,7 @@ SUBJECTS = (
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
+    "failbench_sweeps",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset(
