@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -58,20 +59,11 @@ class Event:
     """In the order of `_MODELS`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """A task with a number of walkers, one after the other, and of drops beside each."""
-
-    task: str
-    walkers: int
-    drops: int
-
-
 def run(options: suite.Options) -> str:
     """Drop things beside those who walk past."""
     tasks = suite.unseen_task_names(suite.Options(quick=True))
-    jobs = [Job(task=task, walkers=options.pick(24, quick=3), drops=options.pick(16, quick=6)) for task in tasks]
-    found = list(suite.spread(drop_all, jobs, options.processes, "moving"))
+    do = partial(drop_all, walkers=options.pick(24, quick=3), drops=options.pick(16, quick=6))
+    found = list(suite.spread(do, tasks, options.processes, "moving"))
     events = [event for part, _ in found for event in part]
     told = f"{sum(others for _, others in found)} walkers were replaced by others."
     rows = [row for kind in (*_KINDS, "all") for row in _rows(kind, [e for e in events if kind in ("all", e.kind)])]
@@ -121,17 +113,17 @@ def _figures(events: list[Event], model: int) -> Figures:
 # --- drops ------------------------------------------------------------------------------------------------------------
 
 
-def drop_all(job: Job) -> tuple[list[Event], int]:
-    """Drop the object of a task many times while somebody walks past; and say how many walkers were replaced."""
-    task, rng = suite.task(job.task), np.random.default_rng(0)
+def drop_all(name: str, *, walkers: int, drops: int) -> tuple[list[Event], int]:
+    """Drop the object of a task many times beside each walker; and say how many walkers were replaced."""
+    task, rng = suite.task(name), np.random.default_rng(0)
     result = gp.plan(task.start, task.goal, task.scene, w=0.0, iterations=2000, seed=0)
     events: list[Event] = []
     if result.trajectory is None or not _can_be_done(result.trajectory, task.scene):
         return events, 0
     others = 0
-    for i in range(job.walkers):
+    for i in range(walkers):
         for _ in range(_TRIES):
-            found = _drops(job, task.scene, result.trajectory, _KINDS[i % len(_KINDS)], rng)
+            found = _drops(name, result.trajectory, _KINDS[i % len(_KINDS)], drops, rng)
             events += found or []
             if found is not None:
                 break
@@ -148,16 +140,15 @@ def _can_be_done(trajectory: gp.Trajectory, scene: gp.Scene) -> bool:
     return True
 
 
-def _drops(
-    job: Job, scene: gp.Scene, trajectory: gp.Trajectory, kind: str, rng: np.random.Generator
-) -> list[Event] | None:
+def _drops(task: str, trajectory: gp.Trajectory, kind: str, drops: int, rng: np.random.Generator) -> list[Event] | None:
     """Drop the object at times around when somebody passes; None if the sound robot touches them."""
+    scene = suite.task(task).scene
     passes = rng.uniform(0.0, trajectory.duration)
     state = trajectory.at(trajectory.t[0] + passes)
     place = _batch(scene, state, None).object_poses[0, :2, 3]
     walker = _walker(kind, place, passes, _table_height(scene), rng)
-    onsets = np.clip(passes + rng.uniform(-_AGO, _AGO, job.drops), 0.0, trajectory.duration)
-    seeds = rng.integers(2**31, size=job.drops)
+    onsets = np.clip(passes + rng.uniform(-_AGO, _AGO, drops), 0.0, trajectory.duration)
+    seeds = rng.integers(2**31, size=drops)
     try:
         execution = fb.execute(trajectory, fb.build_world(scene.with_moving(walker)))
     except fb.ExecutionRefused:
@@ -168,7 +159,7 @@ def _drops(
     jobs = [fb.Job(fault=fault, onset=float(t), seed=int(seed)) for t, seed in zip(onsets, seeds, strict=True)]
     return [
         Event(
-            task=job.task,
+            task=task,
             kind=kind,
             hit=_hit(rollout, walker.name),
             predicted=_said(scene, walker, trajectory, rollout),
