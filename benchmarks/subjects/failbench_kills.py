@@ -18,7 +18,8 @@ A sweep of four faults on one motion, 96 rollouts each, two workers. SIGKILL str
 moment; a killed driver is followed by another one, half of the time by `failbench resume`. When the sweep is complete,
 its dataset is compared with that of an undisturbed run, byte by byte; then another sweep begins, until there were
 enough kills. "Ray": the workers are those of two nodes of a Ray cluster on this machine, with a head that does no work;
-SIGKILL also strikes whole nodes, and others join. Its datasets are compared with that of local processes. The head is
+SIGKILL also strikes whole nodes, and others join. Its datasets are compared with that of local processes. A chunk whose
+worker was killed three times counts as failed; its driver says so at the end, and the next one tries again. The head is
 never killed: without it a cluster of Ray ends, and `failbench resume` goes on with another one.
 """
 KILLS, KILLS_IN_A_QUICK_RUN = 50, 3
@@ -40,6 +41,7 @@ def _rows(name: str, on_ray: bool, kills: int, options: suite.Options) -> Iterat
         trial = Trial(folder, rollouts=32 if options.quick else 96, workers=2, seed=0, nodes=nodes)
         trial.run(kills)
     struck = ", ".join(f"{trial.kills[who]} of {who}s" for who in trial.victims)
+    struck += f"; {trial.gave_up} drivers gave a chunk up" if trial.gave_up else ""
     lost = trial.sweeps * trial.total - trial.rows
     yield report.Target(what=f"{name}: kills", wanted=str(kills), measured=struck, met=trial.kills.total() >= kills)
     yield report.Target(

@@ -21,8 +21,11 @@ from failbench.sweeps.executors import MAX_KILLS, checked_workers, died
 
 _AHEAD = 2
 """Chunks handed out for each worker, so that none waits for the driver."""
-_LOST = ("WorkerCrashedError", "NodeDiedError", "LocalRayletDiedError", "OutOfMemoryError", "ObjectLostError")
+_WORKER_LOST = ("WorkerCrashedError", "OutOfMemoryError")
+_NODE_LOST = ("NodeDiedError", "LocalRayletDiedError", "ObjectLostError")
 """What Ray says if a worker or its node died, before a result was sent or after."""
+MAX_NODES = 20
+"""How many nodes may die under a chunk before it counts as failed: they die for other reasons than what it does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +72,10 @@ class _Tasks:
         self.ray, self.todo = ray, todo
         self.running: dict[Any, Chunk] = {}
         self.kills: Counter[int] = Counter()
-        self.lost = tuple(getattr(ray.exceptions, name) for name in _LOST)
+        self.nodes: Counter[int] = Counter()
+        self._worker_lost, self._node_lost = (
+            tuple(getattr(ray.exceptions, name) for name in names) for names in (_WORKER_LOST, _NODE_LOST)
+        )
         # Who dies is counted here, so that a chunk that kills its workers is given up by name.
         self._task = ray.remote(num_cpus=1, max_retries=0)(_attempt)
         self._shared = ray.put(work)
@@ -87,10 +93,12 @@ class _Tasks:
         chunk = self.running.pop(done)
         try:
             outcome = self.ray.get(done)
-        except self.lost as error:
-            self.kills[chunk.index] += 1
-            if self.kills[chunk.index] == MAX_KILLS:
-                return died(chunk, MAX_KILLS, type(error).__name__)
+        except (*self._worker_lost, *self._node_lost) as error:
+            of_node = isinstance(error, self._node_lost)
+            deaths, most = (self.nodes, MAX_NODES) if of_node else (self.kills, MAX_KILLS)
+            deaths[chunk.index] += 1
+            if deaths[chunk.index] == most:
+                return died(chunk, most, type(error).__name__)
             self.todo.appendleft(chunk)
             return None
         except self.ray.exceptions.RayTaskError as error:  # not of the chunk: the outcome has those
