@@ -1,15 +1,17 @@
 """Kill a sweep's driver and workers at random moments, and compare what comes out with an undisturbed run.
 
-python benchmarks/kill_sweep.py [--kills 50] [--seed 0] [--workers 2] [--rollouts 96]
+python benchmarks/kill_sweep.py [--kills 50] [--seed 0] [--workers 2] [--rollouts 96] [--ray]
 
 Every kill is a SIGKILL, to the driver or to one of its workers; a killed driver is followed by another one, half of the
-time by `failbench resume`. When the sweep is complete, its dataset has to be the undisturbed one, byte by byte; then
-another sweep begins, until there were enough kills.
+time by `failbench resume`. With `--ray` the workers are those of a Ray cluster of as many nodes, on this machine; nodes
+are killed, too, and others join. The undisturbed run is one of local processes in any case. When the sweep is complete,
+its dataset has to be the undisturbed one, byte by byte; then another sweep begins, until there were enough kills.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -26,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
+from benchmarks.ray_nodes import RayNodes  # noqa: E402
 from failbench.fault.registry import faults, to_document  # noqa: E402
 from failbench.sweeps.dataset import read_dataset  # noqa: E402
 from failbench.sweeps.journal import SweepJournal  # noqa: E402
@@ -44,10 +47,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--rollouts", type=int, default=96, help="of each of four faults")
+    parser.add_argument("--ray", action="store_true", help="on a Ray cluster with a node for each worker")
     args = parser.parse_args()
     print(machine.described())
-    with tempfile.TemporaryDirectory() as folder:
-        trial = Trial(Path(folder), rollouts=args.rollouts, workers=args.workers, seed=args.seed)
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        nodes = stack.enter_context(RayNodes(args.workers)) if args.ray else None
+        trial = Trial(Path(folder), rollouts=args.rollouts, workers=args.workers, seed=args.seed, nodes=nodes)
         trial.run(args.kills)
     print(trial.report())
     return trial.wrong
@@ -56,10 +62,20 @@ def main() -> int:
 class Trial:
     """A sweep that is done once in peace, and then again and again under fire."""
 
-    def __init__(self, folder: Path, *, rollouts: int, workers: int, seed: int, horizon: float = 0.5) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        rollouts: int,
+        workers: int,
+        seed: int,
+        horizon: float = 0.5,
+        nodes: RayNodes | None = None,
+    ) -> None:
         self.folder, self.workers, self.random = folder, workers, random.Random(seed)
+        self.nodes: RayNodes | None = None
         self.kills: Counter[str] = Counter()
-        self.sweeps = self.wrong = self.rows = 0
+        self.sweeps = self.wrong = self.rows = self.gave_up = 0
         motion = SweepMotion(name="lift", scene="tabletop", task="lift_to_goal", plan=PlanSettings(iterations=100))
         documents = tuple(to_document(faults()[name]()) for name in FAULTS)
         sweep = Sweep(motions=(motion,), faults=documents, rollouts=rollouts, horizon=horizon)
@@ -71,6 +87,13 @@ class Trial:
         assert self._start("peace").wait() == 0
         self.seconds = time.monotonic() - started
         self.expected = _content(folder / "peace")
+        self.nodes = nodes
+        self.victims = ("driver", "worker") if nodes is None else ("driver", "worker", "node")
+        if nodes is not None:
+            started = time.monotonic()
+            assert self._start("ray_in_peace").wait() == 0
+            self.seconds = time.monotonic() - started
+            assert _content(folder / "ray_in_peace") == self.expected, "Ray makes other bytes than local processes"
 
     def run(self, kills: int) -> None:
         """Kill that many processes, over as many sweeps as that takes."""
@@ -87,9 +110,11 @@ class Trial:
         """Return the result as a table."""
         return "\n".join(
             [
-                "| kills of drivers | kills of workers | sweeps | rollouts | datasets unlike the undisturbed one |",
-                "|---:|---:|---:|---:|---:|",
-                f"| {self.kills['driver']} | {self.kills['worker']} | {self.sweeps} | {self.rows} | {self.wrong} |",
+                "| " + " | ".join(f"kills of {who}s" for who in self.victims) + " | drivers that gave a chunk up |"
+                " sweeps | rollouts | datasets unlike the undisturbed one |",
+                "|---:" * len(self.victims) + "|---:|---:|---:|---:|",
+                "| " + " | ".join(str(self.kills[who]) for who in self.victims) + f" | {self.gave_up} | {self.sweeps} |"
+                f" {self.rows} | {self.wrong} |",
             ]
         )
 
@@ -104,30 +129,42 @@ class Trial:
                     driver.wait()
             if driver.returncode == 0:
                 return
-            assert driver.returncode == -signal.SIGKILL, f"the driver gave up: {driver.returncode}"
+            # A chunk whose worker was killed three times counts as failed, which a driver says at its end; resuming
+            # tries it again.
+            assert driver.returncode in (-signal.SIGKILL, 1), f"the driver failed: {driver.returncode}"
+            self.gave_up += driver.returncode == 1
 
     def _kill_someone(self, driver: subprocess.Popen[bytes]) -> None:
-        """Kill the driver or a worker at some moment, unless the driver ends before."""
-        who = self.random.choice(["driver", "worker"])
+        """Kill the driver, a worker or a node at some moment, unless the driver ends before."""
+        who = self.random.choice(self.victims)
         until = time.monotonic() + self.random.uniform(0.0, 0.6 * self.seconds)
         victims: list[int] = []
         while not victims or time.monotonic() < until:
             if driver.poll() is not None:
                 return
             time.sleep(0.002)
-            victims = [driver.pid] if who == "driver" else _workers(driver.pid)
-        try:
-            os.kill(self.random.choice(victims), signal.SIGKILL)
-        except ProcessLookupError:
-            return
+            victims = [driver.pid] if who == "driver" else self._working(driver)
+        if who == "node" and self.nodes is not None:
+            self.nodes.kill_node(self.random)
+        else:
+            try:
+                os.kill(self.random.choice(victims), signal.SIGKILL)
+            except ProcessLookupError:
+                return
         self.kills[who] += 1
         if who == "driver":
             driver.wait()
 
+    def _working(self, driver: subprocess.Popen[bytes]) -> list[int]:
+        return _workers(driver.pid) if self.nodes is None else self.nodes.busy()
+
     def _start(self, name: str) -> subprocess.Popen[bytes]:
         resumes = self.random.random() < 0.5 and _begun(self.folder / name / JOURNAL)
         what = ["resume", name] if resumes else ["generate", name, "--sweep", str(self.file)]
-        command = [sys.executable, "-m", "failbench.cli", *what, "--workers", str(self.workers)]
+        how = ["--workers", str(self.workers)]
+        if self.nodes is not None:
+            how = ["--executor", "ray", "--address", self.nodes.address]
+        command = [sys.executable, "-m", "failbench.cli", *what, *how]
         return subprocess.Popen(command, cwd=self.folder, stdout=subprocess.DEVNULL)
 
 

@@ -66,9 +66,11 @@ SUBJECTS = (
     "lattice",
     "floor_maps",
     "tuning",
+    "annotation",
     "failbench_speed",
     "failbench_soak",
     "failbench_kills",
+    "failbench_sweeps",
 )
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset(

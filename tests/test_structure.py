@@ -47,7 +47,7 @@ FLOORS = (
     {"plan", "roadmap"},
     {"tuning"},
     {"viz"},
-    {"viewer"},
+    {"annotation", "viewer"},
     {"compare"},
     {"graceful_plan"},
     {"testing", "tools"},
@@ -348,6 +348,7 @@ def guide_snippets(guide: str) -> list[str]:
 
 
 ELSEWHERE = {
+    "annotate.md": "annotation/test_asking.py",
     "datasets.md": "failbench/sweeps/test_dataset.py",
     "explain.md": "analysis/test_explanation.py",
     "problem-files.md": "compare/problems/test_problem_files.py",

@@ -7,7 +7,6 @@ the object along those of the headline.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -304,11 +303,6 @@ def read_curves(file: Path) -> Iterator[Curve]:
         found.setdefault((x["task"], x["cost"]), {}).update(_motions(x["points"]))
     for (task, cost), points in found.items():
         yield Curve(task=task, cost=cost, points=dict(sorted(points.items(), key=lambda item: float(item[0]))))
-
-
-def line(done: Headline | Curve) -> str:
-    """Return a line to keep."""
-    return json.dumps(asdict(done), default=dict) + "\n"
 
 
 def _motions(kept: Mapping[str, Any]) -> dict[str, Motion]:

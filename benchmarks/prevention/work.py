@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks import suite
+from benchmarks import store, suite
 from benchmarks.prevention.figures import Found, Group, spilt_on_the_way
 from benchmarks.prevention.runs import (
     NONE,
@@ -19,7 +18,6 @@ from benchmarks.prevention.runs import (
     Curve,
     Headline,
     HeadlineJob,
-    line,
     read_curves,
     read_headlines,
 )
@@ -50,23 +48,12 @@ def fill(
 ) -> None:
     """Do jobs in processes and keep a line of each in the file, until the time is over that was given."""
     until = math.inf if options.seconds is None else time.monotonic() + options.seconds
-    file.parent.mkdir(exist_ok=True)
-    with file.open("a", encoding="utf-8") as out:
-        for done in suite.spread(do, jobs, options.processes, what):
-            out.write(line(done))
-            out.flush()
-            if time.monotonic() > until:
-                break
+    store.fill(file, jobs, do, processes=options.processes, label=what, until=until)
 
 
-@contextmanager
-def kept(options: suite.Options) -> Iterator[Path]:
-    """Yield the folder for lines; a quick run has nothing to keep."""
-    if options.quick:
-        with tempfile.TemporaryDirectory() as scratch:
-            yield Path(scratch)
-    else:
-        yield STORE
+def kept(options: suite.Options) -> AbstractContextManager[Path]:
+    """Give the folder for lines; a quick run has nothing to keep."""
+    return store.folder_of(options, STORE)
 
 
 def found(names: Mapping[str, Sequence[str]], heads: Path, curves: Path | None = None) -> Found:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
-import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
-from benchmarks import report, suite
+from benchmarks import report, store, suite
 from benchmarks.constrained import contents, held, upright
 from benchmarks.constrained.contents import DEFAULT, NOTHING, ContentsJob, Kept
 from benchmarks.constrained.held import Held, HeldJob
@@ -58,34 +54,29 @@ FIRST_WITHIN = 0.005
 GAP = 0.02
 _LONG, _LONG_SEEDS, _SEEDS = 10.0, 3, 5
 
-J = TypeVar("J")
+_fill = partial(store.fill, processes=1)
 
 
 def run(options: suite.Options) -> str:
     """Do what is left to do, and report on all that is done."""
     began, seconds = time.monotonic(), math.inf if options.seconds is None else options.seconds
-    with _folder(options) as folder:
+    with store.folder_of(options, STORE) as folder:
         kept_file, held_file, upright_file = (folder / f"{name}.jsonl" for name in ("contents", "held", "upright"))
         wanted = contents.jobs(options)
         have = {kept.job for kept in read_kept(kept_file)}
         # One process: planning has a limit in seconds and two threads.
-        _fill(
-            kept_file,
-            [job for job in wanted if job not in have],
-            contents.examine,
-            "contents",
-            began + _CONTENTS * seconds,
-        )
+        left = [job for job in wanted if job not in have]
+        _fill(kept_file, left, contents.examine, label="contents", until=began + _CONTENTS * seconds)
         motions = held.jobs(options)
         have = {one.job for one in read_held(held_file)}
         until = began + (_CONTENTS + _HELD) * seconds
-        _fill(held_file, [job for job in motions if job not in have], held.examine, "held", until)
+        _fill(held_file, [job for job in motions if job not in have], held.examine, label="held", until=until)
         groups = upright.names(options)
         done = {figures.name for figures in read_upright(upright_file)}
         names = [name for group in groups.values() for name in group if name not in done]
         long, long_seeds, seeds = options.pick((_LONG, _LONG_SEEDS, _SEEDS), quick=(1.5, 1, 2))
         questions = [UprightJob(name=name, seeds=seeds, long=long, long_seeds=long_seeds) for name in names]
-        _fill(upright_file, questions, upright.examine, "upright", began + seconds)
+        _fill(upright_file, questions, upright.examine, label="upright", until=began + seconds)
         asked = set(wanted)
         kept = [x for x in read_kept(kept_file) if x.job in asked]
         gripped = [x for x in read_held(held_file) if x.job in set(motions)]
@@ -132,27 +123,6 @@ def read_upright(file: Path) -> Iterator[UprightFigures]:
         first = {method: tuple(times) for method, times in x["first"].items()}
         lists = {key: tuple(value) for key, value in x.items() if isinstance(value, list)}
         yield UprightFigures(**{**x, **lists, "first": first})
-
-
-def _fill(file: Path, jobs: Sequence[J], do: Callable[[J], Any], label: str, until: float) -> None:
-    file.parent.mkdir(exist_ok=True)
-    with file.open("a", encoding="utf-8") as out:
-        if time.monotonic() > until:
-            return
-        for done in suite.spread(do, jobs, 1, label):
-            out.write(json.dumps(asdict(done)) + "\n")
-            out.flush()
-            if time.monotonic() > until:
-                break
-
-
-@contextmanager
-def _folder(options: suite.Options) -> Iterator[Path]:
-    if options.quick:  # it has nothing to keep
-        with tempfile.TemporaryDirectory() as scratch:
-            yield Path(scratch)
-    else:
-        yield STORE
 
 
 # --- contents --------------------------------------------------------------------------------------------------------

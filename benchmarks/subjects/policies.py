@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import suite
+from benchmarks import store, suite
 from benchmarks.store import read_lines
 from failbench import Estimate
 from failbench.basics.statistics import estimate_mean, estimate_probability, estimate_ratio
@@ -139,15 +138,7 @@ def fill(file: Path, tasks: Sequence[str], blocks: int, options: suite.Options, 
         for task, name, block in wanted
         if (task, name, block) not in have
     ]
-    if time.monotonic() >= until:
-        return
-    file.parent.mkdir(exist_ok=True)
-    with file.open("a", encoding="utf-8") as out:
-        for done in suite.spread(do, jobs, options.processes, "policies"):
-            out.write(json.dumps(vars(done)) + "\n")
-            out.flush()
-            if time.monotonic() > until:
-                break
+    store.fill(file, jobs, do, processes=options.processes, label="policies", until=until)
 
 
 def do(job: PolicyJob) -> Block:

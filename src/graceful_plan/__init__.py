@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from graceful_plan.analysis.explanation import explain
     from graceful_plan.analysis.impact_maps import impact_map
     from graceful_plan.analysis.risk_measures import RiskMeasure, risk
+    from graceful_plan.annotation.asking import annotate
     from graceful_plan.compare.problems.problem_files import load_problems
     from graceful_plan.constraints.axes import AxisWithin, Upright
     from graceful_plan.constraints.constraint import Constraint
@@ -130,6 +131,7 @@ else:
             "Upright": "graceful_plan.constraints.axes",
             "Verdict": "graceful_plan.result",
             "Verification": "graceful_plan.judge.verification",
+            "annotate": "graceful_plan.annotation.asking",
             "certify": "graceful_plan.analysis.certificate",
             "clearance": "graceful_plan.analysis.checks",
             "costs": "graceful_plan.costs",
@@ -212,6 +214,7 @@ __all__ = [
     "Verdict",
     "Verification",
     "__version__",
+    "annotate",
     "certify",
     "clearance",
     "costs",

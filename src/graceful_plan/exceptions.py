@@ -108,6 +108,35 @@ class FormatError(GracefulPlanError, ValueError):
         super().__init__(f"{source}: {problem}")
 
 
+class EndpointError(GracefulPlanError, RuntimeError):
+    """A language model that could not be asked: its server is not there, refuses, or answers nonsense.
+
+    Args:
+        endpoint: Where it should be, without what is secret.
+        problem: What went wrong.
+    """
+
+    def __init__(self, endpoint: str, problem: str) -> None:
+        self.endpoint, self.problem = endpoint, problem
+        super().__init__(f"{endpoint}: {problem}")
+
+
+class AnnotationError(GracefulPlanError, ValueError):
+    """An answer about entities that is not what was asked for.
+
+    Args:
+        problems: What is wrong with it, each with the names it is about.
+    """
+
+    SHOWN = 8
+
+    def __init__(self, problems: Iterable[str]) -> None:
+        self.problems = tuple(problems)
+        more = len(self.problems) - self.SHOWN
+        said = "; ".join(self.problems[: self.SHOWN]) + (f"; and {more} more" if more > 0 else "")
+        super().__init__(f"annotations cannot be used: {said}")
+
+
 class RetimingError(GracefulPlanError, RuntimeError):
     """A path that cannot be timed within the limits; `plan` turns it into RETIMING_FAILED."""
 

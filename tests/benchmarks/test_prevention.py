@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import graceful_plan as gp
-from benchmarks import suite
+from benchmarks import store, suite
 from graceful_plan.testing import check_cost
 from sizes import first_quick
 
@@ -164,7 +164,7 @@ def found(*heads: Headline, curves: tuple[Curve, ...] = ()) -> figures.Found:
 
 def test_records_come_back_as_they_were(tmp_path):
     file = tmp_path / "lines.jsonl"
-    file.write_text(runs.line(head()) + runs.line(head("desk/water_plant")) + runs.line(head())[:40])
+    file.write_text(store.line(head()) + store.line(head("desk/water_plant")) + store.line(head())[:40])
     (first, second) = runs.read_headlines(file)
     assert (first, second.task) == (replace(head(), motions=first.motions), "desk/water_plant")
     assert first.motions[OURS] == head().motions[OURS] and first.motions[NONE] == head().motions[NONE]
@@ -175,7 +175,7 @@ def test_points_of_a_curve_may_come_in_parts(tmp_path):
     file = tmp_path / "lines.jsonl"
     later, sooner = curve(OURS, (2.2, 4.0)), curve(OURS, (2.4, 3.0), (3.0, 1.0))
     part = Curve(task=sooner.task, cost=OURS, points={"1": sooner.points["1"]})
-    file.write_text(runs.line(part) + runs.line(later))
+    file.write_text(store.line(part) + store.line(later))
     (whole,) = runs.read_curves(file)
     assert list(whole.points) == ["0.1", "1"]
     assert whole.points == {"0.1": later.points["0.1"], "1": sooner.points["1"]}
@@ -188,9 +188,9 @@ def test_only_what_is_left_is_done(tmp_path):
     assert len(work.headline_jobs(names, heads, job)) == 3
     assert harm_curves.curve_jobs(names, heads, curves, sizes) == []  # what holds the objects is not known
     lost = head("desk/water_plant", **{NONE: Motion(w=0.0, refused="slips")})
-    heads.write_text(runs.line(head()) + runs.line(lost))
+    heads.write_text(store.line(head()) + store.line(lost))
     assert [job.task for job in work.headline_jobs(names, heads, job)] == ["desk/put_book_away"]
-    curves.write_text(runs.line(curve(OURS, (2.2, 4.0))))
+    curves.write_text(store.line(curve(OURS, (2.2, 4.0))))
     jobs = harm_curves.curve_jobs(names, heads, curves, sizes)
     assert {job.cost for job in jobs} == set(runs.CURVES) and {job.task for job in jobs} == {"desk/bring_coffee"}
     weights = {job.cost: job.weights for job in jobs}

@@ -180,6 +180,7 @@ def test_dry_run_prints_a_sweep_that_generate_takes(run, tmp_path):
         (("generate", "folder", "--sweep", "nowhere.json"), "nowhere.json"),
         (("generate", "folder", "drop/*/minor", "--trajectory", "t.json"), "expected patterns of one task, not"),
         (("generate", "folder", DROP, "--workers", "-1"), "workers = -1"),
+        (("generate", "folder", DROP, "--address", "auto"), "--address = 'auto', expected nothing without"),
         (("resume", "nowhere"), "nowhere: no sweep was begun here"),
     ],
 )

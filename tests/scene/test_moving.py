@@ -137,7 +137,7 @@ def test_names_must_be_new(scene):
 def test_unknown_classes_are_refused(scene):
     with pytest.raises(UnknownNameError, match="unknown entity class 'ghost'"):
         scene.with_moving(gp.MovingEntity("boo", "ghost", **PERSON))
-    with pytest.raises(UnknownNameError, match="unknown component 'arm'"):
+    with pytest.raises(UnknownNameError, match="unknown component or component class 'arm'"):
         scene.with_moving(person(severity={"arm": 1.0}))
 
 

@@ -159,7 +159,7 @@ def test_a_robot_may_be_named_by_its_root_body() -> None:
         (
             {"severity": {"cup": {"arm": 3.0}}},
             UnknownNameError,
-            "unknown component 'arm'; valid: body, carried, contents",
+            "unknown component or component class 'arm'; valid: .*base_coast, body, carried, cold, contents, ",
         ),
         ({"carried": "monitor"}, UnsupportedError, "'monitor' is attached to another body"),
         ({"carried": "door"}, UnsupportedError, "'door' has joints of its own"),
@@ -293,6 +293,25 @@ def test_severities_can_be_replaced_at_every_level() -> None:
     assert changed.model is scene.model
     table = SeverityTable.shipped().with_overrides({"laptop": 0.5})
     assert changed.with_severity(table).entities["monitor"].severity == {"body": 1.0, "carried": 0.5}
+
+
+def test_severities_by_component_class_hold_whatever_is_carried() -> None:
+    row = {"arm_collapse": 7.0, "light": 1.5, "medium": 2.5, "hot": 6.0}
+    scene = _workshop(entities={"bench": "table", "cup": "glass"}, severity={"bench": row})
+    assert scene.entities["bench"].severity == {"body": 7.0}
+    full = scene.attach("cup", contents=Liquid(0.2, temperature=80.0), object_class="light")
+    assert full.entities["bench"].severity == {"body": 7.0, "carried": 1.5, "contents": 6.0}
+    assert scene.attach("cup").entities["bench"].severity == {"body": 7.0, "carried": 2.5}
+    heavy = scene.attach("cup", object_class="heavy").entities["bench"].severity  # not in the row: from the table
+    assert heavy == {"body": 7.0, "carried": SeverityTable.shipped().severity("table", "heavy")}
+    both = scene.with_severity({"bench": {"body": 3.0, "arm_collapse": 4.0}})
+    assert both.entities["bench"].severity == {"body": 3.0}
+
+
+def test_a_later_severity_by_class_replaces_a_number_of_the_entity() -> None:
+    note = EntityNote(category="table", severity=9.0)
+    scene = _workshop(entities={"bench": note, "cup": "glass"}, severity={"bench": {"medium": 2.5}}, carried="cup")
+    assert scene.entities["bench"].severity == {"body": 9.0, "carried": 2.5}
 
 
 def test_a_severity_file_can_be_given(tmp_path: Path) -> None:

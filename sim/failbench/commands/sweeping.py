@@ -36,6 +36,7 @@ def add(commands: Any) -> None:
 def _add_executor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=0, help="processes (default: one for each core)")
     parser.add_argument("--executor", choices=("local", "ray"), default="local", help="who does it (default local)")
+    parser.add_argument("--address", help="of a Ray cluster that runs already, or auto; default: a Ray of our own")
 
 
 def _generate(args: argparse.Namespace) -> Answer:
@@ -93,7 +94,9 @@ def _sweep(args: argparse.Namespace) -> Sweep:
 
 def _executor(args: argparse.Namespace) -> Executor:
     if args.executor == "local":
+        if args.address is not None:
+            raise SettingError("--address", args.address, "nothing without --executor ray")
         return LocalExecutor(workers=args.workers)
     from failbench.sweeps.ray_executor import RayExecutor
 
-    return RayExecutor(workers=args.workers)
+    return RayExecutor(workers=args.workers, address=args.address)

@@ -12,19 +12,19 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-import graceful_plan as gp
 from failbench.basics.chunks import Chunk
 from failbench.basics.errors import ExecutionRefused, SweepFailed
+from failbench.basics.versions import versions
 from failbench.fault.registry import to_document
 from failbench.scenario import scenarios
 from failbench.simulated.world import SimSettings
+from failbench.sweeps.card import write_card
 from failbench.sweeps.dataset import check_arrow, write_dataset
 from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.journal import SweepJournal
@@ -178,11 +178,6 @@ def sweep_of(
     )
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of what decides about results."""
-    return {"graceful_plan": gp.__version__} | {name: metadata.version(name) for name in ("mujoco", "numpy")}
-
-
 def _prepared(sweep: Sweep) -> dict[str, Any]:
     """Plan what is still to be planned, and return what the sweep is about, with all that decides about results."""
     planned = sweep.planned()
@@ -203,6 +198,7 @@ def _finish(journal: SweepJournal, folder: Path, executor: Executor | None, call
         raise SweepFailed(folder, list(errors.values()), len(sweep.chunks))
     rows = (journal.rows(chunk) for chunk in sweep.chunks)
     manifest = write_dataset(folder, rows, {"sweep": about["sweep"], "versions": about["versions"]})
+    write_card(folder, sweep, manifest)
     return Generated(folder=folder, manifest=manifest, healthy=_healthy(journal, sweep))
 
 

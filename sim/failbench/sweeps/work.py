@@ -266,8 +266,8 @@ def execution_of(sweep: Sweep, motion: int) -> Execution:
 
 def jobs_of(sweep: Sweep, motion: int, fault: int) -> tuple[Job, ...]:
     """Return all the rollouts of a fault on a motion."""
-    duration = execution_of(sweep, motion).duration
-    return make_jobs([fault_of(sweep.faults[fault])], duration, n=sweep.rollouts, seed=sweep.seed)
+    document = json.dumps(dict(sweep.faults[fault]), sort_keys=True)
+    return _jobs(document, execution_of(sweep, motion).duration, sweep.rollouts, sweep.seed)
 
 
 def fault_of(document: Mapping[str, Any]) -> Fault:
@@ -291,6 +291,12 @@ def own_file(document: Mapping[str, Any]) -> str:
 
 
 _own_class = lru_cache(maxsize=None)(load_class)  # a class is one object, however many chunks name it
+
+
+# All rollouts of a fault on a motion, of which a chunk is a few: of a million, making them takes longer than the chunk.
+@lru_cache(maxsize=1)
+def _jobs(fault: str, duration: float, rollouts: int, seed: int) -> tuple[Job, ...]:
+    return make_jobs([fault_of(json.loads(fault))], duration, n=rollouts, seed=seed)
 
 
 # By value, not by identity: a worker may get a new copy of the sweep with every chunk. Consecutive chunks are of one

@@ -150,7 +150,10 @@ class AllowedContact:
 
 @dataclass(frozen=True, kw_only=True)
 class EntityNote:
-    """What an entity is: its class, and severities that replace the table's, for all components or by component."""
+    """What an entity is: its class, and severities that replace the table's.
+
+    One for all components, or by component ("carried") or component class ("glass"): the component comes first.
+    """
 
     category: str
     severity: float | Mapping[str, float] | None = None
@@ -198,7 +201,7 @@ class Notes:
     entities: Mapping[str, EntityNote] = field(default_factory=lambda: MappingProxyType({}))
     severity: SeverityTable
     overrides: Mapping[str, float | Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
-    """Severities that replace those of the table: by entity and component, or by entity class and component class."""
+    """Severities that replace those of the table: by entity as in `EntityNote`, or by its class and component class."""
     objects: Mapping[str, ObjectNote] = field(default_factory=lambda: MappingProxyType({}))
     keyframes: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
     tasks: Mapping[str, TaskNote] = field(default_factory=lambda: MappingProxyType({}))

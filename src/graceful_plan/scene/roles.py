@@ -165,13 +165,12 @@ def _severity_against(
 ) -> Mapping[str, float]:
     """Return the severity of each component: what was declared for the entity, else what the table says."""
     table.check_class(entity.category)
-    own = _by_component(name, entity.severity) | _by_component(name, by_entity.get(name))
-    return MappingProxyType(
-        {
-            c.name: own[c.name] if c.name in own else table.severity(entity.category, c.component_class)
-            for c in components.values()
-        }
-    )
+    declared = [_declared(name, value, table.components) for value in (by_entity.get(name), entity.severity)]
+    found = {}
+    for c in components.values():
+        own = [row[key] for row in declared for key in (c.name, c.component_class) if key in row]
+        found[c.name] = own[0] if own else table.severity(entity.category, c.component_class)
+    return MappingProxyType(found)
 
 
 def _split_overrides(notes: Notes) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -180,7 +179,7 @@ def _split_overrides(notes: Notes) -> tuple[dict[str, Any], dict[str, Any]]:
     for name, value in notes.overrides.items():
         with notes.about(f"severity.{name}"):
             if name in notes.entities or name in notes.moving:
-                _by_component(name, value)
+                _declared(name, value, notes.severity.components)
                 by_entity[name] = value
             elif name in notes.severity.classes:
                 notes.severity.with_overrides({name: value})
@@ -192,14 +191,16 @@ def _split_overrides(notes: Notes) -> tuple[dict[str, Any], dict[str, Any]]:
     return by_entity, by_class
 
 
-def _by_component(name: str, value: _Severity | None) -> dict[str, float]:
+def _declared(name: str, value: _Severity | None, classes: Collection[str]) -> dict[str, float]:
+    """Check severities that were declared for an entity: one for all components, or by component or component class."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
         return dict.fromkeys(COMPONENTS, check_severity(f"severity of {name}", value))
+    valid = (*COMPONENTS, *classes)
     for component in value:
-        if component not in COMPONENTS:
-            raise UnknownNameError("component", component, COMPONENTS)
+        if component not in valid:
+            raise UnknownNameError("component or component class", component, valid)
     return {
         component: check_severity(f"severity of {name} hit by {component}", number)
         for component, number in value.items()

@@ -377,7 +377,8 @@ class Scene(SceneFacts):
 
         Args:
             severity: A whole table, or replacements: by entity, a number or numbers by component ("body", "carried",
-                "contents"); by entity class, a number or numbers by component class. A name that is both is the entity.
+                "contents") or by component class ("arm_collapse", "glass", "hot"); by entity class, a number or numbers
+                by component class. A name that is both is the entity.
                 The class "carried" is the carried object itself.
 
         Raises:

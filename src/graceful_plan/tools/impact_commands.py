@@ -1,4 +1,4 @@
-"""Commands that look into impacts: explain and map."""
+"""Commands that look into impacts: explain and map; and the one that lets a model estimate severities: annotate."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import graceful_plan as gp
+from graceful_plan.exceptions import AnnotationError, EndpointError, SettingError
 from graceful_plan.tools.console import (
+    DEFAULT_SCENE,
     add_command,
     add_model,
     add_scene,
     blamed_on,
     check_file,
     chosen_task,
+    complain,
     joint_values,
     motion_in,
     show,
 )
-from graceful_plan.tools.parsing import DONE
+from graceful_plan.tools.parsing import DONE, FAILED
 from graceful_plan.tools.progress import ProgressLine
 
 _PICTURES = (".png", ".pdf", ".svg")
@@ -57,6 +60,24 @@ def add_to(commands: Any) -> None:
         "--resolution", type=float, default=0.02, metavar="M", help="width of a cell (default 0.02)"
     )
     impact_map.add_argument("--output", type=FilePath, metavar="FILE", help="draw it: FILE.png, .pdf or .svg")
+
+    annotate = add_command(commands, "annotate", _annotate, "let a language model estimate severities of entities")
+    annotate.add_argument(
+        "--scene", default=DEFAULT_SCENE, help=f"bundled scene or scene file (default {DEFAULT_SCENE})"
+    )
+    annotate.add_argument("--endpoint", metavar="URL", help="base URL of an OpenAI-compatible server")
+    annotate.add_argument("--model", help="name of the model there")
+    annotate.add_argument(
+        "--key-variable", metavar="NAME", help="environment variable with the API key, if it needs one"
+    )
+    annotate.add_argument("--no-pictures", action="store_true", help="send names and sizes only")
+    annotate.add_argument(
+        "--timeout", type=float, default=60.0, metavar="S", help="seconds for each answer (default 60)"
+    )
+    annotate.add_argument("--output", type=FilePath, metavar="FILE", help="where they are written: FILE.yaml")
+    annotate.add_argument(
+        "--dry-run", action="store_true", help="print what would be sent, without pictures; send nothing"
+    )
 
 
 def _explain(args: argparse.Namespace) -> int:
@@ -98,4 +119,45 @@ def _map(args: argparse.Namespace) -> int:
         draw_impact_map(found, scene, args.output)
         text += f"\n\nwrote {args.output}"
     show(args, found.to_document(), text)
+    return DONE
+
+
+def _annotate(args: argparse.Namespace) -> int:
+    scene = gp.load_scene(args.scene)
+    if args.dry_run:
+        return _dry_run(args, scene)
+    for option in ("endpoint", "model", "output"):
+        if getattr(args, option) is None:
+            raise SettingError(f"--{option}", None, "given, unless --dry-run is")
+    check_file(args.output, (".yaml", ".yml"))
+    try:
+        with ProgressLine(args.json, "asking"):
+            said = gp.annotate(
+                scene,
+                args.model,
+                endpoint=args.endpoint,
+                key_variable=args.key_variable,
+                pictures=not args.no_pictures,
+                timeout=args.timeout,
+            )
+    except (AnnotationError, EndpointError) as error:
+        return complain(f"graceful-plan {args.command}", error, FAILED, as_json=args.json)
+    from graceful_plan.annotation.agreement import compared
+
+    said.save(args.output)
+    agreement = compared(said, scene)
+    lines = [f"{name}: {row.category}. {row.reason}" for name, row in said.rows.items()]
+    lines += ["", f"beside what {scene.name} says: {agreement}"]
+    if not said.pictures and not args.no_pictures:
+        lines.append("without pictures: no OpenGL works here without a window")
+    lines.append(f"wrote {args.output}: read it before you use it")
+    show(args, {"annotations": said.to_document(), "agreement": agreement.to_document()}, "\n".join(lines))
+    return DONE
+
+
+def _dry_run(args: argparse.Namespace, scene: gp.Scene) -> int:
+    from graceful_plan.annotation.questions import question
+
+    messages = question(scene, list(scene.entities), None)
+    show(args, {"messages": messages}, "\n\n".join(f"{m['role']}:\n{m['content']}" for m in messages))
     return DONE

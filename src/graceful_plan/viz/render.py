@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path as FilePath
@@ -11,10 +10,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float, UInt8
+from graceful_plan.array_types import Float
 from graceful_plan.path import Path
 from graceful_plan.scene.scene import Scene
 from graceful_plan.viz.footprints import object_positions
+from graceful_plan.viz.offscreen import camera_at, canvas
 from graceful_plan.viz.style import PATH_COLOURS
 
 Array = np.ndarray
@@ -39,51 +39,19 @@ def render_paths(scene: Scene, paths: Mapping[str, Path], file: str | FilePath) 
     """
     from matplotlib.image import imsave
 
-    try:
-        from mujoco.egl import GLContext
+    with canvas(scene.model, _WIDTH, _HEIGHT) as drawn_on:
+        if drawn_on is None:
+            return False
+        positions = [object_positions(scene, path.resampled(_STEP)) for path in paths.values()]
 
-        context = GLContext(_WIDTH, _HEIGHT)
-    except (ImportError, AttributeError, OSError, RuntimeError):
-        return False
-    try:
-        context.make_current()
-        imsave(file, _pixels(scene, [object_positions(scene, path.resampled(_STEP)) for path in paths.values()], paths))
-    finally:
-        context.free()
+        def tubes(view: Any) -> None:
+            for position, colour in zip(positions, PATH_COLOURS, strict=False):
+                _add_tube(view, position, colour)
+
+        data = scene.data_at(next(iter(paths.values())).q[0])
+        middle = np.concatenate(positions).mean(axis=0)
+        imsave(file, drawn_on.picture(data, camera_at(middle, _DISTANCE, _AZIMUTH, _ELEVATION), tubes))
     return True
-
-
-def _pixels(
-    scene: Scene, positions: list[Float[Array, "_ 3"]], paths: Mapping[str, Path]
-) -> UInt8[Array, "height width 3"]:
-    model = copy.copy(scene.model)
-    model.vis.global_.offwidth, model.vis.global_.offheight = _WIDTH, _HEIGHT
-    model.vis.quality.offsamples = 8
-    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.55
-    data = scene.data_at(next(iter(paths.values())).q[0])
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = np.concatenate(positions).mean(axis=0)
-    camera.distance, camera.azimuth, camera.elevation = _DISTANCE, _AZIMUTH, _ELEVATION
-    view = mujoco.MjvScene(model, maxgeom=10_000)
-    mujoco.mjv_updateScene(
-        m=model,
-        d=data,
-        opt=mujoco.MjvOption(),
-        pert=mujoco.MjvPerturb(),
-        cam=camera,
-        catmask=int(mujoco.mjtCatBit.mjCAT_ALL),
-        scn=view,
-    )
-    for position, colour in zip(positions, PATH_COLOURS, strict=False):
-        _add_tube(view, position, colour)
-    renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
-    mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), renderer)
-    viewport = mujoco.MjrRect(0, 0, _WIDTH, _HEIGHT)
-    mujoco.mjr_render(viewport, view, renderer)
-    pixels = np.zeros((_HEIGHT, _WIDTH, 3), dtype=np.uint8)
-    mujoco.mjr_readPixels(pixels, None, viewport, renderer)
-    renderer.free()
-    return pixels[::-1]
 
 
 def _add_tube(view: Any, position: Float[Array, "n 3"], colour: str) -> None:

@@ -4,6 +4,9 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import deque
+from functools import partial
+from types import SimpleNamespace
 
 import fake_work
 import pytest
@@ -13,6 +16,7 @@ from processes import all_end, children_of
 
 from failbench.basics.chunks import attempt
 from failbench.basics.errors import WorkerError
+from failbench.sweeps import ray_executor
 from failbench.sweeps.executors import MAX_KILLS, LocalExecutor
 from graceful_plan.exceptions import SettingError
 
@@ -129,3 +133,56 @@ if __name__ == "__main__":
         _, err = driver.communicate(timeout=20)
     assert all_end(workers)
     assert err.count("Traceback") == (deadly == signal.SIGINT), "only the driver says something"
+
+
+class Promise:
+    def __init__(self, do):
+        self.do = do
+
+
+class Lossy:
+    """A Ray whose every task is lost, some number of times, before it is done."""
+
+    class exceptions:
+        WorkerCrashedError, OutOfMemoryError, NodeDiedError, LocalRayletDiedError, ObjectLostError, RayTaskError = (
+            type(name, (Exception,), {})
+            for name in (*ray_executor._WORKER_LOST, *ray_executor._NODE_LOST, "RayTaskError")
+        )
+
+    def __init__(self, error, times):
+        self.error, self.left = getattr(self.exceptions, error), times
+
+    def remote(self, **_):
+        return lambda function: SimpleNamespace(remote=lambda *args: Promise(partial(function, *args)))
+
+    def put(self, work):
+        return work
+
+    def cluster_resources(self):
+        return {"CPU": 1.0}
+
+    def get(self, task):
+        self.left -= 1
+        if self.left >= 0:
+            raise self.error
+        return task.do()
+
+
+@pytest.mark.parametrize(
+    ("error", "times", "fine"),
+    [
+        ("WorkerCrashedError", MAX_KILLS - 1, True),
+        ("WorkerCrashedError", MAX_KILLS, False),
+        ("NodeDiedError", ray_executor.MAX_NODES - 1, True),
+        ("NodeDiedError", ray_executor.MAX_NODES, False),
+    ],
+)
+def test_nodes_that_die_are_no_fault_of_the_chunk(error, times, fine):
+    tasks = ray_executor._Tasks(Lossy(error, times), Fake(), deque(CHUNKS[:1]))
+    outcomes = []
+    while tasks.todo or tasks.running:
+        tasks.hand_out()
+        outcomes += filter(None, [tasks.hear(next(iter(tasks.running)))])
+    (outcome,) = outcomes
+    assert outcome.rows == (fake_work.rows(CHUNKS[0]) if fine else None)
+    assert fine or f"its worker died {times} times, the last time with {error}" in outcome.error

@@ -6,13 +6,16 @@ from pathlib import Path
 
 import fake_work
 import pytest
+import yaml
 from benchmarks.kill_sweep import Trial
 from places import SUPPORT
 
 from failbench.basics.chunks import attempt
 from failbench.basics.errors import ExecutionRefused, SweepBusy, SweepFailed
+from failbench.basics.tables import TABLES
 from failbench.fault.registry import faults, to_document
 from failbench.sweeps import sweep as sweeping
+from failbench.sweeps.card import CARD, write_card
 from failbench.sweeps.dataset import MANIFEST, read_dataset
 from failbench.sweeps.executors import LocalExecutor
 from failbench.sweeps.journal import SweepJournal
@@ -66,9 +69,39 @@ def test_the_bytes_do_not_depend_on_the_number_of_workers(sweep, reference, tmp_
     assert made.manifest["rows"]["rollouts"] == 120
 
 
+def test_the_card_says_what_is_in_it_and_spares_a_file_of_somebody_else(sweep, tmp_path):
+    manifest = {"rows": {"rollouts": 120, "contacts": 7}, "versions": versions()}
+    write_card(tmp_path, sweep, manifest)
+    card = tmp_path / CARD
+    head, text = card.read_text().removeprefix("---\n").split("---\n", 1)
+    configs = yaml.safe_load(head)["configs"]
+    assert {c["config_name"]: c["data_files"] for c in configs} == {t: f"{t}/*.parquet" for t in TABLES}
+    write_card(tmp_path, sweep, {**manifest, "rows": {"rollouts": 120, "contacts": 0}})
+    assert "- config_name: contacts" not in card.read_text()
+    assert text.count("\n| `") == sum(map(len, TABLES.values()))
+    assert "120 rollouts" in text and "Motions: lift. Faults: gripper_failure (severe), " in text
+    card.write_text(card.read_text().replace("120 rollouts", "many rollouts"))
+    write_card(tmp_path, sweep, manifest)
+    assert "120 rollouts" in card.read_text()
+    card.write_text("mine")
+    write_card(tmp_path, sweep, manifest)
+    assert card.read_text() == "mine"
+
+
+@pytest.mark.long
+def test_hugging_face_finds_the_tables_by_the_card(sweep, tmp_path):
+    hf = pytest.importorskip("datasets")
+    longer = dataclasses.replace(sweep, faults=(DROP,), rollouts=4, horizon=0.6)
+    rows = generate(longer, tmp_path / "made", executor=InProcess()).manifest["rows"]
+    assert all(rows.values())
+    for table, count in rows.items():
+        found = hf.load_dataset(str(tmp_path / "made"), table, split="train", cache_dir=str(tmp_path / "cache"))
+        assert (found.num_rows, found.column_names) == (count, [column.name for column in TABLES[table]])
+
+
 def test_what_is_made_is_what_was_asked_for(sweep, reference, tmp_path):
     generate(sweep, tmp_path, executor=InProcess(order=-1))
-    assert files(tmp_path) == reference
+    assert files(tmp_path) == reference and "120 rollouts" in (tmp_path / CARD).read_text()
     made = read_dataset(tmp_path)
     assert made.sweep.question == sweep.question
     assert read_sweep(tmp_path).to_document() == made.sweep.to_document()

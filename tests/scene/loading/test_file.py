@@ -183,7 +183,11 @@ _BROKEN = {  # what to replace, by what, where the complaint points, its words
     "unknown class": ("  shelf: table", "  shelf: tabel", "unknown entity class 'tabel'; valid: adult, .*table"),
     "class is a number": ("  shelf: table", "  shelf: 3", "has to be text"),
     "negative severity": ("carried: 33", "carried: -33", "severity of vase hit by carried = -33.0"),
-    "severity of nothing": ("carried: 33", "lid: 33", "unknown component 'lid'; valid: body, carried, contents"),
+    "severity of nothing": (
+        "carried: 33",
+        "lid: 33",
+        "unknown component or component class 'lid'; valid: arm_braked, ",
+    ),
     "severity of unknown class": ("table: {medium", "tabel: {medium", "unknown entity or entity class 'tabel'"),
     "severity of unknown component": ("{medium: 1.5}", "{middling: 1.5}", "unknown component class 'middling'"),
     "infinite severity": ("{medium: 1.5}", "{medium: .inf}", "is not finite"),

@@ -19,7 +19,7 @@ tool: panda/tool                 # site, or body; default "<prefix>tool"
 fingers: 0.04                    # position of the joints behind the tool, or {joint: position}
 entities:                        # what can be harmed: each body with its subtree
   mug: glass                     # its class
-  vase: {class: heirloom, severity: 40}    # a number, or by component: {body: 40, carried: 30, contents: 1}
+  vase: {class: heirloom, severity: 40}    # or by component, or component class: {body: 40, carried: 30, hot: 9}
 severity:                        # replaces values of the shipped table, by entity class
   table: {medium: 1}             # by component class, or one number for all
 objects:                         # what can be carried: defaults of attach() and of tasks

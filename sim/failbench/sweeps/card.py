@@ -1,0 +1,81 @@
+"""The card of a dataset: `README.md`, which people read and Hugging Face's `datasets` finds the tables by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from failbench.basics.tables import TABLES
+from failbench.sweeps.work import Sweep
+
+CARD = "README.md"
+_MARK = "<!-- made by failbench generate -->"
+_SHOWN = 40
+"""Names in a list, at most."""
+
+_TEXT = """\
+---
+license: cc0-1.0
+task_categories: [robotics]
+tags: [robot-failures, mujoco, failbench]
+configs:
+{configs}
+---
+{mark}
+
+# Failures of a robot
+
+{rollouts} rollouts in which a simulated robot fails, or its surroundings do, with {contacts} contact events, made with
+FailBench {graceful_plan} and MuJoCo {mujoco}. Each is simulated for {horizon:g} s from the onset on; every fault
+strikes every motion {each} times, at moments spread evenly over the motion (seed {seed}).
+
+Nothing in it is measured on a real robot: severities, and how strong and how likely faults are, are stated assumptions;
+what is spilled comes from a model, not from a fluid. Diverged rollouts are rows, too: leave them out of means by
+their `status`, and count them. Not for: rating people's safety, or real robots' rates of failure.
+
+```python
+rollouts = pandas.read_parquet("FOLDER/rollouts")
+rollouts = polars.read_parquet("FOLDER/rollouts/*.parquet")
+rollouts = datasets.load_dataset("FOLDER", "rollouts", split="train")  # Hugging Face
+```
+
+`manifest.json` has the SHA-256 of every file, and the sweep that makes the same rows again; `failbench.read_dataset`
+checks them.
+
+Motions: {motions}. Faults: {faults}.
+
+{tables}"""
+
+
+def write_card(folder: Path, sweep: Sweep, manifest: Mapping[str, Any]) -> None:
+    """Write the card of a dataset, but not over a README.md of somebody else."""
+    file = folder / CARD
+    if file.exists() and _MARK not in file.read_text(encoding="utf-8", errors="replace"):
+        return
+    text = _TEXT.format(
+        # Hugging Face refuses files without rows.
+        configs="\n".join(f"- config_name: {t}\n  data_files: {t}/*.parquet" for t in TABLES if manifest["rows"][t]),
+        mark=_MARK,
+        rollouts=manifest["rows"]["rollouts"],
+        contacts=manifest["rows"]["contacts"],
+        graceful_plan=manifest["versions"]["graceful_plan"],
+        mujoco=manifest["versions"]["mujoco"],
+        horizon=sweep.horizon,
+        each=sweep.rollouts,
+        seed=sweep.seed,
+        motions=_listed([motion.name for motion in sweep.motions]),
+        faults=_listed([f"{fault.get('fault')} ({fault.get('degree', 'severe')})" for fault in sweep.faults]),
+        tables="\n".join(_table(table) for table in TABLES),
+    )
+    file.write_text(text, encoding="utf-8")
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def _table(table: str) -> str:
+    rows = [f"| `{c.name}` | {c.type} | {c.unit} | {c.meaning} |" for c in TABLES[table]]
+    return "\n".join([f"## {table}", "", "| column | type | unit | meaning |", "|---|---|---|---|", *rows, ""])

@@ -1,0 +1,191 @@
+"""What was said of entities: a YAML file for a person to read and to change, and what it makes of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, final
+
+import yaml
+
+from graceful_plan.annotation.questions import MOST_FRAGILITY, entity_classes
+from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.path import is_real
+from graceful_plan.scene.elements import EntityNote
+from graceful_plan.scene.harm.fragility import FragilityTable
+from graceful_plan.scene.harm.severity import SeverityTable, check_severity
+from graceful_plan.scene.scene import Scene
+from graceful_plan.yaml_file import Block, read_yaml
+
+_HEAD = """\
+# How bad it is if a failing robot reaches these entities, as a model estimates it. It may be wrong: read it, change
+# what you know better, then `Annotations.load(file).apply(scene)`.
+# class: row of the severity table. fragility: energy at which half are damaged [J]. significance: of its loss, 0 to 1.
+# severity: by what reaches it; 0 none, 2 minor, 5 moderate or pain, 10 high or first aid, 50 a serious, 100 a severe
+# injury.
+"""
+_KEYS = ("class", "fragility", "significance", "severity", "reason")
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Annotation:
+    """What was said of one entity.
+
+    Args:
+        category: Its class in the severity table.
+        fragility: Kinetic energy of a touch at which half of such entities are damaged [J].
+        significance: What its loss means, from 0 to 1; for people to read, nothing is computed from it.
+        severity: By component class.
+        reason: Why.
+
+    Raises:
+        SettingError: If a number is out of its range.
+    """
+
+    category: str
+    fragility: float
+    significance: float
+    severity: Mapping[str, float]
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if not (is_real(self.fragility) and 0.0 < self.fragility <= MOST_FRAGILITY):
+            raise SettingError("fragility", self.fragility, f"a number above 0 and at most {MOST_FRAGILITY:g}")
+        if not (is_real(self.significance) and 0.0 <= self.significance <= 1.0):
+            raise SettingError("significance", self.significance, "a number from 0 to 1")
+        row = {name: check_severity(f"severity of {name}", value) for name, value in self.severity.items()}
+        object.__setattr__(self, "severity", MappingProxyType(row))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Annotations:
+    """What was said of the entities of a scene.
+
+    Args:
+        scene: Name of the scene.
+        model: Name of the model that said it.
+        endpoint: Where it was asked.
+        pictures: Whether it was shown pictures.
+        rows: By entity.
+    """
+
+    scene: str
+    model: str
+    endpoint: str
+    pictures: bool
+    rows: Mapping[str, Annotation]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", MappingProxyType(dict(self.rows)))
+
+    def to_document(self) -> dict[str, Any]:
+        """Return plain values, as in the file."""
+        rows = {
+            name: {
+                "class": row.category,
+                "fragility": row.fragility,
+                "significance": row.significance,
+                "severity": dict(row.severity),
+                "reason": row.reason,
+            }
+            for name, row in self.rows.items()
+        }
+        about = {"scene": self.scene, "model": self.model, "endpoint": self.endpoint, "pictures": self.pictures}
+        return {"version": 1, **about, "entities": rows}
+
+    def save(self, file: str | Path) -> None:
+        """Write a YAML file."""
+        text = yaml.dump(
+            self.to_document(), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=140, default_flow_style=False
+        )
+        Path(file).write_text(_HEAD + text, encoding="utf-8")
+
+    @classmethod
+    def load(cls, file: str | Path, table: SeverityTable | None = None) -> Annotations:
+        """Read a YAML file as `save` writes it; severities may be left out.
+
+        Args:
+            file: The file.
+            table: Whose classes and component classes it uses; the shipped one by default.
+
+        Raises:
+            SceneError: If it is broken, or a name or number in it makes no sense; with the line.
+        """
+        root = read_yaml(Path(file))
+        root.only("version", "scene", "model", "endpoint", "pictures", "entities")
+        root.check_version("annotations")
+        pictures = root["pictures"]
+        if pictures.value not in ("true", "false"):
+            raise pictures.error(f"{pictures.name} has to be true or false")
+        table = table or SeverityTable.shipped()
+        return cls(
+            scene=root["scene"].string(),
+            model=root["model"].string(),
+            endpoint=root["endpoint"].string(),
+            pictures=pictures.value == "true",
+            rows={name: _row(block, table) for name, block in root["entities"].items()},
+        )
+
+    def apply(self, scene: Scene) -> Scene:
+        """Return a scene whose entities have these classes and severities; those that are not listed stay as they are.
+
+        Raises:
+            UnknownNameError: If the scene has no such entity, or its severity table no such class or component class.
+        """
+        table, notes = scene.notes.severity, scene.notes
+        for name, row in self.rows.items():
+            if name not in notes.entities:
+                raise UnknownNameError("entity", name, notes.entities)
+            table.check_class(row.category)
+        said = {name: EntityNote(category=row.category, severity=row.severity) for name, row in self.rows.items()}
+        left = {name: value for name, value in notes.overrides.items() if name not in self.rows}
+        changed = replace(notes, entities={**notes.entities, **said}, overrides=left)
+        return Scene.build(scene.spec, changed, scene.model)
+
+    def fragility(self, table: FragilityTable | None = None) -> FragilityTable:
+        """Return a table with these fragilities, for `ImpactCost(consequence=...)`.
+
+        Tables are by class: of the entities of one class, the most fragile one counts.
+
+        Args:
+            table: What the rest comes from; the shipped one by default.
+        """
+        table = table or FragilityTable.shipped()
+        least: dict[str, float] = {}
+        for row in self.rows.values():
+            least[row.category] = min(row.fragility, least.get(row.category, row.fragility))
+        said = {category: replace(table.of(category), median=median) for category, median in least.items()}
+        return FragilityTable({**table.rows, **said}, table.other, table.carried)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes rows of severities on a line each, and long texts without breaking them up."""
+
+    def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> yaml.MappingNode:
+        """Write mappings of numbers only on one line."""
+        numbers = bool(mapping) and all(isinstance(value, float) for value in mapping.values())
+        return super().represent_mapping(tag, mapping, flow_style=numbers or flow_style)
+
+
+def _row(block: Block, table: SeverityTable) -> Annotation:
+    block.only(*_KEYS)
+    category, severity, reason = block["class"], block["severity"], block.get("reason")
+    try:
+        if category.string() not in entity_classes(table):
+            raise category.error(str(UnknownNameError("entity class", category.string(), entity_classes(table))))
+        for component, child in severity.items():
+            if component not in table.components:
+                raise child.error(str(UnknownNameError("component class", component, table.components)))
+        return Annotation(
+            category=category.string(),
+            fragility=block["fragility"].number(),
+            significance=block["significance"].number(),
+            severity={component: child.number() for component, child in severity.items() if not child.is_null},
+            reason="" if reason is None else reason.string(),
+        )
+    except SettingError as error:
+        raise block.error(f"{block.name}: {error}") from None

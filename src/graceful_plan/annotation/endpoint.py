@@ -1,0 +1,192 @@
+"""A language model behind an OpenAI-compatible endpoint: one question, one answer, both bounded.
+
+Only HTTP and HTTPS are spoken, and no redirection is followed: a key goes to the server that was named and to no other.
+The key is read when it is needed, from an environment variable; it is in no object, message or file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from http.client import HTTPException, HTTPResponse
+from typing import Any, final
+from urllib.parse import SplitResult, urlsplit, urlunsplit
+
+from graceful_plan._version import __version__
+from graceful_plan.exceptions import EndpointError, SettingError
+
+MAX_ANSWER = 2_000_000
+"""Bytes of an answer that are read."""
+_SHOWN = 300
+"""Characters of what a server says that are passed on in an error."""
+_LOCAL = ("localhost", "127.0.0.1", "::1")
+_HIDDEN = "***"
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Endpoint:
+    """Where a model is asked.
+
+    Args:
+        url: Base URL; "/chat/completions" is added to its path.
+        model: Name of the model there.
+        key_variable: Environment variable with the API key; None if the server asks for none.
+        timeout: How long to wait for an answer [s].
+
+    Raises:
+        SettingError: If the URL is not of HTTP or HTTPS or has a password in it, a key would go over plain HTTP to
+            another machine, or another setting makes no sense.
+    """
+
+    url: str
+    model: str
+    key_variable: str | None = None
+    timeout: float = 60.0
+
+    def __post_init__(self) -> None:
+        parts = _split(self.url)
+        if not isinstance(self.model, str) or not self.model.strip():
+            raise SettingError("model", self.model, "the name of a model")
+        if isinstance(self.timeout, bool) or not isinstance(self.timeout, int | float) or not 0 < self.timeout < 1e6:
+            raise SettingError("timeout", self.timeout, "seconds above 0, below a million")
+        if self.key_variable is not None:
+            if not isinstance(self.key_variable, str) or not self.key_variable.isidentifier():
+                raise SettingError("key_variable", _HIDDEN, "the name of an environment variable, not a key itself")
+            if parts.scheme == "http" and parts.hostname not in _LOCAL:
+                raise SettingError("endpoint", self.name, "https, where a key is sent to another machine")
+
+    @property
+    def name(self) -> str:
+        """Where it is, without the query, for people to read."""
+        parts = _split(self.url)
+        return urlunsplit((parts.scheme, parts.netloc, parts.path.rstrip("/"), "", ""))
+
+    def ask(self, messages: Sequence[Mapping[str, Any]]) -> str:
+        """Send messages and return what the model says.
+
+        Raises:
+            EndpointError: If there is no answer in time, the server refuses, or what it sends is no answer of a model.
+            SettingError: If the environment variable holds no key.
+        """
+        key = self._key()
+        document = {"model": self.model, "messages": list(messages), "temperature": 0.0, "stream": False}
+        parts = _split(self.url)
+        url = urlunsplit(parts._replace(path=parts.path.rstrip("/") + "/chat/completions"))
+        headers = {"Content-Type": "application/json", "User-Agent": f"graceful_plan/{__version__}"}
+        if key:
+            headers["Authorization"] = f"Bearer {key}"
+        request = urllib.request.Request(url, json.dumps(document).encode(), headers, method="POST")
+        try:
+            with _opener(parts).open(request, timeout=self.timeout) as response:
+                content = self._bounded(response)
+        except urllib.error.HTTPError as error:
+            with error:
+                raise EndpointError(self.name, _refusal(error, key)) from None
+        except (OSError, HTTPException, ValueError) as error:
+            raise EndpointError(self.name, _without(_reason(error, self.timeout), key)) from None
+        return self._said(_without(content.decode("utf-8", "replace"), key))
+
+    def _key(self) -> str:
+        if self.key_variable is None:
+            return ""
+        key = os.environ.get(self.key_variable, "").strip()
+        # Anything else would end a header line, and the error about it would show the key.
+        if not key or not key.isascii() or not key.isprintable() or " " in key:
+            raise SettingError(f"environment variable {self.key_variable}", _HIDDEN, "an API key: letters, no spaces")
+        return key
+
+    def _bounded(self, response: HTTPResponse) -> bytes:
+        """Read an answer that may come slowly or never end."""
+        until, content = time.monotonic() + self.timeout, b""
+        while part := response.read1(65_536):
+            content += part
+            if len(content) > MAX_ANSWER:
+                raise EndpointError(self.name, f"the answer is longer than {MAX_ANSWER} bytes")
+            if time.monotonic() > until:
+                raise TimeoutError
+        return content
+
+    def _said(self, text: str) -> str:
+        """Return what the model says in the document that a server sent."""
+        try:
+            document = json.loads(text)
+        except (ValueError, RecursionError):
+            raise EndpointError(self.name, f"the answer is not JSON: {_shown(text)}") from None
+        try:
+            said = document["choices"][0]["message"]["content"]
+        except (KeyError, IndexError, TypeError):
+            said = None
+        if not isinstance(said, str):
+            raise EndpointError(self.name, f"the answer has no choices[0].message.content: {_shown(text)}")
+        return said
+
+
+def _split(url: object) -> SplitResult:
+    """Take a URL apart.
+
+    Raises:
+        SettingError: If it is none that may be asked.
+    """
+    expected = "a base URL such as https://host/v1: http or https, without user, password and fragment"
+    if not isinstance(url, str) or not url.isascii() or not url.isprintable() or " " in url:
+        raise SettingError("endpoint", url, expected)
+    try:
+        parts = urlsplit(url)
+        fine = parts.scheme in ("http", "https") and bool(parts.hostname) and not parts.fragment
+        fine = fine and (parts.port is None or parts.port > 0)
+    except ValueError:
+        raise SettingError("endpoint", url, expected) from None
+    if "@" in parts.netloc:
+        raise SettingError("endpoint", f"{parts.scheme}://{_HIDDEN}", expected)
+    if not fine:
+        raise SettingError("endpoint", url, expected)
+    return parts
+
+
+def _opener(parts: SplitResult) -> urllib.request.OpenerDirector:
+    """Return what opens HTTP and HTTPS, and neither files nor what a redirection leads to."""
+    opener = urllib.request.OpenerDirector()
+    handlers: list[urllib.request.BaseHandler] = [
+        urllib.request.HTTPHandler(),
+        urllib.request.HTTPSHandler(),
+        urllib.request.HTTPDefaultErrorHandler(),
+        urllib.request.HTTPErrorProcessor(),
+    ]
+    if parts.hostname not in _LOCAL:
+        handlers.append(urllib.request.ProxyHandler())
+    for handler in handlers:
+        opener.add_handler(handler)
+    return opener
+
+
+def _refusal(error: urllib.error.HTTPError, key: str) -> str:
+    if 300 <= error.code < 400:
+        return f"HTTP {error.code}: it redirects; name the endpoint that it redirects to, if you trust it"
+    try:
+        said = error.read(4 * _SHOWN).decode("utf-8", "replace")
+    except (OSError, HTTPException):
+        said = ""
+    return f"HTTP {error.code} {error.reason}: {_shown(_without(said, key))}".rstrip(": ")
+
+
+def _reason(error: Exception, timeout: float) -> str:
+    reason = error.reason if isinstance(error, urllib.error.URLError) else error
+    if isinstance(reason, TimeoutError):
+        return f"no answer within {timeout:g} s"
+    return f"{type(reason).__name__}: {reason}" if isinstance(reason, Exception) else str(reason)
+
+
+def _without(text: str, key: str) -> str:
+    """Take the key out of what a server sent back."""
+    return text.replace(key, _HIDDEN) if key else text
+
+
+def _shown(text: str) -> str:
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return line if len(line) <= _SHOWN else line[:_SHOWN] + "..."
