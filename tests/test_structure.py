@@ -63,7 +63,7 @@ HARNESS_FLOORS = (
     {"validation"},
     {"comparison", "front_validation"},
     {"sweeps", "calibrations", "pictures"},
-    {"traces", "policies"},
+    {"traces", "policies", "learning"},
     {"failbench"},
     {"commands"},
     {"testing", "cli"},

@@ -66,11 +66,11 @@ def _complain(name: str, error: BaseException, code: int, as_json: bool) -> int:
 
 def parser() -> Parser:
     """Return the parser of all commands."""
-    from failbench.commands import calibrating, judging, policies, rollouts, sweeping, tracing
+    from failbench.commands import calibrating, judging, learning, policies, rollouts, sweeping, tracing
 
     made = program(NAME, ABOUT)
     commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for group in (rollouts, judging, policies, sweeping, tracing, calibrating):
+    for group in (rollouts, judging, policies, sweeping, tracing, calibrating, learning):
         group.add(commands)
     return made
 

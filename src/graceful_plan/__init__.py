@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from graceful_plan.costs.fault_prior import FaultPrior
     from graceful_plan.costs.impact import ImpactCost
     from graceful_plan.costs.interaction import InteractionModel
+    from graceful_plan.costs.models.drop.network import DropNetwork
     from graceful_plan.costs.models.mixture.mixture import Footprint
     from graceful_plan.costs.models.published.box_overlap import BoxOverlap
     from graceful_plan.costs.motion import JointLength
@@ -88,6 +89,7 @@ else:
             "DWA": "graceful_plan.control.dwa",
             "DiffDrive": "graceful_plan.scene.mobile.diff_drive",
             "DriveLattice": "graceful_plan.planners.driving.drive_lattice",
+            "DropNetwork": "graceful_plan.costs.models.drop.network",
             "Dry": "graceful_plan.scene.elements",
             "EntityNote": "graceful_plan.scene.elements",
             "FaultPrior": "graceful_plan.costs.fault_prior",
@@ -170,6 +172,7 @@ __all__ = [
     "DWA",
     "DiffDrive",
     "DriveLattice",
+    "DropNetwork",
     "Dry",
     "EntityNote",
     "FaultPrior",

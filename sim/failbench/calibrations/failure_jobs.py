@@ -264,6 +264,13 @@ def generate(
     settings = FailureSettings() if settings is None else settings
     jobs = failure_jobs(load, scenes, faults, n=settings.n, seed=settings.seed, repeats=settings.repeats)
     jobs = [replace(job, variation=settings.variation if i % 2 else None) for i, job in enumerate(jobs)]
+    return do_all(jobs, settings.processes, progress)
+
+
+def do_all(
+    jobs: Sequence[FailureJob], processes: int = 1, progress: Progress | None = None
+) -> tuple[list[Failures], list[str]]:
+    """Do jobs in so many processes; return what happened, in their order, and why some motions have no failures."""
     found: list[Failures] = []
     refused: list[str] = []
 
@@ -272,12 +279,12 @@ def generate(
         if progress is not None:
             progress(len(found) + len(refused), len(jobs))
 
-    if settings.processes <= 1:
+    if processes <= 1:
         for job in jobs:
             take(do_job(job))
     else:
         # Spawned, not forked: libraries below have threads.
-        with multiprocessing.get_context("spawn").Pool(settings.processes) as pool:
+        with multiprocessing.get_context("spawn").Pool(processes) as pool:
             for outcome in pool.imap(do_job, jobs):
                 take(outcome)
     return found, refused

@@ -27,10 +27,12 @@ constexpr double kNothing = 1e-13;  // a probability that does not matter
 constexpr double kRare = 1e-11;     // of which there are few to be added up
 constexpr double kTiny = 1e-300;
 #include "impact/drop.hpp"
+#include "impact/learned/network.hpp"
 #include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
 #include "impact/own_loss_gradient.hpp"
 #include "impact/tumble_gradient.hpp"
+#include "impact/learned/network_gradient.hpp"
 #include "impact/contents/spill.hpp"
 #include "impact/contents/spill_gradient.hpp"
 #include "impact/contents/stop.hpp"
@@ -46,10 +48,12 @@ using D = Single;
 constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
                  kTiny = 1e-30;  // products of five e^kHeld are finite
 #include "impact/drop.hpp"
+#include "impact/learned/network.hpp"
 #include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
 #include "impact/own_loss_gradient.hpp"
 #include "impact/tumble_gradient.hpp"
+#include "impact/learned/network_gradient.hpp"
 #include "impact/contents/spill.hpp"
 #include "impact/contents/spill_gradient.hpp"
 #include "impact/contents/stop.hpp"
@@ -243,6 +247,22 @@ static void drop(const Tables& tables, const DropTables& drop, const States& sta
   });
 }
 
+static void drop_sights(const Tables& tables, const DropTables& drop, const States& states, double* out) {
+  const size_t count = size_t(kNetworkInputs + 1), row = count * size_t(drop.n_surface);
+  for_each_release(tables, states, [&](size_t first, const D* qs, const D* rates) {
+    const Fall fall(tables, drop, qs, rates);
+    for_each_hit(drop, fall.flight, fall.landing, [&](int k, const Leaving& leaving, const Hits& hits, D lower) {
+      const Sight sight(drop, fall.flight, fall.landing, leaving, drop.surface[k], hits, lower);
+      const D P = hits.any_of_them();
+      for (int i = 0; i < kAbreast<D> && first + size_t(i) < states.n; ++i) {
+        double* own = out + (first + size_t(i)) * row + size_t(k) * count;
+        for (int f = 0; f < kNetworkInputs; ++f) own[f] = sight.told[f][i];
+        own[kNetworkInputs] = P[i];
+      }
+    });
+  });
+}
+
 static void drop_edge_costs(const Tables& tables, const DropTables& drop, const double* severity, const double* pace,
                             const Edges& edges, double* cost) {
   const auto impact_at = [&](const D* q, const D* qd) { return drop_impact_of(tables, drop, severity, q, qd); };
@@ -349,6 +369,7 @@ extern const Kernels GP_JOIN(kernels_, GP_ISA) = {
     .impact = GP_ISA::impact,
     .edge_costs = GP_ISA::edge_costs,
     .drop = GP_ISA::drop,
+    .drop_sights = GP_ISA::drop_sights,
     .drop_impact = GP_ISA::drop_impact,
     .drop_gradient = GP_ISA::drop_gradient,
     .drop_edge_costs = GP_ISA::drop_edge_costs,

@@ -18,6 +18,8 @@ constexpr int kMaxEntities = 512;
 constexpr int kMaxDropParts = 32;
 constexpr int kMaxSurfaces = 512;
 constexpr int kMaxSteps = 64;
+constexpr int kNetworkInputs = 18;
+constexpr int kMaxHidden = 32;
 
 enum Kind : int32_t { kPlane, kSphere, kCapsule, kEllipsoid, kCylinder, kBox, kMesh };
 
@@ -173,6 +175,22 @@ struct LossTables {
   double shift[2], weight[2];
 };
 
+// A network that corrects hits: two layers of `hidden` units. Weights: first [hidden, kNetworkInputs], second
+// [hidden, hidden], its biases, last [hidden], its bias, and biases of the first for each surface [n_surface, hidden].
+struct DropNetwork {
+  int32_t hidden;  // 0 if there is none
+  double bound;    // the logarithm of a factor of the odds is within +- that
+  const double* weights;
+  const float* rough_weights;
+
+  template <class T> const T* of() const {
+    if constexpr (sizeof(T) == sizeof(double))
+      return weights;
+    else
+      return rough_weights;
+  }
+};
+
 struct DropTables {
   int32_t n_part, n_surface, n_level, n_entity, link, frame, main;
   double centre[3], size, radius;  // radius: of a ball around the centre of mass that holds all parts
@@ -184,6 +202,7 @@ struct DropTables {
   LossTables loss;
   SpillTables spill;
   StopTables stop;
+  DropNetwork network;
 };
 
 // --- the body model: costs/models/body has its specification and the names of what stands here -------------
@@ -257,6 +276,8 @@ struct Kernels {
   void (*edge_costs)(const Tables&, const double* severity, const Edges&, double* cost);
   // The drop and spill models; severity and probability are [kDropRows, n_entity].
   void (*drop)(const Tables&, const DropTables&, const States&, double* probability);
+  // What the network is told of each surface and P that it is to correct [n_surface, kNetworkInputs + 1].
+  void (*drop_sights)(const Tables&, const DropTables&, const States&, double* sights);
   void (*drop_impact)(const Tables&, const DropTables&, const double* severity, const States&, double* impact);
   void (*drop_gradient)(const Tables&, const DropTables&, const double* severity, const States&, const Slopes&);
   void (*drop_edge_costs)(const Tables&, const DropTables&, const double* severity, const double* pace, const Edges&,

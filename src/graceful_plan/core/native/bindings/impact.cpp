@@ -42,7 +42,9 @@ void bind_impact(nb::module_& m) {
       .def("add_contents", &DropModel::add_contents, "container"_a, "stands"_a, "visible"_a, "constants"_a)
       .def("add_stop", &DropModel::add_stop, "deceleration"_a, "constants"_a, "places"_a)
       .def("add_loss", &DropModel::add_loss, "strength"_a, "loss"_a)
+      .def("add_network", &DropModel::add_network, "hidden"_a, "bound"_a, "weights"_a)
       .def("probability", &DropModel::probability, "q"_a, "qd"_a)
+      .def("sights", &DropModel::sights, "q"_a, "qd"_a)
       .def("impact", &DropModel::impact, "severity"_a, "q"_a, "qd"_a)
       .def("gradient", &DropModel::gradient, "severity"_a, "q"_a, "qd"_a, "rough"_a = false);
   nb::class_<BodyModel>(m, "BodyModel")

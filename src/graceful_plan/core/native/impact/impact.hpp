@@ -260,9 +260,31 @@ class DropModel {
     require(tables_.loss.sharpness > 0, "sharpness of damage");
   }
 
+  // weights: those of DropNetwork in its order, biases of each surface last
+  void add_network(int hidden, double bound, Reals weights) {
+    require(hidden >= 1 && hidden <= kMaxHidden, "hidden units of a network");
+    require(in_range(bound, 0, 30), "bound of a network");
+    const size_t h = size_t(hidden), n = h * (kNetworkInputs + h + 2 + surface_.size()) + 1;
+    require_numbers(weights, n, "weights of a network");
+    weights_ = point(weights);
+    rough_weights_.assign(weights_.begin(), weights_.end());
+    tables_.network = {hidden, bound, weights_.data(), rough_weights_.data()};
+  }
+
   const Core& core() const { return core_; }
   const DropTables& tables() const { return tables_; }
 
+  // What a network is told of each surface, and P that it is to correct; zero where nobody minds.
+  auto sights(Reals q, Reals qd) const {
+    double* out;
+    const size_t row = surface_.size() * size_t(kNetworkInputs + 1);
+    auto array = make<double>({core_.rows(q), surface_.size(), size_t(kNetworkInputs + 1)}, out);
+    const States states = core_.states(q, qd);
+    nb::gil_scoped_release release;
+    std::fill(out, out + states.n * row, 0.0);
+    core_.kernels().drop_sights(core_.tables(), tables_, states, out);
+    return array;
+  }
   // P by row and entity, and last that the object itself is damaged.
   auto probability(Reals q, Reals qd) const {
     double* out;
@@ -357,7 +379,8 @@ class DropModel {
   std::vector<Surface> surface_;
   std::vector<SpillSurface> spill_;
   std::vector<int32_t> level_start_;
-  Point speed_;
+  Point speed_, weights_;
+  std::vector<float> rough_weights_;
 };
 
 // The drop and spill models with a severity per row and entity; along edges at their speed.

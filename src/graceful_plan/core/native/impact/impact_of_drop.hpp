@@ -16,6 +16,26 @@ static inline bool own_matters(const DropTables& drop, const double* severity) {
   return drop.loss.sharpness > 0 && (!severity || severity[kDropRows * drop.n_entity] != 0.0);
 }
 
+// Visits every surface of an entity with what hits it, before a network corrects that.
+template <class Visit>
+static inline void for_each_hit(const DropTables& drop, const Flight& flight, const Landing& landing, Visit visit) {
+  Tumble tumble(drop, flight, landing);
+  const Sweep sweep(drop, flight, landing);
+  const Leaving leaving(drop, landing);
+  D lower = landing.landed;
+  for (int l = 0; l < drop.n_level; ++l) {
+    const bool tumbles = tumble.enter(drop);
+    for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
+      const Surface& s = drop.surface[k];
+      const D C = landing.contact[k], G = tumbles ? tumble.hit(drop, s, true) : D{};
+      if (s.entity >= 0)
+        visit(k, leaving, Hits{C, G, sweep.hit(drop, flight, s, landing.time[k], relu(lower - C))}, lower);
+    }
+    tumble.leave(landing.leaving[l], landing.away[l]);
+    lower -= landing.first[l];
+  }
+}
+
 // P of entities, and, if it counts, that the object itself is damaged.
 static inline D carried_probability(const DropTables& drop, const Flight& flight, const Landing& landing,
                                     const double* severity, D* P) {
@@ -23,6 +43,7 @@ static inline D carried_probability(const DropTables& drop, const Flight& flight
   OwnLoss loss;
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
+  const Leaving leaving(drop, landing);
   D lower = landing.landed;  // sum of F over this level and those below it
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
@@ -34,7 +55,7 @@ static inline D carried_probability(const DropTables& drop, const Flight& flight
       if (own && tumbles) loss.end(drop, s, tumble);
       if (!wanted) continue;
       const D H = sweeps ? sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)) : D{};
-      P[s.entity] = maximum(P[s.entity], 1.0 - (1.0 - C) * (1.0 - G) * (1.0 - H));
+      P[s.entity] = maximum(P[s.entity], hit_of(drop, flight, landing, leaving, k, {C, G, H}, lower));
     }
     if (own) loss.leave(drop, landing, l, tumble, first_damage(drop, flight, landing, l));
     tumble.leave(landing.leaving[l], landing.away[l]);
@@ -125,6 +146,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   // Forwards, as in drop_probability, with a record.
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
+  const Leaving leaving(drop, landing);
   D G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities];
   Point2 drift[kMaxSurfaces];
   const bool own = own_matters(drop, severity);
@@ -143,8 +165,9 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
       G[k] = tumbles ? tumble.hit(drop, s, true) : D{};
       if (own && tumbles) loss.end(drop, s, tumble);
       H[k] = sweep.hit(drop, flight, s, landing.time[k], relu(left - C));
-      hit[k] = 1.0 - (1.0 - C) * (1.0 - G[k]) * (1.0 - H[k]);
-      if (s.entity >= 0) P[s.entity] = maximum(P[s.entity], hit[k]);
+      if (s.entity < 0 || severity[s.entity] == 0.0) continue;
+      hit[k] = hit_of(drop, flight, landing, leaving, k, {C, G[k], H[k]}, left);
+      P[s.entity] = maximum(P[s.entity], hit[k]);
     }
     if (own) loss.leave(drop, landing, l, tumble, d_own.damaged[l] = first_damage(drop, flight, landing, l));
     tumble.leave(landing.leaving[l], landing.away[l]);
@@ -155,6 +178,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   LandingSlope& d_landing = back.d_landing;
   TumbleSlope d_tumble;
   SweepSlope d_sweep;
+  LeavingSlope d_leaving;
   // open: severities of entities whose greatest P is not yet found.
   D open[kMaxEntities], d_G[kMaxSurfaces], d_lower = {};
   for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = D{} + severity[e];
@@ -165,15 +189,15 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
     for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
       const Surface& s = drop.surface[k];
       d_G[k] = D{};
-      if (s.entity < 0) continue;
+      if (s.entity < 0 || severity[s.entity] == 0.0) continue;
       const auto greatest = hit[k] == P[s.entity];
       const D d = where(greatest, open[s.entity], D{}), C = landing.contact[k];
       open[s.entity] = where(greatest, D{}, open[s.entity]);
-      d_landing.contact[k] += d * (1.0 - G[k]) * (1.0 - H[k]);
-      d_G[k] = d * (1.0 - C) * (1.0 - H[k]);
+      const HitSlope d_hit = back_hit(back, leaving, k, {C, G[k], H[k]}, lower[l], d, d_leaving);
+      d_landing.contact[k] += d_hit.contact, d_G[k] = d_hit.tumble, d_lowers[l] += d_hit.lower;
       if (!any(H[k] > 0.0)) continue;
-      const D d_H = d * (1.0 - C) * (1.0 - G[k]);
-      const D d_beside = where(lower[l] > C, back_sweep_hit(back, sweep, k, relu(lower[l] - C), d_H, d_sweep), D{});
+      const D d_beside =
+          where(lower[l] > C, back_sweep_hit(back, sweep, k, relu(lower[l] - C), d_hit.side, d_sweep), D{});
       d_landing.contact[k] -= d_beside, d_lowers[l] += d_beside;
     }
   }
@@ -186,6 +210,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   }
   back_tumble(back, tumble, d_tumble);
   back_sweep(back, sweep, d_sweep);
+  if (drop.network.hidden) back_leaving(back, leaving, d_leaving);
   D d_stop = {};
   const Vec<D> d_pour = back_contents(back, severity, qd, impact, d_stop);
   back_land(back);

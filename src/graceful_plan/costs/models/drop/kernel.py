@@ -14,6 +14,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import CAPACITY, ImpactKernel, Kernels
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
 from graceful_plan.costs.models.drop.loss import LANDING_LOSS, NODES, WEIGHTS, LossTables, loss_tables
+from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.spill.constants import USES, SpillSettings, StopSettings
 from graceful_plan.costs.models.spill.tables import SpillTables, spill_tables
@@ -59,6 +60,7 @@ class DropKernel:
         contents: Tables and constants of the spill model if there are contents.
         loss: How easily the object itself is damaged; never, by default.
         stop: How the robot stops by itself; that spills nothing, by default.
+        network: What corrects the hits of the object; nothing, by default.
 
     Raises:
         UnsupportedError: If there is more of something than the core holds.
@@ -74,6 +76,7 @@ class DropKernel:
         contents: tuple[SpillTables, SpillSettings] | None = None,
         loss: LossTables | None = None,
         stop: StopTables | None = None,
+        network: DropNetwork | None = None,
     ) -> None:
         for what, count in (("carried parts", len(tables.part_half)), ("surfaces", len(tables.target_entity))):
             if count > CAPACITY[what]:
@@ -103,6 +106,8 @@ class DropKernel:
         if loss is not None:
             numbers = (1.0, *(LANDING_LOSS * node for node in NODES))
             self.native.add_loss(_reals(loss.strength), np.array([*(x / loss.spread for x in numbers), *WEIGHTS]))
+        if network is not None:
+            self.native.add_network(len(network.last), network.bound, _reals(network.weights_for(tables)))
 
     def _add_contents(self, tables: SpillTables, settings: SpillSettings) -> None:
         numbers = (tables.rim, tables.depth, tables.full, tables.radius, tables.power, tables.repose)
@@ -124,6 +129,15 @@ class DropKernel:
         """P that the object or contents reach each entity, at q with joint velocities qd [rad/s], at rest if None."""
         flat, rates, batch = self._states(q, qd)
         return self.native.probability(flat, rates)[:, :-1].reshape(*batch, len(ROWS), self.n_entity)
+
+    def sights(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch target told"]:
+        """What a network is told of every surface, see `network.TOLD`, and last the P of a hit that it is to correct.
+
+        All is zero for surfaces of obstacles.
+        """
+        flat, rates, batch = self._states(q, qd)
+        found = self.native.sights(flat, rates)
+        return found.reshape(*batch, *found.shape[1:])
 
     def own_loss(self, q: ArrayLike, qd: ArrayLike | None = None) -> Float[Array, "*batch"]:
         """P that the fall damages the object itself, at q with joint velocities qd [rad/s], at rest if None."""
@@ -186,6 +200,7 @@ def drop_kernel(
     spill: SpillSettings | None = None,
     fragility: FragilityTable | None = None,
     stop: StopSettings | None = None,
+    network: DropNetwork | None = None,
 ) -> DropKernel:
     """Return both models of a scene in which something is carried; they are made once per set of constants.
 
@@ -195,6 +210,7 @@ def drop_kernel(
         spill: Of the spill model; the shipped ones by default.
         fragility: How easily things are damaged, the object itself among them; the shipped table by default.
         stop: How the robot stops by itself; the shipped constants by default.
+        network: What corrects the hits of the object; nothing, by default.
 
     Raises:
         UnsupportedError: If the core cannot represent it.
@@ -202,12 +218,17 @@ def drop_kernel(
     constants = settings.of(drop_tables(scene).shape_class)
     spill = SpillSettings.shipped() if spill is None else spill
     fragility = FragilityTable.shipped() if fragility is None else fragility
-    return _kernel(scene, constants, spill, fragility, StopSettings.shipped() if stop is None else stop)
+    return _kernel(scene, constants, spill, fragility, StopSettings.shipped() if stop is None else stop, network)
 
 
 @per_scene(most=4)
 def _kernel(
-    scene: Scene, constants: DropConstants, spill: SpillSettings, fragility: FragilityTable, stop: StopSettings
+    scene: Scene,
+    constants: DropConstants,
+    spill: SpillSettings,
+    fragility: FragilityTable,
+    stop: StopSettings,
+    network: DropNetwork | None,
 ) -> DropKernel:
     return DropKernel(
         drop_tables(scene),
@@ -218,6 +239,7 @@ def _kernel(
         contents=None if scene.contents is None else (spill_tables(scene), spill),
         loss=loss_tables(scene, fragility),
         stop=StopTables(settings=stop, acceleration=scene.limits.acceleration),
+        network=network,
     )
 
 

@@ -25,6 +25,7 @@ from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
+from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.moving.model import MovingModel
 from graceful_plan.costs.models.spill.constants import SpillSettings, StopSettings
 from graceful_plan.costs.native_model import NativeModel, OwnLoss
@@ -55,6 +56,7 @@ class Footprint(NativeModel):
         stop: How hard the robot stops by itself, and what contents make of it; the shipped constants by default.
         base: How a base that drives goes on when it fails, and how often it is what fails; the shipped constants by
             default. Of no account for robots without one.
+        network: What corrects the hits of the object after a drop, such as `DropNetwork.shipped()`; nothing by default.
 
     Raises:
         UnknownNameError: If there is no such preset.
@@ -66,6 +68,7 @@ class Footprint(NativeModel):
     body: BodySettings = field(default_factory=BodySettings.shipped)
     stop: StopSettings = field(default_factory=StopSettings.shipped)
     base: CoastSettings = field(default_factory=CoastSettings.shipped)
+    network: DropNetwork | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.faults, str | FaultPrior):
@@ -105,7 +108,7 @@ class Footprint(NativeModel):
         """Return P that the fall of the carried object damages it."""
         if batch.scene.carried is None or not self.knows_own_loss or not len(batch):
             return {"drop": np.zeros(len(batch))}
-        kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop)
+        kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop, self.network)
         weight = self._aboard(batch.scene) * self.prior.weights()["drop"]
         return {"drop": weight * kernel.own_loss(batch.q, batch.qd)}
 
@@ -181,7 +184,7 @@ class Footprint(NativeModel):
         found = {name: np.zeros((len(batch), len(scene.components), len(scene.entities))) for name in names}
         if scene.carried is None or not len(batch) or not names:
             return found
-        P = drop_kernel(scene, self.settings, self.spill, None, self.stop).probability(batch.q, batch.qd)
+        P = self._drop_kernel(scene, None).probability(batch.q, batch.qd)
         for row, component in enumerate(scene.components):
             for own, source in _SOURCE.get(component, ()):
                 if source in found:
@@ -211,7 +214,8 @@ class Footprint(NativeModel):
         return np.array([[weights[name], held[name]] for name in GENERATORS])
 
     def _drop_kernel(self, scene: Scene, own: OwnLoss | None) -> DropKernel:
-        return drop_kernel(scene, self.settings, self.spill, None if own is None else own.fragility, self.stop)
+        fragility = None if own is None else own.fragility
+        return drop_kernel(scene, self.settings, self.spill, fragility, self.stop, self.network)
 
     def _own_severity(self, own: OwnLoss | None) -> float:
         return 0.0 if own is None else self.prior.weights()["drop"] * own.severity

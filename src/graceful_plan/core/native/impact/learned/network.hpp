@@ -1,0 +1,97 @@
+// A network that multiplies the odds of each hit of the drop model by a learned factor; costs/models/drop/network.py
+// says how it is made, and names what it is told in the order in which it stands here.
+
+constexpr double kCorrected = 1e-4;  // probabilities below that are left as they are
+constexpr double kRounded = 1e-4;    // square of the length over which distances from an axis are rounded off [m2]
+constexpr double kDeep = 10.0;       // inverse of a height of fall that is neither little nor much [1/m]
+
+// From all numbers to -1 to 1, and the derivative.
+static inline D squash(D x) { return x * inverse_root(1.0 + x * x); }
+static inline D squash_slope(D x) {
+  const D r = inverse_root(1.0 + x * x);
+  return r * r * r;
+}
+
+// P of a hit by the first contact, by a fall from there, and from the side: C, G, H.
+struct Hits {
+  D contact, tumble, side;
+
+  D any_of_them() const { return 1.0 - (1.0 - contact) * (1.0 - tumble) * (1.0 - side); }
+};
+
+// What a surface looks like to the object: what the network is told, and what that was made of.
+struct Sight {
+  D told[kNetworkInputs];
+  D x, y, ax, ay;         // where the object comes down, in the surface's axes; smooth absolute values
+  D dx, dy, inverse_far;  // from there to the surface's centre, in W
+  D beside_x, beside_y, drop_height, above_top, above_bottom;
+
+  Sight(const DropTables& drop, const Flight& flight, const Landing& landing, const Leaving& leaving, const Surface& s,
+        const Hits& hits, D lower) {
+    const double per_size = 1.0 / drop.size;
+    const Point2 at = placed(s, landing.x, landing.y);
+    x = at.x, y = at.y;
+    ax = square_root(x * x + kRounded), ay = square_root(y * y + kRounded);
+    dx = s.centre[0] - landing.x, dy = s.centre[1] - landing.y;
+    inverse_far = inverse_root(dx * dx + dy * dy + drop.size * drop.size);
+    beside_x = (ax - s.half[0]) * per_size, beside_y = (ay - s.half[1]) * per_size;
+    drop_height = (flight.low - s.top) * kDeep;
+    above_top = (landing.height - s.top) * per_size, above_bottom = (landing.height - s.bottom) * per_size;
+    const D gx = squash(beside_x), gy = squash(beside_y);
+    told[0] = maximum(gx, gy), told[1] = minimum(gx, gy);
+    told[2] = (flight.v.x * dx + flight.v.y * dy) * inverse_far;
+    told[3] = flight.speed, told[4] = squash(flight.v.z);
+    told[5] = squash(drop_height), told[6] = squash(above_top), told[7] = squash(above_bottom);
+    told[8] = (flight.high - flight.low) * per_size, told[9] = flight.tilt;
+    told[10] = (flight.c.z - flight.low) * per_size;
+    told[11] = leaving.probability, told[12] = (leaving.x * dx + leaving.y * dy) * inverse_far;
+    told[13] = hits.contact, told[14] = hits.tumble, told[15] = hits.side;
+    told[16] = squash(landing.fallen * kDeep), told[17] = lower;
+  }
+};
+
+// The network's answer for one surface, with what its way back needs.
+struct Answer {
+  D first[kMaxHidden], second[kMaxHidden], raw;  // before they are squashed
+  D log_factor;                                  // of the odds
+
+  Answer(const DropNetwork& net, int surface, const D told[kNetworkInputs]) {
+    using T = Scalar<D>;
+    const T *w1 = net.of<T>(), *w2 = w1 + net.hidden * kNetworkInputs, *b2 = w2 + net.hidden * net.hidden,
+            *w3 = b2 + net.hidden, *b1 = w3 + net.hidden + 1 + surface * net.hidden;
+    D kept[kMaxHidden];
+    for (int j = 0; j < net.hidden; ++j) {
+      D sum = D{} + b1[j];
+      for (int i = 0; i < kNetworkInputs; ++i) sum += w1[j * kNetworkInputs + i] * told[i];
+      first[j] = sum, kept[j] = squash(sum);
+    }
+    raw = D{} + w3[net.hidden];
+    for (int j = 0; j < net.hidden; ++j) {
+      D sum = D{} + b2[j];
+      for (int i = 0; i < net.hidden; ++i) sum += w2[j * net.hidden + i] * kept[i];
+      second[j] = sum, raw += w3[j] * squash(sum);
+    }
+    log_factor = net.bound * squash(raw);
+  }
+};
+
+// P -> P f/(1 - P + P f): odds times f, which fades to 1 where there is hardly anything to correct.
+struct Corrected {
+  D fade, factor, inverse, value;
+
+  Corrected(D P, D log_factor) {
+    fade = where(P > kCorrected, 1.0 - kCorrected * reciprocal(maximum(P, D{} + kCorrected)), D{});
+    factor = exponential(log_factor * fade);
+    inverse = reciprocal(1.0 - P + P * factor);
+    value = P * factor * inverse;
+  }
+};
+
+// P of a hit of a surface, by the network if there is one.
+static inline D hit_of(const DropTables& drop, const Flight& flight, const Landing& landing, const Leaving& leaving,
+                       int surface, const Hits& hits, D lower) {
+  const D P = hits.any_of_them();
+  if (!drop.network.hidden || !any(P > kCorrected)) return P;
+  const Sight sight(drop, flight, landing, leaving, drop.surface[surface], hits, lower);
+  return Corrected(P, Answer(drop.network, surface, sight.told).log_factor).value;
+}

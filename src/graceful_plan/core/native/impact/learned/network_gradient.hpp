@@ -1,0 +1,98 @@
+// The gradient of what the network makes of hits: network.hpp backwards; see drop_gradient.hpp.
+
+struct HitSlope {
+  D contact, tumble, side, lower;
+};
+
+struct LeavingSlope {
+  D probability = {}, x = {}, y = {};
+};
+
+static inline void back_any_of_them(const Hits& hits, D d, HitSlope& out) {
+  out.contact += d * (1.0 - hits.tumble) * (1.0 - hits.side);
+  out.tumble += d * (1.0 - hits.contact) * (1.0 - hits.side);
+  out.side += d * (1.0 - hits.contact) * (1.0 - hits.tumble);
+}
+
+// With respect to what the network was told.
+static inline void back_answer(const DropNetwork& net, const Answer& answer, D d_log_factor, D d_told[kNetworkInputs]) {
+  using T = Scalar<D>;
+  const T *w1 = net.of<T>(), *w2 = w1 + net.hidden * kNetworkInputs, *b2 = w2 + net.hidden * net.hidden,
+          *w3 = b2 + net.hidden;
+  const D d_raw = d_log_factor * net.bound * squash_slope(answer.raw);
+  D d_first[kMaxHidden] = {};
+  for (int j = 0; j < net.hidden; ++j) {
+    const D d = d_raw * w3[j] * squash_slope(answer.second[j]);
+    for (int i = 0; i < net.hidden; ++i) d_first[i] += d * w2[j * net.hidden + i];
+  }
+  for (int i = 0; i < kNetworkInputs; ++i) d_told[i] = D{};
+  for (int j = 0; j < net.hidden; ++j) {
+    const D d = d_first[j] * squash_slope(answer.first[j]);
+    for (int i = 0; i < kNetworkInputs; ++i) d_told[i] += d * w1[j * kNetworkInputs + i];
+  }
+}
+
+static inline void back_sight(Backward& back, const Sight& sight, const Leaving& leaving, const Surface& s,
+                              const D d[kNetworkInputs], LeavingSlope& d_leaving) {
+  auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
+  const double per_size = 1.0 / drop.size;
+  // Distances beside the surface: the greater one is told first.
+  const auto x_first = squash(sight.beside_x) > squash(sight.beside_y);
+  const D d_gx = where(x_first, d[0], d[1]), d_gy = where(x_first, d[1], d[0]);
+  const D d_x = d_gx * squash_slope(sight.beside_x) * per_size * sight.x * reciprocal(sight.ax);
+  const D d_y = d_gy * squash_slope(sight.beside_y) * per_size * sight.y * reciprocal(sight.ay);
+  back_turned(s, {d_x, d_y}, d_landing.x, d_landing.y);
+  // Towards the surface: velocity and falls.
+  const D ahead = flight.v.x * sight.dx + flight.v.y * sight.dy, away = leaving.x * sight.dx + leaving.y * sight.dy;
+  const D r = sight.inverse_far, d_r3 = -(d[2] * ahead + d[12] * away) * r * r * r;
+  d_flight.v.x += d[2] * sight.dx * r, d_flight.v.y += d[2] * sight.dy * r;
+  d_leaving.x += d[12] * sight.dx * r, d_leaving.y += d[12] * sight.dy * r;
+  d_landing.x -= (d[2] * flight.v.x + d[12] * leaving.x) * r + d_r3 * sight.dx;
+  d_landing.y -= (d[2] * flight.v.y + d[12] * leaving.y) * r + d_r3 * sight.dy;
+  d_leaving.probability += d[11];
+  // Velocities, heights and posture.
+  d_flight.speed += d[3], d_flight.v.z += d[4] * squash_slope(flight.v.z);
+  d_flight.low += d[5] * squash_slope(sight.drop_height) * kDeep - (d[8] + d[10]) * per_size;
+  d_landing.height += (d[6] * squash_slope(sight.above_top) + d[7] * squash_slope(sight.above_bottom)) * per_size;
+  d_flight.high += d[8] * per_size, d_flight.tilt += d[9], d_flight.c.z += d[10] * per_size;
+  d_landing.fallen += d[16] * squash_slope(landing.fallen * kDeep) * kDeep;
+}
+
+static inline void back_leaving(Backward& back, const Leaving& leaving, const LeavingSlope& d) {
+  const DropTables& drop = back.drop;
+  LandingSlope& d_landing = back.d_landing;
+  for (int l = 0; l < drop.n_level; ++l) {
+    const Point2& n = back.landing.away[l];
+    const D M = back.landing.leaving[l] * leaving.share;
+    d_landing.leaving[l] += leaving.share * (d.probability + d.x * n.x + d.y * n.y);
+    d_landing.away[l].x += d.x * M, d_landing.away[l].y += d.y * M;
+  }
+  d_landing.total -= leaving.share * (d.probability * leaving.probability + d.x * leaving.x + d.y * leaving.y);
+}
+
+// From the derivative with respect to P of a hit to those with respect to what it is made of.
+static inline HitSlope back_hit(Backward& back, const Leaving& leaving, int surface, const Hits& hits, D lower, D d,
+                                LeavingSlope& d_leaving) {
+  const DropTables& drop = back.drop;
+  HitSlope out{D{}, D{}, D{}, D{}};
+  const D P = hits.any_of_them();
+  if (!drop.network.hidden || !any((P > kCorrected) & (d != 0.0))) {
+    back_any_of_them(hits, d, out);
+    return out;
+  }
+  const Surface& s = drop.surface[surface];
+  const Sight sight(drop, back.flight, back.landing, leaving, s, hits, lower);
+  const Answer answer(drop.network, surface, sight.told);
+  const Corrected corrected(P, answer.log_factor);
+  const D d_exponent = d * corrected.value * (1.0 - corrected.value);  // 1 - value = (1 - P)/(1 - P + P f)
+  const D inverse_P = reciprocal(maximum(P, D{} + kCorrected));
+  const D d_fade = where(P > kCorrected, kCorrected * inverse_P * inverse_P, D{});
+  back_any_of_them(
+      hits, d * corrected.factor * corrected.inverse * corrected.inverse + d_exponent * answer.log_factor * d_fade,
+      out);
+  D d_told[kNetworkInputs];
+  back_answer(drop.network, answer, d_exponent * corrected.fade, d_told);
+  back_sight(back, sight, leaving, s, d_told, d_leaving);
+  out.contact += d_told[13], out.tumble += d_told[14], out.side += d_told[15], out.lower += d_told[17];
+  return out;
+}

@@ -1,0 +1,200 @@
+r"""A small network that corrects the drop model: it multiplies the odds of each hit by a factor that it has learned.
+
+For each surface of an entity, `hidden` units in each of two layers see how the object comes down relative to it:
+places, heights and velocities in the surface's own axes and in units of the object's size, what the drop model says
+about the first contact, the fall after it and the contact from the side, and what both look like. Nothing of it changes
+if all is moved or turned about the vertical, and whose surface it is does not matter: what was learned holds for things
+that were never seen. With P the drop model's probability of a hit and m the answer,
+
+.. math:: P' = \frac{P e^{g m}}{1 - P + P e^{g m}}, \qquad g = \max(0, 1 - 10^{-4}/P), \qquad |m| < \mathrm{bound}
+
+so that what is impossible stays so, what is certain, too, and no odds change by more than e^bound. In all places
+s(x) = x/sqrt(1 + x^2) is what turns sums into answers: smooth, bounded, and cheap. The native kernel is
+native/impact/learned/network.hpp, its gradient network_gradient.hpp.
+
+`failbench learn` makes such a network; the shipped one is `drop_network.npz`.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from graceful_plan.array_types import Float
+from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, DropTables
+from graceful_plan.exceptions import FormatError, ShapeError
+
+Array = np.ndarray
+
+TOLD = (
+    "farther_beside", "nearer_beside", "approach", "speed", "vertical_speed", "drop_height", "above_top",
+    "above_bottom", "height", "tilt", "centre_height", "leaves", "leaves_towards", "contact", "tumble", "side",
+    "fallen", "lands_here_or_lower",
+)  # fmt: skip
+"""What the network is told of a state and a surface, in the order of the core."""
+LOOKS = ("narrow", "wide", "thick", "carries")
+"""What it is told of a surface alone."""
+LEAST = 1e-4
+"""Probabilities below that are left as they are."""
+MOST_HIDDEN = 32
+_SCHEMA, _VERSION = "graceful_plan.drop_network", 1
+_ARRAYS = ("told", "looks", "shapes", "first_bias", "second", "second_bias", "last", "last_bias")
+_MOST_BYTES = 1 << 20
+_MOST_WEIGHT = 1e4
+_FILE = Path(__file__).parent / "drop_network.npz"
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DropNetwork:
+    """The weights of a network; `DropNetwork.shipped()` and `DropNetwork.read(file)` get some.
+
+    | field       | meaning                                                       | unit | shape         |
+    |-------------|---------------------------------------------------------------|------|---------------|
+    | told        | first layer: weights of `TOLD`                                |      | hidden told   |
+    | looks       | first layer: weights of `LOOKS`                               |      | hidden looks  |
+    | shapes      | first layer: what each of `SHAPE_CLASSES` adds                |      | shape hidden  |
+    | first_bias  | biases of the first layer                                     |      | hidden        |
+    | second      | second layer                                                  |      | hidden hidden |
+    | second_bias | its biases                                                    |      | hidden        |
+    | last        | weights of the answer                                         |      | hidden        |
+    | last_bias   | bias of the answer                                            |      | 1             |
+    | bound       | logarithms of factors are within plus and minus that          |      |               |
+    | about       | where it comes from, as JSON values                           |      |               |
+
+    Raises:
+        ShapeError: If an array does not fit the others.
+    """
+
+    told: Array
+    looks: Array
+    shapes: Array
+    first_bias: Array
+    second: Array
+    second_bias: Array
+    last: Array
+    last_bias: Array
+    bound: float
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        h = len(self.last)
+        shapes = ((h, len(TOLD)), (h, len(LOOKS)), (len(SHAPE_CLASSES), h), (h,), (h, h), (h,), (h,), (1,))
+        for name, wanted in zip(_ARRAYS, shapes, strict=True):
+            if getattr(self, name).shape != wanted:
+                raise ShapeError(name, getattr(self, name).shape, str(wanted))
+
+    @classmethod
+    def shipped(cls) -> DropNetwork:
+        """Return the one that comes with the library; docs/learned-drops.md says what it is worth."""
+        return _shipped()
+
+    @classmethod
+    def read(cls, file: str | Path) -> DropNetwork:
+        """Read what `write` wrote.
+
+        Raises:
+            FormatError: If it is something else, of another version, too large, or has numbers that are none.
+        """
+        try:
+            return _read(Path(file))
+        except FormatError:
+            raise
+        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error,
+                NotImplementedError, RecursionError, ShapeError) as error:  # fmt: skip
+            raise FormatError(str(file), f"no network: {error}") from None
+
+    def write(self, file: str | Path) -> None:
+        """Write it as arrays in a NumPy archive, with a header of JSON that says where they come from."""
+        header = {"schema": _SCHEMA, "version": _VERSION, "told": TOLD, "looks": LOOKS, "shapes": SHAPE_CLASSES}
+        text = json.dumps({**header, "bound": self.bound, "about": dict(self.about)}, allow_nan=False)
+        with Path(file).open("wb") as out:
+            np.savez_compressed(out, header=np.array(text), **{name: getattr(self, name) for name in _ARRAYS})
+
+    def weights_for(self, tables: DropTables) -> Float[Array, " weights"]:
+        """Return all weights in the order of the core, with what does not change within a scene in the biases."""
+        biases = self.first_bias + self.shapes[tables.shape_class] + looks(tables) @ self.looks.T
+        parts = (self.told, self.second, self.second_bias, self.last, self.last_bias, biases)
+        return np.concatenate([np.ravel(part) for part in parts])
+
+    def log_factor(
+        self,
+        told: Float[Array, "*batch told"],
+        looks: Float[Array, "*batch looks"],
+        shape: Float[Array, "*batch shape"],
+    ) -> Float[Array, "*batch"]:
+        """Return the logarithm of the factor of the odds.
+
+        Args:
+            told: What the core says about states and surfaces.
+            looks: Of the surfaces, see `looks`.
+            shape: 1 for the shape class of what is carried, 0 for the others.
+        """
+        first = squash(told @ self.told.T + looks @ self.looks.T + shape @ self.shapes + self.first_bias)
+        second = squash(first @ self.second.T + self.second_bias)
+        return self.bound * squash(second @ self.last + self.last_bias[0])
+
+
+def squash(x: Array) -> Array:
+    """Return x/sqrt(1 + x^2)."""
+    return x / np.sqrt(1.0 + x * x)
+
+
+def corrected(P: Float[Array, "*batch"], log_factor: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Return probabilities with their odds multiplied by factors, given by their logarithms."""
+    factor = np.exp(log_factor * fade(P))
+    return P * factor / (1.0 - P + P * factor)
+
+
+def fade(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Return how much of a correction applies: none where there is hardly anything to correct."""
+    return np.where(P > LEAST, 1.0 - LEAST / np.maximum(P, LEAST), 0.0)
+
+
+def looks(tables: DropTables) -> Float[Array, "target looks"]:
+    """Return what each surface looks like, in units of the object's size."""
+    a, b = np.sort(tables.target_half, axis=1).T / tables.size
+    bottom, top = tables.target_height.T
+    carries = np.sqrt(tables.target_carries.prod(axis=1) / np.maximum(tables.target_half.prod(axis=1), 1e-12))
+    return np.stack([squash(a), squash(b), squash((top - bottom) / tables.size), np.minimum(carries, 1.0)], axis=1)
+
+
+@cache
+def _shipped() -> DropNetwork:
+    return DropNetwork.read(_FILE)
+
+
+def _read(file: Path) -> DropNetwork:
+    if file.stat().st_size > _MOST_BYTES:
+        raise FormatError(str(file), f"no network: more than {_MOST_BYTES} bytes")
+    with zipfile.ZipFile(file) as archive:
+        if sum(member.file_size for member in archive.infolist()) > _MOST_BYTES:
+            raise FormatError(str(file), f"no network: unpacked, more than {_MOST_BYTES} bytes")
+    with np.load(file, allow_pickle=False) as data:
+        header = json.loads(str(data["header"]))
+        arrays = {name: np.asarray(data[name], dtype=np.float64) for name in _ARRAYS}
+    expected: dict[str, object] = {"schema": _SCHEMA, "version": _VERSION, "told": list(TOLD), "looks": list(LOOKS)}
+    expected["shapes"] = list(SHAPE_CLASSES)
+    for key, wanted in expected.items():
+        if header[key] != wanted:
+            raise FormatError(str(file), f"{key} is {header[key]!r}, not {wanted!r}")
+    for name, values in arrays.items():
+        values.flags.writeable = False
+        if not np.all(np.abs(values) <= _MOST_WEIGHT):
+            raise FormatError(
+                str(file), f"{name} has entries that are not between -{_MOST_WEIGHT:g} and {_MOST_WEIGHT:g}"
+            )
+    if not 1 <= len(np.atleast_1d(arrays["last"])) <= MOST_HIDDEN:
+        raise FormatError(str(file), f"it has {len(arrays['last'])} units in a layer, not 1 to {MOST_HIDDEN}")
+    bound = float(header["bound"])
+    if not 0.0 <= bound <= 30.0:
+        raise FormatError(str(file), f"bound is {bound!r}, not between 0 and 30")
+    return DropNetwork(**arrays, bound=bound, about=dict(header["about"]))
