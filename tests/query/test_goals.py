@@ -11,11 +11,11 @@ import pytest
 import graceful_plan as gp
 from graceful_plan.exceptions import NonFiniteError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free, state_contacts
-from graceful_plan.query import usable as usable_module
 from graceful_plan.query.deadline.clock import Clock, Paces
 from graceful_plan.query.ends import find_ends
 from graceful_plan.query.goals import resolve_goal, resolve_start
-from graceful_plan.query.usable import MOST_GOALS
+from graceful_plan.query.states import usable as usable_module
+from graceful_plan.query.states.usable import MOST_GOALS
 from graceful_plan.scene.placement import Placement
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene

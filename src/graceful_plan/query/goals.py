@@ -17,7 +17,7 @@ from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.path import finite_array
 from graceful_plan.query.ik import solve_ik
-from graceful_plan.query.usable import Resolved, collision, usable
+from graceful_plan.query.states.usable import Resolved, collision, usable
 from graceful_plan.query.whole_body import solve_whole_body
 from graceful_plan.scene.mobile.base_pose import BasePose
 from graceful_plan.scene.placement import Placement

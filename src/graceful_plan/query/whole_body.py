@@ -17,8 +17,8 @@ import numpy as np
 
 from graceful_plan.array_types import Float, Int
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.query.escape import TARGET_CLEARANCE
 from graceful_plan.query.ik import FreeTest, IKResult, PoseSolver
+from graceful_plan.query.states.escape import TARGET_CLEARANCE
 from graceful_plan.scene.per_scene import per_layout
 from graceful_plan.scene.pose_goal import PoseGoal
 from graceful_plan.scene.scene import Scene

@@ -10,7 +10,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.path import Path
 from graceful_plan.query.ends import Ends
-from graceful_plan.query.escape import TARGET_CLEARANCE
+from graceful_plan.query.states.escape import TARGET_CLEARANCE
 
 Array = np.ndarray
 
