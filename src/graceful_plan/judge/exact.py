@@ -152,7 +152,8 @@ def nearest_pair(q: Float[Array, " nq"], scene: Scene) -> Contact | None:
     if min(away, default=_NEAR) >= _NEAR:
         return None
     nearest = int(np.argmin(away))
-    return judge.named(Touch(0, *sorted(pairs[nearest]), away[nearest]))
+    first, second = sorted(pairs[nearest])
+    return judge.named(Touch(0, first, second, away[nearest]))
 
 
 def exactly_free(q: Float[Array, "n nq"], scene: Scene) -> Bool[Array, " n"]:
