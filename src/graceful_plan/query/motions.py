@@ -54,7 +54,8 @@ _POINTS = (8, 16, 32)
 """Of a polyline through which a smooth curve follows it; with fewer, it keeps farther from the corners."""
 STRAYS = 0.005
 """Clearance that descents keep where there is room for it [m]: a healthy robot, and what is in its fingers, stray from
-the path by up to 6 mm (FailBench's Panda at half of its speed, six tasks), and with 3 mm a chart grazed a cabinet."""
+the path by up to 6 mm (FailBench's Panda at half of its speed, six tasks), and with 3 mm a chart grazed a cabinet. Not
+where a vessel is kept level: that is a clearance for the core, too, and J of a watering can rose by a third."""
 _ROOMY = 0.8
 """Of that, what a descent that ended with less is pressed for once more."""
 _LOOKED_AT = 1000
@@ -224,13 +225,14 @@ def motion_descents(request: Request, problem: SceneProblem, effort: Effort) -> 
         return is_free
 
     ends = problem.kernels.clearance(np.vstack([problem.start, problem.goals]))
-    keeping = replace(problem, margin=max(problem.margin, min(STRAYS, 0.5 * float(ends.min()))))
+    wanted = 0.0 if request.constraints.level else min(STRAYS, 0.5 * float(ends.min()))
+    keeping = replace(problem, margin=max(problem.margin, wanted))
     return MotionDescents(
         space=native_space(keeping, objective),
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=keeps(0.5 * problem.margin),
-        has_room=keeps(_ROOMY * keeping.margin),
+        has_room=keeps(_ROOMY * keeping.margin if wanted else 0.0),
         felt=request.constraints.charged,
         careful=request.constraints.level,
         counts_points=objective.objective.exposure == "waypoints",
