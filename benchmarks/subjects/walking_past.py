@@ -178,14 +178,22 @@ def run(options: suite.Options) -> str:
                 f"{max((one.seconds for one in solved), default=np.nan):.1f}",
             ]
         )
-    less = means["nobody"][0] / max(means["in time"][0], 1e-9)
+    timely = {one.room: one.harm for one in found if one.plan == "in time" and one.status == "SOLVED"}
+    same = [(one.harm, timely[one.room]) for one in found if one.plan == "nobody" and one.room in timely]
+    before, after = np.array(same).reshape(-1, 2).sum(axis=0)
+    less = float(before) / max(float(after), 1e-9)
     targets = [
+        report.Target(
+            what="rooms crossed in time", wanted="100 %", measured=f"{len(timely)} of {len(jobs)}",
+            met=len(timely) == len(jobs),
+        ),
         report.Target(
             what="motions in time that drive into somebody", wanted="0", measured=str(means["in time"][1]),
             met=means["in time"][1] == 0,
         ),
         report.Target(
-            what="mean harm, as if nobody walked over in time", wanted=">= 3", measured=f"{less:.1f}", met=less >= 3.0
+            what="harm, as if nobody walked over in time, same rooms", wanted=">= 3", measured=f"{less:.1f}",
+            met=less >= 3.0,
         ),
     ]  # fmt: skip
     columns = ("harm per task, mean", "median", "by chance, mean", "duration s", "slowest plan s")

@@ -83,7 +83,7 @@ class PoseSession:
         while not self.budget.exhausted:
             if self.kind.name == _ROADMAP:
                 with quiet():
-                    planner.constructRoadmap(self._termination())
+                    planner.growRoadmapPtc(self._termination())
                 if planner.milestoneCount() < _GROWN * looked and not self.budget.exhausted:
                     continue
                 looked = planner.milestoneCount()
