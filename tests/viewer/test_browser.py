@@ -21,7 +21,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def viewer(browser_parts):
-    with gp.view("tabletop", task="lift_to_goal", port=8370) as viewer:
+    with gp.view("tabletop", task="lift_to_goal", port=8370, time_limit=3.0) as viewer:
         yield viewer
 
 
