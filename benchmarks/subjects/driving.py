@@ -11,8 +11,8 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
+from failbench.policies.driving import drive
 from failbench.wheels.coasting import coasted, drawn
-from failbench.wheels.driving import drive
 from failbench.wheels.wheeled import wheeled
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.coast.coast import Coast

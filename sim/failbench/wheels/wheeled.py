@@ -25,7 +25,8 @@ light wheels creep. With it the effective track of a Jackal is 1.5 times the rea
 _GAIN = 20.0
 """Of the wheels' speed controllers [N m s/rad]."""
 _UNDER = 0.002
-"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]."""
+"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]; all its radii are, or it
+would stand there too and carry half of the weight."""
 _PLANAR = 3
 """Planned joints of a base."""
 _FLOOR_BIT = 1 << 20
@@ -139,7 +140,7 @@ def wheeled(scene: Scene) -> Wheeled:
             name=f"wheels/{name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0], armature=ARMATURE
         )
         for geom in wheel.geoms:
-            geom.size[0] -= _UNDER
+            geom.size = [size - _UNDER * (abs(size - base.radius) < _UNDER) for size in geom.size]
         wheel.add_geom(
             name=f"wheels/{name}/tyre",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
+from failbench.policies.driving import drive
 from failbench.wheels.coasting import BaseFailure, coasted, drawn
-from failbench.wheels.driving import drive
 from failbench.wheels.wheeled import wheeled
 from graceful_plan.costs.models.coast.constants import WHEELS, CoastSettings
 from graceful_plan.exceptions import UnknownNameError, UnsupportedError

@@ -39,38 +39,68 @@ inline std::vector<FloorShape> floor_shapes(const Integers& entity, const Reals&
   return out;
 }
 
-// A base from above: discs in its frame, and a circle around them all.
+// A base from above: rectangles in its frame that may be rounded, and a circle around them all.
 class Footprint2d {
  public:
-  struct Disc {
-    double x, y, r;
-  };
-  explicit Footprint2d(const Reals& disc) {
-    require_numbers(disc, "discs of a base", kMaxExtent);
-    require(disc.size() > 0 && disc.size() % 3 == 0, "discs of a base");
-    for (size_t k = 0; k < disc.size(); k += 3) {
-      const double* d = disc.data() + k;
-      require(d[2] > 0, "radius of a disc");
-      disc_.push_back({d[0], d[1], d[2]});
-      reach_ = std::max(reach_, std::hypot(d[0], d[1]) + d[2]);
+  explicit Footprint2d(const Reals& outline) {
+    require_numbers(outline, "outline of a base", kMaxExtent);
+    require(outline.size() > 0 && outline.size() % 7 == 0, "outline of a base");
+    for (size_t k = 0; k < outline.size(); k += 7) {
+      const double* s = outline.data() + k;
+      require(s[4] >= 0 && s[5] >= 0 && s[6] >= 0, "size of a part of a base");
+      part_.push_back({-1, s[0], s[1], s[2], s[3], s[4], s[5], s[6], 0, 0});
+      within_.push_back(std::hypot(s[4], s[5]) + s[6]);
+      reach_ = std::max(reach_, std::hypot(s[0], s[1]) + within_.back());
     }
   }
   double reach() const { return reach_; }
   // Of the base at a place, with a heading of this cosine and sine, to a shape at a time.
   double distance(const FloorShape& shape, double x, double y, double c, double s, double time) const {
+    const double dx = shape.x + shape.vx * time - x, dy = shape.y + shape.vy * time - y;
+    const FloorShape seen{shape.entity, c * dx + s * dy, c * dy - s * dx, c * shape.ux + s * shape.uy,
+                          c * shape.uy - s * shape.ux, shape.a, shape.b, shape.round, 0, 0};
+    const double around = std::hypot(shape.a, shape.b) + shape.round;
     double d = std::numeric_limits<double>::infinity();
-    for (const Disc& one : disc_)
-      d = std::min(d, shape.distance(x + c * one.x - s * one.y, y + s * one.x + c * one.y, time) - one.r);
+    for (size_t k = 0; k < part_.size(); ++k) {
+      const double apart = std::hypot(seen.x - part_[k].x, seen.y - part_[k].y);
+      if (apart - within_[k] - around < d) d = std::min(d, between(part_[k], seen));
+    }
     return d;
   }
 
  private:
-  std::vector<Disc> disc_;
+  // Of two shapes that rest; where they overlap, minus the way that parts them.
+  static double between(const FloorShape& one, const FloorShape& other) {
+    if (other.a == 0 && other.b == 0) return one.distance(other.x, other.y, 0) - other.round;
+    if (one.a == 0 && one.b == 0) return other.distance(one.x, one.y, 0) - one.round;
+    const double apart = std::max(gap(one, other), gap(other, one));
+    const double corners = apart > 0 ? std::min(nearest(one, other), nearest(other, one)) : apart;
+    return corners - one.round - other.round;
+  }
+  // How far apart two rectangles are along the sides of the first.
+  static double gap(const FloorShape& one, const FloorShape& other) {
+    const double dx = other.x - one.x, dy = other.y - one.y;
+    const double c = std::fabs(one.ux * other.ux + one.uy * other.uy);
+    const double s = std::fabs(one.ux * other.uy - one.uy * other.ux);
+    return std::max(std::fabs(one.ux * dx + one.uy * dy) - one.a - c * other.a - s * other.b,
+                    std::fabs(one.ux * dy - one.uy * dx) - one.b - s * other.a - c * other.b);
+  }
+  // Distance of the corners of the second from the first.
+  static double nearest(const FloorShape& one, const FloorShape& other) {
+    double d = std::numeric_limits<double>::infinity();
+    for (const double a : {-other.a, other.a})
+      for (const double b : {-other.b, other.b})
+        d = std::min(d, one.distance(other.x + a * other.ux - b * other.uy, other.y + a * other.uy + b * other.ux, 0));
+    return d + one.round;
+  }
+
+  std::vector<FloorShape> part_;
+  std::vector<double> within_;  // circles around them
   double reach_ = 0;
 };
 
 struct CoastingArrays {
-  Reals disc;       // centre in the frame of the base (2), radius
+  Reals outline;    // parts of the base in its frame, as shapes: rectangles that may be rounded
   Reals stops;      // probability, deceleration, drag, delay, whether wheels are let go, curvature that is added
   Reals constants;  // speed that severities are for, position spread, drift, angle by rate squared once let go
   Reals share;      // probability of each of the tables of places
@@ -98,7 +128,7 @@ class Coasting {
     double x, y, yaw, v, omega;
   };
 
-  explicit Coasting(const CoastingArrays& of) : footprint_(of.disc) {
+  explicit Coasting(const CoastingArrays& of) : footprint_(of.outline) {
     require_numbers(of.stops, "ways to come to rest"), require_numbers(of.constants, 4, "constants of a base");
     require(of.stops.size() % kStop == 0, "ways to come to rest");
     for (size_t k = 0; k < of.stops.size(); k += kStop) {
