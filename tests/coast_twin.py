@@ -51,8 +51,7 @@ def _one_sided(batch, tables, settings):
 
 
 def _touch(tables, at, settings, way):
-    x, y, ch, sh = at
-    d = np.full((*np.shape(x), len(tables.shape)), np.inf)
+    d = np.full((*np.shape(at[0]), len(tables.shape)), np.inf)
     for part in tables.outline:
         d = np.minimum(d, _between(part, at, tables.shape))
     spread = np.hypot(settings.position_spread, settings.drift * way)[..., None]
@@ -111,7 +110,7 @@ def _ways(speed, stops):
 
 
 def _between(part, at, shape):
-    """Signed distance of a part of the base at some places to rounded rectangles; by corners, or how far they overlap."""
+    """Signed distance of a part of the base at places to rounded rectangles: by corners, or how far they overlap."""
     x, y, ch, sh = (np.asarray(value)[..., None] for value in at)
     own = _sides(x + ch * part[0] - sh * part[1], y + sh * part[0] + ch * part[1], ch * part[2] - sh * part[3],
                  sh * part[2] + ch * part[3], part[4], part[5])  # fmt: skip

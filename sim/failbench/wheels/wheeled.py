@@ -25,8 +25,8 @@ light wheels creep. With it the effective track of a Jackal is 1.5 times the rea
 _GAIN = 20.0
 """Of the wheels' speed controllers [N m s/rad]."""
 _UNDER = 0.002
-"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]; all its radii are, or it
-would stand there too and carry half of the weight."""
+"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]. All its radii are, or
+it would stand there too and carry half of the weight."""
 _PLANAR = 3
 """Planned joints of a base."""
 _FLOOR_BIT = 1 << 20
