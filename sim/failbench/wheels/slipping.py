@@ -7,7 +7,7 @@ import copy
 import mujoco
 import numpy as np
 
-from failbench.wheels.wheeled import TIMESTEP, Wheeled, wheeled
+from failbench.wheels.wheeled import TIMESTEP, Wheeled, on_endless_floor
 from graceful_plan import Scene
 from graceful_plan.control.diff_drive_controller import Pivot, Tracking
 from graceful_plan.scene.per_scene import per_scene
@@ -22,11 +22,11 @@ _BENDS = ((0.25, 0.5), (0.5, 0.3), (0.5, 0.8), (1.0, 0.3), (1.0, 0.8), (-0.5, 0.
 
 @per_scene
 def fitted_tracking(scene: Scene) -> Tracking:
-    """Return gains whose pivot is that of a scene's base; it is driven on an empty floor.
+    """Return gains whose pivot is that of a scene's base; it is driven on an empty floor without an end.
 
     Two wheels on one axle have their pivot there, whatever they carry: nothing is measured then.
     """
-    wheels = wheeled(scene)
+    wheels = on_endless_floor(scene)
     base = wheels.base
     if base.wheel_base == 0.0:
         return Tracking()
