@@ -105,7 +105,7 @@ def test_one_motor_drives_a_side(driven):
     assert robot.struck(("any",), rng)[0].tolist() in ([0, 1], [2, 3])
     angles = rolled(driven, fault("stuck_position", targets=LEFT))[:, 3:]
     turned = np.abs(angles[-1] - angles[0])
-    assert (turned[:2] < 0.02).all() and (turned[2:] > 0.3).all()  # against what the standing side makes of them
+    assert (turned[:2] < 0.02).all() and (turned[2:] > 1.0).all()  # against what the standing side makes of them
 
 
 def test_a_base_without_power_rolls_as_far_as_its_friction_lets_it(driven):
