@@ -73,7 +73,7 @@ def _family(batch, tables, settings, stops, which):
     met = np.concatenate([way[:, :1], 0.5 * (way[:, :-1] + way[:, 1:])], axis=1)
     left = 1.0 - (met[:, :, None] - free[:, None]) / np.maximum(braked, 1e-12)[:, None]
     worth = np.clip(left, 0.0, 1.0) * (speed**2)[:, :, None] / settings.reference_speed**2
-    energy = (stops[:, 0] * np.minimum(1.0, worth)).sum(axis=2)
+    energy = stops[:, 0] * np.minimum(1.0, worth)
     moves, sign = np.abs(v) > _STILL, np.sign(v)[:, None]
     bend = (np.where(moves, qd[:, 2], 0.0) / np.where(moves, v, 1.0))[:, None] * sign + added
     arc = np.where(bend != 0.0, most[:, None] / np.where(bend != 0.0, np.abs(bend), 1.0), np.inf)
@@ -90,7 +90,7 @@ def _family(batch, tables, settings, stops, which):
     for entity in range(P.shape[1]):
         before = np.maximum(wall, _met_before(touch, tables.entity, entity))
         own = touch[..., tables.entity == entity].max(axis=-1, initial=0.0)
-        P[:, entity] = (energy * (1.0 - before) * own).max(axis=1)
+        P[:, entity] = (energy * ((1.0 - before) * own)[:, :, None]).max(axis=1).sum(axis=1)
     return P
 
 

@@ -112,15 +112,16 @@ struct CoastingArrays {
 class Coasting {
   // Places of one way, in the order in which the base comes there.
   struct Place {
-    double at[4], time, spread, worth;
+    double at[4], time, spread;
   };
 
  public:
   // What is written to for each state.
   struct Work {
     Work(const Coasting& of, size_t n_entity)
-        : hit(n_entity), most(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
+        : hit(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
     std::vector<double> hit, most, met, free, braked, touched;
+    std::vector<double> worth;  // by place and stop: probability of the stop, times what a hit is worth there
     std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
   };
@@ -210,9 +211,12 @@ class Coasting {
     const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
     return 0.5 * std::erfc(d / spread * 0.7071067811865476);
   }
-  // Raise work.hit by what is met along a way before an obstacle stops the base. Obstacles are asked for only as far as
-  // there is somebody to be met.
+  // Raise work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth most,
+  // for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
   void meet(const std::vector<FloorShape>& shape, double share, Work& work) const {
+    if (work.place.empty()) return;
+    const size_t stops = work.worth.size() / work.place.size();
+    work.most.assign(work.hit.size() * stops, 0.0);
     size_t last = 0;
     work.touched.assign(work.place.size() * work.whom.size(), 0.0);
     for (size_t k = 0; k < work.place.size(); ++k) {
@@ -238,14 +242,18 @@ class Coasting {
           const size_t other = size_t(shape[work.whom[i]].entity);
           if (other != own) before = std::max(before, work.met[other]);
         }
-        work.most[own] = std::max(work.most[own], place.worth * (1 - before) * touches);
+        const double* worth = &work.worth[k * stops];
+        double* most = &work.most[own * stops];
+        for (size_t i = 0; i < stops; ++i) most[i] = std::max(most[i], worth[i] * ((1 - before) * touches));
       }
       for (size_t j = 0; j < n; ++j) {
         double& met = work.met[size_t(shape[work.whom[j]].entity)];
         met = std::max(met, work.touched[k * n + j]);
       }
     }
-    for (size_t e = 0; e < work.hit.size(); ++e) work.hit[e] += share * work.most[e], work.most[e] = 0;
+    if (last == 0) return;
+    for (size_t e = 0; e < work.hit.size(); ++e)
+      for (size_t i = 0; i < stops; ++i) work.hit[e] += share * work.most[e * stops + i];
   }
 
   // Follow an arc and what comes after it, and raise work.hit.
@@ -253,7 +261,7 @@ class Coasting {
     const double worth = way.speed * way.speed / (unit_ * unit_);
     const double arc = way.bend != 0 ? way.most / std::fabs(way.bend) : std::numeric_limits<double>::infinity();
     double time = 0, before = 0;
-    work.place.clear();
+    work.place.clear(), work.worth.clear();
     for (int k = 0; k < kSamples && kSpacing * (k - 1) < way.far; ++k) {
       const double done = std::min(way.far, kSpacing * k), curved = std::min(done, arc), straight = done - curved;
       const double turned = way.bend * curved, half = 0.5 * turned;
@@ -264,15 +272,20 @@ class Coasting {
       // What is touched at a place may have been met anywhere since the place before.
       const double met = k == 0 ? done : 0.5 * (done + kSpacing * (k - 1));
       double energy = 0, moving = 0, left_of = 0;
+      const size_t row = work.worth.size();
       for (size_t i = 0; i < stop_.size(); ++i) {
         if (stop_[i].bend != way.family.bend || (stop_[i].released != way.family.released && !way.alike)) continue;
         const double left = std::clamp(1 - (met - work.free[i]) / std::max(work.braked[i], 1e-12), 0.0, 1.0);
-        energy += stop_[i].p * std::min(1.0, left * worth);
+        work.worth.push_back(stop_[i].p * std::min(1.0, left * worth));
+        energy += work.worth.back();
         if (left > 0) moving += stop_[i].p, left_of += stop_[i].p * left;
       }
-      if (energy <= 0) break;
+      if (energy <= 0) {
+        work.worth.resize(row);
+        break;
+      }
       time += (done - before) / (way.speed * std::max(std::sqrt(left_of / moving), kSlowest)), before = done;
-      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done), energy});
+      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done)});
     }
     meet(shape, 1.0, work);
   }
@@ -283,7 +296,7 @@ class Coasting {
     const Node v = node(speeds_, std::fabs(q.v)), w = node(rates_, q.omega);
     const double sign = q.v < 0 ? -1 : 1, c = std::cos(q.yaw), s = std::sin(q.yaw);
     for (size_t f = 0; f < share_.size(); ++f) {
-      work.place.clear();
+      work.place.clear(), work.worth.clear();
       for (size_t k = 0; k < samples_; ++k) {
         double p[kPlace] = {};
         for (int i = 0; i < 2; ++i) {
@@ -296,11 +309,10 @@ class Coasting {
           }
         }
         const double x = sign * p[0], y = sign * p[1], ch = std::cos(q.yaw + p[2]), sh = std::sin(q.yaw + p[2]);
-        const double worth = std::min(1.0, p[3] * p[3] / (unit_ * unit_));
+        work.worth.push_back(std::min(1.0, p[3] * p[3] / (unit_ * unit_)));
         work.place.push_back({{q.x + c * x - s * y, q.y + s * x + c * y, ch, sh},
                               p[4],
-                              std::hypot(spread_, drift_ * std::hypot(x, y)),
-                              worth});
+                              std::hypot(spread_, drift_ * std::hypot(x, y))});
       }
       meet(shape, share_[f], work);
     }

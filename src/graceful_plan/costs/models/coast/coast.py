@@ -11,7 +11,7 @@ what severities are worth: :math:`\min(1, e v^2 / u^2)`, with u the speed that t
 what its geoms are, rectangles that may be rounded; whether one of them touches a shape at a distance d is uncertain by
 :math:`\sigma(s)`: the position spread, and the drift times s. With the probabilities :math:`p_i` of the ways,
 
-.. math:: P = \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \sum_i p_i \min(1, e_i(s) v^2 / u^2)
+.. math:: P = \sum_i p_i \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \min(1, e_i(s) v^2 / u^2)
 
 where B is the probability that no obstacle and nobody else has stopped it before. P is the probability of a hit, times
 the share of the severity that its energy is worth. Bases of which one side fails go where
