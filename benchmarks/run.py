@@ -59,6 +59,7 @@ SUBJECTS = (
     "transcription",
     "moving_entities",
     "driving",
+    "mobile_prevention",
     "whole_body",
     "base_failures",
     "clutter",
@@ -82,6 +83,7 @@ ON_REQUEST = frozenset(
         "lattice",
         "floor_maps",
         "policies",
+        "mobile_prevention",
     }
 )
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""
