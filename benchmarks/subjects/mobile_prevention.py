@@ -22,8 +22,8 @@ LEAST = 0.1
 """Hits that count where none was seen."""
 MEASURED = f"""\
 Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with what is carried, and {PLANS} generated floors
-(`floor_plan`, three by two rooms, {PEOPLE} who may be harmed), which a Jackal crosses with nothing aboard. No constant was
-fitted on either. Each is planned in {SECONDS:g} s with w = 0 and with the default weight, executed in FailBench on
+(`floor_plan`, three by two rooms, {PEOPLE} who may be harmed), which a Jackal crosses with nothing aboard. No constant
+was fitted on either. Each is planned in {SECONDS:g} s with w = 0 and with the default weight, executed in FailBench on
 wheels that turn, and fails {FAILURES} times with each fault that its robot can have, degree "{DEGREE}", the same onsets
 (as quantiles) and random numbers for both motions, watched for {HORIZON:g} s. Harm is that of `validate`: what the
 body of the base hits counts by the square of its speed up to 1 m/s, what is carried by what it falls on, the loss of
@@ -147,4 +147,4 @@ def _targets(found: Sequence[Prevented]) -> Iterator[report.Target]:
         met=bool(mean[0] >= 5 * mean[1]),
     )
     worse = sum(one.worse for one in done)
-    yield report.Target(what="worse than at w = 0", wanted="none", measured=str(worse), met=worse == 0)
+    yield report.none_of("worse than at w = 0", worse, "none")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.control.drive_state import DriveCommand, DriveState, wrapped
+from graceful_plan.control.drive_state import DriveCommand, DriveState, check_numbers, wrapped
 from graceful_plan.exceptions import SettingError
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
@@ -110,10 +110,7 @@ class Tracking:
     share: float = 0.6
 
     def __post_init__(self) -> None:
-        for name in ("k_x", "k_y", "k_h", "k_rate", "k_integral", "lead", "share"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SettingError(f"Tracking.{name}", value, "a finite number of at least 0")
+        check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "lead", "share"))
 
     def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:
         """Return what leads to a state that moves on, before the measured rate of turning counts.
