@@ -210,7 +210,7 @@ class _Loop:
 
     def _turn_wheels(self, data: mujoco.MjData, command: DriveCommand) -> None:
         state = DriveState(0.0, 0.0, 0.0, 0.0, float(data.qvel[self.wheels.dof + 5]))
-        self._summed += TIMESTEP * (command.omega - state.omega)
+        self._summed = self.follower.gains.summed(self._summed, command, state, TIMESTEP)
         told = self.follower.gains.held(command, state, self._summed)
         data.ctrl[self.wheels.motor] = self.wheels.wheel_rates(told.v, told.omega)
 

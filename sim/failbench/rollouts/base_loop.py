@@ -141,7 +141,7 @@ class BaseLoop:
         x, y, yaw, v, omega = plan.rolling.drives(qpos, qvel)
         state = DriveState(*self._place((x, y, yaw)), v, omega)
         command = self.follower.command(state, step)
-        self.summed += TICK * plan.dt * (command.omega - omega)
+        self.summed = self.follower.gains.summed(self.summed, command, state, TICK * plan.dt)
         told = self.follower.gains.held(command, state, self.summed)
         half = len(plan.wheel) // 2
         side = np.concatenate([-np.ones(half), np.ones(half)])

@@ -57,8 +57,9 @@ def steady_drive(scene: Scene, v: float, omega: float) -> Steady:
     asked = DriveCommand(v, omega)
     for _ in range(int(_STEADY / TIMESTEP)):
         turning = float(data.qvel[wheels.dof + 5])
-        summed += TIMESTEP * (omega - turning)
-        told = gains.held(asked, DriveState(0.0, 0.0, 0.0, v, turning), summed)
+        state = DriveState(0.0, 0.0, 0.0, v, turning)
+        summed = gains.summed(summed, asked, state, TIMESTEP)
+        told = gains.held(asked, state, summed)
         data.ctrl[wheels.motor] = wheels.wheel_rates(told.v, told.omega)
         mujoco.mj_step(model, data)
     _, _, yaw = wheels.pose(data)

@@ -54,6 +54,10 @@ def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: flo
     return DriveCommand(min(max(v, -room), room), omega)
 
 
+_WINDS = 0.15
+"""Greatest integral of the rate of turning that is missed [rad]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Pivot:
     r"""Where a base has no sideways speed: ahead of its origin by :math:`p_0 + p_1 v |\omega| / (|v \omega| + a)`.
@@ -101,11 +105,11 @@ class Tracking:
     """
 
     k_x: float = 6.0
-    k_y: float = 60.0
+    k_y: float = 120.0
     k_h: float = 15.0
     k_rate: float = 2.0
     k_integral: float = 10.0
-    lead: float = 0.0
+    lead: float = 0.05
     pivot: Pivot = Pivot()
     share: float = 0.6
 
@@ -132,6 +136,19 @@ class Tracking:
         v = wanted.v * math.cos(heading - slant) + self.k_x * along
         pull = wanted.v * self.k_y * across + (abs(wanted.v) * self.k_h + self.k_x) * math.sin(heading)
         return DriveCommand(v, wanted.omega + pull)
+
+    def summed(self, before: float, command: DriveCommand, state: DriveState, dt: float) -> float:
+        """Return the integral of commanded minus measured rate of turning a time later [rad].
+
+        It stops growing where it asks for more than slip ever does: motors at their limit would wind it up.
+
+        Args:
+            before: What it was.
+            command: What the base should do.
+            state: What it does.
+            dt: Time [s].
+        """
+        return min(max(before + dt * (command.omega - state.omega), -_WINDS), _WINDS)
 
     def held(self, command: DriveCommand, state: DriveState, summed: float) -> DriveCommand:
         """Return what to tell the wheels so that the base turns as commanded, though it slips.
