@@ -42,13 +42,13 @@ def laden(half_width, half_height):
 
 
 def straight(scene):
-    """Four metres ahead at up to 2 m/s: ends alone are planned between."""
-    return gp.plan([0.0, 0.0, 0.0], gp.BasePose(4.0, 0.0, 0.0), scene, w=0.0, iterations=300, constraints=())
+    """Four metres ahead at up to 1 m/s."""
+    return gp.plan([0.0, 0.0, 0.0], gp.BasePose(4.0, 0.0, 0.0), scene, w=0.0, iterations=300, speed=0.5, constraints=())
 
 
 @pytest.mark.parametrize(("half_width", "falls"), [(0.03, True), (0.12, False)])
 def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide(half_width, falls):
-    """A block tips where the deceleration over gravity exceeds its width over its height: 0.25 and 1 here, and 0.6."""
+    """A block tips where deceleration over gravity exceeds its width over its height: 0.25 and 1 here, and 0.6."""
     half_height = 0.12
     scene = laden(half_width, half_height)
     execution = execute(straight(scene), build_world(scene))
@@ -57,11 +57,10 @@ def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide
     locked = fb.faults()["stuck_position"](degree="critical", targets=("all",))
     onsets = [0.4 * execution.duration, 0.5 * execution.duration]
     for rollout in run(execution, [Job(fault=locked, onset=t, seed=0) for t in onsets], horizon=1.5):
+        _, x, y, _ = rollout.poses["load"][:4]
+        upright = 1.0 - 2.0 * (x**2 + y**2)  # of its axis, how much is upwards
         assert rollout.status == "completed" and rollout.dropped == falls
-        if falls:  # ahead, to the floor, with no more energy than it had on the deck
-            landing, start = rollout.landings[0], execution.planned(np.array([rollout.onset]))[0, 0]
-            assert landing.position[0] > start + 0.3 and landing.position[2] < 0.02
-            assert 0.05 < landing.energy < 0.5 * (2.0**2 / 2.0 + 9.81 * (0.2475 + half_height))
+        assert abs(upright) < 0.2 if falls else upright > 0.95  # it lies on its side
 
 
 @pytest.mark.long
