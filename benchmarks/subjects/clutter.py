@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.mobile import standing
-from failbench.policies.driving import drive
+from failbench.policies.bases.driving import drive
 from graceful_plan.control.drive_state import DriveState
 from graceful_plan.control.dwa import DWA, seen
 from graceful_plan.floor.lattice import LatticeSettings, StateLattice

@@ -11,7 +11,7 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from benchmarks.mobile import standing
-from failbench.policies.driving import drive
+from failbench.policies.bases.driving import drive
 from failbench.wheels.coasting import coasted, drawn
 from failbench.wheels.wheeled import wheeled
 from graceful_plan.costs.cost import moving_batch

@@ -14,7 +14,7 @@ import numpy as np
 
 from failbench.simulated.rolling import Rolling
 from failbench.simulated.world import World
-from failbench.wheels.following import Controller, Course, Follower, check_course, timed, untimed
+from failbench.wheels.following import Controller, Course, CourseFollower, check_course, timed, untimed
 from failbench.wheels.slipping import fitted_tracking
 from graceful_plan import Scene, Trajectory
 from graceful_plan.array_types import Float
@@ -115,13 +115,13 @@ class BaseLoop:
     angles: Float[Array, " wheel"]
     summed: float = 0.0
     misread: Misreadings | None = None
-    follower: Follower = field(init=False)
+    follower: CourseFollower = field(init=False)
     _believed: tuple[float, float, float] | None = field(default=None, init=False)
     _before: tuple[tuple[float, float, float], Array] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         plan = self.plan
-        self.follower = Follower(plan.controller, plan.course, plan.scene, plan.dt, TICK * plan.dt)
+        self.follower = CourseFollower(plan.controller, plan.course, plan.scene, plan.dt, TICK * plan.dt)
 
     def arrived(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> bool:
         """Whether a path that is not followed in time is done."""

@@ -78,7 +78,7 @@ def check_course(controller: Controller, course: Course) -> None:
 
 
 @dataclass(eq=False)
-class Follower:
+class CourseFollower:
     """A controller on its way.
 
     Args:

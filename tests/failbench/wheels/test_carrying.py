@@ -57,7 +57,7 @@ def test_what_stands_on_a_base_tips_over_if_it_is_stopped_harder_than_it_is_wide
     locked = fb.faults()["stuck_position"](degree="critical", targets=("all",))
     onsets = [0.4 * execution.duration, 0.5 * execution.duration]
     for rollout in run(execution, [Job(fault=locked, onset=t, seed=0) for t in onsets], horizon=1.5):
-        _, x, y, _ = rollout.poses["load"][:4]
+        _, x, y, _ = rollout.poses["carried"][:4]
         upright = 1.0 - 2.0 * (x**2 + y**2)  # of its axis, how much is upwards
         assert rollout.status == "completed" and rollout.dropped == falls
         assert abs(upright) < 0.2 if falls else upright > 0.95  # it lies on its side

@@ -59,8 +59,8 @@ void bind_control(nb::module_& m) {
             new (self) DynamicWindow({outline, stops, constants, share, speeds, rates, places}, limits_of(limits),
                                      settings_of(settings, n_v, n_omega));
           },
-          nb::kw_only(), "outline"_a, "stops"_a, "constants"_a, "share"_a, "speeds"_a, "rates"_a, "places"_a, "limits"_a,
-          "settings"_a, "n_v"_a, "n_omega"_a)
+          nb::kw_only(), "outline"_a, "stops"_a, "constants"_a, "share"_a, "speeds"_a, "rates"_a, "places"_a,
+          "limits"_a, "settings"_a, "n_v"_a, "n_omega"_a)
       .def("choose", &choose, nb::kw_only(), "state"_a, "path"_a, "entity"_a, "shape"_a, "velocity"_a, "severity"_a,
            "every"_a = false);
 }

@@ -57,8 +57,16 @@ class Footprint2d {
   // Of the base at a place, with a heading of this cosine and sine, to a shape at a time.
   double distance(const FloorShape& shape, double x, double y, double c, double s, double time) const {
     const double dx = shape.x + shape.vx * time - x, dy = shape.y + shape.vy * time - y;
-    const FloorShape seen{shape.entity, c * dx + s * dy, c * dy - s * dx, c * shape.ux + s * shape.uy,
-                          c * shape.uy - s * shape.ux, shape.a, shape.b, shape.round, 0, 0};
+    const FloorShape seen{shape.entity,
+                          c * dx + s * dy,
+                          c * dy - s * dx,
+                          c * shape.ux + s * shape.uy,
+                          c * shape.uy - s * shape.ux,
+                          shape.a,
+                          shape.b,
+                          shape.round,
+                          0,
+                          0};
     const double around = std::hypot(shape.a, shape.b) + shape.round;
     double d = std::numeric_limits<double>::infinity();
     for (size_t k = 0; k < part_.size(); ++k) {
@@ -118,10 +126,9 @@ class Coasting {
  public:
   // What is written to for each state.
   struct Work {
-    Work(const Coasting& of, size_t n_entity)
-        : hit(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
+    Work(const Coasting& of, size_t n_entity) : hit(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
     std::vector<double> hit, most, met, free, braked, touched;
-    std::vector<double> worth;  // by place and stop: probability of the stop, times what a hit is worth there
+    std::vector<double> worth;       // by place and stop: probability of the stop, times what a hit is worth there
     std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
   };
@@ -211,8 +218,8 @@ class Coasting {
     const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
     return 0.5 * std::erfc(d / spread * 0.7071067811865476);
   }
-  // Raise work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth most,
-  // for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
+  // Raise work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth
+  // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
   void meet(const std::vector<FloorShape>& shape, double share, Work& work) const {
     if (work.place.empty()) return;
     const size_t stops = work.worth.size() / work.place.size();
@@ -310,9 +317,8 @@ class Coasting {
         }
         const double x = sign * p[0], y = sign * p[1], ch = std::cos(q.yaw + p[2]), sh = std::sin(q.yaw + p[2]);
         work.worth.push_back(std::min(1.0, p[3] * p[3] / (unit_ * unit_)));
-        work.place.push_back({{q.x + c * x - s * y, q.y + s * x + c * y, ch, sh},
-                              p[4],
-                              std::hypot(spread_, drift_ * std::hypot(x, y))});
+        work.place.push_back(
+            {{q.x + c * x - s * y, q.y + s * x + c * y, ch, sh}, p[4], std::hypot(spread_, drift_ * std::hypot(x, y))});
       }
       meet(shape, share_[f], work);
     }

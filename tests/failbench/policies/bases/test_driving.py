@@ -5,7 +5,7 @@ import pytest
 
 import failbench as fb
 import graceful_plan as gp
-from failbench.policies.driving import drive
+from failbench.policies.bases.driving import drive
 from failbench.rollouts.execution import execute
 from failbench.simulated.world import build_world
 from graceful_plan.control.pure_pursuit import PurePursuit

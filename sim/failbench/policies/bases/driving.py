@@ -18,7 +18,7 @@ from failbench.wheels.following import (
     THERE,
     Controller,
     Course,
-    Follower,
+    CourseFollower,
     check_course,
     thinned,
     timed,
@@ -109,7 +109,7 @@ def drive(
         raise SettingError("start", start, "None where something fails: the motion begins where it begins")
     q0, course = _course(motion, scene, chosen, start, seconds)
     wheels = wheeled(bare)
-    loop = _Loop(wheels, Follower(chosen, course, bare, TIMESTEP))
+    loop = _Loop(wheels, CourseFollower(chosen, course, bare, TIMESTEP))
     rows = list(loop.run(wheels.placed(q0, 0.0, 0.0)))
     driven = _driven(rows, loop)
     if not faults:
@@ -181,7 +181,7 @@ def _along(path: Float[Array, "n 2"], q0: Float[Array, " nq"], scene: Scene) -> 
 class _Loop:
     """A controller and the simulation that it is closed with."""
 
-    def __init__(self, wheels: Wheeled, follower: Follower) -> None:
+    def __init__(self, wheels: Wheeled, follower: CourseFollower) -> None:
         self.wheels, self.follower = wheels, follower
         self.touched: dict[str, float] = {}
         self._summed = 0.0
