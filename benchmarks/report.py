@@ -38,6 +38,16 @@ def targets(rows: Iterable[Target]) -> str:
     return table(("target", "wanted", "measured", "met"), [(t.what, t.wanted, t.measured, words[t.met]) for t in rows])
 
 
+def all_done(what: str, done: int, of: int, wanted: str = "all") -> Target:
+    """Return the target that something is done in all cases."""
+    return Target(what=what, wanted=wanted, measured=f"{done} of {of}", met=done == of)
+
+
+def none_of(what: str, found: int, wanted: str = "0") -> Target:
+    """Return the target that something never happens."""
+    return Target(what=what, wanted=wanted, measured=str(found), met=found == 0)
+
+
 def quantity(value: float, unit: str = "", digits: int = 3) -> str:
     """Format a number to some significant digits; "none" for infinity and NaN."""
     if not math.isfinite(value):

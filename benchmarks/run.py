@@ -61,6 +61,7 @@ SUBJECTS = (
     "moving_entities",
     "walking_past",
     "driving",
+    "mobile_prevention",
     "whole_body",
     "base_failures",
     "clutter",
@@ -87,6 +88,7 @@ ON_REQUEST = frozenset(
         "lattice",
         "floor_maps",
         "policies",
+        "mobile_prevention",
     }
 )
 """Run only when named: one takes the better part of an hour and is to be done before `planners`, the other hours."""

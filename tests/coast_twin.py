@@ -51,10 +51,9 @@ def _one_sided(batch, tables, settings):
 
 
 def _touch(tables, at, settings, way):
-    x, y, ch, sh = at
-    d = np.full((*np.shape(x), len(tables.shape)), np.inf)
-    for bx, by, r in tables.disc:
-        d = np.minimum(d, _distance(np.stack([x + ch * bx - sh * by, y + sh * bx + ch * by]), tables.shape) - r)
+    d = np.full((*np.shape(at[0]), len(tables.shape)), np.inf)
+    for part in tables.outline:
+        d = np.minimum(d, _between(part, at, tables.shape))
     spread = np.hypot(settings.position_spread, settings.drift * way)[..., None]
     return 0.5 * erfc(d / spread / np.sqrt(2.0))
 
@@ -74,7 +73,7 @@ def _family(batch, tables, settings, stops, which):
     met = np.concatenate([way[:, :1], 0.5 * (way[:, :-1] + way[:, 1:])], axis=1)
     left = 1.0 - (met[:, :, None] - free[:, None]) / np.maximum(braked, 1e-12)[:, None]
     worth = np.clip(left, 0.0, 1.0) * (speed**2)[:, :, None] / settings.reference_speed**2
-    energy = (stops[:, 0] * np.minimum(1.0, worth)).sum(axis=2)
+    energy = stops[:, 0] * np.minimum(1.0, worth)
     moves, sign = np.abs(v) > _STILL, np.sign(v)[:, None]
     bend = (np.where(moves, qd[:, 2], 0.0) / np.where(moves, v, 1.0))[:, None] * sign + added
     arc = np.where(bend != 0.0, most[:, None] / np.where(bend != 0.0, np.abs(bend), 1.0), np.inf)
@@ -91,7 +90,7 @@ def _family(batch, tables, settings, stops, which):
     for entity in range(P.shape[1]):
         before = np.maximum(wall, _met_before(touch, tables.entity, entity))
         own = touch[..., tables.entity == entity].max(axis=-1, initial=0.0)
-        P[:, entity] = (energy * (1.0 - before) * own).max(axis=1)
+        P[:, entity] = (energy * ((1.0 - before) * own)[:, :, None]).max(axis=1).sum(axis=1)
     return P
 
 
@@ -110,10 +109,45 @@ def _ways(speed, stops):
     return speed * delay, np.where(k > 0.0, dragged, speed**2 / (2.0 * a))
 
 
-def _distance(at, shape):
-    """Signed distance of points to rounded rectangles; inside of a rectangle minus the way to its nearest side."""
-    ux, uy = shape[:, 2], shape[:, 3]
-    dx, dy = at[0][..., None] - shape[:, 0], at[1][..., None] - shape[:, 1]
-    ex, ey = np.abs(ux * dx + uy * dy) - shape[:, 4], np.abs(-uy * dx + ux * dy) - shape[:, 5]
-    outside = np.hypot(np.maximum(ex, 0.0), np.maximum(ey, 0.0))
-    return outside + np.minimum(np.maximum(ex, ey), 0.0) - shape[:, 6]
+def _between(part, at, shape):
+    """Signed distance of a part of the base at places to rounded rectangles: by corners, or how far they overlap."""
+    x, y, ch, sh = (np.asarray(value)[..., None] for value in at)
+    own = _sides(x + ch * part[0] - sh * part[1], y + sh * part[0] + ch * part[1], ch * part[2] - sh * part[3],
+                 sh * part[2] + ch * part[3], part[4], part[5])  # fmt: skip
+    other = _sides(*shape[:, :6].T)
+    corners = np.minimum(_nearest(own, other), _nearest(other, own))
+    overlap = np.maximum(_gap(own, other), _gap(other, own))
+    point = ~part[4:6].any() | ~shape[:, 4:6].any(axis=1)
+    return np.where(point | (overlap > 0.0), corners, overlap) - part[6] - shape[:, 6]
+
+
+def _sides(x, y, ux, uy, a, b):
+    return {"centre": (x, y), "axes": ((ux, uy), (-uy, ux)), "half": (a, b)}
+
+
+def _along(one, dx, dy):
+    return [np.abs(ux * dx + uy * dy) for ux, uy in one["axes"]]
+
+
+def _nearest(one, other):
+    """Least signed distance of the other's corners from one."""
+    found = np.inf
+    (x, y), ((ux, uy), (wx, wy)), (a, b) = other["centre"], other["axes"], other["half"]
+    for s in (-1.0, 1.0):
+        for t in (-1.0, 1.0):
+            way = x + s * a * ux + t * b * wx - one["centre"][0], y + s * a * uy + t * b * wy - one["centre"][1]
+            ex, ey = (far - half for far, half in zip(_along(one, *way), one["half"], strict=True))
+            outside = np.hypot(np.maximum(ex, 0.0), np.maximum(ey, 0.0))
+            found = np.minimum(found, outside + np.minimum(np.maximum(ex, ey), 0.0))
+    return found
+
+
+def _gap(one, other):
+    """How far apart they are along the sides of one."""
+    way = other["centre"][0] - one["centre"][0], other["centre"][1] - one["centre"][1]
+    wide = [
+        sum(h * abs(ux * vx + uy * vy) for h, (vx, vy) in zip(other["half"], other["axes"], strict=True))
+        for ux, uy in one["axes"]
+    ]
+    apart = [far - half - w for far, half, w in zip(_along(one, *way), one["half"], wide, strict=True)]
+    return np.maximum(*apart)

@@ -28,7 +28,14 @@ ARM = """
 """
 
 
-def hall(base: gp.DiffDrive | None = BASE, *, walls: str = WALLS, arm: bool = False, extra: str = "") -> gp.Scene:
+def hall(
+    base: gp.DiffDrive | None = BASE,
+    *,
+    walls: str = WALLS,
+    arm: bool = False,
+    extra: str = "",
+    entities: dict[str, str] | None = None,
+) -> gp.Scene:
     """Make the hall: 12 m long, 4 m wide, a person beside the middle."""
     wheels = "".join(
         f'<geom type="cylinder" size=".098 .02" pos="{x} {y} .098" euler="1.5708 0 0" mass=".477"/>'
@@ -60,7 +67,7 @@ def hall(base: gp.DiffDrive | None = BASE, *, walls: str = WALLS, arm: bool = Fa
         velocity=[1.5] if arm else (None if base is not None else [2.0, 2.0, 4.0]),
         acceleration=[3.0] if arm else (None if base is not None else [2.0, 2.0, 6.0]),
         body_class="base_coast",
-        entities={"person": "adult"},
+        entities={"person": "adult"} if entities is None else entities,
         keyframes={"west": [-4.0, 0.0, 0.0, *rest], "east": [4.0, 0.0, 0.0, *rest]},
         allowed_contacts=[gp.AllowedContact("cart/base", "floor")],
     )

@@ -10,6 +10,7 @@ import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
+from benchmarks.mobile import standing
 from failbench.wheels.coasting import BaseFailure, coasted, coasting, drawn
 from failbench.wheels.wheeled import Wheeled, wheeled
 from graceful_plan.costs.cost import moving_batch
@@ -82,18 +83,8 @@ def world(robot: str, seed: int) -> tuple[gp.Scene, Array, Array]:
             bodies.append(
                 f'<body name="e{len(bodies)}" pos="{place}"><geom type="cylinder" size="{radius} .1"/></body>'
             )
-    floor = '<geom name="floor" type="plane" size="40 40 .1"/>'
-    whole = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{floor}{''.join(bodies)}</worldbody></mujoco>")
-    whole.attach(spec, prefix=prefix, frame=whole.worldbody.add_frame())
-    scene = gp.Scene.from_mjcf(
-        whole,
-        robot=prefix,
-        tool=f"{prefix}{'tool' if robot == 'fetch' else 'base'}",
-        base=base,
-        body_class="base_coast",
-        entities={f"e{k}": "adult" for k in range(ENTITIES)},
-        allowed_contacts=[gp.AllowedContact(f"{prefix}base", "floor")],
-    )
+    name = prefix.rstrip("/")
+    scene = standing("".join(bodies), name, entities={f"e{k}": "adult" for k in range(ENTITIES)}, base=base, spec=spec)
     arm = TUCKED if robot == "fetch" else ()
     q = np.array([0.0, 0.0, 0.0, *arm])
     qd = np.array([v, 0.0, omega, *np.zeros(len(arm))])

@@ -6,18 +6,17 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from failbench.wheels.driving import drive
+from benchmarks.mobile import standing
+from failbench.policies.bases.driving import drive
 from graceful_plan.control.drive_state import DriveState
 from graceful_plan.control.dwa import DWA, seen
 from graceful_plan.floor.lattice import LatticeSettings, StateLattice
 from graceful_plan.floor.reeds_shepp import Steering
-from graceful_plan.scene.loading.robot_models import robot_file
 from graceful_plan.scene.mobile.known_bases import known_base
 
 Array = np.ndarray
@@ -131,20 +130,8 @@ def _scene(centres: Array) -> gp.Scene:
         f'<geom type="box" size="{0.5 * whole} .05 .3" pos="{0.5 * whole} {side * (0.5 * WIDTH + 0.05)} .3"/>'
         for side in (-1, 1)
     )
-    spec = mujoco.MjSpec.from_string(
-        '<mujoco><worldbody><geom name="floor" type="plane" size="30 30 .1"/>'
-        f'<body name="posts">{posts}</body><body name="walls">{walls}</body></worldbody></mujoco>'
-    )
-    spec.attach(mujoco.MjSpec.from_file(str(robot_file("jackal"))), prefix="jackal/", frame=spec.worldbody.add_frame())
-    return gp.Scene.from_mjcf(
-        spec,
-        robot="jackal/",
-        tool="jackal/base",
-        base=replace(known_base("jackal"), v_max=SPEED),
-        body_class="base_coast",
-        entities={},
-        allowed_contacts=[gp.AllowedContact("jackal/base", "floor")],
-    )
+    base = replace(known_base("jackal"), v_max=SPEED)
+    return standing(f'<body name="posts">{posts}</body><body name="walls">{walls}</body>', base=base)
 
 
 def cross(job: tuple[int, int, DWA]) -> Crossed:

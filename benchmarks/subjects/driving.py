@@ -6,19 +6,17 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
+from benchmarks.mobile import standing
+from failbench.policies.bases.driving import drive
 from failbench.wheels.coasting import coasted, drawn
-from failbench.wheels.driving import drive
 from failbench.wheels.wheeled import wheeled
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.costs.models.coast.constants import CoastSettings
-from graceful_plan.scene.loading.robot_models import robot_file
-from graceful_plan.scene.mobile.known_bases import known_base
 
 Array = np.ndarray
 
@@ -77,7 +75,8 @@ def room(seed: int) -> tuple[gp.Scene, Array, Array]:
         way = ends[1, :2] - ends[0, :2]
         if np.linalg.norm(way) < 6.0:
             continue
-        scene = _scene([*_walls(half), *_boxes(rng, half), *_entities(rng, ends[0, :2], way)])
+        bodies = "".join([*_walls(half), *_boxes(rng, half), *_entities(rng, ends[0, :2], way)])
+        scene = standing(bodies, entities={name: name for name in CLASSES})
         if (gp.clearance(scene, ends) > 0.05).all():
             return scene, ends[0], ends[1]
 
@@ -100,23 +99,6 @@ def _entities(rng: np.random.Generator, start: Array, way: Array) -> Iterator[st
     for name in CLASSES:
         x, y = start + rng.uniform(0.15, 0.85) * way + rng.uniform(-BESIDE, BESIDE) * across
         yield f'<body name="{name}" pos="{x} {y} .5"><geom type="cylinder" size="{RADIUS[name]} .5"/></body>'
-
-
-def _scene(bodies: Sequence[str]) -> gp.Scene:
-    spec = mujoco.MjSpec.from_string(
-        '<mujoco><compiler angle="radian"/><worldbody><geom name="floor" type="plane" size="20 20 .1"/>'
-        f"{''.join(bodies)}</worldbody></mujoco>"
-    )
-    spec.attach(mujoco.MjSpec.from_file(str(robot_file("jackal"))), prefix="jackal/", frame=spec.worldbody.add_frame())
-    return gp.Scene.from_mjcf(
-        spec,
-        robot="jackal/",
-        tool="jackal/base",
-        base=known_base("jackal"),
-        body_class="base_coast",
-        entities={name: name for name in CLASSES},
-        allowed_contacts=[gp.AllowedContact("jackal/base", "floor")],
-    )
 
 
 def examine(job: tuple[int, float, int]) -> Driven:
@@ -219,9 +201,7 @@ def _row(w: float, found: Sequence[Driven]) -> list[str]:
 
 def _targets(found: Sequence[Driven]) -> Iterator[report.Target]:
     solved = [one for one in found if one.harm]
-    yield report.Target(
-        what="motions planned", wanted="100 %", measured=f"{len(solved)} of {len(found)}", met=len(solved) == len(found)
-    )
+    yield report.all_done("motions planned", len(solved), len(found), "100 %")
     side = max(one.sideways for one in solved)
     yield report.Target(
         what="fastest sideways, of all motions", wanted="<= 1 mm/s", measured=f"{1e3 * side:.2g} mm/s", met=side <= 1e-3
@@ -238,9 +218,7 @@ def _targets(found: Sequence[Driven]) -> Iterator[report.Target]:
         met=error <= 0.03,
     )
     touched = sum(bool(one.touched) for one in solved)
-    yield report.Target(
-        what="rolled in MuJoCo: motions that touch something", wanted="0", measured=str(touched), met=touched == 0
-    )
+    yield report.none_of("rolled in MuJoCo: motions that touch something", touched)
     p, x = np.array([event for one in solved for event in one.events]).T
     skill = 1.0 - float(((p - x) ** 2).sum() / ((x - x.mean()) ** 2).sum())
     yield report.Target(
@@ -264,4 +242,4 @@ def _targets(found: Sequence[Driven]) -> Iterator[report.Target]:
         met=bool(np.median(less) >= 5.0 and np.median(longer) <= 1.15),
     )
     worse = _worse(DEFAULT, found)
-    yield report.Target(what="worse than w = 0", wanted="none", measured=str(worse), met=worse == 0)
+    yield report.none_of("worse than w = 0", worse, "none")

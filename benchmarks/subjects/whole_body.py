@@ -7,13 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
-import mujoco
 import numpy as np
 
 import graceful_plan as gp
 from benchmarks import report, suite
-from graceful_plan.scene.loading.robot_models import robot_file
-from graceful_plan.scene.mobile.known_bases import known_base
+from benchmarks.mobile import standing
 
 Array = np.ndarray
 
@@ -93,20 +91,8 @@ def corridor(seed: int) -> tuple[gp.Scene, Array, Array]:
         '<geom name="pan_contents" type="cylinder" size=".11 .02" pos="0 0 .025" contype="0" conaffinity="0" mass="0"/>'
         "</body>"
     )
-    spec = mujoco.MjSpec.from_string(
-        '<mujoco><compiler angle="radian"/><worldbody><geom name="floor" type="plane" size="20 20 .1"/>'
-        f"{walls}{people}{pan}</worldbody></mujoco>"
-    )
-    spec.attach(mujoco.MjSpec.from_file(str(robot_file("fetch"))), prefix="fetch/", frame=spec.worldbody.add_frame())
-    scene = gp.Scene.from_mjcf(
-        spec,
-        robot="fetch/",
-        tool="fetch/tool",
-        base=known_base("fetch"),
-        body_class="base_coast",
-        entities={**{f"person{k}": "adult" for k in range(4)}, "pan": "robust"},
-        allowed_contacts=[gp.AllowedContact("fetch/base", "floor")],
-    )
+    entities = {**{f"person{k}": "adult" for k in range(4)}, "pan": "robust"}
+    scene = standing(f"{walls}{people}{pan}", "fetch", entities=entities)
     X_TO = np.eye(4)
     X_TO[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
     X_TO[:3, 3] = 0.045, 0.0, 0.23
@@ -231,12 +217,7 @@ def _rows(carried: Sequence[Carried]) -> Iterator[list[str]]:
 
 def _posture_targets(carried: Sequence[Carried]) -> Iterator[report.Target]:
     solved = sum(one.status == "SOLVED" for one in carried)
-    yield report.Target(
-        what="motions that carry something",
-        wanted="all",
-        measured=f"{solved} of {len(carried)}",
-        met=solved == len(carried),
-    )
+    yield report.all_done("motions that carry something", solved, len(carried))
     for what, of in (("all impact", lambda one: one.impact), ("what others suffer", lambda one: one.others)):
         ratios = [of(other) / of(one) for one, other in _pairs(carried)]
         yield report.Target(
@@ -249,12 +230,7 @@ def _posture_targets(carried: Sequence[Carried]) -> Iterator[report.Target]:
 
 def _pose_targets(reached: Sequence[Reached]) -> Iterator[report.Target]:
     solved = sum(one.status == "SOLVED" for one in reached)
-    yield report.Target(
-        what="poses in the kitchen, reached in 1 s",
-        wanted="100 %",
-        measured=f"{solved} of {len(reached)}",
-        met=solved == len(reached),
-    )
+    yield report.all_done("poses in the kitchen, reached in 1 s", solved, len(reached), "100 %")
     first = np.array([one.first for one in reached])
     yield report.Target(
         what="first verified motion: median, 95 %, longest",

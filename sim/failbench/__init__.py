@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from failbench.fault.registry import faults, reactions
     from failbench.front_validation import FrontValidation, validate_front
     from failbench.pictures.playback import replay
+    from failbench.policies.bases.driving import drive
     from failbench.recording.healthy import HealthyHarm
     from failbench.recording.records import ContactEvent, Job, Rollout
     from failbench.recording.score import energy_impact, observed_impact, own_loss, secondary_impact
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from failbench.sweeps.dataset import Dataset, read_dataset
     from failbench.sweeps.sweep import generate, resume
     from failbench.validation import validate
-    from failbench.wheels.driving import drive
 else:
     on_demand.install(
         __name__,
@@ -59,7 +59,7 @@ else:
             "build_world": "failbench.simulated.world",
             "compare": "failbench.comparison",
             "disturbances": "failbench.surroundings.registry",
-            "drive": "failbench.wheels.driving",
+            "drive": "failbench.policies.bases.driving",
             "energy_impact": "failbench.recording.score",
             "execute": "failbench.rollouts.execution",
             "faults": "failbench.fault.registry",

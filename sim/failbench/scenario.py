@@ -12,12 +12,15 @@ from typing import NamedTuple
 import graceful_plan as gp
 from failbench.fault.fault import DEGREES, SURROUNDINGS, Fault
 from failbench.fault.registry import faults
+from failbench.simulated.gripper import find_gripper
 from failbench.surroundings.registry import disturbances
 from graceful_plan.exceptions import UnknownNameError
 from graceful_plan.yaml_file import Block, read_yaml
 
 _FILE = Path(__file__).parent / "scenarios.yaml"
 _NEEDS = ("carried", "contents")
+MOBILE = "mobile"
+"""Family of scenarios whose robots drive."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +49,24 @@ class Scenario:
 def scenarios(pattern: str = "*") -> tuple[Scenario, ...]:
     """Return the scenarios whose name or one of whose tags matches a pattern such as "drop/*" or "desk/*/severe".
 
-    Faults of the surroundings are found by patterns that begin with "surroundings/", and by their whole names.
+    All others are about arms that stand: faults of the surroundings are found by patterns that begin with
+    "surroundings/", robots that drive by patterns that begin with "mobile/" or with the name of a mobile scene, and
+    both by their whole names.
 
     Raises:
         UnknownNameError: If there are none, with what the first part of a pattern can be.
     """
     found = tuple(scenario for scenario in _registry() if scenario.matches(pattern))
-    found += tuple(s for s in _around() if s.name == pattern or (_asked_for(pattern) and s.matches(pattern)))
+    first = pattern.split("/")[0]
+    if first == SURROUNDINGS or not found:
+        found += tuple(s for s in _around() if s.name == pattern or (first == SURROUNDINGS and s.matches(pattern)))
+    if first in (MOBILE, *gp.mobile_scenes()):
+        found += tuple(s for s in _driving() if s.matches(pattern))
     if not found:
         labels = {label for scenario in _registry() for label in (scenario.scene, *_families(scenario))}
-        raise UnknownNameError("scenarios", pattern, {f"{label}/*" for label in (*labels, SURROUNDINGS)})
+        labels |= {SURROUNDINGS, MOBILE, *gp.mobile_scenes()}
+        raise UnknownNameError("scenarios", pattern, {f"{label}/*" for label in labels})
     return found
-
-
-def _asked_for(pattern: str) -> bool:
-    """Whether a pattern means faults of the surroundings: it says so. All others are about the robot's own."""
-    return pattern.split("/")[0] == SURROUNDINGS
 
 
 def _families(scenario: Scenario) -> tuple[str, ...]:
@@ -107,6 +112,29 @@ def _around() -> tuple[Scenario, ...]:
         for degree in DEGREES
         if "carried" in holds or name != "heavier_object"
     )
+
+
+@cache
+def _driving() -> tuple[Scenario, ...]:
+    """Return what robots that drive do in the mobile scenes; a robot without a gripper has no faults of one."""
+    found = []
+    for scene in gp.mobile_scenes():
+        loaded = gp.load_scene(scene)
+        has_gripper = bool(len(find_gripper(loaded).joints))
+        kinds = {name: kind for name, kind in faults().items() if has_gripper or set(kind.TARGETS) != {"gripper"}}
+        found += [
+            Scenario(
+                f"{scene}/{task}/{name}/{degree}",
+                scene,
+                task,
+                kind(degree=degree),
+                (f"{MOBILE}/{name}/{degree}", f"{kind.CATEGORY}/{name}/{degree}"),
+            )
+            for task in loaded.tasks
+            for name, kind in kinds.items()
+            for degree in DEGREES
+        ]
+    return tuple(found)
 
 
 def _of_task(scene: str, task: str, holds: frozenset[str], families: Mapping[str, _Family]) -> tuple[Scenario, ...]:

@@ -45,6 +45,7 @@ from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_g
 from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import staged_for
+from failbench.wheels.following import Controller
 from graceful_plan import ImpactCost, Path, PlanResult, Scene, Trajectory
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import trajectory_batch
@@ -74,6 +75,7 @@ def validate(
     threads: int | None = None,
     settings: SimSettings | None = None,
     prediction: ImpactCost | None = None,
+    controller: Controller | None = None,
     rate: float = FAILURES_PER_HOUR,
     confidence: float = 0.95,
     progress: Progress | None = None,
@@ -93,6 +95,7 @@ def validate(
         settings: How it is simulated.
         prediction: The impact cost that predicts; None for the planner's default. If the loss of the carried object
             itself does not count there (`ImpactCost.own_loss`), it does not count in what is observed, either.
+        controller: Of a base that drives, see `execute`. It goes on after the onset, as well as it can.
         rate: Failures per hour of motion, of all those faults together; harm per executed task is proportional to it.
         confidence: Of the intervals.
         progress: Called now and then with the number of rollouts done and of all.
@@ -112,7 +115,7 @@ def validate(
     _check_rate(rate)
     for fault in faults:
         scene = staged_for(fault, scene)
-    execution = execute(motion, build_world(scene, settings))
+    execution = execute(motion, build_world(scene, settings), controller=controller)
     cost = ImpactCost() if prediction is None else prediction
 
     def predict(times: Float[Array, " n"]) -> Float[Array, "n entity"]:

@@ -56,6 +56,22 @@ def test_only_full_containers_spill() -> None:
     assert ("tabletop", "lift_to_goal") not in spilling
 
 
+def test_robots_that_drive_are_found_by_scene_and_family_and_name() -> None:
+    found = scenarios("mobile/*")
+    assert {s.scene for s in found} == set(gp.mobile_scenes()) and not {s.scene for s in _ALL} & {
+        s.scene for s in found
+    }
+    tasks = {(name, task) for name in gp.mobile_scenes() for task in gp.load_scene(name).tasks}
+    assert {(s.scene, s.task) for s in found} == tasks
+    kitchen, apartment = scenarios("kitchen/serve_pan/*"), scenarios("apartment/serve_tea/*/severe")
+    assert len(kitchen) == 19 * 4  # a Fetch has a gripper, a Jackal has none
+    assert {s.fault.NAME for s in apartment} == {n for n, kind in faults().items() if kind.TARGETS != ("gripper",)}
+    assert len(apartment) >= 14
+    (one,) = scenarios("apartment/serve_tea/stuck_position/critical")
+    assert one.tags == ("mobile/stuck_position/critical", "actuator/stuck_position/critical")
+    assert all(s.scene not in gp.mobile_scenes() for s in scenarios("actuator/*"))
+
+
 def test_patterns_narrow_down() -> None:
     assert {s.fault.degree for s in scenarios("drop/*/critical")} == {"critical"}
     assert {s.scene for s in scenarios("tabletop_l?/*")} == {"tabletop_l1", "tabletop_l3"}
@@ -88,11 +104,14 @@ def test_broken_registries_say_where(tmp_path: Path, text: str, line: int, words
     assert caught.value.line == line
 
 
+_MOBILE = [(name, task) for name in gp.mobile_scenes() for task in gp.load_scene(name).tasks]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize(("scene_name", "task_name"), _TASKS)
+@pytest.mark.parametrize(("scene_name", "task_name"), [*_TASKS, *_MOBILE])
 def test_every_scenario_runs(scene_name: str, task_name: str) -> None:
     task = gp.load_scene(scene_name).tasks[task_name]
-    mine: list[Scenario] = [s for s in _ALL if (s.scene, s.task) == (scene_name, task_name)]
+    mine: list[Scenario] = list(scenarios(f"{scene_name}/{task_name}/*"))
     execution = execute(_begin(task), build_world(task.scene))
     jobs = [Job(fault=s.fault, onset=0.5 * execution.duration, seed=i) for i, s in enumerate(mine)]
     rollouts = run(execution, jobs, horizon=0.03, batch=len(jobs))

@@ -14,11 +14,13 @@ import numpy as np
 
 from failbench.simulated.rolling import Rolling
 from failbench.simulated.world import World
+from failbench.wheels.following import Controller, Course, CourseFollower, check_course, timed, untimed
 from failbench.wheels.slipping import fitted_tracking
-from graceful_plan import Trajectory
+from graceful_plan import Scene, Trajectory
 from graceful_plan.array_types import Float
-from graceful_plan.control.diff_drive_controller import Tracking, drive_states
+from graceful_plan.control.diff_drive_controller import Tracking
 from graceful_plan.control.drive_state import DriveState
+from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 
@@ -36,21 +38,23 @@ Misreadings = Callable[[], Float[Array, " wheel"]]
 class BasePlan:
     """What a base follows: made once for a motion.
 
-    | field    | meaning                                                            | shape       |
-    |----------|--------------------------------------------------------------------|-------------|
-    | rolling  | where the base is in the model                                     |             |
-    | wanted   | x, y, heading, speed, rate of turning at each step; the last holds | step 5      |
-    | tracking | gains                                                              |             |
-    | dt       | time step [s]                                                      |             |
-    | wheel    | addresses of the wheels in qpos                                    | wheel       |
-    | motor    | their actuators                                                    | wheel       |
-    | kp       | stiffness of their servos                                          | wheel       |
-    | kd       | their damping                                                      | wheel       |
+    | field      | meaning                                                          | shape       |
+    |------------|------------------------------------------------------------------|-------------|
+    | rolling    | where the base is in the model                                   |             |
+    | course     | what is followed                                                 |             |
+    | controller | what follows it                                                  |             |
+    | scene      | what the controller sees: all but what is carried                |             |
+    | dt         | time step [s]                                                    |             |
+    | wheel      | addresses of the wheels in qpos                                  | wheel       |
+    | motor      | their actuators                                                  | wheel       |
+    | kp         | stiffness of their servos                                        | wheel       |
+    | kd         | their damping                                                    | wheel       |
     """
 
     rolling: Rolling
-    wanted: Float[Array, "step 5"]
-    tracking: Tracking
+    course: Course
+    controller: Controller
+    scene: Scene
     dt: float
     wheel: Array
     motor: Array
@@ -58,19 +62,32 @@ class BasePlan:
     kd: Float[Array, " wheel"]
 
     @classmethod
-    def of(cls, world: World, trajectory: Trajectory, steps: int) -> BasePlan | None:
-        """Return what a world's base follows; None if it does not drive."""
+    def of(cls, world: World, trajectory: Trajectory, controller: Controller | None = None) -> BasePlan | None:
+        """Return what a world's base follows; None if it does not drive.
+
+        Args:
+            world: Where.
+            trajectory: The motion.
+            controller: `Tracking` follows it in time, others its path; by default the former, as it fits the base.
+
+        Raises:
+            SettingError: If there is a controller for a robot that does not drive.
+        """
         if world.rolling is None:
+            if controller is not None:
+                raise SettingError("controller", controller, "None: this robot does not drive")
             return None
         n, robot, dt = len(world.rolling.base.wheels), world.robot, world.settings.timestep
-        state = trajectory.at(np.minimum(trajectory.t[0] + np.arange(steps + 1) * dt, trajectory.t[-1]))
-        wanted = drive_states(state.q, state.qd)
-        wanted[-1, 3:] = 0.0
         scene = world.scene if world.scene.carried is None else world.scene.detach()
+        chosen = fitted_tracking(scene) if controller is None else controller
+        in_time = isinstance(chosen, Tracking)
+        course = timed(trajectory, dt, trajectory.duration + dt) if in_time else untimed(trajectory, dt)
+        check_course(chosen, course)
         return cls(
             rolling=world.rolling,
-            wanted=wanted,
-            tracking=fitted_tracking(scene),
+            course=course,
+            controller=chosen,
+            scene=scene,
             dt=dt,
             wheel=robot.qpos[:n],
             motor=robot.actuators[:n],
@@ -98,8 +115,17 @@ class BaseLoop:
     angles: Float[Array, " wheel"]
     summed: float = 0.0
     misread: Misreadings | None = None
+    follower: CourseFollower = field(init=False)
     _believed: tuple[float, float, float] | None = field(default=None, init=False)
     _before: tuple[tuple[float, float, float], Array] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        plan = self.plan
+        self.follower = CourseFollower(plan.controller, plan.course, plan.scene, plan.dt, TICK * plan.dt)
+
+    def arrived(self, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]) -> bool:
+        """Whether a path that is not followed in time is done."""
+        return self.follower.arrived(DriveState(*self.plan.rolling.drives(qpos, qvel)))
 
     def commands(
         self, step: int, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]
@@ -114,11 +140,9 @@ class BaseLoop:
         plan, base = self.plan, self.plan.rolling.base
         x, y, yaw, v, omega = plan.rolling.drives(qpos, qvel)
         state = DriveState(*self._place((x, y, yaw)), v, omega)
-        last = len(plan.wanted) - 1
-        now, ahead = plan.wanted[min(step, last)], plan.wanted[min(step + TICK // 2, last)]
-        command = plan.tracking.command(state, DriveState(*now[:3], *ahead[3:]))
-        self.summed += TICK * plan.dt * (command.omega - omega)
-        told = plan.tracking.held(command, state, self.summed)
+        command = self.follower.command(state, step)
+        self.summed = self.follower.gains.summed(self.summed, command, state, TICK * plan.dt)
+        told = self.follower.gains.held(command, state, self.summed)
         half = len(plan.wheel) // 2
         side = np.concatenate([-np.ones(half), np.ones(half)])
         rates = np.clip((told.v + side * base.lever * told.omega) / base.radius, *_rim(base.rim_max / base.radius))

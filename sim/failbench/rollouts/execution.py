@@ -17,6 +17,7 @@ from failbench.simulated.rolling import PLANAR, lifted
 from failbench.simulated.states import CHECKPOINT, STATE, control_spec, put, warnings_counted_only
 from failbench.simulated.walkers import Walk, put_walkers
 from failbench.simulated.world import World
+from failbench.wheels.following import Controller
 from graceful_plan import Path, PlanResult, Trajectory, retime
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
@@ -32,8 +33,9 @@ _REST = 0.2
 """Part of it [s] during which the fingers hold alone."""
 _TRACKING = 0.05
 """A joint farther [rad or m] than this from where it should be does not follow."""
-_STRAYING = (0.2, 0.2, 0.35)
-"""A base farther than this from where it should be along x, y [m] or in its heading [rad] does not follow."""
+_STRAYING = (0.2, 0.2, 0.8)
+"""A base farther than this from where it should be along x, y [m] or in its heading [rad] does not follow. In tight
+bends a skid-steer is held at an angle of up to 0.6 rad to its way, so that its origin does not leave it."""
 _SLIP = 0.02
 """An object that moved farther [m] than this in the tool frame is not held."""
 _FALL = 1.0
@@ -176,7 +178,11 @@ def as_trajectory(motion: Trajectory | Path | PlanResult | ArrayLike, world: Wor
 
 
 def execute(
-    motion: Trajectory | Path | PlanResult | ArrayLike, world: World, *, tolerance: float = _TRACKING
+    motion: Trajectory | Path | PlanResult | ArrayLike,
+    world: World,
+    *,
+    tolerance: float = _TRACKING,
+    controller: Controller | None = None,
 ) -> Execution:
     """Carry out a motion with a healthy robot.
 
@@ -184,18 +190,24 @@ def execute(
         motion: A trajectory; anything else is timed first.
         world: Where.
         tolerance: How far a joint may be from where it should be [rad or m].
+        controller: Of a base that drives; `fitted_tracking` by default. One that is not told times, a `PurePursuit` or
+            a `DynamicWindow`, takes the base along the motion's path as it likes, while the arm moves in time; then
+            the trajectory of the execution is what was driven.
 
     Raises:
-        ExecutionRefused: If a joint does not follow, or has to leave its range.
+        ExecutionRefused: If a joint does not follow, or has to leave its range, or a base does not arrive.
         ObjectLost: If the object does not stay in the gripper; it says what that does harm to.
+        SettingError: If there is a controller for a robot that does not drive.
     """
     trajectory = as_trajectory(motion, world)
     dt = world.settings.timestep
-    steps = max(1, int(np.ceil(trajectory.duration / dt - 1e-9)))
+    base = BasePlan.of(world, trajectory, controller)
+    free = base is not None and base.course.wanted is None
+    whole = trajectory.duration if base is None or not free else min(base.course.seconds, LONGEST)
+    steps = max(1, int(np.ceil(whole / dt - 1e-9)))
     wanted = trajectory.at(trajectory.t[0] + np.minimum(np.arange(1, steps + 1) * dt, trajectory.duration)).q
     _check_range(wanted, tolerance, world, dt)
     command = _commands(trajectory, world, steps)
-    base = BasePlan.of(world, trajectory, steps)
     loop = None
     with warnings_counted_only():
         start = settled(trajectory.q[0], world, command[0], time=float(trajectory.t[0]))
@@ -205,7 +217,12 @@ def execute(
             run = _simulated(world, batch, command[:steps], start[None])
         else:
             run, loop = _driven(world, batch, command, start[None], base)
-        error = np.abs(run.qpos[:, _planned(world)] - wanted)
+        steps = len(run.qpos)
+        command = command[: steps + 1]
+        error = np.abs(run.qpos[:, _planned(world)] - wanted[:steps])
+        if free:
+            error[:, :PLANAR] = 0.0
+            trajectory = _as_driven(world, trajectory, run, dt)
         _check_tracking(error, tolerance, world, dt)
         slip = _slip(run.xpos, run.xquat, world)
         stays = slip <= _SLIP
@@ -276,14 +293,31 @@ def _driven(
     loop, runs, told = base.loop(qpos[0, base.wheel]), [], []
     steps = len(command) - 1
     for step in range(0, steps, TICK):
+        if loop.arrived(qpos[0], qvel[0]):
+            break
         told.append([*loop.angles, loop.summed])
         rows = loop.commands(step, qpos[0], qvel[0])
         until = min(step + TICK, steps)
         command[step:, base.motor] = rows[-1]  # the last one is held
         command[step:until, base.motor] = rows[: until - step]
         runs.append(_simulated(world, batch, command[step:until], start if not runs else runs[-1].states[-1:]))
+    else:
+        if base.course.wanted is None:
+            raise ExecutionRefused(
+                "the base", steps * base.dt, "its controller has not brought it to the end of the path"
+            )
     parts = [part if i == 0 else part._replace(states=part.states[1:]) for i, part in enumerate(runs)]
     return _Run._make(map(np.concatenate, zip(*parts, strict=True))), np.array(told)
+
+
+def _as_driven(world: World, planned: Trajectory, run: _Run, dt: float) -> Trajectory:
+    """Return the motion that a base made of it, whose controller took its own time."""
+    rows = np.unique([*range(0, len(run.qpos), TICK), len(run.qpos) - 1])
+    q = run.qpos[rows][:, _planned(world)]
+    t = planned.t[0] + (rows + 1) * dt
+    qd = np.gradient(q, t, axis=0) if len(q) > 1 else np.zeros_like(q)
+    qdd = np.gradient(qd, t, axis=0) if len(q) > 1 else np.zeros_like(q)
+    return Trajectory(t - dt, q, qd, qdd, planned.joints)
 
 
 def _measured(world: World, states: Float[Array, "n state"]) -> Float[Array, "n 2 driven"]:

@@ -82,6 +82,10 @@ def put_on_wheels(spec: mujoco.MjSpec, scene: Scene) -> None:
     for name in base.wheels:
         hinge = spec.body(name).add_joint(defaults, name=name) if defaults else spec.body(name).add_joint(name=name)
         hinge.type, hinge.axis = mujoco.mjtJoint.mjJNT_HINGE, [0.0, 1.0, 0.0]
+        for geom in spec.body(name).geoms:
+            if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
+                # On floors that are boxes, cylinders touch now at one rim, now at the other, and lose hold in between.
+                geom.type, geom.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [geom.size[0], geom.size[0], geom.size[1]]
         if defaults is None:
             hinge.armature = base.rotor
         motor = spec.add_actuator(defaults, name=name) if defaults else spec.add_actuator(name=name)

@@ -49,8 +49,9 @@ class SimSettings:
 
     Args:
         timestep: MuJoCo's time step [s].
-        grasp: "fingers" holds the carried object by friction, as the real gripper does; "weld" by a constraint that a
-            failing gripper releases cleanly, for studies of nothing but the fall.
+        grasp: "fingers" holds the carried object by friction, as the real gripper does, and on a base that has no
+            gripper it stands as it was put there; "weld" by a constraint that a failing gripper releases cleanly, for
+            studies of nothing but the fall.
         control: "servo" drives the model's own position servos with feed-forward of speed and gravity; "torque"
             computes the torques of the trajectory and adds a critically damped correction.
         sleep: Whether things at rest are left out of the computation until something touches them.
@@ -283,8 +284,13 @@ def _add_weld(spec: mujoco.MjSpec, scene: Scene, gripper: Gripper, settings: Sim
     if settings.grasp == "weld":
         for body in gripper.bodies:
             spec.add_exclude(bodyname1=spec.bodies[body].name, bodyname2=scene.carried.body)
-    elif not len(gripper.actuators):
+    elif not len(gripper.actuators) and not _is_deck(scene, gripper):
         raise UnsupportedError("the gripper has no position servo to hold with; use SimSettings(grasp='weld')")
+
+
+def _is_deck(scene: Scene, gripper: Gripper) -> bool:
+    """Whether what is carried stands on a base that drives, with nothing that could hold it."""
+    return scene.base is not None and not len(gripper.joints)
 
 
 def _movable(model: mujoco.MjModel, entities: Mapping[str, tuple[int, ...]]) -> dict[str, int]:

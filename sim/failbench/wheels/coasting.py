@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from failbench.wheels.slipping import steady_drive
 from failbench.wheels.wheeled import TIMESTEP, Wheeled
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.models.coast.constants import ONE_SIDE, WHEELS, CoastSettings
@@ -19,6 +20,8 @@ Array = np.ndarray
 _STILL = 0.02
 """Speed of the base below which it has come to rest [m/s]; it is looked at every `_LOOK` seconds."""
 _LOOK = 0.05
+_SKEWS = 0.1
+"""Speed below which a base that turns is not held at an angle to its way [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -113,15 +116,26 @@ def coasted(
 def coasting(
     wheels: Wheeled, q: Float[Array, " nq"], qd: Float[Array, " nq"], failure: BaseFailure, seconds: float = 4.0
 ) -> Iterator[tuple[mujoco.MjData, float]]:
-    """Yield the data after each step of `coasted`, and the speed of the base before it [m/s]. The data are changed."""
+    """Yield the data after each step of `coasted`, and the speed of the base before it [m/s]. The data are changed.
+
+    It begins as a controller that keeps the base on its way has it drive: a skid-steer at an angle to its heading.
+    """
     v = float(qd[0] * np.cos(q[2]) + qd[1] * np.sin(q[2]))
     omega = float(qd[2])
+    steady = steady_drive(wheels.scene, v, omega)
     off = failure.aside * np.array([-np.sin(q[2]), np.cos(q[2])])
     begin = np.array([q[0] + off[0], q[1] + off[1], q[2] + failure.askew, *q[3:]])
+    if abs(v) > _SKEWS:
+        begin[2] -= np.arctan2(np.sign(v) * steady.sideways, np.sign(v) * steady.forwards)
     model, data = _failing(wheels, failure), wheels.placed(begin, v, omega)
+    c, s = np.cos(begin[2]), np.sin(begin[2])
+    x, y = steady.forwards, steady.sideways
+    data.qvel[wheels.dof : wheels.dof + 2] = c * x - s * y, s * x + c * y
+    data.qvel[wheels.dof + 5] = steady.omega
+    data.qvel[wheels.wheel] = data.ctrl[wheels.motor] = steady.wheel
     data = _moved(model, data)
     for step in range(int(seconds / TIMESTEP)):
-        _command(wheels, data, failure, (v, omega), step * TIMESTEP)
+        _command(wheels, data, failure, (v, steady.wheel), step * TIMESTEP)
         speed = float(np.hypot(*data.qvel[wheels.dof : wheels.dof + 2]))
         mujoco.mj_step(model, data)
         yield data, speed
@@ -164,19 +178,19 @@ def _moved(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 
 
 def _command(
-    wheels: Wheeled, data: mujoco.MjData, failure: BaseFailure, driven: tuple[float, float], time: float
+    wheels: Wheeled, data: mujoco.MjData, failure: BaseFailure, driven: tuple[float, Array], time: float
 ) -> None:
-    v, omega = driven
+    v, rates = driven
     late = max(0.0, time - failure.delay)
     if failure.wheels in ONE_SIDE:
-        rims = wheels.base.radius * wheels.wheel_rates(v, omega)
+        rims = wheels.base.radius * rates
         going = np.sign(rims) * np.maximum(0.0, np.abs(rims) - failure.brakes * late)
         data.ctrl[wheels.motor] = np.where(_broken(wheels, failure), 0.0, going / wheels.base.radius)
     elif failure.wheels == "locked":
         data.ctrl[wheels.motor] = 0.0
     elif failure.wheels == "driven":
         left = max(0.0, 1.0 - failure.deceleration * late / max(abs(v), 1e-9))
-        data.ctrl[wheels.motor] = wheels.wheel_rates(left * v, left * (omega + failure.bend * abs(v)))
+        data.ctrl[wheels.motor] = left * (rates + wheels.wheel_rates(0.0, failure.bend * abs(v)))
 
 
 def _note(wheels: Wheeled, data: mujoco.MjData, hits: dict[int, BaseHit], speed: float) -> None:

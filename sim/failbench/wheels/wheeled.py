@@ -25,7 +25,8 @@ light wheels creep. With it the effective track of a Jackal is 1.5 times the rea
 _GAIN = 20.0
 """Of the wheels' speed controllers [N m s/rad]."""
 _UNDER = 0.002
-"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]."""
+"""By how much the rim that meets things is smaller than the sphere that stands on the floor [m]. All its radii are, or
+it would stand there too and carry half of the weight."""
 _PLANAR = 3
 """Planned joints of a base."""
 _FLOOR_BIT = 1 << 20
@@ -106,6 +107,20 @@ def wheeled(scene: Scene) -> Wheeled:
         UnsupportedError: If it has no base or an odd number of wheels, if a joint of its arm has no servo of its name,
             or if it carries something.
     """
+    return _stood(scene)
+
+
+@per_scene
+def on_endless_floor(scene: Scene) -> Wheeled:
+    """Put a scene's base on wheels on floors without an end, to see how it drives; what stands there is still there.
+
+    Raises:
+        UnsupportedError: As `wheeled` does.
+    """
+    return _stood(scene, endless=True)
+
+
+def _stood(scene: Scene, *, endless: bool = False) -> Wheeled:
     base = scene.base
     if base is None or not base.wheels or len(base.wheels) % 2:
         raise UnsupportedError("wheels that turn need a DiffDrive with `wheels`: left ones, then as many right ones")
@@ -131,6 +146,9 @@ def wheeled(scene: Scene) -> Wheeled:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE or (named and not geom.parent.name.startswith(scene.robot)):
             geom.contype |= _FLOOR_BIT
             geom.conaffinity |= _FLOOR_BIT
+            if endless and geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+                geom.pos = [*geom.pos[:2], geom.pos[2] + geom.size[2]]
+                geom.type, geom.size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.1]
         if geom.name.startswith(KEEP_OUT):
             geom.contype = geom.conaffinity = 0
     for name in base.wheels:
@@ -139,7 +157,7 @@ def wheeled(scene: Scene) -> Wheeled:
             name=f"wheels/{name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0], armature=ARMATURE
         )
         for geom in wheel.geoms:
-            geom.size[0] -= _UNDER
+            geom.size = [size - _UNDER * (abs(size - base.radius) < _UNDER) for size in geom.size]
         wheel.add_geom(
             name=f"wheels/{name}/tyre",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,

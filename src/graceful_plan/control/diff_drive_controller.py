@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.control.drive_state import DriveCommand, DriveState, wrapped
+from graceful_plan.control.drive_state import DriveCommand, DriveState, check_numbers, wrapped
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
@@ -58,6 +58,10 @@ def limited(wanted: DriveCommand, before: DriveCommand, base: DiffDrive, dt: flo
     omega = max(omega, -base.rim_max / base.lever)
     room = base.rim_max - base.lever * abs(omega)
     return DriveCommand(min(max(v, -room), room), omega)
+
+
+_WINDS = 0.15
+"""Greatest integral of the rate of turning that is missed [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,19 +117,16 @@ class Tracking:
     """
 
     k_x: float = 6.0
-    k_y: float = 60.0
+    k_y: float = 120.0
     k_h: float = 15.0
     k_rate: float = 2.0
     k_integral: float = 10.0
-    lead: float = 0.0
+    lead: float = 0.05
     pivot: Pivot = Pivot()
     share: float = 0.6
 
     def __post_init__(self) -> None:
-        for name in ("k_x", "k_y", "k_h", "k_rate", "k_integral", "lead", "share"):
-            value = getattr(self, name)
-            if not (is_real(value) and math.isfinite(value) and value >= 0.0):
-                raise SettingError(f"Tracking.{name}", value, "a finite number of at least 0")
+        check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "lead", "share"))
 
     def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:
         """Return what leads to a state that moves on, before the measured rate of turning counts.
@@ -151,6 +152,19 @@ class Tracking:
         v = wanted.v * math.cos(heading - slant) + self.k_x * along
         pull = wanted.v * self.k_y * across + (abs(wanted.v) * self.k_h + self.k_x) * math.sin(heading)
         return DriveCommand(v, wanted.omega + pull)
+
+    def summed(self, before: float, command: DriveCommand, state: DriveState, dt: float) -> float:
+        """Return the integral of commanded minus measured rate of turning a time later [rad].
+
+        It stops growing where it asks for more than slip ever does: motors at their limit would wind it up.
+
+        Args:
+            before: What it was.
+            command: What the base should do.
+            state: What it does.
+            dt: Time [s].
+        """
+        return min(max(before + dt * (command.omega - state.omega), -_WINDS), _WINDS)
 
     def held(self, command: DriveCommand, state: DriveState, summed: float) -> DriveCommand:
         """Return what to tell the wheels so that the base turns as commanded, though it slips.

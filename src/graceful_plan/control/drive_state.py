@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -132,6 +133,23 @@ class Surroundings:
         worth = _for_each("severity", severity, n)
         entity = np.where(worth > 0.0, np.cumsum(worth > 0.0) - 1, -1)
         return cls(rows, entity, velocity, worth[worth > 0.0])
+
+
+def check_numbers(settings: object, names: Iterable[str], *, above: bool = False, finite: bool = True) -> None:
+    """Raise SettingError unless all of these settings are numbers of at least 0.
+
+    Args:
+        settings: A settings object of a controller.
+        names: Of its fields.
+        above: Whether 0 is none of them.
+        finite: Whether infinity is none of them.
+    """
+    for name in names:
+        value = getattr(settings, name)
+        large = is_real(value) and (value > 0.0 or (value == 0.0 and not above))
+        if not large or (finite and not math.isfinite(value)):
+            words = f"a {'finite ' if finite else ''}number {'above' if above else 'of at least'} 0"
+            raise SettingError(f"{type(settings).__name__}.{name}", value, words)
 
 
 def wrapped(angle: float) -> float:

@@ -27,7 +27,14 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.control.diff_drive_controller import limited
-from graceful_plan.control.drive_state import DriveCommand, DriveState, Surroundings, checked_places, checked_state
+from graceful_plan.control.drive_state import (
+    DriveCommand,
+    DriveState,
+    Surroundings,
+    check_numbers,
+    checked_places,
+    checked_state,
+)
 from graceful_plan.core import _native
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.coast.native import coasting_arrays
@@ -87,23 +94,18 @@ class DWA:
     rates: int = 15
 
     def __post_init__(self) -> None:
-        for name in ("heading", "velocity", "path", "clearance", "impact", "margin", "ahead", "tolerance"):
-            value = getattr(self, name)
-            if not (is_real(value) and math.isfinite(value) and value >= 0.0):
-                raise SettingError(f"DWA.{name}", value, "a finite number of at least 0")
-        for name in ("most_impact", "horizon", "period", "window", "near"):
+        check_numbers(self, ("heading", "velocity", "path", "clearance", "impact", "margin", "ahead", "tolerance"))
+        check_numbers(self, ("most_impact",), finite=False)
+        check_numbers(self, ("near",), above=True)
+        for name in ("horizon", "period", "window"):
             if not is_real(getattr(self, name)):
                 raise SettingError(f"DWA.{name}", getattr(self, name), "a number")
-        if not self.most_impact >= 0.0:
-            raise SettingError("DWA.most_impact", self.most_impact, "a number of at least 0")
         if not 0.05 <= self.horizon <= 60.0:
             raise SettingError("DWA.horizon", self.horizon, "between 0.05 and 60 s")
         if not 0.0 < self.period <= self.horizon:
             raise SettingError("DWA.period", self.period, "above 0 s and at most the horizon")
         if not self.period <= self.window < math.inf:
             raise SettingError("DWA.window", self.window, "a finite time of at least the period")
-        if not (math.isfinite(self.near) and self.near > 0.0):
-            raise SettingError("DWA.near", self.near, "a finite distance above 0 m")
         for name in ("speeds", "rates"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 2 <= value <= 1000:

@@ -12,9 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.control.drive_state import DriveCommand, DriveState, checked_places, checked_state, wrapped
-from graceful_plan.exceptions import SettingError
-from graceful_plan.path import is_real
+from graceful_plan.control.drive_state import (
+    DriveCommand,
+    DriveState,
+    check_numbers,
+    checked_places,
+    checked_state,
+    wrapped,
+)
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
@@ -40,9 +45,7 @@ class PurePursuit:
     in_place: float = 1.2
 
     def __post_init__(self) -> None:
-        for name in ("seconds", "nearest", "speed", "in_place"):
-            if not (is_real(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise SettingError(f"PurePursuit.{name}", getattr(self, name), "a number above 0")
+        check_numbers(self, ("seconds", "nearest", "speed", "in_place"), above=True, finite=False)
 
     def command(self, state: DriveState, path: Float[Array, "n 2"], base: DiffDrive) -> DriveCommand:
         """Return what leads along a path, forwards, to a stop at its end.

@@ -213,7 +213,7 @@ class CoastModel:
         entity: Integers,
         shape: Reals,
         n_entity: int,
-        disc: Reals,
+        outline: Reals,
         stops: Reals,
         constants: Reals,
         share: Reals,
@@ -466,7 +466,7 @@ class DynamicWindow:
     def __init__(
         self,
         *,
-        disc: Reals,
+        outline: Reals,
         stops: Reals,
         constants: Reals,
         share: Reals,

@@ -25,6 +25,8 @@ Array = np.ndarray
 _LAYER, _DIRECTIONS, _CRUISE = 0.2, 8, 0.6
 """Cells of the risk layer [m], directions of driving over which it is a mean, and share of the fastest speed."""
 _MOST_CELLS = 6_000
+_RIM = 9
+"""Points along each edge of a part of a base from which offsets are drawn."""
 _SHADES = 12
 """Places at which the base and those who move are drawn."""
 _WALKED = "#7a3fa0"
@@ -160,7 +162,7 @@ def _draw_motion(axes: Any, scene: Scene, trajectory: Trajectory) -> None:
     axes.plot(way[:, 0], way[:, 1], color="white", linewidth=4.0, zorder=4)
     axes.plot(way[:, 0], way[:, 1], color=PATH_COLOURS[1], linewidth=2.0, zorder=5)
     times = np.linspace(trajectory.t[0], trajectory.t[-1], _SHADES)
-    disc = coast_tables(scene).disc
+    disc = _rim(scene)
     low, high = (disc[:, :2] - disc[:, 2:]).min(axis=0), (disc[:, :2] + disc[:, 2:]).max(axis=0)
     box = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
     for q in trajectory.positions(times):
@@ -185,10 +187,24 @@ def _draw_motion(axes: Any, scene: Scene, trajectory: Trajectory) -> None:
         )
 
 
+def _rim(scene: Scene) -> Float[Array, "disc 3"]:
+    """Return discs along the edges of the base, in its frame: centre and radius [m]."""
+    edge = np.linspace(-1.0, 1.0, _RIM)
+    ones = np.ones(_RIM)
+    square = np.concatenate(
+        [np.stack(side, axis=-1) for side in ((edge, ones), (edge, -ones), (ones, edge), (-ones, edge))]
+    )
+    discs = []
+    for x, y, ux, uy, a, b, radius in coast_tables(scene).outline:
+        at = np.array([x, y]) + square * (a, b) @ np.array([[ux, uy], [-uy, ux]])
+        discs.append(np.column_stack([at, np.full(len(at), radius)]))
+    return np.concatenate(discs)
+
+
 def _draw_offsets(axes: Any, scene: Scene, trajectory: Trajectory) -> None:
-    """Draw the least clearance of the base's discs to each entity."""
+    """Draw the least clearance of the base to each entity."""
     t = np.linspace(trajectory.t[0], trajectory.t[-1], 400)
-    q, disc = trajectory.positions(t), coast_tables(scene).disc
+    q, disc = trajectory.positions(t), _rim(scene)
     c, s = np.cos(q[:, 2, None]), np.sin(q[:, 2, None])
     centre = np.stack([c * disc[:, 0] - s * disc[:, 1], s * disc[:, 0] + c * disc[:, 1]], axis=-1) + q[:, None, :2]
     bodies = {name: np.concatenate(parts) for name, parts in entity_outlines(scene, list(scene.entities)).items()}

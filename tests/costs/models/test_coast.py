@@ -1,9 +1,12 @@
 from dataclasses import replace
+from functools import cache
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import erfc
 
 import graceful_plan as gp
 from coast_twin import hits
@@ -53,11 +56,44 @@ def test_the_core_says_the_same():
     assert np.isfinite(by_q).all()
 
 
-def test_discs_cover_the_base_and_shapes_are_what_stands_at_its_height():
+def test_the_outline_is_that_of_the_geoms_and_shapes_are_what_stands_at_its_height():
     tables = coast_tables(SCENE)
-    for corner in ([0.21, 0.155], [-0.21, 0.155], [0.21, -0.155]):
-        assert (np.linalg.norm(tables.disc[:, :2] - corner, axis=1) - tables.disc[:, 2]).min() < 0.005
+    chassis, *wheels = tables.outline
+    np.testing.assert_allclose(chassis, [0, 0, 1, 0, 0.21, 0.155, 0], atol=1e-9)
+    assert sorted(row[:2].round(4).tolist() for row in wheels) == [
+        [x, y] for x in (-0.131, 0.131) for y in (-0.1878, 0.1878)
+    ]
     assert len(tables.entity) == 4 and (tables.entity >= 0).sum() == 1  # walls, pillar, person; no floor
+
+
+def test_a_round_base_is_round_and_hides_its_casters():
+    fetch = coast_tables(gp.load_scene("kitchen")).outline
+    assert fetch[0].tolist() == pytest.approx([0, 0, 1, 0, 0, 0, 0.288]) and len(fetch) == 2  # and the torso's corners
+
+
+@given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-3, 3))
+def test_a_hit_is_where_mujoco_has_the_geoms_touch(x, y, yaw):
+    """A base that hardly moves, and a box that lies anyhow: P is a half where they are as far apart as the spread."""
+    box = '<body name="box" pos="0 0 .1" euler="0 0 .4"><geom name="box" type="box" size=".3 .1 .1"/></body>'
+    scene = boxed(box)
+    q = np.array([x, y, yaw])
+    data, fromto = scene.data_at(q), np.zeros(6)
+    body = scene.model.body("cart/base").id
+    mine = [g for g in range(scene.model.ngeom) if scene.model.geom_bodyid[g] == body]
+    near = min(mujoco.mj_geomDistance(scene.model, data, g, scene.model.geom("box").id, 1.0, fromto) for g in mine)
+    settings = replace(only(deceleration=(1e3,)), reference_speed=1e-3, position_spread=0.02)
+    qd = 0.01 * np.array([[np.cos(yaw), np.sin(yaw), 0.0]])
+    P = Coast(settings).probability(moving_batch(scene, q[None], qd))[0, 0, 0]
+    if near > 0.0:
+        assert P == pytest.approx(0.5 * erfc(near / 0.02 / np.sqrt(2.0)), abs=0.02)
+    else:
+        assert P >= 0.49
+
+
+@cache
+def boxed(box):
+    """The hall with a box that is an entity, and nothing else that is met."""
+    return hall(walls="", extra=box, entities={"box": "adult"})
 
 
 @pytest.mark.parametrize("v", [0.5, 1.0, 2.0])
@@ -167,8 +203,10 @@ def test_settings_are_checked(change):
 
 def test_slow_near_people():
     assert BASE.v_max == 2.0
-    fast, careful = (gp.plan("west", [4.0, 0.8, 0.0], SCENE, w=w, iterations=4000) for w in (0.0, 0.3))
+    # The careful one needs nearly all of its 20,496 iterations: after 4,000 it is a slower one of J = 8.71, not 8.53.
+    asked = ((0.0, 4000), (0.3, 25_000))
+    fast, careful = (gp.plan("west", [4.0, 0.8, 0.0], SCENE, w=w, iterations=n) for w, n in asked)
     objective = gp.Objective(w=1.0)
     harm = [gp.evaluate(result.trajectory, SCENE, objective).impact for result in (fast, careful)]
-    assert harm[1] < 0.5 * harm[0]
-    assert careful.trajectory.duration < 1.45 * fast.trajectory.duration
+    assert harm[1] < 0.2 * harm[0]
+    assert careful.trajectory.duration < 1.25 * fast.trajectory.duration

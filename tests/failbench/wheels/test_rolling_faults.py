@@ -64,7 +64,7 @@ SIGNATURES = [
     ("stuck_position", ("all",), 1.5, 0.0),
     ("stuck_position", LEFT, 1.0, 0.15),
     ("increased_friction", ("all",), 1.5, 0.0),
-    ("increased_friction", LEFT, 1.0, 0.15),
+    ("increased_friction", LEFT, 1.0, 0.1),
     ("noise", LEFT, 0.1, 0.05),
     ("bias_drift", LEFT, 0.0, 0.05),
     ("control_delay", ("all",), 0.02, 0.02),
@@ -104,8 +104,10 @@ def test_one_motor_drives_a_side(driven):
     assert robot.struck(LEFT, rng)[0].tolist() == [0, 1]
     assert robot.struck(("any",), rng)[0].tolist() in ([0, 1], [2, 3])
     angles = rolled(driven, fault("stuck_position", targets=LEFT))[:, 3:]
-    turned = np.abs(angles[-1] - angles[0])
-    assert (turned[:2] < 0.02).all() and (turned[2:] > 0.3).all()  # against what the standing side makes of them
+    turned = np.abs(np.diff(angles, axis=0)).sum(
+        axis=0
+    )  # back and forth: the loop swings it about the side that stands
+    assert (turned[:2] < 0.1).all() and (turned[2:] > 1.0).all()
 
 
 def test_a_base_without_power_rolls_as_far_as_its_friction_lets_it(driven):

@@ -4,7 +4,6 @@ import pytest
 
 import graceful_plan as gp
 from failbench.wheels.coasting import BaseFailure, coasted, drawn
-from failbench.wheels.driving import drive
 from failbench.wheels.wheeled import wheeled
 from graceful_plan.costs.models.coast.constants import WHEELS, CoastSettings
 from graceful_plan.exceptions import UnknownNameError, UnsupportedError
@@ -70,27 +69,6 @@ def test_failures_are_drawn_as_often_as_the_settings_say():
     for word in WHEELS:
         often = sum(way.weight for way in settings.ways.values() if way.wheels == word)
         assert words.count(word) / 2000 == pytest.approx(often, abs=0.04)
-
-
-def test_a_planned_motion_is_driven():
-    scene = jackal((1.0, 0.3))
-    result = gp.plan([-3.0, 0.0, 0.0], gp.BasePose(3.0, 0.0, 0.0), scene, iterations=3000)
-    driven = drive(result.trajectory, scene)
-    assert not driven.touched and driven.error.max() < 0.08
-    np.testing.assert_allclose(driven.pose[-1], [3.0, 0.0, 0.0], atol=0.03)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "task", "goal", "error"),
-    [("apartment", "bring_parcel", (6.0, 1.5), 0.08), ("hallway", "carry_bottle", (4.0, -0.6), 0.08)],
-)
-def test_bundled_scenes_are_driven_in(name, task, goal, error):
-    """A Jackal away from stairs, and a Fetch past a plant with its arm held out: floors are boxes there."""
-    found = gp.load_scene(name).tasks[task]
-    result = gp.plan(found.start, gp.BasePose(*goal), found.world, w=0.0, iterations=3000)
-    driven = drive(result.trajectory, found.world)
-    assert not driven.touched and driven.error.max() < error
 
 
 def test_an_arm_is_held_and_stairs_are_no_wall():

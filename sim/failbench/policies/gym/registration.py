@@ -5,8 +5,10 @@ Gymnasium allows one slash in a name, so dots stand for the others. "FailBench/S
 
 from __future__ import annotations
 
+import graceful_plan as gp
 from failbench.basics.errors import MissingExtra
 from failbench.scenario import scenarios
+from graceful_plan.exceptions import UnsupportedError
 
 _ENVIRONMENT = "failbench.policies.gym.environment"
 
@@ -23,13 +25,19 @@ def register(pattern: str = "*") -> tuple[str, ...]:
     Raises:
         UnknownNameError: If nothing matches.
         MissingExtra: If Gymnasium is not installed.
+        UnsupportedError: If only robots that drive match.
     """
     try:
         import gymnasium
     except ImportError:
         raise MissingExtra("gymnasium", "policies") from None
     names: list[str] = []
-    for scenario in scenarios(pattern):
+    found = [scenario for scenario in scenarios(pattern) if scenario.scene not in gp.mobile_scenes()]
+    if not found:
+        raise UnsupportedError(
+            f"{pattern}: policies act on arms that stand; controllers of bases go to `failbench.drive`"
+        )
+    for scenario in found:
         task = f"{scenario.scene}/{scenario.task}"
         for name, fault in ((task, None), (scenario.name, scenario.fault)):
             identity = f"FailBench/{name.replace('/', '.')}"

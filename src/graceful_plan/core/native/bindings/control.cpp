@@ -54,13 +54,13 @@ void bind_control(nb::module_& m) {
   nb::class_<DynamicWindow>(m, "DynamicWindow")
       .def(
           "__init__",
-          [](DynamicWindow* self, Reals disc, Reals stops, Reals constants, Reals share, Reals speeds, Reals rates,
+          [](DynamicWindow* self, Reals outline, Reals stops, Reals constants, Reals share, Reals speeds, Reals rates,
              Reals places, Reals limits, Reals settings, int n_v, int n_omega) {
-            new (self) DynamicWindow({disc, stops, constants, share, speeds, rates, places}, limits_of(limits),
+            new (self) DynamicWindow({outline, stops, constants, share, speeds, rates, places}, limits_of(limits),
                                      settings_of(settings, n_v, n_omega));
           },
-          nb::kw_only(), "disc"_a, "stops"_a, "constants"_a, "share"_a, "speeds"_a, "rates"_a, "places"_a, "limits"_a,
-          "settings"_a, "n_v"_a, "n_omega"_a)
+          nb::kw_only(), "outline"_a, "stops"_a, "constants"_a, "share"_a, "speeds"_a, "rates"_a, "places"_a,
+          "limits"_a, "settings"_a, "n_v"_a, "n_omega"_a)
       .def("choose", &choose, nb::kw_only(), "state"_a, "path"_a, "entity"_a, "shape"_a, "velocity"_a, "severity"_a,
            "every"_a = false);
 }

@@ -40,38 +40,76 @@ inline std::vector<FloorShape> floor_shapes(const Integers& entity, const Reals&
   return out;
 }
 
-// A base from above: discs in its frame, and a circle around them all.
+// A base from above: rectangles in its frame that may be rounded, and a circle around them all.
 class Footprint2d {
  public:
-  struct Disc {
-    double x, y, r;
-  };
-  explicit Footprint2d(const Reals& disc) {
-    require_numbers(disc, "discs of a base", kMaxExtent);
-    require(disc.size() > 0 && disc.size() % 3 == 0, "discs of a base");
-    for (size_t k = 0; k < disc.size(); k += 3) {
-      const double* d = disc.data() + k;
-      require(d[2] > 0, "radius of a disc");
-      disc_.push_back({d[0], d[1], d[2]});
-      reach_ = std::max(reach_, std::hypot(d[0], d[1]) + d[2]);
+  explicit Footprint2d(const Reals& outline) {
+    require_numbers(outline, "outline of a base", kMaxExtent);
+    require(outline.size() > 0 && outline.size() % 7 == 0, "outline of a base");
+    for (size_t k = 0; k < outline.size(); k += 7) {
+      const double* s = outline.data() + k;
+      require(s[4] >= 0 && s[5] >= 0 && s[6] >= 0, "size of a part of a base");
+      part_.push_back({-1, s[0], s[1], s[2], s[3], s[4], s[5], s[6], 0, 0});
+      within_.push_back(std::hypot(s[4], s[5]) + s[6]);
+      reach_ = std::max(reach_, std::hypot(s[0], s[1]) + within_.back());
     }
   }
   double reach() const { return reach_; }
   // Of the base at a place, with a heading of this cosine and sine, to a shape at a time.
   double distance(const FloorShape& shape, double x, double y, double c, double s, double time) const {
+    const double dx = shape.x + shape.vx * time - x, dy = shape.y + shape.vy * time - y;
+    const FloorShape seen{shape.entity,
+                          c * dx + s * dy,
+                          c * dy - s * dx,
+                          c * shape.ux + s * shape.uy,
+                          c * shape.uy - s * shape.ux,
+                          shape.a,
+                          shape.b,
+                          shape.round,
+                          0,
+                          0};
+    const double around = std::hypot(shape.a, shape.b) + shape.round;
     double d = std::numeric_limits<double>::infinity();
-    for (const Disc& one : disc_)
-      d = std::min(d, shape.distance(x + c * one.x - s * one.y, y + s * one.x + c * one.y, time) - one.r);
+    for (size_t k = 0; k < part_.size(); ++k) {
+      const double apart = std::hypot(seen.x - part_[k].x, seen.y - part_[k].y);
+      if (apart - within_[k] - around < d) d = std::min(d, between(part_[k], seen));
+    }
     return d;
   }
 
  private:
-  std::vector<Disc> disc_;
+  // Of two shapes that rest; where they overlap, minus the way that parts them.
+  static double between(const FloorShape& one, const FloorShape& other) {
+    if (other.a == 0 && other.b == 0) return one.distance(other.x, other.y, 0) - other.round;
+    if (one.a == 0 && one.b == 0) return other.distance(one.x, one.y, 0) - one.round;
+    const double apart = std::max(gap(one, other), gap(other, one));
+    const double corners = apart > 0 ? std::min(nearest(one, other), nearest(other, one)) : apart;
+    return corners - one.round - other.round;
+  }
+  // How far apart two rectangles are along the sides of the first.
+  static double gap(const FloorShape& one, const FloorShape& other) {
+    const double dx = other.x - one.x, dy = other.y - one.y;
+    const double c = std::fabs(one.ux * other.ux + one.uy * other.uy);
+    const double s = std::fabs(one.ux * other.uy - one.uy * other.ux);
+    return std::max(std::fabs(one.ux * dx + one.uy * dy) - one.a - c * other.a - s * other.b,
+                    std::fabs(one.ux * dy - one.uy * dx) - one.b - s * other.a - c * other.b);
+  }
+  // Distance of the corners of the second from the first.
+  static double nearest(const FloorShape& one, const FloorShape& other) {
+    double d = std::numeric_limits<double>::infinity();
+    for (const double a : {-other.a, other.a})
+      for (const double b : {-other.b, other.b})
+        d = std::min(d, one.distance(other.x + a * other.ux - b * other.uy, other.y + a * other.uy + b * other.ux, 0));
+    return d + one.round;
+  }
+
+  std::vector<FloorShape> part_;
+  std::vector<double> within_;  // circles around them
   double reach_ = 0;
 };
 
 struct CoastingArrays {
-  Reals disc;       // centre in the frame of the base (2), radius
+  Reals outline;    // parts of the base in its frame, as shapes: rectangles that may be rounded
   Reals stops;      // probability, deceleration, drag, delay, whether wheels are let go, curvature that is added
   Reals constants;  // speed that severities are for, position spread, drift, angle by rate squared once let go
   Reals share;      // probability of each of the tables of places
@@ -83,7 +121,7 @@ struct CoastingArrays {
 class Coasting {
   // Places of one way, in the order in which the base comes there.
   struct Place {
-    double at[4], time, spread, worth;
+    double at[4], time, spread;
   };
 
  public:
@@ -94,9 +132,9 @@ class Coasting {
 
   // What is written to for each state.
   struct Work {
-    Work(const Coasting& of, size_t n_entity)
-        : hit(n_entity), most(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
+    Work(const Coasting& of, size_t n_entity) : hit(n_entity), free(of.stop_.size()), braked(of.stop_.size()) {}
     std::vector<double> hit, most, met, free, braked, touched;
+    std::vector<double> worth;       // by place and stop: probability of the stop, times what a hit is worth there
     std::vector<size_t> whom, what;  // shapes that are near enough: of entities, and obstacles
     std::vector<Place> place;
     std::vector<Spun> spun;          // of the tables, at the speed and rate of turning of the state before
@@ -107,7 +145,7 @@ class Coasting {
     double x, y, yaw, v, omega;
   };
 
-  explicit Coasting(const CoastingArrays& of) : footprint_(of.disc) {
+  explicit Coasting(const CoastingArrays& of) : footprint_(of.outline) {
     require_numbers(of.stops, "ways to come to rest"), require_numbers(of.constants, 4, "constants of a base");
     require(of.stops.size() % kStop == 0, "ways to come to rest");
     for (size_t k = 0; k < of.stops.size(); k += kStop) {
@@ -230,9 +268,12 @@ class Coasting {
     const double d = footprint_.distance(shape, at[0], at[1], at[2], at[3], time);
     return 0.5 * std::erfc(d / spread * 0.7071067811865476);
   }
-  // Raise work.hit by what is met along a way before an obstacle stops the base. Obstacles are asked for only as far as
-  // there is somebody to be met.
+  // Raise work.hit by what is met along a way before an obstacle stops the base: of each of its stops what is worth
+  // most, for one goes farther than another. Obstacles are asked for only as far as there is somebody to be met.
   void meet(const std::vector<FloorShape>& shape, double share, Work& work) const {
+    if (work.place.empty()) return;
+    const size_t stops = work.worth.size() / work.place.size();
+    work.most.assign(work.hit.size() * stops, 0.0);
     size_t last = 0;
     work.touched.assign(work.place.size() * work.whom.size(), 0.0);
     for (size_t k = 0; k < work.place.size(); ++k) {
@@ -258,14 +299,18 @@ class Coasting {
           const size_t other = size_t(shape[work.whom[i]].entity);
           if (other != own) before = std::max(before, work.met[other]);
         }
-        work.most[own] = std::max(work.most[own], place.worth * (1 - before) * touches);
+        const double* worth = &work.worth[k * stops];
+        double* most = &work.most[own * stops];
+        for (size_t i = 0; i < stops; ++i) most[i] = std::max(most[i], worth[i] * ((1 - before) * touches));
       }
       for (size_t j = 0; j < n; ++j) {
         double& met = work.met[size_t(shape[work.whom[j]].entity)];
         met = std::max(met, work.touched[k * n + j]);
       }
     }
-    for (size_t e = 0; e < work.hit.size(); ++e) work.hit[e] += share * work.most[e], work.most[e] = 0;
+    if (last == 0) return;
+    for (size_t e = 0; e < work.hit.size(); ++e)
+      for (size_t i = 0; i < stops; ++i) work.hit[e] += share * work.most[e * stops + i];
   }
 
   // Follow an arc and what comes after it, and raise work.hit.
@@ -273,7 +318,7 @@ class Coasting {
     const double worth = way.speed * way.speed / (unit_ * unit_);
     const double arc = way.bend != 0 ? way.most / std::fabs(way.bend) : std::numeric_limits<double>::infinity();
     double time = 0, before = 0;
-    work.place.clear();
+    work.place.clear(), work.worth.clear();
     for (int k = 0; k < kSamples && kSpacing * (k - 1) < way.far; ++k) {
       const double done = std::min(way.far, kSpacing * k), curved = std::min(done, arc), straight = done - curved;
       const double turned = way.bend * curved, half = 0.5 * turned;
@@ -284,14 +329,19 @@ class Coasting {
       // What is touched at a place may have been met anywhere since the place before.
       const double met = k == 0 ? done : 0.5 * (done + kSpacing * (k - 1));
       double energy = 0, moving = 0, left_of = 0;
+      const size_t row = work.worth.size();
       for (const size_t i : way.stops) {
         const double left = std::clamp(1 - (met - work.free[i]) / std::max(work.braked[i], 1e-12), 0.0, 1.0);
-        energy += stop_[i].p * std::min(1.0, left * worth);
+        work.worth.push_back(stop_[i].p * std::min(1.0, left * worth));
+        energy += work.worth.back();
         if (left > 0) moving += stop_[i].p, left_of += stop_[i].p * left;
       }
-      if (energy <= 0) break;
+      if (energy <= 0) {
+        work.worth.resize(row);
+        break;
+      }
       time += (done - before) / (way.speed * std::max(std::sqrt(left_of / moving), kSlowest)), before = done;
-      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done), energy});
+      work.place.push_back({{at[0], at[1], at[2], at[3]}, time, std::hypot(spread_, drift_ * done)});
     }
     meet(shape, 1.0, work);
   }
@@ -308,14 +358,14 @@ class Coasting {
         row += samples_;
         continue;
       }
-      work.place.clear();
+      work.place.clear(), work.worth.clear();
       for (size_t k = 0; k < samples_; ++k, ++row) {
         const double x = sign * row->x, y = sign * row->y;
         work.place.push_back(
             {{q.x + c * x - s * y, q.y + s * x + c * y, c * row->cos - s * row->sin, s * row->cos + c * row->sin},
              row->time,
-             row->spread,
-             row->worth});
+             row->spread});
+        work.worth.push_back(row->worth);
       }
       meet(shape, share_[f], work);
     }

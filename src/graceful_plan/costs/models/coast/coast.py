@@ -7,11 +7,11 @@ to rest differ by deceleration a, drag k and delay T; it goes
 .. math:: D = |v| T + |v| / k - (a / k^2) \ln(1 + k |v| / a), \qquad D = |v| T + v^2 / 2a \text{ where } k = 0
 
 far. After a way s it still has the share :math:`e = \min(1, 1 - (s - |v| T) / (D - |v| T))` of its energy, which is
-what severities are worth: :math:`\min(1, e v^2 / u^2)`, with u the speed that they are for. From above, the base is a
-row of discs; whether one of them touches a shape at a distance d is uncertain by :math:`\sigma(s)`: the position
-spread, and the drift times s. With the probabilities :math:`p_i` of the ways,
+what severities are worth: :math:`\min(1, e v^2 / u^2)`, with u the speed that they are for. From above, the base is
+what its geoms are, rectangles that may be rounded; whether one of them touches a shape at a distance d is uncertain by
+:math:`\sigma(s)`: the position spread, and the drift times s. With the probabilities :math:`p_i` of the ways,
 
-.. math:: P = \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \sum_i p_i \min(1, e_i(s) v^2 / u^2)
+.. math:: P = \sum_i p_i \max_s \Phi\left(-\frac{d(s)}{\sigma(s)}\right) B(s) \min(1, e_i(s) v^2 / u^2)
 
 where B is the probability that no obstacle and nobody else has stopped it before. P is the probability of a hit, times
 the share of the severity that its energy is worth. Bases of which one side fails go where

@@ -44,7 +44,7 @@ def coasting_arrays(scene: Scene, settings: CoastSettings) -> dict[str, Float[Ar
     tables = coast_tables(scene)
     ways = one_sided_ways(tables.body, settings)
     return {
-        "disc": reals(tables.disc),
+        "outline": reals(tables.outline),
         "stops": reals(settings.stops(scene.base.load)),
         "constants": reals(
             [settings.reference_speed, settings.position_spread, settings.drift, _turns_on(scene, settings)]

@@ -1,4 +1,4 @@
-"""What the coast model sees of a scene: discs of the base, and what stands at its height, both from above."""
+"""What the coast model sees of a scene: the outline of the base, and what stands at its height, both from above."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ _OVER_THE_FLOOR = 0.03
 """What is lower than this over the lowest point of the base is rolled over or under [m]."""
 _ROUND = (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 _UPRIGHT = 0.99
-_CORNER = 0.25
-"""Radius of the discs in the corners, by half of the shorter side."""
+_WITHIN = 1e-3
+"""What a part of the base sticks out of another one by at most for it to be left out [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CoastTables:
     """The base and what it may meet.
 
-    | field  | meaning                                                                          | unit | shape   |
-    |--------|----------------------------------------------------------------------------------|------|---------|
-    | disc   | of the base: centre in the frame of its joints, and radius                       | m    | disc 3  |
-    | entity | which entity a shape is of; -1 for obstacles                                     |      | shape   |
-    | shape  | rectangles from above: centre, direction, half sizes, and by how much rounded    | m    | shape 7 |
-    | body   | its mass, and where it is                                                        |      |         |
-    | height | from what it rolls over to its highest point                                     | m    | 2       |
+    | field   | meaning                                                                         | unit | shape   |
+    |---------|---------------------------------------------------------------------------------|------|---------|
+    | outline | parts of the base, as shapes, in the frame of its joints                        | m    | part 7  |
+    | entity  | which entity a shape is of; -1 for obstacles                                    |      | shape   |
+    | shape   | rectangles from above: centre, direction, half sizes, and by how much rounded   | m    | shape 7 |
+    | body    | its mass, and where it is                                                       |      |         |
+    | height  | from what it rolls over to its highest point                                    | m    | 2       |
     """
 
-    disc: Float[Array, "disc 3"]
+    outline: Float[Array, "part 7"]
     entity: Int[Array, " shape"]
     shape: Float[Array, "shape 7"]
     body: BaseBody
@@ -52,7 +52,8 @@ def coast_tables(scene: Scene) -> CoastTables:
     model, data = scene.model, scene.data_at(np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T))
     body = int(model.jnt_bodyid[model.joint(scene.base.joints[2]).id])
     mine = [g for g in colliding_geoms(model, rigid_group(model, body)) if model.geom_type[g] != _GEOM.mjGEOM_PLANE]
-    box, low, high = _footprint(model, data, mine, data.qpos[scene.qpos_adr[:3]])
+    parts = [_from_above(model, data, geom) for geom in mine]
+    low, high = min(bottom for _, bottom, _ in parts), max(top for *_, top in parts)
     owner = {geom: k for k, entity in enumerate(scene.entities.values()) for geom in entity.geoms}
     robot = scene.robot_bodies | ({model.body(scene.carried.body).id} if scene.carried is not None else set())
     entity, shape = [], []
@@ -65,7 +66,7 @@ def coast_tables(scene: Scene) -> CoastTables:
             entity.append(owner.get(geom, -1))
             shape.append(row)
     return CoastTables(
-        disc=_discs(*box),
+        outline=_outline(np.array([row for row, *_ in parts]), data.qpos[scene.qpos_adr[:3]]),
         entity=np.array(entity, dtype=np.int32),
         shape=np.array(shape).reshape(-1, 7),
         body=_body(scene.base, model, data, body),
@@ -86,39 +87,27 @@ def _body(base: DiffDrive, model: mujoco.MjModel, data: mujoco.MjData, body: int
     return BaseBody(base=base, mass=max(total, 1e-9), gyration=max(gyration, 1e-3), centre=(turned[0], turned[1]))
 
 
-def _footprint(
-    model: mujoco.MjModel, data: mujoco.MjData, geoms: list[int], pose: Float[Array, " 3"]
-) -> tuple[tuple[Float[Array, " 2"], Float[Array, " 2"]], float, float]:
-    """Return the box around geoms in the frame of the base: lower and upper corner; and their heights."""
+def _outline(rows: Float[Array, "geom 7"], pose: Float[Array, " 3"]) -> Float[Array, "part 7"]:
+    """Return parts in the frame of a base, without those that are within others."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     to_base = np.array([[c, s], [-s, c]])
-    lower, upper, heights = [], [], []
-    for geom in geoms:
-        R = data.geom_xmat[geom].reshape(3, 3)
-        centre = data.geom_xpos[geom] + R @ model.geom_aabb[geom, :3]
-        place = to_base @ (centre[:2] - pose[:2])
-        half = np.abs(to_base @ R[:2]) @ model.geom_aabb[geom, 3:]
-        lower.append(place - half)
-        upper.append(place + half)
-        reach = np.abs(R[2]) @ model.geom_aabb[geom, 3:]
-        heights += [centre[2] - reach, centre[2] + reach]
-    return (np.min(lower, axis=0), np.max(upper, axis=0)), min(heights), max(heights)
+    rows = np.column_stack([(rows[:, :2] - pose[:2]) @ to_base.T, rows[:, 2:4] @ to_base.T, rows[:, 4:]])
+    rows = rows[np.argsort(-(rows[:, 4] + rows[:, 6]) * (rows[:, 5] + rows[:, 6]), kind="stable")]
+    kept: list[Float[Array, " 7"]] = []
+    for row in rows:
+        if not any(_is_within(row, other) for other in kept):
+            kept.append(row)
+    return np.array(kept)
 
 
-def _discs(lower: Float[Array, " 2"], upper: Float[Array, " 2"]) -> Float[Array, "disc 3"]:
-    """Cover a rectangle with discs along its longer side, as wide as its shorter one, and a small one in each corner.
-
-    The corners stick out by a tenth of the shorter half side.
-    """
-    half, centre = 0.5 * (upper - lower), 0.5 * (upper + lower)
-    longer = int(np.argmax(half))
-    radius, room = float(half[1 - longer]), float(half[longer] - half[1 - longer])
-    n = 1 + int(np.ceil(room / max(radius, 1e-9)))
-    discs = np.tile([*centre, radius], (n, 1))
-    discs[:, longer] += np.linspace(-room, room, n) if n > 1 else 0.0
-    small = _CORNER * radius
-    corners = [[*(centre + (half - small) * [a, b]), small] for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
-    return np.concatenate([discs, corners])
+def _is_within(row: Float[Array, " 7"], other: Float[Array, " 7"]) -> bool:
+    """Whether a rounded rectangle sticks out of another one by next to nothing."""
+    x, y = row[2:4], np.array([-row[3], row[2]])
+    corners = np.array([row[:2] + a * row[4] * x + b * row[5] * y for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
+    u, w = corners - other[:2], np.stack([other[2:4], [-other[3], other[2]]])
+    beyond = np.abs(u @ w.T) - other[4:6]
+    outside = np.hypot(*np.maximum(beyond, 0.0).T) + np.minimum(beyond.max(axis=1), 0.0)
+    return bool((outside + row[6] <= other[6] + _WITHIN).all())
 
 
 def _from_above(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Float[Array, " 7"], float, float]:

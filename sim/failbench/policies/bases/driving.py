@@ -4,33 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
+from failbench.basics.errors import ExecutionRefused
+from failbench.report import ValidationReport
+from failbench.validation import Scenarios, validate
+from failbench.wheels.following import (
+    SETTLES,
+    SLOW,
+    THERE,
+    Controller,
+    Course,
+    CourseFollower,
+    check_course,
+    thinned,
+    timed,
+    untimed,
+)
 from failbench.wheels.slipping import fitted_tracking
 from failbench.wheels.wheeled import TIMESTEP, Wheeled, wheeled
-from graceful_plan import PlanResult, Scene, Trajectory
+from graceful_plan import Path, PlanResult, Scene, Trajectory, retime
 from graceful_plan.array_types import Float
-from graceful_plan.control.diff_drive_controller import Tracking, drive_states, limited
+from graceful_plan.control.diff_drive_controller import Tracking
 from graceful_plan.control.drive_state import DriveCommand, DriveState
-from graceful_plan.control.dwa import DynamicWindow, seen
-from graceful_plan.control.pure_pursuit import PurePursuit
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
-
-Controller = Tracking | PurePursuit | DynamicWindow
-
-PERIOD = 0.02
-"""Between commands of controllers that have no period of their own [s]."""
-_SETTLES = 0.5
-"""How long the robot is watched after the end [s]."""
-_THERE = 0.08
-"""Distance to the end of a path at which it counts as reached [m]."""
-_SLOW = 0.02
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,6 +49,7 @@ class Driven:
     | touched  | names of bodies, and of moving entities, that it touched, and when first       | s           |
     | arrived  | whether it came to the end and stood there                                     |             |
     | chosen   | how many commands were asked for, and how many of them were emergency stops    |             |
+    | failures | what it did harm to when it failed on its way; None if nothing was to fail     |             |
     """
 
     t: Float[Array, " sample"]
@@ -57,6 +60,7 @@ class Driven:
     touched: Mapping[str, float] = field(default_factory=dict)
     arrived: bool = False
     chosen: tuple[int, int] = (0, 0)
+    failures: ValidationReport | None = None
 
     @property
     def duration(self) -> float:
@@ -64,52 +68,71 @@ class Driven:
         return float(self.t[-1])
 
 
-class _Goal(NamedTuple):
-    """What is followed: states in time steps, or a path that has none."""
-
-    wanted: Float[Array, "step 5"] | None
-    path: Float[Array, "n 2"]
-
-
 def drive(
     motion: Trajectory | PlanResult | Float[Array, "n 2"],
     scene: Scene,
     controller: Controller | None = None,
     *,
+    faults: Scenarios = (),
+    n: int = 60,
+    horizon: float = 4.0,
+    seed: int = 0,
     start: Float[Array, " nq"] | None = None,
     seconds: float | None = None,
 ) -> Driven:
-    """Drive a base on wheels that turn, with a controller.
+    """Drive a base on wheels that turn, with a controller; and let it fail on its way.
 
-    Moving entities of the scene walk as predicted, are seen by a `DynamicWindow`, and push nothing.
+    Moving entities of the scene walk as predicted, are seen by a `DynamicWindow`, and push nothing. Failures are those
+    of `validate(motion, scene, faults, controller=controller)`: the controller goes on after their onset.
 
     Args:
         motion: A trajectory or the result of `plan`; or places on the floor, for controllers that need no times.
-        scene: Where.
+        scene: Where; what it carries goes along in failures, and is left out of the healthy drive.
         controller: `Tracking` follows a motion in time, `PurePursuit` and a `DynamicWindow` its path. Default:
             `fitted_tracking(scene)`.
+        faults: What fails: patterns of the registry's tags or names such as "power/*/severe", or faults.
+        n: Number of failures, rounded up to a multiple of the number of faults.
+        horizon: How long is simulated after their onset [s].
+        seed: Of everything random.
         start: Configuration from which it drives; where the motion begins by default.
         seconds: How long it drives at most; default: what the motion takes, thrice that without times, and at least
             20 s for paths.
 
     Raises:
         UnsupportedError: If the scene's robot cannot be put on wheels.
-        SettingError: If a path is to be tracked in time.
+        SettingError: If a path is to be tracked in time, or failures are to begin somewhere else than the motion.
+        ExecutionRefused: If something is to fail, and the healthy base does not arrive.
     """
-    wheels, chosen = wheeled(scene), fitted_tracking(scene) if controller is None else controller
-    q0, goal, limit = _goal(motion, scene, chosen, start, seconds)
-    data = wheels.placed(q0, 0.0, 0.0)
-    loop = _Loop(wheels, chosen, goal, limit)
-    rows = list(loop.run(data))
+    bare = scene if scene.carried is None else scene.detach()
+    chosen = fitted_tracking(bare) if controller is None else controller
+    if faults and start is not None:
+        raise SettingError("start", start, "None where something fails: the motion begins where it begins")
+    q0, course = _course(motion, scene, chosen, start, seconds)
+    wheels = wheeled(bare)
+    loop = _Loop(wheels, CourseFollower(chosen, course, bare, TIMESTEP))
+    rows = list(loop.run(wheels.placed(q0, 0.0, 0.0)))
+    driven = _driven(rows, loop)
+    if not faults:
+        return driven
+    if not driven.arrived:
+        raise ExecutionRefused(
+            "the base", driven.duration, "it has not arrived; without faults `drive` says where it is"
+        )
+    followed = motion if isinstance(motion, Trajectory | PlanResult) else _along(course.path, q0, scene)
+    report = validate(followed, scene, faults, controller=chosen, n=n, horizon=horizon, seed=seed)
+    return replace(driven, failures=report)
+
+
+def _driven(rows: list[tuple[float, tuple[float, float, float], float]], loop: _Loop) -> Driven:
     t, pose, speed = np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), np.array([r[2] for r in rows])
-    dense = goal.path if goal.wanted is None else goal.wanted[:, :2]
-    across = _to_polyline(pose[:, :2], dense)
-    if goal.wanted is None:
+    course = loop.follower.course
+    across = _to_polyline(pose[:, :2], course.path)
+    if course.wanted is None:
         error = across
     else:
-        at = np.minimum(np.round(t / TIMESTEP).astype(int), len(goal.wanted) - 1)
-        error = np.linalg.norm(pose[:, :2] - goal.wanted[at, :2], axis=1)
-    ended = np.linalg.norm(pose[-1, :2] - dense[-1]) < _THERE and abs(speed[-1]) < 5 * _SLOW
+        at = np.minimum(np.round(t / TIMESTEP).astype(int), len(course.wanted) - 1)
+        error = np.linalg.norm(pose[:, :2] - course.wanted[at, :2], axis=1)
+    ended = np.linalg.norm(pose[-1, :2] - course.path[-1]) < THERE and abs(speed[-1]) < 5 * SLOW
     return Driven(
         t=t,
         pose=pose,
@@ -118,60 +141,60 @@ def drive(
         across=across,
         touched=loop.touched,
         arrived=bool(ended),
-        chosen=(loop.commands, loop.stops),
+        chosen=(loop.follower.commands, loop.follower.stops),
     )
 
 
-def _goal(
+def _course(
     motion: Trajectory | PlanResult | Float[Array, "n 2"],
     scene: Scene,
     controller: Controller,
     start: Float[Array, " nq"] | None,
     seconds: float | None,
-) -> tuple[Float[Array, " nq"], _Goal, float]:
+) -> tuple[Float[Array, " nq"], Course]:
     if isinstance(motion, PlanResult):
         motion = motion.unwrap()
     if isinstance(motion, Trajectory):
-        t = np.arange(0.0, motion.duration + _SETTLES, TIMESTEP)
-        state = motion.at(motion.t[0] + np.minimum(t, motion.duration))
-        wanted = drive_states(state.q, state.qd)
-        wanted[t >= motion.duration, 3:] = 0.0
-        q0 = state.q[0] if start is None else np.asarray(start, dtype=float)
+        q0 = motion.q[0] if start is None else np.asarray(start, dtype=float)
         if isinstance(controller, Tracking):
-            return q0, _Goal(wanted, wanted[:, :2]), float(t[-1]) if seconds is None else seconds
-        return q0, _Goal(None, _thinned(wanted[:, :2])), 3.0 * motion.duration + 5.0 if seconds is None else seconds
+            return q0, timed(motion, TIMESTEP, motion.duration + SETTLES if seconds is None else seconds)
+        return q0, untimed(motion, TIMESTEP, seconds)
     path = np.asarray(motion, dtype=float)
     if path.ndim != 2 or path.shape[1] < 2 or not len(path) or not np.isfinite(path).all():
         raise SettingError("motion", path.shape, "a trajectory, or places on the floor (n, 2)")
-    if isinstance(controller, Tracking):
-        raise SettingError("controller", controller, "PurePursuit or a DynamicWindow: a path has no times to track")
-    q0 = np.zeros(len(scene.joints)) if start is None else np.asarray(start, dtype=float)
+    course = Course(None, path[:, :2], 20.0 if seconds is None else seconds)
+    check_course(controller, course)
+    q0 = scene.home_qpos[list(scene.qpos_adr)] if start is None else np.asarray(start, dtype=float)
     if start is None:
         ahead = path[min(1, len(path) - 1), :2] - path[0, :2]
         q0[:3] = *path[0, :2], math.atan2(ahead[1], ahead[0])
-    return q0, _Goal(None, path[:, :2]), 20.0 if seconds is None else seconds
+    return q0, course
+
+
+def _along(path: Float[Array, "n 2"], q0: Float[Array, " nq"], scene: Scene) -> Trajectory:
+    """Return a motion along a path whose times do not count: controllers without times look at its places alone."""
+    q = np.tile(q0, (len(path), 1))
+    q[:, :2] = path
+    return retime(Path(q), scene.limits, scene.joints)
 
 
 class _Loop:
     """A controller and the simulation that it is closed with."""
 
-    def __init__(self, wheels: Wheeled, controller: Controller, goal: _Goal, seconds: float) -> None:
-        self.wheels, self.controller, self.goal = wheels, controller, goal
-        self.period = controller.settings.period if isinstance(controller, DynamicWindow) else PERIOD
-        self.seconds = seconds
+    def __init__(self, wheels: Wheeled, follower: CourseFollower) -> None:
+        self.wheels, self.follower = wheels, follower
         self.touched: dict[str, float] = {}
-        self.commands = self.stops = 0
         self._summed = 0.0
-        self._last = DriveCommand(0.0, 0.0)
 
     def run(self, data: mujoco.MjData) -> Iterator[tuple[float, tuple[float, float, float], float]]:
         """Yield time, pose and speed after each command; the data are changed."""
-        each = max(1, round(self.period / TIMESTEP))
-        for step in range(0, int(self.seconds / TIMESTEP), each):
+        follower = self.follower
+        each = max(1, round(follower.period / TIMESTEP))
+        for step in range(0, round(follower.course.seconds / TIMESTEP), each):
             state = self.state(data)
-            if self._arrived(state, step):
+            if follower.arrived(state):
                 return
-            command = self._command(state, step)
+            command = follower.command(state, step)
             for _ in range(each):
                 self._turn_wheels(data, command)
                 mujoco.mj_step(self.wheels.model, data)
@@ -185,34 +208,10 @@ class _Loop:
         v = float(vx * math.cos(yaw) + vy * math.sin(yaw))
         return DriveState(x, y, yaw, v, float(data.qvel[self.wheels.dof + 5]))
 
-    def _arrived(self, state: DriveState, step: int) -> bool:
-        if self.goal.wanted is not None or not step:
-            return False
-        x, y = self.goal.path[-1]
-        near = math.hypot(state.x - x, state.y - y) < _THERE
-        return near and abs(state.v) < _SLOW and abs(state.omega) < 5 * _SLOW
-
-    def _command(self, state: DriveState, step: int) -> DriveCommand:
-        controller, base = self.controller, self.wheels.base
-        self.commands += 1
-        if isinstance(controller, Tracking):
-            assert self.goal.wanted is not None
-            lead = round((controller.lead + 0.5 * self.period) / TIMESTEP)
-            now = self.goal.wanted[min(step, len(self.goal.wanted) - 1)]
-            ahead = self.goal.wanted[min(step + lead, len(self.goal.wanted) - 1)]
-            return controller.command(state, DriveState(*now[:3], *ahead[3:]))
-        if isinstance(controller, PurePursuit):
-            self._last = limited(controller.command(state, self.goal.path, base), self._last, base, self.period)
-            return self._last
-        choice = controller.choose(state, self.goal.path, seen(self.wheels.scene, step * TIMESTEP))
-        self.stops += not choice.admissible
-        return choice.command
-
     def _turn_wheels(self, data: mujoco.MjData, command: DriveCommand) -> None:
-        gains = self.controller if isinstance(self.controller, Tracking) else Tracking()
         state = DriveState(0.0, 0.0, 0.0, 0.0, float(data.qvel[self.wheels.dof + 5]))
-        self._summed += TIMESTEP * (command.omega - state.omega)
-        told = gains.held(command, state, self._summed)
+        self._summed = self.follower.gains.summed(self._summed, command, state, TIMESTEP)
+        told = self.follower.gains.held(command, state, self._summed)
         data.ctrl[self.wheels.motor] = self.wheels.wheel_rates(told.v, told.omega)
 
     def _note(self, data: mujoco.MjData) -> None:
@@ -227,16 +226,9 @@ class _Loop:
                 self.touched.setdefault(name, float(data.time))
 
 
-def _thinned(path: Float[Array, "n 2"]) -> Float[Array, "k 2"]:
-    """Leave out places that are nearer than 2 cm to the one before, the last one excepted."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    _, kept = np.unique(np.floor(s / 0.02), return_index=True)
-    return path[np.unique([*kept, len(path) - 1])]
-
-
 def _to_polyline(points: Float[Array, "n 2"], path: Float[Array, "k 2"]) -> Float[Array, " n"]:
     """Return the distance of points to a polyline [m]."""
-    path = _thinned(path)
+    path = thinned(path)
     begin, way = path[:-1], np.diff(path, axis=0)
     if not len(way):
         return np.linalg.norm(points - path[0], axis=1)

@@ -1,0 +1,150 @@
+"""Robots that drive, with whatever may break: harm per executed task at the default weight, against w = 0."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import failbench as fb
+import graceful_plan as gp
+from benchmarks import report, suite
+from failbench.scenario import MOBILE
+from graceful_plan.floor.generated import floor_plan
+
+Array = np.ndarray
+
+TITLE = "Robots that drive: harm per executed task under all faults"
+PLANS, PEOPLE, FAILURES, HORIZON, SECONDS, SEED = 20, 12, 4, 3.0, 5.0, 2016
+DEGREE = "severe"
+LEAST = 0.1
+"""Hits that count where none was seen."""
+MEASURED = f"""\
+Every task of the mobile scenes ({", ".join(gp.mobile_scenes())}), with what is carried, and {PLANS} generated floors
+(`floor_plan`, three by two rooms, {PEOPLE} who may be harmed), which a Jackal crosses with nothing aboard. No constant
+was fitted on either. Each is planned in {SECONDS:g} s with w = 0 and with the default weight, executed in FailBench on
+wheels that turn, and fails {FAILURES} times with each fault that its robot can have, degree "{DEGREE}", the same onsets
+(as quantiles) and random numbers for both motions, watched for {HORIZON:g} s. Harm is that of `validate`: what the
+body of the base hits counts by the square of its speed up to 1 m/s, what is carried by what it falls on, the loss of
+itself included. **Per task**: failures come per hour, so it is harm per failure times duration; where nothing is hit,
+{LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the motion, for instance since
+somebody walks into it: planning does not know those who walk. "Worse": more harm per task than at w = 0, by more than
+twice the standard error of the paired difference.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prevented:
+    """What came of one task."""
+
+    task: str
+    note: str = ""
+    """Why there are no figures."""
+    duration: tuple[float, float] = (np.nan, np.nan)
+    """At w = 0, and at the default weight [s]."""
+    harm: tuple[float, float] = (np.nan, np.nan)
+    """Of a failure."""
+    predicted: tuple[float, float] = (np.nan, np.nan)
+    worse: bool = False
+    faults: int = 0
+
+    @property
+    def times_less(self) -> float:
+        """How many times less harm per executed task."""
+        plain, ours = (
+            max(h, LEAST / (FAILURES * self.faults)) * t for h, t in zip(self.harm, self.duration, strict=True)
+        )
+        return plain / ours
+
+    @property
+    def longer(self) -> float:
+        """How much longer it takes, as a ratio."""
+        return self.duration[1] / self.duration[0]
+
+
+def asked(name: str) -> tuple[gp.Scene, Array, Array, tuple[fb.Fault, ...]]:
+    """Return scene, start and goal of a task, and what may break there: "SCENE/TASK", or "floor SEED"."""
+    if name.startswith("floor"):
+        plan = floor_plan(SEED + int(name.split()[1]), people=PEOPLE)
+        found = fb.scenarios(f"apartment/serve_tea/*/{DEGREE}")  # a Jackal too, which has no gripper
+        return plan.floor.to_scene("jackal"), plan.start, plan.goal, tuple(s.fault for s in found)
+    scene, task = name.split("/")
+    chosen = suite.scene(scene).tasks[task]
+    return chosen.scene, chosen.start, chosen.goal, tuple(s.fault for s in fb.scenarios(f"{name}/*/{DEGREE}"))
+
+
+def examine(job: tuple[str, float, int]) -> Prevented:
+    """Plan a task twice, and let both motions fail alike."""
+    name, seconds, each = job
+    scene, start, goal, faults = asked(name)
+    found, reports = Prevented(task=name, faults=len(faults)), []
+    gp.plan(start, goal, scene, iterations=1)  # compiles
+    for w in (0.0, None):
+        result = gp.plan(start, goal, scene, w=w, time_limit=seconds)
+        if result.trajectory is None:
+            return replace(found, note=f"not planned: {result.status.name}")
+        try:
+            reports.append(fb.validate(result, scene, faults, n=each * len(faults), horizon=HORIZON, threads=1))
+        except fb.ExecutionRefused as refused:
+            return replace(found, note=f"refused: {refused.what} at {refused.time:.1f} s")
+    plain, ours = reports
+    more = fb.compare(ours, plain, per="task")
+    return replace(
+        found,
+        duration=(plain.duration, ours.duration),
+        harm=(plain.observed.mean, ours.observed.mean),
+        predicted=(plain.predicted, ours.predicted),
+        worse=more.low > 0.0,
+    )
+
+
+def run(options: suite.Options) -> str:
+    """Measure bundled tasks and generated floors."""
+    bundled = tuple(dict.fromkeys(f"{s.scene}/{s.task}" for s in fb.scenarios(f"{MOBILE}/*/{DEGREE}")))
+    floors = tuple(f"floor {k}" for k in range(PLANS))
+    names = (bundled[0], *floors[:2]) if options.quick else (*bundled, *floors)
+    each = 1 if options.quick else FAILURES
+    jobs = [(name, options.seconds or SECONDS, each) for name in suite.chosen(names, options.tasks)]
+    found = list(suite.spread(examine, jobs, options.processes, "tasks"))
+    header = ("task", "harm per failure, w = 0", "default", "harm per task, x less", "duration", "predicted", "worse")
+    return f"{MEASURED}\n{report.targets(_targets(found))}\n{report.table(header, [_row(one) for one in found])}"
+
+
+def _row(one: Prevented) -> list[str]:
+    if one.note:
+        return [one.task, one.note, "", "", "", "", ""]
+    return [
+        one.task,
+        f"{one.harm[0]:.3f}",
+        f"{one.harm[1]:.3f}",
+        f"{one.times_less:.2f}",
+        f"{one.duration[0]:.2f} s, {100 * (one.longer - 1):+.1f} %",
+        f"{one.predicted[0]:.2f}, {one.predicted[1]:.2f}",
+        "yes" if one.worse else "",
+    ]
+
+
+def _targets(found: Sequence[Prevented]) -> Iterator[report.Target]:
+    done = [one for one in found if not one.note]
+    yield report.Target(
+        what="tasks with figures", wanted="30", measured=f"{len(done)} of {len(found)}", met=len(done) >= 30
+    )
+    if not done:
+        return
+    less, longer = np.median([one.times_less for one in done]), np.median([one.longer for one in done])
+    yield report.Target(
+        what="harm per executed task at the default w against w = 0, median",
+        wanted="5 x less, <= 15 % longer",
+        measured=f"{less:.2f} x less, {100 * (longer - 1):+.1f} %",
+        met=bool(less >= 5.0 and longer <= 1.15),
+    )
+    mean = np.array([[h * t for h, t in zip(one.harm, one.duration, strict=True)] for one in done]).mean(axis=0)
+    yield report.Target(
+        what="ratio of the means",
+        wanted="5 x less",
+        measured=f"{mean[0] / mean[1]:.2f} x",
+        met=bool(mean[0] >= 5 * mean[1]),
+    )
+    worse = sum(one.worse for one in done)
+    yield report.none_of("worse than at w = 0", worse, "none")

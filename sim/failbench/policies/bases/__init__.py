@@ -1,0 +1,1 @@
+"""Bases that controllers drive, healthy and while they fail."""
