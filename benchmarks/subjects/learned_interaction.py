@@ -197,7 +197,7 @@ class TaskHarm:
 def _tasks(options: suite.Options) -> list[tuple[str, int]]:
     names = [name for name in suite.unseen_task_names() if suite.task(name).object_name is not None]
     count = options.pick(TASKS, quick=1)
-    names = names[:: max(1, len(names) // count)][:count]
+    names = [names[i * len(names) // count] for i in range(count)]  # of all scenes
     return [(name, (options.drops and 20 * options.drops) or options.pick(HARM_DROPS, quick=16)) for name in names]
 
 
