@@ -35,8 +35,8 @@ the same events; intervals are 95 %, whole motions drawn with replacement.
 
 Harm: motions planned at the default weight with either model, with the same time limit, seed and speed, then dropped
 from with the same random numbers; the harm of failures per million executed tasks at one failure in 1000 h, and beside
-it, per task, what the healthy robot does harm to on the way. Pairs: millions of a
-configuration and an entity per second of processor time, at random configurations and velocities.
+it, per task, what the healthy robot does harm to on the way. Pairs: millions of a configuration and an entity per
+second of processor time, at random configurations and velocities.
 """
 SEEDS = 7100
 DROPS, HARM_DROPS, TASKS = 20, 400, 12
