@@ -111,6 +111,7 @@ def test_of_what_was_found_the_best_by_the_measure_is_taken(
     assert totals[-1] <= min(preference.total(offered[i]) for i in improvements)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", first_quick(KINDS))
 def test_plans_are_no_worse_by_the_measure(task: gp.Task, objective: gp.Objective, kind: str) -> None:
     """Over several seeds: which valley a plan ends in is chance, with the measure and without."""

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 import graceful_plan as gp
-from failbench.learning.things import Box, Lump, extent, free_spot, scattered, thing
+from failbench.learning.things import Lump, Taken, extent, free_spot, scattered, thing
 from graceful_plan.exceptions import SceneError, UnknownNameError
 from graceful_plan.scene.elements import EntityNote, Notes, ObjectNote, TaskNote
 
@@ -125,7 +125,7 @@ def _furnish(spec: mujoco.MjSpec, boards: list[Board], rng: np.random.Generator)
         at = (board.x, board.y, board.top)
         _add(spec, f"board{i}", [Lump("box", (board.a, board.b, _BOARD), z=-_BOARD)], at, 0.0, free=False)
         entities[f"board{i}"] = EntityNote(category="table")
-        taken: list[Box] = []
+        taken: list[Taken] = []
         for j in range(int(rng.integers(5, 13) if i == 0 else rng.integers(1, 5))):
             parts = thing(rng)
             spot = free_spot(parts, board.a, board.b, taken, rng)

@@ -36,7 +36,7 @@ class Lump:
         return np.array([self.size[0], self.size[0], self.size[1] + (self.size[0] if self.kind == "capsule" else 0.0)])
 
 
-class Box(NamedTuple):
+class Taken(NamedTuple):
     """A disc that is taken, seen from above: around a thing [m]."""
 
     x: float
@@ -68,7 +68,7 @@ def extent(parts: list[Lump], turn: Float[Array, "3 3"] | None = None) -> tuple[
 
 
 def free_spot(
-    parts: list[Lump], a: float, b: float, taken: list[Box], rng: np.random.Generator
+    parts: list[Lump], a: float, b: float, taken: list[Taken], rng: np.random.Generator
 ) -> tuple[float, float, float] | None:
     """Return place and yaw on a board with half sizes a and b, and take it; None if there is no room."""
     low, high = extent(parts)
@@ -78,7 +78,7 @@ def free_spot(
     for _ in range(_TRIES):
         x, y = rng.uniform(-1.0, 1.0, size=2) * (np.array([a, b]) - radius)
         if all(np.hypot(x - other.x, y - other.y) > radius + other.radius + _GAP for other in taken):
-            taken.append(Box(float(x), float(y), radius))
+            taken.append(Taken(float(x), float(y), radius))
             return float(x), float(y), float(rng.uniform(-np.pi, np.pi))
     return None
 

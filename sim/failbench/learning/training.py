@@ -1,8 +1,8 @@
 """Fit a network to drops by maximum likelihood: L-BFGS over all pairs at once, so that the same drops give the same.
 
 Generated scenes are what is fitted to. Bundled ones, which look different, are what is chosen by: how much weights are
-held down, and then how far the network is to be trusted: its bound is scaled so that the likelihood of what happened
-there is greatest, which calibrates it. Where it has learned nothing that holds there, that scale is 0.
+held down, and how far the network is to be trusted: its bound is scaled so that the likelihood of what happened there
+is greatest, which calibrates it. Where it has learned nothing that holds there, that scale is 0.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = np.ndarray
 
 _CERTAIN = 1e-6
 """Probabilities nearer to 1 than this count as this near: there is nothing to be learned from more."""
-_SCALES = np.linspace(0.0, 1.5, 61)
+_SCALES = tuple(i / 20 for i in range(31))
 """Of the bound, that are tried."""
 _LEAST_SPREAD = 1e-3
 
@@ -42,7 +42,7 @@ class Training:
 
     hidden: int = 16
     bound: float = 3.0
-    decays: tuple[float, ...] = (3e-3, 1e-2, 3e-2)
+    decays: tuple[float, ...] = (1e-3, 3e-3, 1e-2)
     iterations: int = 120
     seed: int = 0
 
@@ -75,18 +75,20 @@ def train(pairs: Pairs, training: Training | None = None) -> Learned:
     if pairs.chooses.all() or not pairs.chooses.any():
         raise SettingError("pairs", len(pairs), "some of generated and some of bundled scenes")
     fitted, other = pairs.of(~pairs.chooses), pairs.of(pairs.chooses)
-    tried = [(_fit(fitted, training, decay), decay) for decay in training.decays]
-    losses = [_loss(logits(network, other)[0], other.hit) for network, _ in tried]
-    network, decay = tried[int(np.argmin(losses))]
-    scaled = [replace(network, bound=scale * training.bound) for scale in _SCALES.tolist()]
-    losses = [_loss(logits(one, other)[0], other.hit) for one in scaled]
-    best = int(np.argmin(losses))
+    tried = [
+        (replace(network, bound=scale * training.bound), decay, scale)
+        for decay in training.decays
+        for network in [_fit(fitted, training, decay)]
+        for scale in _SCALES
+    ]
+    losses = [_loss(logits(network, other)[0], other.hit) for network, _, _ in tried]
+    network, decay, scale = tried[int(np.argmin(losses))]
     return Learned(
-        network=scaled[best],
+        network=network,
         plain=figures(probability(None, other), other.hit),
-        corrected=figures(probability(scaled[best], other), other.hit),
+        corrected=figures(probability(network, other), other.hit),
         decay=decay,
-        scale=float(_SCALES[best]),
+        scale=scale,
     )
 
 

@@ -246,7 +246,7 @@ def test_a_planner_that_never_returns_is_stopped(here, monkeypatch):
 def test_loading_a_problem_is_not_in_the_time_of_a_run(tmp_path, monkeypatch):
     (job,) = jobs(tmp_path, "rrt_connect")
     asked = []
-    monkeypatch.setattr(runner, "_problem", asked.append)
+    monkeypatch.setattr(runner, "loaded_problem", asked.append)
     runner.load(job)
     assert asked == [job.problem]
 

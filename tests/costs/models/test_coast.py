@@ -201,6 +201,7 @@ def test_settings_are_checked(change):
             only(**way)
 
 
+@pytest.mark.long
 def test_slow_near_people():
     assert BASE.v_max == 2.0
     # The careful one needs nearly all of its 20,496 iterations: after 4,000 it is a slower one of J = 8.71, not 8.53.

@@ -47,6 +47,7 @@ def test_laws_of_time_are_as_good_as_the_best_of_all():
         assert best - 1e-9 <= found <= 1.03 * best
 
 
+@pytest.mark.long
 def test_nobody_is_driven_into_and_harm_is_less_than_without_regard_for_time():
     scene = SCENE.with_moving(CROSSING)
     unaware, aware = planned(SCENE), planned(scene)

@@ -33,6 +33,7 @@ def test_what_is_returned_costs_what_it_says_and_passes_a_judge_of_its_own():
     assert gp.verify(result.trajectory, SCENE, start=[-4, 0, 0], goal=[4, 0, 0]).passed
 
 
+@pytest.mark.long
 @given(st.floats(-5, 5), st.floats(-1.3, 1.3), st.floats(-3.1, 3.1))
 @settings(max_examples=12, deadline=None)
 def test_goals_anywhere_are_reached_rolling_or_refused(x, y, yaw):
@@ -111,6 +112,7 @@ def test_what_does_not_know_how_a_base_rolls_says_so():
         gp.Roadmap.build(SCENE, time_limit=1.0)
 
 
+@pytest.mark.long
 def test_poses_on_the_way_are_passed():
     result = planned("east", via=[[0.0, 1.2, 0.0]])
     assert result.status is gp.PlanStatus.SOLVED and gp.verify(result.trajectory, SCENE).passed

@@ -154,6 +154,7 @@ def test_postures_are_found_among_themselves():
     assert [nearest(postures, arm) for arm in postures] == [0, 1, 2]
 
 
+@pytest.mark.long
 def test_base_and_arm_move_at_once_and_the_judge_agrees():
     goal = [4.0, -1.2, 0.0, -0.9]
     both, apart = (

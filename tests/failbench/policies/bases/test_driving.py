@@ -62,6 +62,7 @@ def test_the_same_controller_by_default_is_bit_by_bit_the_same(scene, motion):
     np.testing.assert_array_equal(given.command, default.command)
 
 
+@pytest.mark.long
 def test_what_looks_around_does_less_harm_when_it_fails():
     """Without power it rolls on into the child behind the goal; the dynamic window came slowly, as that may happen."""
     scene, kind = jackal((2.85, 0.0)), fb.faults()["complete_shutdown"]
