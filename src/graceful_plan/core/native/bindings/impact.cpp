@@ -117,8 +117,8 @@ void bind_impact(nb::module_& m) {
             new (self)
                 CoastModel(core, {outline, stops, constants, share, speeds, rates, places}, entity, shape, n_entity);
           },
-          "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "outline"_a, "stops"_a, "constants"_a, "share"_a,
-          "speeds"_a, "rates"_a, "places"_a, nb::keep_alive<1, 2>())
+          "core"_a, nb::kw_only(), "entity"_a, "shape"_a, "n_entity"_a, "outline"_a, "stops"_a, "constants"_a,
+          "share"_a, "speeds"_a, "rates"_a, "places"_a, nb::keep_alive<1, 2>())
       .def("probability", &CoastModel::probability, "q"_a, "qd"_a)
       .def("met", &CoastModel::met, "q"_a, "qd"_a, nb::kw_only(), "shape"_a, "velocity"_a, "spread"_a);
   nb::class_<CoastImpact, Impact>(m, "CoastImpact")
