@@ -153,6 +153,21 @@ def test_the_ordinary_motion_is_shown_beside_the_other_one(page, viewer):
     assert errors(page) == []
 
 
+def test_motions_are_kept_in_sight(page, viewer):
+    click(page, "Plan")
+    until(lambda: "Keep this motion" in text(page))
+    label = f"A: w = {state(viewer).question.w:g}"
+    click(page, "Keep this motion")
+    until(lambda: label in text(page))
+    (kept,) = state(viewer).kept
+    until(lambda: re.search(rf"impact\s+.*{kept.cost.impact:.3g}\b", text(page)))
+    click(page, "Keep this motion")
+    until(lambda: "not kept already" in text(page))
+    click(page, "Let go of those kept")
+    until(lambda: not state(viewer).kept and label not in text(page))
+    assert errors(page) == []
+
+
 def test_it_plays_and_pauses(page, viewer):
     if viewer._page.player.playing:
         click(page, "Pause")

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import failbench as fb
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.viewer.browser import words
 from graceful_plan.viewer.failing import Failure, faults_of
 from graceful_plan.viewer.fall import fall_at, going_on_at
 from graceful_plan.viewer.question import Question
 from graceful_plan.viewer.risk_layer import heat_colours
 from graceful_plan.viewer.shapes import parts
-from graceful_plan.viewer.state import ViewerState
+from graceful_plan.viewer.state import MOST_KEPT, ViewerState
 
 _LONG = 60.0
 """Seconds after which a test gives up."""
@@ -86,7 +89,28 @@ def test_frames_are_the_motion(state):
     for k, part in enumerate(parts(scene)):
         np.testing.assert_allclose(moment.position[k], data.xpos[part.body], atol=1e-9)
         np.testing.assert_allclose(abs(moment.turned[k] @ data.xquat[part.body]), 1.0, atol=1e-9)
-    assert moment.beside is not None and not moment.failed
+    assert len(moment.beside) == 1 and not moment.failed
+
+
+def test_motions_are_kept_beside_those_planned_later(fresh):
+    first = fresh.motion
+    kept = fresh.keep()
+    assert kept.label == f"A: w = {fresh.question.w:g}" and kept.cost is first.cost
+    with pytest.raises(SettingError, match="not kept already"):
+        fresh.keep()
+    later = dataclasses.replace(first, trajectory=first.trajectory.sample(0.1))
+    fresh.answer = dataclasses.replace(fresh.answer, chosen=later)
+    assert fresh.others[1:] == (kept,) and fresh.duration >= kept.duration
+    (_, (position, turned)) = fresh.at(0.4 * kept.duration).beside
+    frame = kept.frame(0.4 * kept.duration)
+    assert (position == kept.poses.position[frame]).all() and (turned == kept.poses.quaternion[frame]).all()
+    text = words.plan_words(fresh.answer, fresh.kept, busy=False)
+    assert text.count("<th") == 4 and kept.label in text
+    fresh.kept = (kept,) * MOST_KEPT
+    with pytest.raises(SettingError, match=f"at most {MOST_KEPT}"):
+        fresh.keep()
+    fresh.let_go()
+    assert len(fresh.at(0.0).beside) == 1
 
 
 def test_impact_at_a_moment_adds_up_to_that_of_the_motion(state):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -20,6 +20,9 @@ from graceful_plan.viewer.worker import LatestWins
 
 Array = np.ndarray
 
+MOST_KEPT = 4
+"""Motions that are kept at the same time."""
+
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +34,7 @@ class ShownMoment:
     | t        | time after the start                                                       | s    |        |
     | position | of each part: of the chosen motion or of the replay                        | m    | part 3 |
     | turned   | of each part, quaternion wxyz                                              |      | part 4 |
-    | beside   | position and quaternion of each part of the ordinary motion, if there is one |    |        |
+    | beside   | position and quaternion of each part, of each of the other motions         |      |        |
     | impact   | of a failure now, by entity, the worst first                               |      |        |
     | fall     | footprint of a drop now; None during a failure                             |      |        |
     | going_on | how far the base goes on if it fails now; None during a failure            |      |        |
@@ -41,7 +44,7 @@ class ShownMoment:
     t: float
     position: Float[Array, "part 3"]
     turned: Float[Array, "part 4"]
-    beside: tuple[Array, Array] | None
+    beside: tuple[tuple[Array, Array], ...]
     impact: Mapping[str, float]
     fall: Fall | None
     going_on: GoingOn | None
@@ -67,6 +70,7 @@ class ViewerState:
         answer: PlanAnswer | None = None,
     ) -> None:
         self.question, self.answer, self.replay = question, answer, None
+        self.kept: tuple[ShownMotion, ...] = ()
         self._changed, self._bench = changed, FailureBench()
         self.worker: LatestWins[Question, PlanAnswer] = LatestWins(self._work, self._done, failed)
 
@@ -108,6 +112,29 @@ class ViewerState:
         """Show the healthy motion again."""
         self.replay = None
 
+    def keep(self) -> ShownMotion:
+        """Keep the chosen motion in sight while others are planned.
+
+        Raises:
+            SettingError: If there is none, it is kept already, or there are `MOST_KEPT`.
+        """
+        motion = self.motion
+        if motion is None or any(one.trajectory is motion.trajectory for one in self.kept):
+            raise SettingError("motion", None, "one that was found and is not kept already")
+        if len(self.kept) == MOST_KEPT:
+            raise SettingError("motion", len(self.kept) + 1, f"at most {MOST_KEPT} that are kept; let go of them first")
+        kept = replace(motion, label=f"{'ABCD'[len(self.kept)]}: w = {self._weight:g}")
+        self.kept = (*self.kept, kept)
+        return kept
+
+    def let_go(self) -> None:
+        """Keep no motions any more."""
+        self.kept = ()
+
+    @property
+    def _weight(self) -> float:
+        return 0.0 if self.answer is None else self.answer.question.w
+
     def _work(self, question: Question, cancelled: Callable[[], bool]) -> PlanAnswer:
         return answered(question, self.answer, cancelled)
 
@@ -126,29 +153,33 @@ class ViewerState:
         return motions[0] if motions else None
 
     @property
+    def others(self) -> tuple[ShownMotion, ...]:
+        """The ordinary motion, if that is another one, and those that are kept."""
+        motion, ordinary = self.motion, None if self.answer is None else self.answer.ordinary
+        return tuple(one for one in (ordinary, *self.kept) if one is not None and one is not motion)
+
+    @property
     def duration(self) -> float:
-        """Time of the last frame that is shown [s]: of the longer motion, or of the replay."""
+        """Time of the last frame that is shown [s]: of the longest motion, or of the replay."""
         if self.replay is not None:
             return self.replay.duration
-        return max((motion.duration for motion in (self.answer.motions if self.answer else ())), default=0.0)
+        shown = (*(self.answer.motions if self.answer else ()), *self.kept)
+        return max((motion.duration for motion in shown), default=0.0)
 
     def at(self, t: float) -> ShownMoment | None:
         """Return what is shown at a time [s]; None before the first answer."""
-        answer, motion, replay = self.answer, self.motion, self.replay
-        if answer is None or motion is None:
+        motion, replay = self.motion, self.replay
+        if motion is None:
             return None
         shown = motion if replay is None else replay
         frame, failed = shown.frame(t), replay is not None and t >= replay.onset
-        other, beside = answer.ordinary, None
-        if other is not None and other is not motion:
-            there = other.frame(t)
-            beside = other.poses.position[there], other.poses.quaternion[there]
+        frames = [(other, other.frame(t)) for other in self.others]
         within = min(max(t, 0.0), motion.duration)
         return ShownMoment(
             t=t,
             position=shown.poses.position[frame],
             turned=shown.poses.quaternion[frame],
-            beside=beside,
+            beside=tuple((other.poses.position[k], other.poses.quaternion[k]) for other, k in frames),
             impact={} if failed else motion.impact_at(within),
             fall=None if failed else fall_at(motion.trajectory, motion.scene, within),
             going_on=None if failed else going_on_at(motion.trajectory, motion.scene, within),

@@ -11,7 +11,7 @@ from graceful_plan.viewer.browser.recorded_tab import RecordedTab
 from graceful_plan.viewer.recorded import RecordedRollouts
 
 HIDDEN, GHOST, BESIDE = "hidden", "as a ghost", "beside it"
-"""How the ordinary motion is shown."""
+"""How the other motions are shown."""
 _MOST_WEIGHT = 2.0
 _NONE = ("none",)
 
@@ -32,6 +32,8 @@ class Controls:
     goal: Any
     handles: Any
     other: Any
+    keep: Any
+    let_go: Any
     entity: Any
     severity: Any
     move: Any
@@ -80,7 +82,9 @@ def build(
     found["recorded"] = None if rollouts is None else RecordedTab(gui, tabs, rollouts)
     with tabs.add_tab("Plan"):
         found |= {
-            "other": gui.add_dropdown("w = 0 is", (GHOST, BESIDE, HIDDEN), initial_value=GHOST),
+            "other": gui.add_dropdown("Others are", (GHOST, BESIDE, HIDDEN), initial_value=GHOST),
+            "keep": gui.add_button("Keep this motion"),
+            "let_go": gui.add_button("Let go of those kept", visible=False),
             "handles": gui.add_checkbox("Handles to drag", True),
             "start": gui.add_vector3("Start [m]", (0.0, 0.0, 0.0), step=0.005),
             "goal": gui.add_vector3("Goal [m]", (0.0, 0.0, 0.0), step=0.005),

@@ -46,17 +46,16 @@ def _recorded(server: Any, answer: PlanAnswer) -> str:
     plans = DrawnPlans(server, Cameras(server, answer.question))
     camera = server.initial_camera
     camera.position = camera.look_at + _NEARER * (camera.position - camera.look_at)
-    plans.draw(answer, GHOST)
-    shown, other = answer.motions[0], answer.ordinary
+    shown, others = answer.motions[0], answer.motions[1:]
+    plans.draw(shown, others, GHOST)
     stage = DrawnScene(server, "/scene", shown.scene)
     recording = server.get_scene_serializer()
     duration = max(motion.duration for motion in answer.motions)
     for t in np.arange(0.0, duration + 1.0 / _RATE, 1.0 / _RATE).tolist():
         frame = shown.frame(t)
         stage.put(shown.poses.position[frame], shown.poses.quaternion[frame])
-        if other is not None and other is not shown:
-            there = other.frame(t)
-            plans.put(other.poses.position[there], other.poses.quaternion[there])
+        there = [(other.poses, other.frame(t)) for other in others]
+        plans.put([(poses.position[k], poses.quaternion[k]) for poses, k in there])
         recording.insert_sleep(1.0 / _RATE)
     recording.insert_sleep(_REST)
     return str(recording.as_html())

@@ -124,6 +124,8 @@ class Page:
         self._on(c.risk_map, self._lay_map)
         self._on(c.dark, lambda: self._theme(c.dark.value))
         c.play.on_click(lambda _: self._guarded(self.player.toggle))
+        c.keep.on_click(lambda _: self._guarded(self._keep))
+        c.let_go.on_click(lambda _: self._guarded(self._let_go))
         c.fail.on_click(lambda _: self._guarded(self._fail))
         c.heal.on_click(lambda _: self._guarded(self._heal))
         c.renew.on_click(lambda _: self._guarded(self._lay_map))
@@ -222,9 +224,23 @@ class Page:
         self._say(busy=False)
 
     def draw_plans(self) -> None:
-        """Draw both motions as they are to be shown."""
-        self.stage.set_plans(self.state.answer)
+        """Draw the motions as they are to be shown."""
+        self.stage.set_plans(self.state)
         self._show(self.player.t)
+
+    def _keep(self) -> None:
+        self.state.keep()
+        self._kept_others()
+
+    def _let_go(self) -> None:
+        self.state.let_go()
+        self._kept_others()
+
+    def _kept_others(self) -> None:
+        """Show which motions are kept."""
+        self.controls.let_go.visible = bool(self.state.kept)
+        self.draw_plans()
+        self._say(busy=not self.state.worker.idle)
 
     def _lay_map(self) -> None:
         wanted = self.controls.risk_map.value
@@ -236,7 +252,7 @@ class Page:
 
     def _say(self, *, busy: bool) -> None:
         c, failure = self.controls, words.failure_words(self.state.replay, self.state.motion)
-        c.plan_text.content = words.plan_words(self.state.answer, busy=busy)
+        c.plan_text.content = words.plan_words(self.state.answer, self.state.kept, busy=busy)
         c.failure_text.content = failure
         if c.recorded is not None:
             c.recorded.tell(failure if self.state.replay is not None else "")

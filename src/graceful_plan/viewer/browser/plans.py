@@ -1,7 +1,8 @@
-"""Both motions in the scene: their paths, and the robot of the ordinary one."""
+"""Motions in the scene: their paths, and the robots of the others."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
@@ -11,19 +12,19 @@ from graceful_plan.viewer.browser import marks
 from graceful_plan.viewer.browser.cameras import Cameras
 from graceful_plan.viewer.browser.controls import BESIDE, GHOST, HIDDEN
 from graceful_plan.viewer.browser.drawn_scene import DrawnScene
-from graceful_plan.viewer.question import PlanAnswer
+from graceful_plan.viewer.shown import ShownMotion
 
 Array = np.ndarray
 
 _GHOST = 0.3
 """Opacity of a ghost."""
-_CHOSEN, _ORDINARY = 0.012, 0.006
+_CHOSEN, _OTHER = 0.012, 0.006
 """Thickness of the paths [m]."""
 
 
 @final
 class DrawnPlans:
-    """What is drawn of an answer, besides the scene.
+    """What is drawn of motions, besides the scene.
 
     Args:
         server: viser's server.
@@ -33,32 +34,31 @@ class DrawnPlans:
     def __init__(self, server: Any, cameras: Cameras) -> None:
         self._server, self._cameras = server, cameras
         self._nodes: list[Any] = []
-        self._other: DrawnScene | None = None
+        self._others: list[DrawnScene] = []
 
-    def draw(self, answer: PlanAnswer | None, how: str) -> None:
-        """Draw an answer from scratch, the ordinary motion `how` it is to be shown."""
-        for node in self._nodes:
+    def draw(self, motion: ShownMotion | None, others: Sequence[ShownMotion], how: str) -> None:
+        """Draw motions from scratch, the others `how` they are to be shown."""
+        for node in (*self._nodes, *self._others):
             node.remove()
-        self._nodes = []
-        if self._other is not None:
-            self._other.remove()
-            self._other = None
-        if answer is None:
+        self._nodes, self._others = [], []
+        if motion is None:
             return
-        shift = self._cameras.beside(answer.question.scene) if how == BESIDE else np.zeros(3)
-        self._cameras.take_in(shift)
-        greatest = marks.greatest_risk(answer.motions)
-        if answer.chosen is not None:
-            self._nodes.append(marks.add_path(self._server, "/path", answer.chosen, greatest, thickness=_CHOSEN))
-        if answer.ordinary is not None and how != HIDDEN and answer.chosen is not None:
-            ghost, scene = how == GHOST, answer.ordinary.scene
+        shown = () if how == HIDDEN else tuple(others)
+        shift = self._cameras.beside(motion.scene) if how == BESIDE else np.zeros(3)
+        self._cameras.take_in(len(shown) * shift)
+        greatest = marks.greatest_risk((motion, *others))
+        self._nodes.append(marks.add_path(self._server, "/path", motion, greatest, thickness=_CHOSEN))
+        for k, other in enumerate(shown):
+            root, ghost = f"/others/{k}", how == GHOST
             opacity = _GHOST if ghost else 1.0
-            self._other = DrawnScene(self._server, "/other", scene, opacity=opacity, shift=shift, only_moving=ghost)
-            path = marks.add_path(self._server, "/other/path", answer.ordinary, greatest, thickness=_ORDINARY)
-            middle = answer.ordinary.tool[len(answer.ordinary.tool) // 2]
-            self._nodes += [path, self._server.scene.add_label("/other/label", answer.ordinary.label, position=middle)]
+            at = (k + 1) * shift
+            drawn = DrawnScene(self._server, root, other.scene, opacity=opacity, shift=at, only_moving=ghost)
+            path = marks.add_path(self._server, f"{root}/path", other, greatest, thickness=_OTHER)
+            middle = other.tool[len(other.tool) // 2]
+            self._others.append(drawn)
+            self._nodes += [path, self._server.scene.add_label(f"{root}/label", other.label, position=middle)]
 
-    def put(self, position: Float[Array, "part 3"], turned: Float[Array, "part 4"]) -> None:
-        """Move the robot of the ordinary motion, if it is drawn."""
-        if self._other is not None:
-            self._other.put(position, turned)
+    def put(self, places: Sequence[tuple[Float[Array, "part 3"], Float[Array, "part 4"]]]) -> None:
+        """Move the robots of the other motions, if they are drawn, to position and quaternion of each part."""
+        for other, place in zip(self._others, places, strict=False):
+            other.put(*place)

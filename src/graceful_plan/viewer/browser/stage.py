@@ -1,4 +1,4 @@
-"""What is seen in the space of the page: scene, both motions, names, footprint, risk map; and the chart of impact."""
+"""What is seen in the space of the page: scene, motions, names, footprint, risk map; and the chart of impact."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from graceful_plan.viewer.browser.controls import Controls
 from graceful_plan.viewer.browser.drawn_scene import DrawnScene
 from graceful_plan.viewer.browser.plans import DrawnPlans
 from graceful_plan.viewer.poses import poses_along
-from graceful_plan.viewer.question import PlanAnswer, Question
+from graceful_plan.viewer.question import Question
 from graceful_plan.viewer.risk_layer import RiskLayer
 from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.shown import ShownMotion
@@ -64,9 +64,9 @@ class DrawnStage:
             worst = max(entity.severity.values(), default=0.0)
             self._labels.append(self._server.scene.add_label(f"/names/{name}", f"{name}: {worst:g}", position=top))
 
-    def set_plans(self, answer: PlanAnswer | None) -> None:
-        """Draw the paths, and the ordinary motion as it is to be shown."""
-        self._plans.draw(answer, self._controls.other.value)
+    def set_plans(self, state: ViewerState) -> None:
+        """Draw the paths, and the other motions as they are to be shown."""
+        self._plans.draw(state.motion, state.others, self._controls.other.value)
 
     def set_chart(self, motion: ShownMotion | None) -> None:
         """Draw the chart of a motion."""
@@ -91,8 +91,7 @@ class DrawnStage:
         replay = state.replay
         with self._server.atomic():
             self._scene.put(moment.position, moment.turned)
-            if moment.beside is not None:
-                self._plans.put(*moment.beside)
+            self._plans.put(moment.beside)
             wanted = self._controls.footprint.value
             self._footprints.show(moment.fall if wanted else None, moment.going_on if wanted else None)
             hits = () if replay is None else replay.hits

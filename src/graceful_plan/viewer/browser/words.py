@@ -15,32 +15,33 @@ _STYLE = "font-size:0.85em;line-height:1.35;padding:0.2em 0.75em"
 _SHOWN = 6
 
 
-def plan_words(answer: PlanAnswer | None, *, busy: bool) -> str:
-    """Say what the two motions cost, or why there is none."""
+def plan_words(answer: PlanAnswer | None, kept: Sequence[ShownMotion] = (), *, busy: bool) -> str:
+    """Say what the two motions and those that are kept cost, or why there is none."""
     if answer is None:
         return _page("planning …" if busy else "no plan yet")
-    columns = [
+    columns: list[tuple[str, ShownMotion | None]] = [
         (f"w = {answer.question.w:g}", answer.chosen),
         ("w = 0", answer.ordinary),
+        *((motion.label, motion) for motion in kept),
     ]
     rows: list[tuple[str, list[str]]] = [
         ("duration [s]", [_number(motion and motion.duration) for _, motion in columns]),
         ("motion [rad]", [_number(motion and motion.cost.motion) for _, motion in columns]),
         ("impact", [_number(motion and motion.cost.impact) for _, motion in columns]),
     ]
-    text = _table(["", *(label for label, _ in columns)], rows) + _legend(answer)
-    troubles = [said for said, (_, motion) in zip(answer.said, columns, strict=True) if motion is None]
+    text = _table(["", *(escape(label) for label, _ in columns)], rows) + _legend((*answer.motions, *kept))
+    troubles = [said for said, (_, motion) in zip(answer.said, columns[:2], strict=True) if motion is None]
     text += "".join(f"<p>{escape(said)}</p>" for said in dict.fromkeys(troubles))
     return _page(text + ("<p><em>planning …</em></p>" if busy else ""))
 
 
-def _legend(answer: PlanAnswer) -> str:
+def _legend(motions: tuple[ShownMotion, ...]) -> str:
     """Say what the colours of the paths mean."""
-    if not answer.motions:
+    if not motions:
         return ""
     colours = ",".join(RISK)
     bar = f'<span style="flex:1;height:.5em;margin:0 .5em;background:linear-gradient(90deg,{colours})"></span>'
-    greatest = f"{greatest_risk(answer.motions):.3g}"
+    greatest = f"{greatest_risk(motions):.3g}"
     return f'<div style="display:flex;align-items:center">impact along the paths: 0{bar}{greatest}</div>'
 
 
