@@ -57,8 +57,9 @@ def roll(task: gp.Task) -> None:
         q = np.tile(np.asarray(task.start), (count, 1)) + rng.normal(size=(count, len(task.scene.joints)))
         qd = rng.normal(size=q.shape)
         gp.interaction_probability(task.scene, q, Coast(), qd)
-        kernel.state_slopes(q, qd)
-        kernel.edges(q, q + 0.3 * qd)
+        if kernel is not None:  # among those who move, the objective asks the model itself
+            kernel.state_slopes(q, qd)
+            kernel.edges(q, q + 0.3 * qd)
     gp.plan(task.start, task.goal, task.scene, iterations=300)
 
 
