@@ -306,8 +306,10 @@ def _solved(judged: Judged, found: Search, request: Request, budget: Budget, sta
     # Paths are charged at the paces of a search. Those that promised more than any motion has kept are no improvements.
     trace = (*(point for point in found.trace if point.total > last.total), last)
     stats = stats if motion.estimate is None else {**stats, "estimated_total": motion.estimate}
+    checks = judged.verdict.checks
     return PlanResult(
         status=PlanStatus.SOLVED,
+        detail="; ".join(f"{name}: {checks[name].detail}" for name in judged.verdict.warnings),
         path=motion.path,
         trajectory=motion.trajectory,
         cost=motion.cost,

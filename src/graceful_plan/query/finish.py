@@ -25,22 +25,25 @@ class Judged:
 
 
 def first_verified(motions: Iterable[Motion], request: Request) -> Judged | None:
-    """Return the first motion that the judge passes; if there is none, the first with what the judge objects to it.
+    """Return the first motion that the judge passes, better without a warning; else the first with his objections.
 
     None if there are no motions, or there was no time to judge one.
     """
-    refused, clock = None, request.clock
+    warned, refused, clock = None, None, request.clock
     for motion in motions:
-        if not (clock.has_room("judging") if refused else clock.may_do("judging")):
+        if not (clock.has_room("judging") if warned or refused else clock.may_do("judging")):
             break
         with clock.measured("judging"):
             pose, looks = request.pose(motion.arrival), request.verification
             verdict = verdict_of(motion, request.objective, request.constraints, pose, looks)
         judged = Judged(motion=motion, verdict=verdict)
-        if judged.verdict.passed:
+        if judged.verdict.passed and not judged.verdict.warnings:
             return judged
-        refused = refused or judged
-    return refused
+        if judged.verdict.passed:
+            warned = warned or judged
+        else:
+            refused = refused or judged
+    return warned or refused
 
 
 def verdict_of(
