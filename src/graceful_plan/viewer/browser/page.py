@@ -213,8 +213,9 @@ class Page:
                 self._set_scene()
             self.controls.heal.visible = self.state.replay is not None
             self._show_handles()
-            self.draw_plans()
+            # The chart first: one that is written to and taken away at once is an error in the browser.
             self.stage.set_chart(self.state.motion)
+            self.draw_plans()
             self.player.seek(min(self.player.t, self.state.duration))
             self._lay_map()
             self._say(busy=False)
@@ -274,8 +275,8 @@ class Page:
             self._set_scene()
             self._place_handles()
             self.controls.w.value = self.state.question.w
-            self.draw_plans()
             self.stage.set_chart(self.state.motion)
+            self.draw_plans()
         self._watch(replay)
 
     def _watch(self, replay: Replay) -> None:
