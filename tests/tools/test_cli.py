@@ -245,6 +245,18 @@ def test_evaluate_judges_a_trajectory(run, motion):
     assert document["cost"]["total"] == pytest.approx(document["cost"]["motion"] + 2 * document["cost"]["impact"])
 
 
+def test_evaluate_warns_of_whom_a_base_meets(run, tmp_path):
+    task = gp.load_scene("warehouse_aisle").tasks["bring_tools"]
+    motion = gp.retime(
+        gp.Path(np.array([[0.0, 0.0, 0.0], [7.0, 0.0, 0.0]])), task.scene.limits, joints=task.scene.joints
+    )
+    file = tmp_path / "drive.json"
+    motion.to_json(file)
+    _, out, _ = run("evaluate", str(file), "--scene", "warehouse_aisle", "--task", "bring_tools")
+    (row,) = (line for line in out.splitlines() if line.startswith("passing_by"))
+    assert "warns" in row and "drives into 'truck'" in row
+
+
 def test_evaluate_finds_the_collision_of_a_path(run, tmp_path):
     scene = next(iter(gp.load_scene("tabletop").tasks.values())).scene
     low, high = scene.limits.position.T
