@@ -14,9 +14,9 @@ from typing import ClassVar, final
 import numpy as np
 
 from graceful_plan.core import _native
-from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.driving.bases_only import of_a_base
 from graceful_plan.planners.driving.postures import postures
 from graceful_plan.planners.native import native_space, run_slice
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
@@ -69,11 +69,8 @@ class DriveLattice(Planner):
             SettingError: If the robot has no base that drives.
         """
         del rng
-        base = objective.scene.base if isinstance(objective, SceneObjective) else None
-        if base is None:
-            raise SettingError("planner", self.name, "a planner for arms: this robot has no DiffDrive")
-        assert isinstance(objective, SceneObjective)
-        best, short = np.inf, objective.objective.with_weight(0.0).bind(objective.scene, objective.paces)
+        charging, base = of_a_base(objective, self.name)
+        best, short = np.inf, charging.objective.with_weight(0.0).bind(charging.scene, charging.paces)
         # A shortest path first: where impact decides, a search that looks at it everywhere takes its time.
         searches = [(self.cells[0], short), *((cell, objective) for cell in self.cells)]
         for cell, charged in searches if objective.w > 0.0 else searches[1:]:

@@ -19,15 +19,16 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.exceptions import SettingError
 from graceful_plan.floor.floor_map import FloorMap
 from graceful_plan.floor.timed_paths import MOVES, TimedGrid, TimedMove
 from graceful_plan.path import Path
-from graceful_plan.planners.driving.footprint import floor_around, footprint, turns_and_straights
+from graceful_plan.planners.driving.bases_only import of_a_base
+from graceful_plan.planners.driving.footprint import floor_around, footprint, radii, turns_and_straights
 from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import positive
 from graceful_plan.planners.trivial import stays_at_goal
+from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -83,17 +84,16 @@ class FloorInTime(Planner):
             SettingError: If the robot has no base that drives.
         """
         del rng
-        if not isinstance(objective, SceneObjective) or objective.scene.base is None:
-            raise SettingError("planner", self.name, "a planner for arms: this robot has no DiffDrive")
+        driven = charging, _ = of_a_base(objective, self.name)
         start = problem.start
         goals = [goal for goal in problem.goals if np.array_equal(goal[BASE:], start[BASE:])]
         if not goals:
             return
-        discs, top = footprint(objective.scene, start)
-        inside, outside = float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
-        floor = floor_around(objective.scene, top, np.array([start, *problem.goals])[:, :2], (_FINE, self.around))
+        discs, top = footprint(charging.scene, start)
+        inside, outside = radii(discs)
+        floor = floor_around(charging.scene, top, np.array([start, *problem.goals])[:, :2], (_FINE, self.around))
         seconds = sum(floor.size) + self.late
-        charge = _Charge(self, objective, start, outside + _KEPT, seconds)
+        charge = _Charge(self, driven, start, outside + _KEPT, seconds)
         for share in _SHARES:
             if not budget.spend():
                 return
@@ -141,10 +141,14 @@ class _Charge:
     """What moves cost at ticks."""
 
     def __init__(
-        self, of: FloorInTime, objective: SceneObjective, start: Float[Array, " nq"], kept: float, seconds: float
+        self,
+        of: FloorInTime,
+        driven: tuple[SceneObjective, DiffDrive],
+        start: Float[Array, " nq"],
+        kept: float,
+        seconds: float,
     ) -> None:
-        base = objective.scene.base
-        assert base is not None
+        objective, base = driven
         self.objective, self.cell, self.start = objective, of.cell, start
         self.tick = 0.5 * of.cell / (_CRUISE * base.v_max)
         self.ticks = int(seconds / self.tick)

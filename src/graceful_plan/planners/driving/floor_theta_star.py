@@ -17,11 +17,11 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.exceptions import SettingError
 from graceful_plan.floor.floor_map import FloorMap
 from graceful_plan.floor.grid_paths import FloorGrid
 from graceful_plan.path import Path
-from graceful_plan.planners.driving.footprint import floor_around, footprint, turns_and_straights
+from graceful_plan.planners.driving.bases_only import of_a_base
+from graceful_plan.planners.driving.footprint import floor_around, footprint, radii, turns_and_straights
 from graceful_plan.planners.driving.postures import BASE, postures
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import positive
@@ -73,11 +73,10 @@ class FloorThetaStar(Planner):
             SettingError: If the robot has no base that drives.
         """
         del rng
-        if not isinstance(objective, SceneObjective) or objective.scene.base is None:
-            raise SettingError("planner", self.name, "a planner for arms: this robot has no DiffDrive")
+        charging, _ = of_a_base(objective, self.name)
         best = np.inf
         for begin in postures(problem):
-            for path in self._searched(begin, problem, objective, budget):
+            for path in self._searched(begin, problem, charging, budget):
                 if (total := path_total(objective, path)) < best:
                     best = total
                     yield path
@@ -86,7 +85,7 @@ class FloorThetaStar(Planner):
         start = begin.q[-1]
         goals = [goal for goal in problem.goals if np.array_equal(goal[BASE:], start[BASE:])]
         discs, top = footprint(objective.scene, start)
-        inside, outside = float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
+        inside, outside = radii(discs)
         ends = np.array([start, *problem.goals])[:, :2]
         floor = floor_around(objective.scene, top, ends, (self.resolution, self.around))
         # What costs nothing first: where impact decides, looking at it takes its time.

@@ -47,6 +47,11 @@ def footprint(scene: Scene, q: Float[Array, " nq"]) -> tuple[Float[Array, "disc 
     return np.array(discs), float((centre[:, 2] + radius).max())
 
 
+def radii(discs: Float[Array, "disc 3"]) -> tuple[float, float]:
+    """Return the radii of the largest disc and of one around all of them, about the origin of the base [m]."""
+    return float(discs[:, 2].max()), float((np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]).max())
+
+
 def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings: tuple[float, float]) -> FloorMap:
     """Cut the map around where a base may be out of a scene.
 

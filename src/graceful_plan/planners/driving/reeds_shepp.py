@@ -20,11 +20,11 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import Path
+from graceful_plan.planners.driving.bases_only import of_a_base
 from graceful_plan.planners.driving.postures import BASE, postures
-from graceful_plan.planners.ompl.kind import Kind
+from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.questions import Interrupted
 from graceful_plan.planners.settings import fraction, positive
@@ -85,9 +85,7 @@ class ReedsSheppRRT(Planner):
             return
 
     def _configure(self, planner: Any) -> None:
-        planner.setGoalBias(self.goal_bias)
-        if self.range is not None:
-            planner.setRange(self.range)
+        set_growth(planner, self.goal_bias, self.range)
 
 
 @final
@@ -127,10 +125,8 @@ class ReedsSheppRRTStar(Planner):
         return _improvements(self, self.poses, Kind("RRTstar", self._configure), (problem, objective, budget, rng))
 
     def _configure(self, planner: Any) -> None:
-        planner.setGoalBias(self.goal_bias)
+        set_growth(planner, self.goal_bias, self.range)
         planner.setRewireFactor(self.rewire_factor)
-        if self.range is not None:
-            planner.setRange(self.range)
 
 
 @final
@@ -176,10 +172,7 @@ def _improvements(
 ) -> Iterator[Path]:
     """Yield paths of less and less J, with one posture of the arm after the other."""
     problem, objective, budget, rng = asked
-    base = objective.scene.base if isinstance(objective, SceneObjective) else None
-    if base is None:
-        raise SettingError("planner", planner.name, "a planner for arms: this robot has no DiffDrive")
-    if not base.reverse:
+    if not of_a_base(objective, planner.name)[1].reverse:
         raise SettingError("planner", planner.name, "one for bases that only drive forward, such as 'drive_lattice'")
     from graceful_plan.planners.ompl.pose_session import PoseSession  # importing the library must not import OMPL
 

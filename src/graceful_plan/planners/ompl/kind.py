@@ -21,3 +21,16 @@ class Kind:
     name: str
     configure: Callable[[Any], None]
     informed: bool = False
+
+
+def set_growth(planner: Any, goal_bias: float, extension: float | None) -> None:
+    """Set how a tree of OMPL grows.
+
+    Args:
+        planner: OMPL's.
+        goal_bias: Share of samples that are a goal.
+        extension: Longest one; OMPL's own if None.
+    """
+    planner.setGoalBias(goal_bias)
+    if extension is not None:
+        planner.setRange(extension)

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from graceful_plan.path import Path
-from graceful_plan.planners.ompl.kind import Kind
+from graceful_plan.planners.ompl.kind import Kind, set_growth
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.questions import Interrupted, Questions
 from graceful_plan.planners.settings import count, fraction, positive
@@ -62,9 +62,7 @@ class RRT(Planner):
         return next(_improvements(Kind("RRT", self._configure), questions, rng), None)
 
     def _configure(self, planner: Any) -> None:
-        planner.setGoalBias(self.goal_bias)
-        if self.range is not None:
-            planner.setRange(self.range)
+        set_growth(planner, self.goal_bias, self.range)
 
 
 @final

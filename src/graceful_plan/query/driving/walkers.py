@@ -16,6 +16,7 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.judge.passing_by import STANDING
 from graceful_plan.planners.driving.footprint import footprint
 from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.query.departure import as_if_nobody_moved
@@ -25,8 +26,6 @@ Array = np.ndarray
 
 KEPT = 0.15
 """Clearance to people that is planned with, from discs around the robot [m]; the judge asks for more than none."""
-STANDING = 0.01
-"""Speed below which a base stands, and others walk into it [m/s]."""
 _NUDGE = 1e-4
 """For differences [m, rad, m/s, rad/s, s]."""
 _HARDLY = 1e-6
