@@ -5,6 +5,7 @@ import re
 import mujoco
 import numpy as np
 import pytest
+from ball import scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
@@ -19,30 +20,15 @@ from graceful_plan.judge.reference_cost import reference_probability
 _FLOAT32 = 2e-6  # metres: collision runs in single precision, poses stay within a few metres
 _P = 1e-9  # probabilities: impact runs in double precision
 
-_BALL = """
-<mujoco><compiler autolimits="true"/>
-<asset><mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.3 0  0 0 0.25  0.2 0.1 0.1"/></asset>
-<custom><numeric name="robot/velocity_limit" data="1 1 1"/><numeric name="robot/acceleration_limit" data="1 1 1"/>
-  </custom>
-<worldbody>
-  <body name="obstacle" pos="0.1 -0.05 0.07" quat="0.8 0.2 -0.3 0.45">{geom}</body>
-  <body name="robot/x"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
-    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-    <body name="robot/y"><joint name="y" type="slide" axis="0 1 0" range="-1 1"/>
-      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-      <body name="robot/z"><joint name="z" type="slide" axis="0 0 1" range="-1 1"/><geom name="ball" size="0.05"/>
-        <site name="tool"/>
-  </body></body></body>
-</worldbody></mujoco>"""
-
+_WEDGE = '<mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.3 0  0 0 0.25  0.2 0.1 0.1"/>'
 _SHAPES = {
-    "sphere": '<geom type="sphere" size="0.1"/>',
-    "capsule": '<geom type="capsule" size="0.06 0.15"/>',
-    "cylinder": '<geom type="cylinder" size="0.1 0.12"/>',
-    "box": '<geom type="box" size="0.1 0.15 0.2"/>',
-    "ellipsoid": '<geom type="ellipsoid" size="0.1 0.2 0.15"/>',
-    "plane": '<geom type="plane" size="0 0 1"/>',
-    "mesh": '<geom type="mesh" mesh="wedge"/>',
+    "sphere": 'type="sphere" size="0.1"',
+    "capsule": 'type="capsule" size="0.06 0.15"',
+    "cylinder": 'type="cylinder" size="0.1 0.12"',
+    "box": 'type="box" size="0.1 0.15 0.2"',
+    "ellipsoid": 'type="ellipsoid" size="0.1 0.2 0.15"',
+    "plane": 'type="plane" size="0 0 1"',
+    "mesh": 'type="mesh" mesh="wedge"',
 }
 
 _ODD_ARM = """
@@ -65,10 +51,6 @@ _ODD_ARM = """
               <site name="odd/tool" pos="0.02 0.03 0.1" euler="0.1 0.2 0.3"/>
   </body></body></body></body></body>
 </worldbody></mujoco>"""
-
-
-def _ball_scene(shape):
-    return gp.Scene.from_mjcf(_BALL.format(geom=_SHAPES[shape]), robot="robot/", tool="tool")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +94,7 @@ def test_sine_and_cosine_hold_far_from_zero(odd, angle):
 
 @pytest.mark.parametrize("shape", sorted(_SHAPES))
 def test_clearance_of_a_ball_is_the_distance(shape):
-    scene = _ball_scene(shape)
+    scene = scene_of(_SHAPES[shape], _WEDGE)
     kernels = compile_scene(scene).kernels
     ball, obstacle = (
         scene.model.geom("ball").id,
@@ -132,7 +114,7 @@ def test_clearance_of_a_ball_is_the_distance(shape):
 
 @pytest.mark.parametrize("shape", sorted(_SHAPES))
 def test_gradient_of_clearance_is_its_slope(shape):
-    scene = _ball_scene(shape)
+    scene = scene_of(_SHAPES[shape], _WEDGE)
     kernels = compile_scene(scene).kernels
     q = _random(scene, 300, seed=2)
     clearance, gradient = kernels.clearance_gradient(q)
@@ -206,8 +188,7 @@ def test_edges_without_length_and_reversed(table):
 
 
 def test_nothing_to_hit_is_infinitely_far():
-    text = _BALL.format(geom='<geom type="box" size="0.1 0.1 0.1" contype="0" conaffinity="0"/>')
-    kernels = compile_scene(gp.Scene.from_mjcf(text, robot="robot/", tool="tool")).kernels
+    kernels = compile_scene(scene_of('type="box" size="0.1 0.1 0.1" contype="0" conaffinity="0"')).kernels
     clearance, gradient = kernels.clearance_gradient(np.zeros(3))
     assert clearance == np.inf and kernels.free(np.zeros(3)) and np.all(gradient == 0.0)
 

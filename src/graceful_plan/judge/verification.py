@@ -106,9 +106,9 @@ def verify(
     Returns:
         Checks by name: "collision", "position_limits"; for a trajectory "velocity_limits", "acceleration_limits",
         "consistency" and "rest"; "contents" where they are to stay in a vessel, and one for each other constraint, such
-        as "upright"; of bases "rolling", "drive_limits" and, where somebody moves, "passing_by"; and "start", "goal",
-        "cost", "second_opinion" where asked for. Without "cost" among them, nothing is said about what the motion
-        costs.
+        as "upright"; of bases "rolling", "drive_limits" and, where somebody moves, "passing_by", which warns; and
+        "start", "goal", "cost", "second_opinion" where asked for. Without "cost" among them, nothing is said about what
+        the motion costs.
 
     Raises:
         ShapeError: If motion, start or goal do not fit the scene's joints.

@@ -151,7 +151,7 @@ class MotionDescents:
         velocity: Limits of the joints [rad/s or m/s].
         acceleration: Limits of the joints [rad/s^2 or m/s^2].
         is_free: Whether nothing is hit along a curve that came from some start.
-        has_room: Whether it passes everything with room to spare.
+        has_room: Whether it passes everything with room to spare; None if that does not matter.
         effort: How much of what there is to do.
         felt: Limits on what is felt where something is carried.
         counts_points: Whether the cost is summed over the samples of the motion.
@@ -162,7 +162,7 @@ class MotionDescents:
     velocity: Float[Array, " nq"]
     acceleration: Float[Array, " nq"]
     is_free: Callable[[Spline, Start], bool]
-    has_room: Callable[[Spline, Start], bool] = lambda _curve, _start: True
+    has_room: Callable[[Spline, Start], bool] | None = None
     effort: Effort = Effort()
     felt: Sequence[_native.FeltLimit] = ()
     counts_points: bool = False
@@ -218,7 +218,8 @@ class MotionDescents:
             return None
         for hardening in range(_HARDENINGS + 1):
             curve = Spline(descent.controls)
-            if self.is_free(curve, start) and (hardening >= _FOR_ROOM or self.has_room(curve, start)):
+            pressed = hardening >= _FOR_ROOM
+            if self.is_free(curve, start) and (pressed or self.has_room is None or self.has_room(curve, start)):
                 return Landed(curve, descent.value, index)
             if hardening < _HARDENINGS:
                 descent.harden()

@@ -232,7 +232,7 @@ def motion_descents(request: Request, problem: SceneProblem, effort: Effort) -> 
         velocity=speed * scene.limits.velocity,
         acceleration=speed**2 * scene.limits.acceleration,
         is_free=keeps(0.5 * problem.margin),
-        has_room=keeps(_ROOMY * keeping.margin if wanted else 0.0),
+        has_room=keeps(_ROOMY * keeping.margin) if wanted else None,
         felt=request.constraints.charged,
         careful=request.constraints.level,
         counts_points=objective.objective.exposure == "waypoints",
