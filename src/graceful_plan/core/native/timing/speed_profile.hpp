@@ -76,7 +76,7 @@ class SpeedProfile {
   }
 
  private:
-  static constexpr double kUnbounded = 1e12, kLeast = 1e-12, kApart = 1e-9;
+  static constexpr double kUnbounded = 1e12, kLeast = 1e-12;
   static constexpr int kBeta = -1;
   enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain };
   struct Bound {  // what limits beta: a joint at one side, two rows, one row
@@ -124,18 +124,21 @@ class SpeedProfile {
       const double gain = 1 - S * tilt[r];  // not below rest within the interval
       if (gain < 0 && (bounds[r] & kUpper)) lower(i, S * reach[r] / -gain, {kOverturn, rows * i + r, 0});
     }
-    // No lower bound of u may pass an upper one. Mostly the tightest of each do not, and no pair has to be looked at.
-    double floor = -kUnbounded, ceiling = kUnbounded;
-    for (size_t r = 0; r < rows; ++r) {
-      if (bounds[r] & kLower) floor = std::max(floor, -reach[r] - tilt[r] * beta_[i]);
-      if (bounds[r] & kUpper) ceiling = std::min(ceiling, reach[r] - tilt[r] * beta_[i]);
-    }
-    if (floor < ceiling - kApart * (std::abs(floor) + std::abs(ceiling))) return;
-    for (size_t r = 0; r < rows; ++r) {
-      if (!(bounds[r] & kUpper)) continue;
-      for (size_t s = 0; s < rows; ++s)
-        if ((bounds[s] & kLower) && (tilt[r] - tilt[s]) * beta_[i] > reach[r] + reach[s])
-          lower(i, (reach[r] + reach[s]) / (tilt[r] - tilt[s]), {kPair, rows * i + r, rows * i + s});
+    // No lower bound of u may pass an upper one. Their gap is concave in x and open at rest, so that Newton's method
+    // from where it is closed comes down on its root, with the tightest row of each side at a time.
+    for (size_t pair = 0; pair < rows; ++pair) {
+      double floor = -kUnbounded, ceiling = kUnbounded;
+      size_t lowest = 0, highest = 0;
+      for (size_t r = 0; r < rows; ++r) {
+        const double below = -reach[r] - tilt[r] * beta_[i], above = reach[r] - tilt[r] * beta_[i];
+        if ((bounds[r] & kLower) && below > floor) floor = below, highest = r;
+        if ((bounds[r] & kUpper) && above < ceiling) ceiling = above, lowest = r;
+      }
+      const double apart = tilt[lowest] - tilt[highest], room = reach[lowest] + reach[highest];
+      if (!(apart * beta_[i] > room)) return;
+      const double before = beta_[i];
+      lower(i, room / apart, {kPair, rows * i + lowest, rows * i + highest});
+      if (!(beta_[i] < before)) return;
     }
   }
   void reach_back(const CurveSamples& curve, size_t i) {
