@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -144,7 +145,7 @@ def fill(file: Path, tasks: Sequence[str], blocks: int, options: suite.Options, 
 def do(job: PolicyJob) -> Block:
     """Do one block."""
     began, controller = time.process_time(), ALL[job.controller]
-    task = policy_task(path_of(job.task))
+    task = ready(job.task)
     found = evaluate(
         task,
         controller.factory,
@@ -165,6 +166,12 @@ def do(job: PolicyJob) -> Block:
         duration=found.duration,
         seconds=time.process_time() - began,
     )
+
+
+@cache
+def ready(task: str) -> PolicyTask:
+    """Make a task ready, once in a process: what was planned or settled for it is not done again."""
+    return policy_task(path_of(task))
 
 
 def path_of(task: str) -> str:
