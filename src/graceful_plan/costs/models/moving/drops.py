@@ -52,7 +52,7 @@ from graceful_plan.costs.models.drop.release import Release, heights, release
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.moving.arm import near_links
 from graceful_plan.costs.models.moving.outline import Outline, sweep
-from graceful_plan.costs.models.moving.whereabouts import Follower, followers, touched
+from graceful_plan.costs.models.moving.whereabouts import OffPrediction, off_predictions, touched
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -121,7 +121,7 @@ def mean_over_times(
 
 def _mean_hit(batch: StateBatch, drops: _Drops, entity: MovingEntity, times: Float[Array, "n k"]) -> Float[Array, " n"]:
     """Return P that an entity is hit, the mean over each state's times and over where it may be then."""
-    who, whole = followers(entity, times, batch.time is not None)
+    who, whole = off_predictions(entity, times, batch.time is not None)
     shape, time = whole.shape, whole.ravel()
     state = np.repeat(np.arange(len(whole)), shape[1])
     chunks = [np.arange(i, min(i + _CHUNK, len(state))) for i in range(0, len(state), _CHUNK)]
@@ -154,7 +154,7 @@ class _Drops:
         self.size = max(1, _STATES // max(1, len(self.tables.target_entity)))
         self.fallen: dict[int, _Fallen] = {}
 
-    def hit(self, who: Follower, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Float[Array, " pair"]:
+    def hit(self, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Float[Array, " pair"]:
         """P that an entity is hit, for pairs of a state and the time of the drop."""
         found = np.zeros(len(state))
         near = np.flatnonzero(self._near(who, state, time))
@@ -167,7 +167,7 @@ class _Drops:
             found[pairs] = self.fallen[b].hit(who.only(pairs), state[pairs] - b * self.size, time[pairs])
         return found
 
-    def _near(self, who: Follower, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Array:
+    def _near(self, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Array:
         """Tell for which pairs P may be more than some 1e-6."""
         k, release, size, entity = self.constants, self.state, self.tables.size, who.entity
         lowest = min(self.tables.target_height[:, 1].min(initial=np.inf), entity.lowest)
@@ -194,7 +194,7 @@ class _Fallen:
         self.bottom, self.top = heights(state, tables)
         self.low, self.high = self.bottom.min(axis=1), self.top.max(axis=1)
 
-    def hit(self, who: Follower, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Float[Array, " pair"]:
+    def hit(self, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]) -> Float[Array, " pair"]:
         """P that an entity is hit, for pairs of a state and the time of the drop."""
         entity, there = who.entity, who.entity.at(time)
         outline, Z = Outline(entity, there.yaw), there.position[:, 2] + entity.half_size[2]
@@ -211,7 +211,7 @@ class _Fallen:
 
     def _flight(
         self,
-        who: Follower,
+        who: OffPrediction,
         outline: Outline,
         state: Int[Array, " pair"],
         time: Float[Array, " pair"],
@@ -238,7 +238,7 @@ class _Fallen:
 
     def _falls(
         self,
-        who: Follower,
+        who: OffPrediction,
         outline: Outline,
         state: Int[Array, " pair"],
         time: Float[Array, " pair"],
@@ -290,7 +290,7 @@ class _Fallen:
 
     def _sides(
         self,
-        who: Follower,
+        who: OffPrediction,
         outline: Outline,
         state: Int[Array, " pair"],
         time: Float[Array, " pair"],

@@ -40,7 +40,7 @@ def normal_places() -> Float[Array, "place 2"]:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Follower:
+class OffPrediction:
     """Somebody who keeps off the prediction by so many standard deviations, at each pair of a state and a time.
 
     Args:
@@ -62,12 +62,14 @@ class Follower:
         """Return the standard deviation of that [m]."""
         return self.cell * self.entity.at(time).spread
 
-    def only(self, rows: Int[Array, " m"]) -> Follower:
+    def only(self, rows: Int[Array, " m"]) -> OffPrediction:
         """Return some of the pairs."""
-        return Follower(self.entity, self.off[rows], self.cell)
+        return OffPrediction(self.entity, self.off[rows], self.cell)
 
 
-def followers(entity: MovingEntity, times: Float[Array, "n k"], each: bool) -> tuple[Follower, Float[Array, "n place"]]:
+def off_predictions(
+    entity: MovingEntity, times: Float[Array, "n k"], each: bool
+) -> tuple[OffPrediction, Float[Array, "n place"]]:
     """Return where somebody may be at times of states, and the time of each of these places [s].
 
     Args:
@@ -76,15 +78,15 @@ def followers(entity: MovingEntity, times: Float[Array, "n k"], each: bool) -> t
         each: Whether each time has all places; else they take turns over a state's times, as often as need be.
     """
     if entity.at(times.max(initial=entity.t[0])).spread < _SHARP:
-        return Follower(entity, np.zeros((times.size, 2)), 1.0), times
+        return OffPrediction(entity, np.zeros((times.size, 2)), 1.0), times
     count = PLACES if each else -(-PLACES // times.shape[1])
     whole = np.repeat(times, count, axis=1)
     z = normal_places()[np.arange(whole.shape[1]) % PLACES]
-    return Follower(entity, np.tile(z, (len(times), 1)), _CELL), whole
+    return OffPrediction(entity, np.tile(z, (len(times), 1)), _CELL), whole
 
 
 def touched(
-    batch: StateBatch, who: Follower, state: Int[Array, " pair"], time: Float[Array, " pair"]
+    batch: StateBatch, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]
 ) -> Bool[Array, " pair"]:
     """Tell for which pairs the entity would be touched by moving links or what they carry before anything fails."""
     robot = batch.compiled.robot
