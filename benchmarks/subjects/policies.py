@@ -56,8 +56,8 @@ Controllers: **plan, w = 0** and **plan** (default w) follow their motion by the
 second, which 0.1 s after the onset stops, plans from where it stands for 0.5 s of the world's time, and goes on;
 **script** lifts, crosses, lowers by tool poses; **reach** is a network trained with PPO on joints alone, blind to
 what is around, around three motions of `tabletop_l1`, one of which is that of the first task. A recovery notices
-every fault, exactly so late. Planners have iterations and no seconds, and every draw has a seed: the figures are the same
-on a busy machine.
+every fault, exactly so late. Planners have iterations and no seconds, and every draw has a seed: the figures are the
+same on a busy machine.
 """
 
 
