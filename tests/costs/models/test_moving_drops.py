@@ -14,6 +14,7 @@ from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
 from graceful_plan.costs.models.moving.drops import moving_probability
+from graceful_plan.costs.models.moving.whereabouts import _CELL, PLACES, normal_places
 
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the model of what stands still: here the object is followed down the side of
@@ -143,6 +144,44 @@ def test_a_tall_one_is_hit_from_the_side_on_the_way_down():
     tall = gp.MovingEntity("walker", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.55, 0.0, 0.85]])
     assert probability(scene, tall, np.zeros(4), flies, 0.0)[0] > 0.9  # 2 m/s for 0.3 s
     assert probability(scene, tall, np.zeros(4), np.zeros(4), 0.0)[0] < 0.2
+
+
+@pytest.mark.parametrize("size", sorted(_SIZES))
+def test_who_passes_in_a_slant_beside_it_is_not_hit(size):
+    scene, heading, times = gantry({}), 0.4 + np.pi / 8, np.linspace(-1.0, 1.0, 81)
+    across = np.array([-np.sin(heading), np.cos(heading)])
+
+    def most(beside):
+        entity = walker(*beside * across, size=size, speed=1.5, heading=heading)
+        return probability(scene, entity, np.zeros((81, 4)), time=times).max()
+
+    assert most(0.0) > 0.9
+    assert most(0.22) < 0.1  # the object reaches 0.05 m, and they 0.12 m to their sides
+
+
+def test_nothing_falls_through_a_table():
+    table = {"table": (0.0, 0.0, 0.3, 'type="box" size="0.6 0.6 0.02"')}
+    scene, slides = gantry(table), [1.0, 0.5, 0.0, 0.0]
+    below = gp.MovingEntity("cat", "pet", size=[0.2, 0.1, 0.05], t=[0.0], position=[[0.1, 0.1, 0.05]])
+    assert probability(scene, below, np.zeros(4), slides, 0.0)[0] < 1e-3
+    beside = gp.MovingEntity("cat", "pet", size=[0.2, 0.1, 0.05], t=[0.0], position=[[0.75, 0.0, 0.05]])
+    assert probability(scene, beside, [0.55, 0.0, 0.0, 0.0], slides, 0.0)[0] > 0.02
+
+
+def test_places_stand_for_a_normal_distribution():
+    places = normal_places()
+    np.testing.assert_allclose(places.mean(axis=0), 0.0, atol=1e-9)
+    np.testing.assert_allclose(places.T @ places / PLACES + _CELL**2 * np.eye(2), np.eye(2), atol=1e-9)
+
+
+def test_nobody_is_where_they_would_have_been_touched():
+    scene = gantry({})
+    tall = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.3, 0.0, 0.85]], spread=0.1)
+    P = probability(scene, tall, np.zeros(4), time=0.0)[0]
+    blind = probability(scene, tall, np.zeros(4))[0]  # without a time
+    assert P < 0.6 * blind  # most places from which it is hit are such
+    inside = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.0, 0.0, 0.85]], spread=0.02)
+    assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # of none that is free, all
 
 
 @pytest.mark.parametrize("geom", ["box", "cylinder"])

@@ -1,0 +1,111 @@
+"""Where somebody may be who is expected somewhere: a few places of equal weight, and which of them are not free.
+
+Whoever is off the prediction by so much at the release is still off by it, grown in proportion, while the object falls:
+so each place is followed on its own. And nobody is where robot or object are: they would have been touched before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.costs.cost import StateBatch
+from graceful_plan.scene.moving import MovingEntity
+
+Array = np.ndarray
+
+PLACES = 24
+"""Places that stand for a normal distribution."""
+_SHARP = 0.01
+"""Standard deviations below this need no more than one place [m]."""
+_CELL = float(np.sqrt(2.0 * np.pi / 12.0 / PLACES))
+"""Standard deviation within what one of them stands for, over that of all."""
+_GOLDEN, _STRIDE = np.pi * (3.0 - np.sqrt(5.0)), 7
+
+
+def normal_places() -> Float[Array, "place 2"]:
+    """Return places of equal weight for a normal distribution with standard deviation 1, that within them included.
+
+    Seeds of a sunflower and their mirror images, brought to this variance; neighbours in the list are far apart.
+    """
+    k = np.arange(PLACES // 2)
+    radius, angle = np.sqrt(-2.0 * np.log(1.0 - (k + 0.5) / len(k))), k * _GOLDEN
+    half = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    half = half @ np.linalg.inv(np.linalg.cholesky(half.T @ half / len(k))).T * np.sqrt(1.0 - _CELL**2)
+    return np.concatenate([half, -half])[_STRIDE * np.arange(PLACES) % PLACES]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class OffPrediction:
+    """Somebody who keeps off the prediction by so many standard deviations, at each pair of a state and a time.
+
+    Args:
+        entity: Who is expected where.
+        off: By how many.
+        cell: Standard deviation of what is not known beyond that, over that of the prediction.
+    """
+
+    entity: MovingEntity
+    off: Float[Array, "pair 2"]
+    cell: float
+
+    def at(self, time: Float[Array, " pair"]) -> Float[Array, "pair 2"]:
+        """Return where the entity is, seen from above [m]."""
+        there = self.entity.at(time)
+        return there.position[:, :2] + self.off * there.spread[:, None]
+
+    def spread(self, time: Float[Array, " pair"]) -> Float[Array, " pair"]:
+        """Return the standard deviation of that [m]."""
+        return self.cell * self.entity.at(time).spread
+
+    def only(self, rows: Int[Array, " m"]) -> OffPrediction:
+        """Return some of the pairs."""
+        return OffPrediction(self.entity, self.off[rows], self.cell)
+
+
+def off_predictions(
+    entity: MovingEntity, times: Float[Array, "n k"], each: bool
+) -> tuple[OffPrediction, Float[Array, "n place"]]:
+    """Return where somebody may be at times of states, and the time of each of these places [s].
+
+    Args:
+        entity: Who.
+        times: Times of each state [s].
+        each: Whether each time has all places; else they take turns over a state's times, as often as need be.
+    """
+    if entity.at(times.max(initial=entity.t[0])).spread < _SHARP:
+        return OffPrediction(entity, np.zeros((times.size, 2)), 1.0), times
+    count = PLACES if each else -(-PLACES // times.shape[1])
+    whole = np.repeat(times, count, axis=1)
+    z = normal_places()[np.arange(whole.shape[1]) % PLACES]
+    return OffPrediction(entity, np.tile(z, (len(times), 1)), _CELL), whole
+
+
+def touched(
+    batch: StateBatch, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]
+) -> Bool[Array, " pair"]:
+    """Tell for which pairs the entity would be touched by moving links or what they carry before anything fails."""
+    robot = batch.compiled.robot
+    moves = np.flatnonzero(robot.sphere_link != 0)
+    poses, sphere = batch.link_poses[:, robot.sphere_link[moves]], robot.sphere[moves]
+    centre = np.einsum("nsij,sj->nsi", poses[..., :3, :3], sphere[:, :3]) + poses[..., :3, 3]
+    radius = sphere[:, 3] - robot.protrusion
+    here, there, half = who.at(time), who.entity.at(time), who.entity.half_size
+    c, s = np.cos(there.yaw)[:, None], np.sin(there.yaw)[:, None]
+    found = np.zeros(len(state), dtype=bool)
+    for first in range(0, len(moves), 16):  # a few spheres at a time, to bound memory
+        part = slice(first, first + 16)
+        ball = centre[:, part][state]
+        x, y = ball[..., 0] - here[:, :1], ball[..., 1] - here[:, 1:]
+        if who.entity.is_round:
+            beside = np.maximum(np.hypot(x, y) - half[0], 0.0)
+        else:
+            along, across = np.abs(c * x + s * y), np.abs(c * y - s * x)
+            beside = np.hypot(np.maximum(along - half[0], 0.0), np.maximum(across - half[1], 0.0))
+        above = np.maximum(np.abs(ball[..., 2] - there.position[:, 2:]) - half[2], 0.0)
+        found |= (np.hypot(beside, above) < radius[part]).any(axis=1)
+    return found
