@@ -127,6 +127,8 @@ struct Surface {                // a target: a box turned about the vertical
   double bound[2];               // half sizes of the box around it in W
   double reached[2], inside[2];  // half sizes for the centre of what tumbles over it: hits it, is caught by it
   double near[2];                // the larger of these
+  double solid;                  // share of the velocity that its side takes from what flies against it
+  double catches;                // P that it ends a fall on to its middle
   double strength;               // ln of the energy per mass at which half of what falls on it is damaged [J/kg]
 };
 
