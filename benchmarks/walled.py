@@ -1,7 +1,7 @@
 """Scenes of `unseen/` with walls put up beside the ways of their tasks: what flies against them falls down in front.
 
 Each wall is a fixed box, from a low board to a high partition, at any angle and any distance from the tool's straight
-way at which the ends of all tasks stay free. No constant was fitted on any of these scenes.
+way at which the ends of all tasks stay free. No constant was fitted, and nothing else chosen, on any of these scenes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ VERSIONS = 2
 """Of each scene, with other walls."""
 WALLS = 2
 """In each version."""
-_SEED = 4100
+_SEED = 5200
+"""Step 0 of the drop model was chosen by looking at drops in those of 4100."""
 _ROOM = 0.02
 """Least clearance of the ends of tasks [m]."""
 _TRIES = 400
@@ -64,7 +65,7 @@ def load(name: str) -> gp.Scene:
 
 
 def _with_wall(scene: gp.Scene, wall: str, name: str, rng: np.random.Generator) -> gp.Scene:
-    entities = {**scene.notes.entities, wall: gp.EntityNote(category="robust")}
+    entities = {**scene.notes.entities, wall: gp.EntityNote(category="table")}
     for _ in range(_TRIES):
         x = _drawn(scene, rng)
         if not _is_free(scene, x):

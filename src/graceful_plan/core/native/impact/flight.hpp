@@ -231,7 +231,7 @@ struct SideMeeting {
   Step beside() const { return Step((half - absolute(across)) * inverse_width); }
   Step below(const Surface& s) const { return Step((s.top - height) * (1.0 / kSideTop)); }
   Step above(const Flight& flight, const Surface& s) const {
-    return Step((height + flight.high - flight.low - s.bottom) * (1.0 / kSideTop));
+    return Step((height + flight.high - flight.low - s.bottom) * (1.0 / kSideTop) - 1.0);
   }
   D chance(const Flight& flight, const Surface& s) const {
     return in_front().value * beside().value * below(s).value * above(flight, s).value;
@@ -252,6 +252,7 @@ static inline void find_stop(const DropTables& drop, Flight& flight) {
   Extents extents;
   for (int n = 0; n < drop.n_surface; ++n) {
     const Surface& s = drop.surface[n];
+    if (!s.fixed) continue;
     if (!any((absolute(x - s.centre[0]) < s.bound[0] + far_x) & (absolute(y - s.centre[1]) < s.bound[1] + far_y)))
       continue;
     const Point2 from = placed(s, flight.c.x, flight.c.y), by = turned(s, flight.v.x, flight.v.y);
@@ -271,7 +272,7 @@ static inline void find_stop(const DropTables& drop, Flight& flight) {
       const D effect = chance * absolute(v[i]) * (end - meeting.time);
       const auto first = effect > stop.effect;
       if (!any(first)) continue;
-      const D push = -s.solid * chance * v[i];
+      const D push = -chance * v[i];
       stop.effect = where(first, effect, stop.effect), stop.time = where(first, meeting.time, stop.time);
       stop.chance = where(first, chance, stop.chance), stop.side = where(first, D{} + double(2 * n + i), stop.side);
       stop.x = where(first, push * Extents::axis_x(s, i), stop.x);

@@ -22,7 +22,7 @@ static inline void back_meeting(Backward& back, const Extents& extents, int surf
   m.detail(drop, flight, s, extents, i, at, v);
   const Step front = m.in_front(), beside = m.beside(), under = m.below(s), over = m.above(flight, s);
   const D push = d.x * Extents::axis_x(s, i) + d.y * Extents::axis_y(s, i);
-  const D d_chance = d.chance - s.solid * v[i] * push, heights = under.value * over.value;
+  const D d_chance = d.chance - v[i] * push, heights = under.value * over.value;
   const D d_heights = d_chance * front.value * beside.value;
   const D d_over = d_heights * under.value * over.slope * (1.0 / kSideTop);
   const D d_height = d_over - d_heights * over.value * under.slope * (1.0 / kSideTop);
@@ -42,7 +42,7 @@ static inline void back_meeting(Backward& back, const Extents& extents, int surf
   const auto backwards = v[i] < 0.0;
   D d_at[2], d_v[2], d_low[2], d_high[2];
   d_low[i] = where(backwards, d_gap, D{}), d_high[i] = where(backwards, D{}, -d_gap), d_at[i] = d_low[i] + d_high[i];
-  d_v[i] = where(backwards, -d_speed, d_speed) - s.solid * flight.stop.chance * push;
+  d_v[i] = where(backwards, -d_speed, d_speed) - flight.stop.chance * push;
   d_at[1 - i] = d_across, d_v[1 - i] = d_across * m.time;
   d_low[1 - i] = 0.5 * (d_across - d_half), d_high[1 - i] = 0.5 * (d_across + d_half);
   back_turned(s, {d_at[0], d_at[1]}, d_flight.c.x, d_flight.c.y);

@@ -350,7 +350,7 @@ class DropModel {
       Surface s{};
       s.entity = entity.data()[k];
       require(s.entity >= -1 && s.entity < tables_.n_entity, "entity of a surface");
-      s.diagonal = t[6], s.bottom = t[9], s.top = t[10], s.solid = t[11];
+      s.diagonal = t[6], s.bottom = t[9], s.top = t[10], s.fixed = t[11] > 0;
       for (int i = 0; i < 2; ++i)
         s.centre[i] = t[i], s.axis[i] = t[2 + i], s.half[i] = t[4 + i], s.carries[i] = t[7 + i];
       s.turn = int(k);

@@ -244,7 +244,7 @@ def _kernel(
 
 
 def _targets(tables: DropTables) -> Float[Array, "target 12"]:
-    """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top, solid."""
+    """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top, fixed."""
     columns = (
         tables.target_centre,
         tables.target_axis,
@@ -252,7 +252,7 @@ def _targets(tables: DropTables) -> Float[Array, "target 12"]:
         tables.target_diagonal[:, None],
         tables.target_carries,
         tables.target_height,
-        tables.target_solid[:, None],
+        tables.target_fixed[:, None],
     )
     return np.concatenate(columns, axis=1)
 

@@ -96,9 +96,9 @@ def _meeting(
     half = tables.target_half[:, other] + 0.5 * (upper[other] - lower[other])
     chance = chance * smooth_step((half - np.abs(across)) / (np.sqrt(5.0) * s))
     chance = chance * smooth_step((top - height) / _TOP)
-    chance = chance * smooth_step((height + shape.high - shape.low - bottom) / _TOP)
+    chance = chance * smooth_step((height + shape.high - shape.low - bottom) / _TOP - 1.0) * tables.target_fixed
     normal = (targets.x, targets.y)[axis][:, :2]
-    push = -(tables.target_solid * chance * v[axis])[..., None] * normal
+    push = -(chance * v[axis])[..., None] * normal
     return chance * np.abs(v[axis]) * np.maximum(end - time, 0.0), time, chance, push
 
 
