@@ -195,7 +195,7 @@ def slow_details(scene, settings, q, qd):
     sp2 = v[0] ** 2 + v[1] ** 2
 
     T = targets(scene, data)
-    ts, push, E, side = side_stop(T, parts, k, c, v, low, high)
+    ts, push, chance, side = side_stop(T, parts, k, c, v, low, high)
 
     def pushed(time):
         return push * max(time - ts, 0.0)
@@ -289,7 +289,7 @@ def slow_details(scene, settings, q, qd):
         H *= box(0.5 * (x0 + x1), t["a"] + 0.5 * math.sqrt((x1 - x0) ** 2 + 1e-6) + r, sl)
         H *= box(0.5 * (y0 + y1), t["b"] + 0.5 * math.sqrt((y1 - y0) ** 2 + 1e-6) + r, sl)
         if t is side:
-            H = max(H, E * (1.0 - sum(mass) * (1.0 - smooth((tl - ts) / 0.067))))
+            H = max(H, chance * (1.0 - sum(mass) * (1.0 - smooth((tl - ts) / 0.067))))
         if t["owner"] >= 0:
             P[t["owner"]] = max(P[t["owner"]], 1.0 - (1.0 - t["C"]) * (1.0 - t["G"]) * (1.0 - H))
     details = dict(levels=levels, pushed=pushed, mass=mass, leaving=leaving, low=low, hs=hs, c=c, v=v, w=w, data=data)
