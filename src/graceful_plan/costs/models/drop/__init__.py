@@ -17,8 +17,9 @@ A drop is told in six steps, each with smooth formulas of its own, so that the r
 Specification
 -------------
 Everything is in double precision, z is up, g = 9.81. Tables: `DropTables`. Constants: `DropConstants`; those named
-below carry the symbols given there; the tables of step 5 are `LossTables`. The native kernel (native/impact/flight, drop.hpp,
-own_loss.hpp) follows this text operation by operation, and so does `landing.py` as far as entities that move need it.
+below carry the symbols given there; the tables of step 5 are `LossTables`. The native kernel (native/impact/flight,
+drop.hpp, own_loss.hpp) follows this text operation by operation, and so do `sides.py` and `landing.py` as far as
+entities that move need it.
 
 .. code-block:: text
 
