@@ -48,6 +48,7 @@ SUBJECTS = (
     "paper_table",
     "drop_physics",
     "drop_prediction",
+    "walls",
     "failure_prediction",
     "trajectory_prediction",
     "learned_interaction",

@@ -30,6 +30,11 @@ def fall(vz, h):
     return (vz + math.sqrt(vz * vz + 2.0 * G * 0.5 * (h + math.sqrt(h * h + 1e-4)))) / G
 
 
+def smooth(x):
+    t = max(0.0, min(1.0, 0.5 + 0.5 * x))
+    return t * t * (3.0 - 2.0 * t)
+
+
 def pos(x):
     return 0.5 * (x + math.sqrt(x * x + 1e-4))
 
@@ -82,7 +87,7 @@ def targets(scene, data):
                 ca = 0.2 * a
         owner = next((e for e, entity in enumerate(scene.entities.values()) if g in entity.geoms), -1)
         found.append(dict(X=p[0], Y=p[1], c=c, s=s, a=a, b=b, d=d, ca=ca, cb=cb))
-        found[-1] |= dict(Z=p[2] + tall, low=p[2] - tall, owner=owner)
+        found[-1] |= dict(Z=p[2] + tall, low=p[2] - tall, owner=owner, fixed=model.body_weldid[body] == 0)
     found.sort(key=lambda t: -t["Z"])
     level, top = -1, math.inf
     for t in found:
@@ -125,6 +130,40 @@ def slow_drop(scene, settings, q, qd):
     return slow_details(scene, settings, q, qd)[:2]
 
 
+def side_stop(T, parts, k, c, v, low, high):
+    """What the first side in the way does: ts, p, E, target."""
+    best = (0.0, 0.0, np.zeros(2), 0.0, None)  # effect first
+    end = fall(v[2], low - min((t["Z"] for t in T), default=0.0)) + k.delay + 0.15
+    for t in T:
+        if not t["fixed"]:
+            continue
+        axes = np.array([[t["c"], t["s"]], [-t["s"], t["c"]]])
+        half = (t["a"], t["b"])
+        for i in (0, 1):
+            lower, upper = [], []
+            for axis in axes:
+                middle = [float(axis @ part["o"][:2]) for part in parts]
+                wide = [reach(part, (*axis, 0.0)) for part in parts]
+                lower.append(min(m - w for m, w in zip(middle, wide, strict=True)))
+                upper.append(max(m + w for m, w in zip(middle, wide, strict=True)))
+            at, speed = axes @ (c[:2] - [t["X"], t["Y"]]), axes @ v[:2]
+            gap = (at[i] + lower[i] if speed[i] < 0.0 else -(at[i] + upper[i])) - half[i]
+            time = max(gap, 0.0) / max(abs(speed[i]), 1e-3)
+            j = 1 - i
+            across = abs(at[j] + speed[j] * time + 0.5 * (lower[j] + upper[j]))
+            s = math.sqrt(k.position_spread**2 + (k.velocity_spread * time) ** 2)
+            late = max(time - k.delay, 0.0)
+            h = low + v[2] * late - 0.5 * G * late**2
+            E = smooth(gap / 0.006 + 1.0) * smooth(
+                (half[j] + 0.5 * (upper[j] - lower[j]) - across) / (math.sqrt(5.0) * s)
+            )
+            E *= smooth((t["Z"] - h) / 0.067) * smooth((h + high - low - t["low"]) / 0.067 - 1.0)
+            effect = E * abs(speed[i]) * max(end - time, 0.0)
+            if effect > best[0]:
+                best = (effect, time, -E * speed[i] * axes[i], E, t)
+    return best[1:]
+
+
 def slow_details(scene, settings, q, qd):
     """The same, and what else a spill depends on."""
     k = constants(settings, scene)
@@ -156,6 +195,11 @@ def slow_details(scene, settings, q, qd):
     sp2 = v[0] ** 2 + v[1] ** 2
 
     T = targets(scene, data)
+    ts, push, chance, side = side_stop(T, parts, k, c, v, low, high)
+
+    def pushed(time):
+        return push * max(time - ts, 0.0)
+
     for t in T:  # first contact
         t["D"] = 0.0
         ex, ey = (t["c"], t["s"], 0.0), (-t["s"], t["c"], 0.0)
@@ -166,14 +210,14 @@ def slow_details(scene, settings, q, qd):
             time = fall(v[2], h)
             s = math.sqrt(k.position_spread**2 + (k.velocity_spread * time) ** 2)
             u = v + np.cross(w, part["o"])
-            x, y = into(t, c[0] + part["o"][0] - t["X"] + u[0] * (time + k.delay),
-                        c[1] + part["o"][1] - t["Y"] + u[1] * (time + k.delay))  # fmt: skip
+            place = c[:2] + part["o"][:2] + u[:2] * (time + k.delay) + pushed(time + k.delay)
+            x, y = into(t, *(place - [t["X"], t["Y"]]))
             D = box(x, t["a"] + reach(part, ex), s) * box(y, t["b"] + reach(part, ey), s) * S(h / 0.008 + 1.0)
             D *= box((x + y) / math.sqrt(2.0), t["d"] + reach(part, e1), s)
             D *= box((y - x) / math.sqrt(2.0), t["d"] + reach(part, e2), s)
             t["D"] = max(t["D"], D)
         t["time"] = fall(v[2], low - t["Z"]) + k.delay
-        t["x0"] = into(t, c[0] - t["X"] + v[0] * t["time"], c[1] - t["Y"] + v[1] * t["time"])
+        t["x0"] = into(t, *(c[:2] + v[:2] * t["time"] + pushed(t["time"]) - [t["X"], t["Y"]]))
     n_level = T[-1]["level"] + 1 if T else 0
     levels = [[t for t in T if t["level"] == level] for level in range(n_level)]
     arrives = 1.0
@@ -216,18 +260,19 @@ def slow_details(scene, settings, q, qd):
         mass.append(sum(t["F"] for t in level))
     leaving = [f * p for f, p in zip(mass, leaves, strict=True)]
 
-    L = c[:2] + v[:2] * tl
     blur = k.position_spread**2 + (k.velocity_spread * tl) ** 2 + (k.height_spread * hs) ** 2
     sd = math.sqrt(blur + k.carry_spread**2 * sp2 + (k.size_spread * size) ** 2)
     B, N = 0.0, np.zeros(2)
     for index, level in enumerate(levels):  # falls
         keep = 1.0
         for t in level:
-            point = L + k.carry * v[:2] + k.drift * size * N / (B + 1e-6) - [t["X"], t["Y"]]
+            carried = c[:2] + v[:2] * (tl + k.carry) + pushed(tl + k.carry)
+            point = carried + k.drift * size * N / (B + 1e-6) - [t["X"], t["Y"]]
             x, y = into(t, *point)
             t["G"] = B * box(x, t["a"] + k.tumble_reach * size, sd) * box(y, t["b"] + k.tumble_reach * size, sd)
             inside = box(x, pos(t["ca"] + k.catch_margin * size), sd) * box(y, pos(t["cb"] + k.catch_margin * size), sd)
-            keep *= 1.0 - k.catch * inside
+            wide2 = min(t["ca"], t["cb"]) ** 2
+            keep *= 1.0 - (k.catch + (1.0 - k.catch) * wide2 / (wide2 + 0.01)) * inside
         B, N = B * keep + leaving[index], N * keep + leaving[index] * away[index]
 
     Tm = sum(leaving) / total
@@ -236,13 +281,16 @@ def slow_details(scene, settings, q, qd):
     r = (k.side_reach + k.topple_reach * Tm) * size
     P = np.zeros(len(scene.entities))
     for t in T:  # side contacts
-        x1, y1 = into(t, *(L - [t["X"], t["Y"]] + k.slide * v[:2] + k.drift * size * drift))
+        slid = c[:2] + v[:2] * (tl + k.slide) + pushed(tl + k.slide)
+        x1, y1 = into(t, *(slid - [t["X"], t["Y"]] + k.drift * size * drift))
         x0, y0 = t["x0"]
         below = max(0.0, sum(mass[t["level"] :]) - t["C"])
         H = below * S((zs + high - low - t["low"]) / k.side_height)
         H *= box(0.5 * (x0 + x1), t["a"] + 0.5 * math.sqrt((x1 - x0) ** 2 + 1e-6) + r, sl)
         H *= box(0.5 * (y0 + y1), t["b"] + 0.5 * math.sqrt((y1 - y0) ** 2 + 1e-6) + r, sl)
+        if t is side:
+            H = max(H, chance * (1.0 - sum(mass) * (1.0 - smooth((tl - ts) / 0.067))))
         if t["owner"] >= 0:
             P[t["owner"]] = max(P[t["owner"]], 1.0 - (1.0 - t["C"]) * (1.0 - t["G"]) * (1.0 - H))
-    details = dict(levels=levels, mass=mass, leaving=leaving, low=low, hs=hs, c=c, v=v, w=w, data=data)
+    details = dict(levels=levels, pushed=pushed, mass=mass, leaving=leaving, low=low, hs=hs, c=c, v=v, w=w, data=data)
     return np.array([t["F"] for t in T]), P, details

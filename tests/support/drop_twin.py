@@ -85,7 +85,7 @@ def _sides(
     below = np.maximum(targets.spread(np.cumsum(landing.mass[:, ::-1], axis=1)[:, ::-1]) - C, 0.0)
     leaves = landing.leaving.sum(axis=1, keepdims=True) / landing.total
     drift = np.einsum("nl,nli->ni", landing.leaving, landing.away) / landing.total
-    x, y = targets.place(landing.point + k.slide * state.v[:, :2] + k.drift * size * drift)
+    x, y = targets.place(landing.goes_on(k.slide) + k.drift * size * drift)
     sd = np.sqrt(landing.blur + (k.side_spread * size) ** 2 + (k.size_spread * size * leaves) ** 2)
     reach = (k.side_reach + k.topple_reach * leaves) * size
     (a, b), bottom = tables.target_half.T, tables.target_height[:, 0]
@@ -94,4 +94,7 @@ def _sides(
     H = step((landing.height + tall - bottom) / k.side_height) * below
     H *= box(0.5 * (place[0] + x), a + 0.5 * np.sqrt((x - place[0]) ** 2 + 1e-6) + reach, sd)
     H *= box(0.5 * (place[1] + y), b + 0.5 * np.sqrt((y - place[1]) ** 2 + 1e-6) + reach, sd)
+    met = landing.stop.met(landing.time[:, 0], landing.mass.sum(axis=1))
+    row, side = np.arange(len(H)), landing.stop.target
+    H[row, side] = np.maximum(H[row, side], met)
     return H

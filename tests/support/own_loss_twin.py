@@ -13,7 +13,7 @@ import graceful_plan as gp
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.drop.functions import GRAVITY, box, positive
-from graceful_plan.costs.models.drop.landing import LEAST_MASS, fly
+from graceful_plan.costs.models.drop.landing import LEAST_MASS, catching, fly
 from graceful_plan.costs.models.drop.loss import LANDING_LOSS
 from graceful_plan.costs.models.drop.release import release
 from graceful_plan.costs.models.drop.tables import drop_tables
@@ -38,6 +38,7 @@ def own_loss(
     level_damage = targets.sum(flight.F * _damage(energy, *bears))
     leaves = landing.leaving / np.maximum(landing.mass, 1e-300)
     a, b = tables.target_carries.T
+    catch = catching(tables, k)
     holds = np.minimum(a, b) > size
     loose, drift = np.zeros((len(batch), 1)), np.zeros((len(batch), 2))
     heights, known, total = np.zeros((len(batch), 1)), np.zeros((len(batch), 1)), level_damage.sum(axis=1)
@@ -46,12 +47,12 @@ def own_loss(
         x, y = (value[:, here] for value in targets.place(landing.falls_to(k, size, loose, drift)))
         inside = box(x, positive(a[here] + k.catch_margin * size), landing.fall_spread)
         inside *= box(y, positive(b[here] + k.catch_margin * size), landing.fall_spread)
-        passed = np.cumprod(1.0 - k.catch * inside, axis=1)
+        passed = np.cumprod(1.0 - catch[here] * inside, axis=1)
         arrives = np.concatenate([np.ones_like(loose), passed[:, :-1]], axis=1)
         fallen = heights / (loose + LEAST_MASS) - targets.top[here]
         damage = _damage(GRAVITY * positive(fallen), bears[0][here], bears[1])
         more = np.maximum(damage - known / (loose + LEAST_MASS), 0.0)
-        total += (loose * arrives * k.catch * inside * more * holds[here]).sum(axis=1)
+        total += (loose * arrives * catch[here] * inside * more * holds[here]).sum(axis=1)
         keep, leaving = passed[:, -1:], landing.leaving[:, level, None]
         loose, drift = loose * keep + leaving, drift * keep + leaving * landing.away[:, level]
         heights = heights * keep + leaving * targets.top[first]

@@ -92,7 +92,7 @@ def slow_spill(scene, settings, k, q, qd):
         u = math.sqrt(v[2] ** 2 + 2.0 * G * pos(low - level[0]["Z"]))
         hard = S((u - k.soft_speed) / k.soft_spread)
         a = F * hard + M * (1.0 - hard)
-        L = vm[:2] * (level[0]["time"] + k.carry)
+        L = vm[:2] * (level[0]["time"] + k.carry) + d["pushed"](level[0]["time"] + k.carry)
         at = o / (O + 1e-6)
         g = 1.0
         for t in level:

@@ -117,9 +117,9 @@ def _arrivals(tables: DropTables, k: SpillConstants, poured: Poured) -> tuple[Ar
     top = tables.target_height[tables.level_start[:-1], 1]
     u = np.sqrt(poured.falling**2 + 2.0 * GRAVITY * positive(poured.low - top))
     hard = step((u - k.soft_speed) / k.soft_spread)
-    time = (landing.times + k.carry)[..., None]
+    time = landing.times + k.carry
     arrives = landing.mass * hard + landing.leaving * (1.0 - hard)
-    return arrives, poured.velocity[:, None, :2] * time
+    return arrives, poured.velocity[:, None, :2] * time[..., None] + landing.stop.pushed(time)
 
 
 def _standing(

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import graceful_plan as gp
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.models.drop.constants import DropConstants, DropSettings
+from graceful_plan.costs.models.drop.landing import catching
 from graceful_plan.costs.models.drop.release import release
 from graceful_plan.costs.models.drop.tables import LEVEL, SHAPE_CLASSES, drop_tables
 from graceful_plan.costs.models.mixture.mixture import Footprint
@@ -180,6 +181,56 @@ def test_tops_of_one_height_are_met_together():
     found = drop(gantry(pair), [0.0, 0.0, -0.3, 0.0])
     assert found.contact[0, :2].min() > 0.8
     np.testing.assert_allclose(found.first[0, :2], 0.5, atol=0.02)
+
+
+# --- sides in the way -------------------------------------------------------------------------------------------------
+
+_BEHIND = {"behind": (0.8, 0.0, 0.05, 'type="box" size="0.25 0.3 0.05"')}
+_BEFORE = {"before": (0.2, 0.0, 0.05, 'type="box" size="0.15 0.3 0.05"')}
+
+
+def _wall(height, x=0.4):
+    return {"wall": (x, 0.0, height / 2.0, f'type="box" size="0.02 0.5 {height / 2.0}"')}
+
+
+def _flown(targets, q, qd, start=-0.3):
+    return dict(zip(targets, drop(gantry(targets), [*q, start, 0.0], [*qd, 0.0, 0.0]).entity[0], strict=True))
+
+
+def test_what_flies_against_a_wall_hits_it_and_falls_down_in_front():
+    open_, walled = _BEHIND | _BEFORE, _BEHIND | _BEFORE | _wall(1.0)
+    free, stopped = (_flown(x, (0.2, 0.0), (1.5, 0.0)) for x in (open_, walled))
+    assert free["behind"] > 0.9 and free["before"] < 0.3
+    assert stopped["wall"] > 0.95 and stopped["before"] > 0.85 and stopped["behind"] < 0.05
+
+
+def test_a_wall_that_it_flies_over_or_away_from_is_none():
+    for wall in (_wall(0.2), _wall(1.0, x=-0.4)):
+        free, found = (_flown(_BEHIND | x, (0.2, 0.0), (1.5, 0.0)) for x in ({}, wall))
+        assert found["wall"] < 0.25 and found["behind"] == pytest.approx(free["behind"], abs=0.05)
+
+
+def test_what_flies_along_a_wall_keeps_that_speed():
+    ahead = {"ahead": (0.25, 0.6, 0.05, 'type="box" size="0.15 0.2 0.05"')}
+    for across in (0.0, 1.0):
+        targets = ahead | {"wall": (0.4, 0.5, 0.5, 'type="box" size="0.02 1.0 0.5"')}
+        assert _flown(targets, (0.3, 0.0), (across, 1.6))["ahead"] > 0.9
+
+
+def test_only_what_is_fixed_stops_it():
+    scene = gp.load_scene("desk").tasks["bring_coffee"].scene
+    tables = drop_tables(scene)
+    loose = np.array([name in ("laptop", "phone") for name in scene.entities])
+    assert not tables.target_fixed[loose[tables.target_entity] & (tables.target_entity >= 0)].any()
+    assert tables.target_fixed.any()
+
+
+@pytest.mark.parametrize("half, ends", [(0.1, 0.5), (1e-3, 0.0), (1.0, 1.0)])
+def test_wide_tops_end_nearly_all_falls(half, ends):
+    tables = drop_tables(gantry({"top": (0.0, 0.0, 0.1, f'type="box" size="{half} 2 0.1"')}))
+    constants, top = DropSettings.shipped().box, list(tables.target_entity).index(0)
+    more = (catching(tables, constants)[top] - constants.catch) / (1.0 - constants.catch)
+    assert more == pytest.approx(ends, abs=0.011)
 
 
 # --- laws -----------------------------------------------------------------------------------------------------------

@@ -26,10 +26,12 @@ constexpr double kHeld = 60.0;      // exponents are held within
 constexpr double kNothing = 1e-13;  // a probability that does not matter
 constexpr double kRare = 1e-11;     // of which there are few to be added up
 constexpr double kTiny = 1e-300;
+#include "impact/flight/flight.hpp"
 #include "impact/drop.hpp"
 #include "impact/learned/network.hpp"
 #include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
+#include "impact/flight/flight_gradient.hpp"
 #include "impact/own_loss_gradient.hpp"
 #include "impact/tumble_gradient.hpp"
 #include "impact/learned/network_gradient.hpp"
@@ -47,10 +49,12 @@ namespace rough {
 using D = Single;
 constexpr double kTail = 14.0, kHeld = 16.0, kNothing = 1e-6, kRare = 1e-6,
                  kTiny = 1e-30;  // products of five e^kHeld are finite
+#include "impact/flight/flight.hpp"
 #include "impact/drop.hpp"
 #include "impact/learned/network.hpp"
 #include "impact/own_loss.hpp"
 #include "impact/drop_gradient.hpp"
+#include "impact/flight/flight_gradient.hpp"
 #include "impact/own_loss_gradient.hpp"
 #include "impact/tumble_gradient.hpp"
 #include "impact/learned/network_gradient.hpp"

@@ -121,12 +121,13 @@ struct DropPart {
   double offset[3], R[9], half[3];  // in the axes of the link; offset from the centre of mass
 };
 
-struct Surface {                // a target: a box turned about the vertical
-  int32_t entity, turn, holds;  // turn: equal for equal axes; holds: wide enough for the object to end a fall there
+struct Surface {                       // a target: a box turned about the vertical
+  int32_t entity, turn, holds, fixed;  // turn: equal for equal axes; holds: wide enough for a fall to end there
   double centre[2], axis[2], half[2], diagonal, carries[2], bottom, top;
   double bound[2];               // half sizes of the box around it in W
   double reached[2], inside[2];  // half sizes for the centre of what tumbles over it: hits it, is caught by it
   double near[2];                // the larger of these
+  double catches;                // P that it ends a fall on to its middle
   double strength;               // ln of the energy per mass at which half of what falls on it is damaged [J/kg]
 };
 

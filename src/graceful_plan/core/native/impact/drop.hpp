@@ -1,142 +1,4 @@
-// The drop model: whom the carried object hits if it is let go here, at this velocity. The specification, with the
-// letters used here, is in costs/models/drop. It is compiled for two precisions: D, and what is left out
-// to save time (kTail, kHeld, kNothing), stand in kernels.cpp.
-
-constexpr double kGravity = 9.81;
-constexpr double kBeta = 0.55132889542179209;  // scale of a logistic distribution with standard deviation 1: sqrt(3)/pi
-constexpr double kHalfRoot = 0.70710678118654752440;
-constexpr double kTouch = 0.008;  // how sharply a part passes the height of a top [m]
-constexpr double kAbove =
-    -kTouch * (1.0 + kTail * kBeta);  // lower above a top than that, a part does not come down on it
-constexpr double kLeastMass = 1e-6;
-
-// --- functions ------------------------------------------------------------------------------------------------------
-
-struct Point2 {
-  D x, y;
-};
-
-static inline Point2 turned(const Surface& s, D x, D y) {
-  return {s.axis[0] * x + s.axis[1] * y, s.axis[0] * y - s.axis[1] * x};
-}
-static inline Point2 placed(const Surface& s, D x, D y) { return turned(s, x - s.centre[0], y - s.centre[1]); }
-
-static inline Vec<D> cross(const Vec<D>& a, const Vec<D>& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-
-// Where a noisy point may be within half sizes of a centre, given its place in their axes.
-template <class A> static inline auto may_be_within(const Point2& at, const A& a, const A& b, D inverse_scale) {
-  return ((absolute(at.x) - a) * inverse_scale < kTail) & ((absolute(at.y) - b) * inverse_scale < kTail);
-}
-
-// e^x, held at what is nothing in a probability.
-static inline D tail(D x) { return exponential(maximum(x, D{} - kHeld)); }
-static inline D odds(D x) { return tail(minimum(x, D{} + kHeld)); }
-
-// A product of probabilities with one division for all of them: no factor of `under` is below 1.
-struct Chance {
-  D over = D{} + 1.0, under = D{} + 1.0;
-
-  // P(|x + noise| < A), for logistic noise of the given scale.
-  [[gnu::always_inline]] void within(D x, D A, D inverse_scale) {
-    A = maximum(A, D{} + 1e-4);
-    const D inside = (A - absolute(x)) * inverse_scale;
-    if (!any(inside < kTail)) return;  // certain: the ground, large tables
-    const D f = odds(-inside), h = tail(-(absolute(x) + A) * inverse_scale);
-    over *= 1.0 - f * h;
-    under *= (1.0 + f) * (1.0 + h);
-  }
-  // P(noise < u), for noise of standard deviation 1.
-  void below(D u) { under *= 1.0 + odds(u * (-1.0 / kBeta)); }
-  D value() const { return over * reciprocal(under); }
-};
-
-static inline D fall(D vz, D h) {
-  const D k = 0.5 * (h + square_root(h * h + 1e-4));
-  return (vz + square_root(vz * vz + 2.0 * kGravity * k)) * (1.0 / kGravity);
-}
-
-// --- the state at release -------------------------------------------------------------------------------------------
-
-struct FlyingPart {
-  Vec<D> o, u;  // centre from c, velocity of it
-  D axis[9], bottom;
-  D stands;  // how much of the ground contact is its
-};
-
-struct Flight {
-  Vec<D> c, v, w;
-  FlyingPart part[kMaxDropParts];
-  D low, high, highest_bottom, tilt, speed;
-  D turn_speed, late;  // |w|, and how much later than the lowest part another may be down, at most
-};
-
-// How far a part reaches in a direction whose components in its axes are d.
-static inline D reach(const DropPart& part, const D d[3]) {
-  if (part.shape == kBall) return D{} + part.half[0];
-  if (part.shape == kFlat)
-    return absolute(d[0]) * part.half[0] + absolute(d[1]) * part.half[1] + absolute(d[2]) * part.half[2];
-  return absolute(d[2]) * part.half[2] + part.half[0] * square_root(maximum(1.0 - d[2] * d[2], D{} + 1e-12));
-}
-
-static inline D tilt_of(int shape, const D axis[9]) {
-  if (shape == kBall) return D{};
-  const D a = axis[6] * axis[6], b = axis[7] * axis[7], c = axis[8] * axis[8];
-  return 1.0 - (shape == kRound ? (a + b) * (a + b) + c * c : a * a + b * b + c * c);
-}
-
-static inline void add_joint_velocities(const Tables& tables, int link, const Frame<D>* X_W, const D* qd,
-                                        Flight& flight) {
-  for (int l = link; l >= 0; l = tables.link[l].parent) {
-    const Link& joint = tables.link[l];
-    if (joint.joint < 0) continue;
-    const Frame<D>& X = X_W[l];
-    const D rate = qd[joint.joint];
-    const Vec<D> z = {X.R[2] * rate, X.R[5] * rate, X.R[8] * rate};
-    Vec<D> u = z;
-    if (!joint.slide) {
-      u = cross(z, {flight.c.x - X.p.x, flight.c.y - X.p.y, flight.c.z - X.p.z});
-      flight.w.x += z.x, flight.w.y += z.y, flight.w.z += z.z;
-    }
-    flight.v.x += u.x, flight.v.y += u.y, flight.v.z += u.z;
-  }
-}
-
-static inline void place_part(const DropPart& part, const Frame<D>& X, const Flight& flight, FlyingPart& flying) {
-  flying.o = rotate(X, part.offset);
-  const Vec<D> swing = cross(flight.w, flying.o);
-  flying.u = {flight.v.x + swing.x, flight.v.y + swing.y, flight.v.z + swing.z};
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j)
-      flying.axis[3 * i + j] = X.R[3 * i] * part.R[j] + X.R[3 * i + 1] * part.R[3 + j] + X.R[3 * i + 2] * part.R[6 + j];
-}
-
-static inline void release(const Tables& tables, const DropTables& drop, const Frame<D>* X_W, const D* qd,
-                           Flight& flight) {
-  const Frame<D>& X = X_W[drop.frame];
-  flight.c = transform(X, drop.centre);
-  flight.v = flight.w = {D{}, D{}, D{}};
-  if (qd) add_joint_velocities(tables, drop.link, X_W, qd, flight);
-  flight.low = D{} + 1e9, flight.high = flight.highest_bottom = D{} - 1e9;
-  for (int p = 0; p < drop.n_part; ++p) {
-    FlyingPart& part = flight.part[p];
-    place_part(drop.part[p], X, flight, part);
-    const D up = reach(drop.part[p], part.axis + 6), z = flight.c.z + part.o.z;
-    part.bottom = z - up;
-    flight.low = minimum(flight.low, part.bottom), flight.high = maximum(flight.high, z + up);
-    flight.highest_bottom = maximum(flight.highest_bottom, part.bottom);
-  }
-  for (int p = 0; p < drop.n_part; ++p) {
-    const D above = (flight.part[p].bottom - flight.low) * (1.0 / 0.012);
-    flight.part[p].stands = exponential(maximum(-above * above, D{} - 60.0));
-  }
-  flight.tilt = tilt_of(drop.part[drop.main].shape, flight.part[drop.main].axis);
-  flight.speed = square_root(flight.v.x * flight.v.x + flight.v.y * flight.v.y + 1e-4);
-  flight.turn_speed = square_root(flight.w.x * flight.w.x + flight.w.y * flight.w.y + flight.w.z * flight.w.z + 1e-12);
-  // Heights differ by so much at most, and a square root of a sum is below the sum of the square roots.
-  flight.late = square_root((flight.highest_bottom - flight.low) * (2.0 / kGravity) + 1e-12);
-}
+// The drop model: whom the carried object hits if it is let go here, at this velocity; flight.hpp is what comes before.
 
 // --- 1. first contact -----------------------------------------------------------------------------------------------
 
@@ -182,7 +44,8 @@ struct Passage {
     const DropConstants& k = drop.constants;
     const D falling = fall(flight.v.z, flight.low - top);
     time = falling + k.delay;
-    x = flight.c.x + flight.v.x * time, y = flight.c.y + flight.v.y * time;
+    const Point2 centre = travelled(flight, time);
+    x = centre.x, y = centre.y;
     const D late = falling + flight.late;
     near = drop.radius * (1.0 + flight.turn_speed * (late + k.delay)) + flight.speed * flight.late +
            kTail * kBeta * (k.position_spread + k.velocity_spread * late);
@@ -196,8 +59,9 @@ struct Passage {
       const FlyingPart& flying = flight.part[p];
       const D h = flying.bottom - top, t = fall(flight.v.z, h), spread = k.velocity_spread * t;
       part[p].inverse_scale = (1.0 / kBeta) * inverse_root(k.position_spread * k.position_spread + spread * spread);
-      part[p].x = flight.c.x + flying.o.x + flying.u.x * (t + k.delay);
-      part[p].y = flight.c.y + flying.o.y + flying.u.y * (t + k.delay);
+      const D pushed = relu(t + k.delay - flight.stop.time);
+      part[p].x = flight.c.x + flying.o.x + flying.u.x * (t + k.delay) + flight.stop.x * pushed;
+      part[p].y = flight.c.y + flying.o.y + flying.u.y * (t + k.delay) + flight.stop.y * pushed;
       Chance gate;
       gate.below(h * (1.0 / kTouch) + 1.0);
       part[p].passes = gate.under;
@@ -300,6 +164,12 @@ struct Landing {
   D blur;                                                               // variance of the place
 };
 
+// Where the centre of mass is at some time, in the axes of a surface.
+static inline Point2 passing(const Flight& flight, const Surface& s, D time) {
+  const Point2 at = travelled(flight, time);
+  return placed(s, at.x, at.y);
+}
+
 // Of D of a level's surfaces: their sum, and the product of 1 - D.
 struct Met {
   D sum = {}, missed = D{} + 1.0;
@@ -341,9 +211,7 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
       const D F = share * landing.contact[k], time = landing.time[k];
       landing.contact[k] *= arrives;
       landing.first[l] += F, sum_time += F * time, sum_height += F * s.top, sum_fallen += F * relu(flight.low - s.top);
-      if (lands)
-        moments.add(drop, flight, s, placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time),
-                    reaches);
+      if (lands) moments.add(drop, flight, s, passing(flight, s, time), reaches);
     }
     arrives *= missed;
     landing.landed += landing.first[l];
@@ -354,7 +222,8 @@ static inline void land(const DropTables& drop, const Flight& flight, Landing& l
   landing.total = landing.landed + kLeastMass;
   const D share = reciprocal(landing.total);
   landing.mean_time = sum_time * share, landing.height = sum_height * share, landing.fallen = sum_fallen * share;
-  landing.x = flight.c.x + flight.v.x * landing.mean_time, landing.y = flight.c.y + flight.v.y * landing.mean_time;
+  const Point2 place = travelled(flight, landing.mean_time);
+  landing.x = place.x, landing.y = place.y;
   const D late = c.velocity_spread * landing.mean_time, deep = c.height_spread * landing.fallen;
   landing.blur = c.position_spread * c.position_spread + late * late + deep * deep;
 }
@@ -368,6 +237,7 @@ struct Fall {
   Fall(const Tables& tables, const DropTables& drop, const D* q, const D* qd) {
     forward_kinematics(tables, q, X_W);
     release(tables, drop, X_W, qd, flight);
+    find_stop(drop, flight);
     land(drop, flight, landing);
   }
 };
@@ -388,7 +258,7 @@ struct Tumble {
     const D v2 = flight.v.x * flight.v.x + flight.v.y * flight.v.y;
     inverse_scale =
         (1.0 / kBeta) * inverse_root(landing.blur + tumbling * tumbling + k.carry_spread * k.carry_spread * v2);
-    start = {landing.x + k.carry * flight.v.x, landing.y + k.carry * flight.v.y};
+    start = travelled(flight, landing.mean_time + k.carry);
   }
   bool enter(const DropTables& drop) {
     keep = D{} + 1.0;
@@ -402,7 +272,7 @@ struct Tumble {
     return any(may_be_within(at, s.near[0], s.near[1], inverse_scale));
   }
   // G, if it is wanted, and how much goes on.
-  D hit(const DropTables& drop, const Surface& s, bool wanted) {
+  D hit(const Surface& s, bool wanted) {
     const Point2 at = placed(s, x, y);
     caught = D{};
     if (!may_meet(s, at)) return D{};
@@ -411,7 +281,7 @@ struct Tumble {
     if (wanted) hits.within(at.y, D{} + s.reached[1], inverse_scale);
     ends.within(at.x, D{} + s.inside[0], inverse_scale);
     ends.within(at.y, D{} + s.inside[1], inverse_scale);
-    caught = keep * (drop.constants.catches * ends.value());
+    caught = keep * (s.catches * ends.value());
     keep -= caught;
     return mass * hits.value();
   }
@@ -442,8 +312,8 @@ struct Sweep {
   Sweep(const DropTables& drop, const Flight& flight, const Landing& landing) {
     const DropConstants& k = drop.constants;
     const Leaving leaving(drop, landing);
-    x = landing.x + k.slide * flight.v.x + k.drift * drop.size * leaving.x;
-    y = landing.y + k.slide * flight.v.y + k.drift * drop.size * leaving.y;
+    const Point2 slid = travelled(flight, landing.mean_time + k.slide);
+    x = slid.x + k.drift * drop.size * leaving.x, y = slid.y + k.drift * drop.size * leaving.y;
     const double resting = k.side_spread * drop.size;
     const D toppling = k.size_spread * drop.size * leaving.probability;
     inverse_scale = (1.0 / kBeta) * inverse_root(landing.blur + resting * resting + toppling * toppling);
@@ -453,7 +323,7 @@ struct Sweep {
   // H, given P that the object comes down beside the surface.
   D hit(const DropTables& drop, const Flight& flight, const Surface& s, D time, D beside) const {
     const D over = (top - s.bottom) * (1.0 / drop.constants.side_height);
-    const Point2 from = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time), to = placed(s, x, y);
+    const Point2 from = passing(flight, s, time), to = placed(s, x, y);
     const D mx = 0.5 * (from.x + to.x), my = 0.5 * (from.y + to.y), dx = to.x - from.x, dy = to.y - from.y;
     const D a = s.half[0] + reach, b = s.half[1] + reach;
     const auto near_x = (absolute(mx) - relu(a + 0.5 * absolute(dx)) - 1e-3) * inverse_scale < kTail;
@@ -465,4 +335,18 @@ struct Sweep {
     chance.within(my, b + 0.5 * square_root(dy * dy + 1e-6), inverse_scale);
     return beside * chance.value();
   }
+};
+
+// P that the object meets the side in its way before it comes down.
+struct Brunt {
+  D before, value;
+
+  Brunt(const Flight& flight, const Landing& landing) {
+    before = value = D{};
+    if (!any(flight.stop.chance > 0.0)) return;
+    before = Step((landing.mean_time - flight.stop.time) * (1.0 / kSideLate)).value;
+    value = flight.stop.chance * (1.0 - landing.landed * (1.0 - before));
+  }
+  // Of a surface.
+  D on(const Flight& flight, int surface) const { return where(flight.stop.is_of(surface), value, D{}); }
 };

@@ -2,9 +2,14 @@
 // impact with respect to x; every function takes those of what its namesake returns and adds to those of what that
 // takes.
 
+struct StopSlope {
+  D time = {}, x = {}, y = {}, chance = {};
+};
+
 struct FlightSlope {
   Vec<D> c = {D{}, D{}, D{}}, v = {D{}, D{}, D{}}, w = {D{}, D{}, D{}};
   D low = {}, high = {}, tilt = {}, speed = {};
+  StopSlope stop;
   struct Part {
     Vec<D> o, u;
     D axis[9], bottom, stands;
@@ -135,14 +140,28 @@ struct ReachSlope {
   }
 };
 
-// Where the centre of mass is when it passes a surface, in the axes of that.
+// What a side in the way adds to a place at some time; returns the derivative with respect to the time.
+static inline D back_pushed(Backward& back, D time, D d_x, D d_y) {
+  const SideStop& stop = back.flight.stop;
+  const auto after = time > stop.time;
+  const D pushed = relu(time - stop.time), d_time = where(after, d_x * stop.x + d_y * stop.y, D{});
+  StopSlope& d = back.d_flight.stop;
+  d.x += d_x * pushed, d.y += d_y * pushed, d.time -= d_time;
+  return d_time;
+}
+
+// Where the centre of mass is at some time; returns the derivative with respect to that.
+static inline D back_travelled(Backward& back, D time, D d_x, D d_y) {
+  back.d_flight.c.x += d_x, back.d_flight.c.y += d_y;
+  back.d_flight.v.x += d_x * time, back.d_flight.v.y += d_y * time;
+  return d_x * back.flight.v.x + d_y * back.flight.v.y + back_pushed(back, time, d_x, d_y);
+}
+
+// Where it is when it passes a surface, in the axes of that.
 static inline void back_passing(Backward& back, int k, const Point2& d) {
-  const D time = back.landing.time[k];
   D x = {}, y = {};
   back_turned(back.drop.surface[k], d, x, y);
-  back.d_flight.c.x += x, back.d_flight.c.y += y;
-  back.d_flight.v.x += x * time, back.d_flight.v.y += y * time;
-  back.d_landing.time[k] += x * back.flight.v.x + y * back.flight.v.y;
+  back.d_landing.time[k] += back_travelled(back, back.landing.time[k], x, y);
 }
 
 // --- 4. side contacts -----------------------------------------------------------------------------------------------
@@ -156,10 +175,8 @@ static inline D back_sweep_hit(Backward& back, const Sweep& sweep, int k, D besi
   const DropTables& drop = back.drop;
   const Flight& flight = back.flight;
   const Surface& s = drop.surface[k];
-  const D time = back.landing.time[k];
   const Below over((sweep.top - s.bottom) * (1.0 / drop.constants.side_height));
-  const Point2 from = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time),
-               to = placed(s, sweep.x, sweep.y);
+  const Point2 from = passing(flight, s, back.landing.time[k]), to = placed(s, sweep.x, sweep.y);
   const D dx = to.x - from.x, dy = to.y - from.y;
   const D inverse_x = inverse_root(dx * dx + 1e-6), inverse_y = inverse_root(dy * dy + 1e-6);
   const Within x(0.5 * (from.x + to.x), s.half[0] + sweep.reach + 0.5 * (dx * dx + 1e-6) * inverse_x,
@@ -188,9 +205,9 @@ static inline void back_sweep(Backward& back, const Sweep& sweep, const SweepSlo
   const D d_leaves =
       d.reach * k.topple_reach * drop.size + d_variance * 2.0 * toppling * toppling * leaving.probability;
   d_landing.blur += d_variance;
-  d_landing.x += d.x, d_landing.y += d.y, d_landing.height += d.top;
+  d_landing.mean_time += back_travelled(back, landing.mean_time + k.slide, d.x, d.y);
+  d_landing.height += d.top;
   d_flight.high += d.top, d_flight.low -= d.top;
-  d_flight.v.x += k.slide * d.x, d_flight.v.y += k.slide * d.y;
   for (int l = 0; l < drop.n_level; ++l) {
     const Point2& n = landing.away[l];
     const D M = landing.leaving[l] * leaving.share;
@@ -198,6 +215,17 @@ static inline void back_sweep(Backward& back, const Sweep& sweep, const SweepSlo
     d_landing.away[l].x += drift * d.x * M, d_landing.away[l].y += drift * d.y * M;
   }
   d_landing.total -= leaving.share * (d_leaves * leaving.probability + drift * (d.x * leaving.x + d.y * leaving.y));
+}
+
+// P that the object meets the side in its way; returns the derivative with respect to P that it comes down at all.
+static inline D back_brunt(Backward& back, const Brunt& brunt, D d) {
+  const SideStop& stop = back.flight.stop;
+  const D landed = back.landing.landed;
+  back.d_flight.stop.chance += d * (1.0 - landed * (1.0 - brunt.before));
+  const Step before((back.landing.mean_time - stop.time) * (1.0 / kSideLate));
+  const D d_time = d * stop.chance * landed * before.slope * (1.0 / kSideLate);
+  back.d_landing.mean_time += d_time, back.d_flight.stop.time -= d_time;
+  return -d * stop.chance * (1.0 - brunt.before);
 }
 
 // --- 2. support -----------------------------------------------------------------------------------------------------
@@ -252,8 +280,7 @@ static inline IntervalSlope back_interval(D o, D r, double carries, D at, D d_mi
 static inline void back_moments(Backward& back, int k, Reaches& reaches, ReachSlope& d_reaches, const Moments& d) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d_landing] = back;
   const Surface& s = drop.surface[k];
-  const D time = landing.time[k];
-  const Point2 at = placed(s, flight.c.x + flight.v.x * time, flight.c.y + flight.v.y * time);
+  const Point2 at = passing(flight, s, landing.time[k]);
   if (!any((absolute(at.x) < s.carries[0] + drop.radius) & (absolute(at.y) < s.carries[1] + drop.radius))) return;
   reaches.turn_to(drop, flight, s);
   d_reaches.turn_to(back, s);
@@ -326,7 +353,8 @@ static inline void back_overlap(Backward& back, int surface, Passage& passage, R
     const D d_scale =
         d_x * x.inverse_scale + d_y * y.inverse_scale + d_left * left.inverse_scale + d_right * right.inverse_scale;
     const D cube = part.inverse_scale * part.inverse_scale * part.inverse_scale * (kBeta * kBeta);
-    const D d_t = wx * flying.u.x + wy * flying.u.y - d_scale * cube * (k.velocity_spread * k.velocity_spread) * t;
+    const D d_t = wx * flying.u.x + wy * flying.u.y + back_pushed(back, time, wx, wy) -
+                  d_scale * cube * (k.velocity_spread * k.velocity_spread) * t;
     back_fall(flight.v.z, h, d_t, d_flight.v.z, d_part.bottom);
     d_part.bottom += d * upright * slanted * gate.u * (1.0 / kTouch);
   }
@@ -361,11 +389,9 @@ static inline D back_level(const Backward& back, int level, D d_next, const D* d
 static inline void back_land(Backward& back) {
   auto& [tables, drop, X_W, flight, landing, d_flight, d] = back;
   const DropConstants& k = drop.constants;
-  d.mean_time +=
-      d.x * flight.v.x + d.y * flight.v.y + 2.0 * k.velocity_spread * k.velocity_spread * landing.mean_time * d.blur;
+  d.mean_time += 2.0 * k.velocity_spread * k.velocity_spread * landing.mean_time * d.blur;
   d.fallen += 2.0 * k.height_spread * k.height_spread * landing.fallen * d.blur;
-  d_flight.c.x += d.x, d_flight.c.y += d.y;
-  d_flight.v.x += d.x * landing.mean_time, d_flight.v.y += d.y * landing.mean_time;
+  d.mean_time += back_travelled(back, landing.mean_time, d.x, d.y);
   const D share = reciprocal(landing.total);
   const D d_total =
       d.total - share * (d.mean_time * landing.mean_time + d.height * landing.height + d.fallen * landing.fallen);
@@ -380,9 +406,7 @@ static inline void back_land(Backward& back) {
       Moments moments;
       for (int i = first; i < last; ++i) {
         const Surface& s = drop.surface[i];
-        moments.add(drop, flight, s,
-                    placed(s, flight.c.x + flight.v.x * landing.time[i], flight.c.y + flight.v.y * landing.time[i]),
-                    reaches);
+        moments.add(drop, flight, s, passing(flight, s, landing.time[i]), reaches);
       }
       d_first += d.leaving[l] * landing.leaves[l];
       const Moments d_moments = back_leaves(back, moments, d.leaving[l] * landing.first[l] + d.leaves[l], d.away[l]);

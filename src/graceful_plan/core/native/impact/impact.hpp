@@ -158,6 +158,7 @@ class OverlapImpact final : public Impact {
   }
 };
 
+constexpr double kWide = 0.1;  // narrower half of a top that ends half of the falls that one of no width does not [m]
 constexpr const char* kDropConstants[] = {  // in the order of DropConstants
     "delay",        "velocity_spread", "height_spread", "carry_spread",    "side_spread", "side_reach",
     "side_height",  "catch",           "leave_tilt",    "position_spread", "size_spread", "tumble_reach",
@@ -343,13 +344,13 @@ class DropModel {
   void add_surfaces(const Integers& entity, const Reals& target) {
     const size_t n = entity.size();
     require(n <= size_t(kMaxSurfaces), "number of surfaces");
-    require_numbers(target, 11 * n, "surfaces", 2 * kMaxExtent);
+    require_numbers(target, 12 * n, "surfaces", 2 * kMaxExtent);
     for (size_t k = 0; k < n; ++k) {
-      const double* t = target.data() + 11 * k;
+      const double* t = target.data() + 12 * k;
       Surface s{};
       s.entity = entity.data()[k];
       require(s.entity >= -1 && s.entity < tables_.n_entity, "entity of a surface");
-      s.diagonal = t[6], s.bottom = t[9], s.top = t[10];
+      s.diagonal = t[6], s.bottom = t[9], s.top = t[10], s.fixed = t[11] > 0;
       for (int i = 0; i < 2; ++i)
         s.centre[i] = t[i], s.axis[i] = t[2 + i], s.half[i] = t[4 + i], s.carries[i] = t[7 + i];
       s.turn = int(k);
@@ -362,6 +363,9 @@ class DropModel {
         s.inside[i] = 0.5 * (margin + std::sqrt(margin * margin + 1e-4));
         s.near[i] = std::max(s.reached[i], s.inside[i]);
       }
+      const double wide = std::min(s.carries[0], s.carries[1]), wide2 = wide * wide;
+      s.catches = tables_.constants.catches;
+      s.catches += (1.0 - s.catches) * wide2 / (wide2 + kWide * kWide);
       s.holds = std::min(s.carries[0], s.carries[1]) > tables_.size;
       require(surface_.empty() || s.top <= surface_.back().top, "surfaces ordered by height");
       surface_.push_back(s);

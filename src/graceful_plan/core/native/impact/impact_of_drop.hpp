@@ -22,14 +22,15 @@ static inline void for_each_hit(const DropTables& drop, const Flight& flight, co
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
+  const Brunt brunt(flight, landing);
   D lower = landing.landed;
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop);
     for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
       const Surface& s = drop.surface[k];
-      const D C = landing.contact[k], G = tumbles ? tumble.hit(drop, s, true) : D{};
-      if (s.entity >= 0)
-        visit(k, leaving, Hits{C, G, sweep.hit(drop, flight, s, landing.time[k], relu(lower - C))}, lower);
+      const D C = landing.contact[k], G = tumbles ? tumble.hit(s, true) : D{};
+      const D H = maximum(sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)), brunt.on(flight, k));
+      if (s.entity >= 0) visit(k, leaving, Hits{C, G, H}, lower);
     }
     tumble.leave(landing.leaving[l], landing.away[l]);
     lower -= landing.first[l];
@@ -44,6 +45,7 @@ static inline D carried_probability(const DropTables& drop, const Flight& flight
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
+  const Brunt brunt(flight, landing);
   D lower = landing.landed;  // sum of F over this level and those below it
   for (int l = 0; l < drop.n_level; ++l) {
     const bool tumbles = tumble.enter(drop), sweeps = any(lower > kNothing);
@@ -51,10 +53,11 @@ static inline D carried_probability(const DropTables& drop, const Flight& flight
     for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
       const Surface& s = drop.surface[k];
       const bool wanted = s.entity >= 0 && !(severity && severity[s.entity] == 0.0);
-      const D G = tumbles ? tumble.hit(drop, s, wanted) : D{}, C = landing.contact[k];
+      const D G = tumbles ? tumble.hit(s, wanted) : D{}, C = landing.contact[k];
       if (own && tumbles) loss.end(drop, s, tumble);
       if (!wanted) continue;
-      const D H = sweeps ? sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)) : D{};
+      D H = brunt.on(flight, k);
+      if (sweeps) H = maximum(H, sweep.hit(drop, flight, s, landing.time[k], relu(lower - C)));
       P[s.entity] = maximum(P[s.entity], hit_of(drop, flight, landing, leaving, k, {C, G, H}, lower));
     }
     if (own) loss.leave(drop, landing, l, tumble, first_damage(drop, flight, landing, l));
@@ -147,6 +150,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   Tumble tumble(drop, flight, landing);
   const Sweep sweep(drop, flight, landing);
   const Leaving leaving(drop, landing);
+  const Brunt brunt(flight, landing);
   D G[kMaxSurfaces], H[kMaxSurfaces], hit[kMaxSurfaces], lower[kMaxSurfaces], mass[kMaxSurfaces], P[kMaxEntities];
   Point2 drift[kMaxSurfaces];
   const bool own = own_matters(drop, severity);
@@ -162,9 +166,9 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
     for (int k = drop.level_start[l]; k < drop.level_start[l + 1]; ++k) {
       const Surface& s = drop.surface[k];
       const D C = landing.contact[k];
-      G[k] = tumbles ? tumble.hit(drop, s, true) : D{};
+      G[k] = tumbles ? tumble.hit(s, true) : D{};
       if (own && tumbles) loss.end(drop, s, tumble);
-      H[k] = sweep.hit(drop, flight, s, landing.time[k], relu(left - C));
+      H[k] = maximum(sweep.hit(drop, flight, s, landing.time[k], relu(left - C)), brunt.on(flight, k));
       if (s.entity < 0 || severity[s.entity] == 0.0) continue;
       hit[k] = hit_of(drop, flight, landing, leaving, k, {C, G[k], H[k]}, left);
       P[s.entity] = maximum(P[s.entity], hit[k]);
@@ -180,7 +184,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   SweepSlope d_sweep;
   LeavingSlope d_leaving;
   // open: severities of entities whose greatest P is not yet found.
-  D open[kMaxEntities], d_G[kMaxSurfaces], d_lower = {};
+  D open[kMaxEntities], d_G[kMaxSurfaces], d_brunt = {};
   for (int e = 0; e < drop.n_entity; ++e) impact += P[e] * severity[e], open[e] = D{} + severity[e];
   if (own) impact += loss.probability * d_own.severity;
   D d_lowers[kMaxSurfaces];
@@ -196,11 +200,14 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
       const HitSlope d_hit = back_hit(back, leaving, k, {C, G[k], H[k]}, lower[l], d, d_leaving);
       d_landing.contact[k] += d_hit.contact, d_G[k] = d_hit.tumble, d_lowers[l] += d_hit.lower;
       if (!any(H[k] > 0.0)) continue;
-      const D d_beside =
-          where(lower[l] > C, back_sweep_hit(back, sweep, k, relu(lower[l] - C), d_hit.side, d_sweep), D{});
+      const auto stopped = flight.stop.is_of(k) & (H[k] == brunt.value);
+      d_brunt += where(stopped, d_hit.side, D{});
+      const D d_side = where(stopped, D{}, d_hit.side);
+      const D d_beside = where(lower[l] > C, back_sweep_hit(back, sweep, k, relu(lower[l] - C), d_side, d_sweep), D{});
       d_landing.contact[k] -= d_beside, d_lowers[l] += d_beside;
     }
   }
+  D d_lower = back_brunt(back, brunt, d_brunt);
   for (int l = 0; l < drop.n_level; ++l) d_lower += d_lowers[l], d_landing.first[l] += d_lower;
   for (int l = drop.n_level; l-- > 0;) {
     tumble.mass = mass[l], tumble.drift = drift[l];
@@ -214,6 +221,7 @@ static inline D drop_impact_gradient(const Tables& tables, const DropTables& dro
   D d_stop = {};
   const Vec<D> d_pour = back_contents(back, severity, qd, impact, d_stop);
   back_land(back);
+  back_find_stop(back);
   Vec<D> d_turn = back_release(back);
   d_turn = {d_turn.x + d_pour.x, d_turn.y + d_pour.y, d_turn.z + d_pour.z};
   back_joints(back, qd, d_turn, out.d_q, out.d_qd);

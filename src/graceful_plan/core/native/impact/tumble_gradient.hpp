@@ -24,7 +24,7 @@ static inline void back_tumble_level(Backward& back, Tumble& tumble, int level, 
     if (!tumble.may_meet(drop.surface[k], at)) continue;
     const Within x(at.x, D{} + drop.surface[k].inside[0], tumble.inverse_scale),
         y(at.y, D{} + drop.surface[k].inside[1], tumble.inverse_scale);
-    keep *= 1.0 - drop.constants.catches * x.value * y.value;
+    keep *= 1.0 - drop.surface[k].catches * x.value * y.value;
   }
   D d_keep = d.mass * tumble.mass + d.drift.x * tumble.drift.x + d.drift.y * tumble.drift.y;
   d.mass *= keep, d.drift.x *= keep, d.drift.y *= keep;
@@ -38,10 +38,10 @@ static inline void back_tumble_level(Backward& back, Tumble& tumble, int level, 
         in_y(at.y, D{} + s.inside[1], tumble.inverse_scale);
     const Within hit_x(at.x, D{} + s.reached[0], tumble.inverse_scale),
         hit_y(at.y, D{} + s.reached[1], tumble.inverse_scale);
-    const D ends = drop.constants.catches * in_x.value * in_y.value, d_hit = d_G[k] * tumble.mass;
+    const D ends = s.catches * in_x.value * in_y.value, d_hit = d_G[k] * tumble.mass;
     D d_ends = -d_keep * before[k] * after;
     if (own) d_ends += own->back_end(drop, s, loss, tumble.mass * before[k], ends);
-    const D d_caught = drop.constants.catches * d_ends;
+    const D d_caught = s.catches * d_ends;
     after *= 1.0 - ends;
     d.mass += d_G[k] * hit_x.value * hit_y.value;
     back_turned(s,
@@ -65,7 +65,6 @@ static inline void back_tumble(Backward& back, const Tumble& tumble, const Tumbl
       -0.5 * kBeta * kBeta * tumble.inverse_scale * tumble.inverse_scale * tumble.inverse_scale * d.inverse_scale;
   const D per_speed = 2.0 * k.carry_spread * k.carry_spread * d_variance;
   d_landing.blur += d_variance;
-  d_landing.x += d.start.x, d_landing.y += d.start.y;
-  d_flight.v.x += k.carry * d.start.x + per_speed * flight.v.x,
-      d_flight.v.y += k.carry * d.start.y + per_speed * flight.v.y;
+  d_landing.mean_time += back_travelled(back, landing.mean_time + k.carry, d.start.x, d.start.y);
+  d_flight.v.x += per_speed * flight.v.x, d_flight.v.y += per_speed * flight.v.y;
 }

@@ -1,7 +1,9 @@
 r"""The drop model: whom the carried object hits if the gripper lets go here, at this velocity.
 
-A drop is told in five steps, each with smooth formulas of its own, so that the result has a gradient nearly everywhere:
+A drop is told in six steps, each with smooth formulas of its own, so that the result has a gradient nearly everywhere:
 
+0. *Sides in the way.* What flies against the side of something fixed, a wall, a rack, loses the part of its velocity
+   that leads into it, falls down in front, and has hit it. It is one side at most, the one that stops it the most.
 1. *First contact.* The object flies on: ballistics from the velocity of its centre of mass, each part with the velocity
    of the turning tool at its place. A part meets a target if, when it is down at the target's top, the two overlap
    seen from above. Shapes are octagons (a box in the target's axes and one turned by 45 degrees) at uncertain places.
@@ -15,8 +17,9 @@ A drop is told in five steps, each with smooth formulas of its own, so that the 
 Specification
 -------------
 Everything is in double precision, z is up, g = 9.81. Tables: `DropTables`. Constants: `DropConstants`; those named
-below carry the symbols given there; the tables of step 5 are `LossTables`. The native kernel (native/impact/drop.hpp,
-own_loss.hpp) follows this text operation by operation, and so does `landing.py` as far as entities that move need it.
+below carry the symbols given there; the tables of step 5 are `LossTables`. The native kernel (native/impact/flight,
+drop.hpp, own_loss.hpp) follows this text operation by operation, and so do `sides.py` and `landing.py` as far as
+entities that move need it.
 
 .. code-block:: text
 
@@ -26,6 +29,7 @@ own_loss.hpp) follows this text operation by operation, and so does `landing.py`
                    (1 - f h)/((1 + f)(1 + h))     = P(|x + noise| < A) for logistic noise of standard deviation s
       fall(h)    = (vz + sqrt(vz^2 + 2 g k))/g,   k = (h + sqrt(h^2 + 0.01^2))/2
       pos(x)     = (x + sqrt(x^2 + 0.01^2))/2
+      c(x)       = t^2 (3 - 2 t),  t = 1/2 + x/2 held within 0 to 1
 
     Object (R, p: pose of the link; qd: joint velocities)
       c = R centre + p;  over the joints that move it: hinges w = sum qd_j z_j, v = sum qd_j (z_j x (c - p_j)),
@@ -38,10 +42,19 @@ own_loss.hpp) follows this text operation by operation, and so does `landing.py`
       m = squared z components of the main part's axes; FLAT (m0, m1, m2), ROUND (m0 + m1, m2), BALL (1)
       tilt = 1 - sum of the squares of these;  sp2 = vx^2 + vy^2;  sp = sqrt(sp2 + 1e-4)
 
+    0. Sides in the way: of each fixed target the two axes; x is along the one in question, y across, r as in step 1
+      l, u = min and max over parts of ox - rx, ox + rx, likewise in y;  (x, y) = c - (X, Y), (vx, vy) in these axes
+      gap = x + l - a if vx < 0, else -x - u - a;  t = max(gap, 0)/max(|vx|, 0.001);  w = max(t - delay, 0)
+      y' = y + vy t + (ly + uy)/2;  s^2 = s0^2 + (sv t)^2;  h = low + vz w - g w^2/2
+      E = c(gap/0.006 + 1) c((b + (uy - ly)/2 - |y'|)/(s sqrt5)) c((Z - h)/0.067) c((h + high - low - bottom)/0.067 - 1)
+      of all these the one with the greatest E |vx| max(T - t, 0) > 0, T = fall(low - lowest Z) + delay + 0.15, counts:
+        ts = t,  p = -E vx times the axis;  none: E = 0, p = 0
+      push(T) = p max(T - ts, 0) is added below to every place at a time T after the release
+
     1. First contact: target k with centre (X, Y), axis (cos, sin), half sizes (a, b), diagonal d, top Z; x is along the
        axis, y to its left
       t = fall(bottom_p - Z);  s = sqrt(s0^2 + (sv t)^2)
-      (x, y) = (c + o - (X, Y)) + (v + w x o)(t + delay), turned into the target's axes
+      (x, y) = (c + o - (X, Y)) + (v + w x o)(t + delay) + push(t + delay), turned into the target's axes
       D_p = box(x, a + rx, s) box(y, b + ry, s) box((x+y)/sqrt2, d + r1, s) box((y-x)/sqrt2, d + r2, s)
             S((bottom_p - Z)/0.008 + 1)         with the part's reaches rx, ry, r1, r2 in these four directions
       D = max over parts
@@ -53,7 +66,7 @@ own_loss.hpp) follows this text operation by operation, and so does `landing.py`
       total = sum F + 1e-6;  zs = sum F Z/total;  tl = sum F tc/total;  hs = sum F max(low - Z, 0)/total
 
     2. Support (a', b': what of the top carries), per target and part, in the target's axes relative to c
-      (X', Y') = (c - (X, Y)) + v tc_k;  weight = exp(-((bottom_p - low)/0.012)^2)
+      (X', Y') = (c - (X, Y)) + v tc_k + push(tc_k);  weight = exp(-((bottom_p - low)/0.012)^2)
       x from max(ox - rx, -a' - X') to min(ox + rx, a' - X'), y likewise; widths wx, wy >= 0; area = weight wx wy
       centre (mx, my) of that rectangle; second moments mx^2 + wx^2/12, my^2 + wy^2/12, mx my; all turned into W
       per level: S0 = sum area + 1e-6;  E = sum area (centre)/S0;  V = sum area (second moments)/S0 - E E^T + 1e-5 I
@@ -63,20 +76,23 @@ own_loss.hpp) follows this text operation by operation, and so does `landing.py`
       n_l = -off E/sqrt(Ex^2 + Ey^2 + 1e-6)                                     where to
       M_k = F_k T_l
 
-    3. Falls; L = c + v tl is where it comes down
+    3. Falls; L = c + v tl + push(tl) is where it comes down
+      ended = catch + (1 - catch) m^2/(m^2 + 0.1^2), m = min(a', b'): wide tops end nearly all falls
       sd = sqrt(s0^2 + (sv tl)^2 + (ch hs)^2 + cv^2 sp2 + (ct size)^2);  B = 0, N = (0, 0)
       levels from the highest down:
-        (x, y) = L + ks v + drift size N/(B + 1e-6) - (X, Y), turned into the target's axes
+        (x, y) = c + v (tl + ks) + push(tl + ks) + drift size N/(B + 1e-6) - (X, Y), turned into the target's axes
         G_k = B box(x, a + kb size, sd) box(y, b + kb size, sd)
-        keep = product over the level of 1 - catch box(x, pos(a' + kc size), sd) box(y, pos(b' + kc size), sd)
+        keep = product over the level of 1 - ended box(x, pos(a' + kc size), sd) box(y, pos(b' + kc size), sd)
         B <- B keep + sum of M over the level;  N <- N keep + n_l times that sum
 
     4. Side contacts
       Tm = sum M/total;  n = sum M n_l/total
-      from x0 = (c - (X, Y)) + v tc_k to x1 = L - (X, Y) + ksl v + drift size n, both turned into the target's axes
+      from x0 = (c - (X, Y)) + v tc_k + push(tc_k) to x1 = (c - (X, Y)) + v (tl + ksl) + push(tl + ksl) + drift size n,
+        both turned into the target's axes
       sl = sqrt(s0^2 + (sv tl)^2 + (ch hs)^2 + (cl size)^2 + (ct size Tm)^2);  r = (kl + tk Tm) size
       per axis: box((x0 + x1)/2, a + sqrt((x1 - x0)^2 + 1e-6)/2 + r, sl), y with b
       H_k = max(0, sum of F over this level and lower ones - C_k) S((zs + high - low - bottom_k)/sh) times these two
+      of the target whose side is in the way: H_k = max(H_k, E (1 - sum of F (1 - c((tl - ts)/0.067))))
 
     Together: P_k = 1 - (1 - C_k)(1 - G_k)(1 - H_k);  P(entity) = max over its targets, 0 if it has none
 
@@ -88,7 +104,7 @@ own_loss.hpp) follows this text operation by operation, and so does `landing.py`
       own = sum p_l;  A = 0, K = 0
       levels from the highest down, along with step 3:
         h = A/(B + 1e-6);  known = K/(B + 1e-6)
-        c_k = catch box(..) box(..) as in keep; targets in their order, of them those whose a' and b' are above size:
+        c_k = ended box(..) box(..) as in keep; targets in their order, of them those whose a' and b' are above size:
           own <- own + B c_k (product of 1 - c over the targets before it) max(0, damage(g pos(h - Z), k) - known)
         A <- A keep + Z' sum of M over the level;  K <- K keep + T_l p_l         Z': top of the level's first target
 

@@ -20,6 +20,12 @@ def step(u: Array) -> Array:
     return 1.0 / (1.0 + np.exp(np.clip(-u / BETA, -_EXPONENT, _EXPONENT)))
 
 
+def smooth_step(x: Array) -> Array:
+    """c: from 0 at -1 to 1 at 1; if x has w in its denominator, the noise has the standard deviation w/sqrt(5)."""
+    t = np.clip(0.5 + 0.5 * x, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
 def box(x: Array, A: Array, s: Array | float) -> Array:
     """P(|x + noise| < A) for logistic noise with standard deviation s."""
     A, b = np.maximum(A, 1e-4), s * BETA

@@ -243,8 +243,8 @@ def _kernel(
     )
 
 
-def _targets(tables: DropTables) -> Float[Array, "target 11"]:
-    """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top."""
+def _targets(tables: DropTables) -> Float[Array, "target 12"]:
+    """Rows of centre, axis, half sizes, diagonal, carrying half sizes, bottom and top, fixed."""
     columns = (
         tables.target_centre,
         tables.target_axis,
@@ -252,6 +252,7 @@ def _targets(tables: DropTables) -> Float[Array, "target 11"]:
         tables.target_diagonal[:, None],
         tables.target_carries,
         tables.target_height,
+        tables.target_fixed[:, None],
     )
     return np.concatenate(columns, axis=1)
 

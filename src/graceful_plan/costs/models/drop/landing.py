@@ -1,4 +1,4 @@
-"""Where a dropped object comes down first, and what leaves it again: steps 1 to 3 of the drop model, in NumPy.
+"""Where a dropped object comes down first, and what leaves it again: steps 0 to 3 of the drop model, in NumPy.
 
 Entities that move ask for it, since the core knows no times. Symbols as in the specification, the docstring of the
 package.
@@ -13,9 +13,11 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.drop.constants import DropConstants
-from graceful_plan.costs.models.drop.functions import box, fall_time, part_reach, positive, step
-from graceful_plan.costs.models.drop.release import Release, heights
-from graceful_plan.costs.models.drop.tables import BALL, ROUND, DropTables
+from graceful_plan.costs.models.drop.functions import box, fall_time, positive, step
+from graceful_plan.costs.models.drop.outlines import Shape, Targets, shape_of
+from graceful_plan.costs.models.drop.release import Release
+from graceful_plan.costs.models.drop.sides import SideStop, find_stop
+from graceful_plan.costs.models.drop.tables import DropTables
 
 Array = np.ndarray
 
@@ -24,88 +26,15 @@ _LOWEST = 0.012  # parts whose bottoms are this near to the lowest one stand on 
 _LEAST_AREA = 1e-6  # [m2]
 _LEAST_MOMENT = 1e-5  # [m2]
 LEAST_MASS = 1e-6
-
-
-# --- the targets ------------------------------------------------------------------------------------------------------
-
-
-@final
-class Targets:
-    """Turns vectors of W into the targets' axes, seen from above, and adds up over the targets of each level."""
-
-    def __init__(self, tables: DropTables) -> None:
-        self.tables = tables
-        self.top, self.axis, start = tables.target_height[:, 1], tables.target_axis, tables.level_start
-        self.x = np.concatenate([self.axis, np.zeros((len(self.axis), 1))], axis=1)
-        self.y = np.concatenate([-self.axis[:, 1:], self.axis[:, :1], np.zeros((len(self.axis), 1))], axis=1)
-        self.first, self.level = start[:-1], np.repeat(np.arange(len(start) - 1), np.diff(start))
-
-    def turn(self, vector: Array) -> tuple[Array, Array]:
-        """Turn vectors [n 2+] or [n target 2+]."""
-        vector = vector[:, None] if vector.ndim == 2 else vector
-        c, s = self.axis[:, 0], self.axis[:, 1]
-        return c * vector[..., 0] + s * vector[..., 1], c * vector[..., 1] - s * vector[..., 0]
-
-    def place(self, point: Array) -> tuple[Array, Array]:
-        """Turn points [n 2+] or [n target 2+] relative to the targets' centres."""
-        point = point[:, None] if point.ndim == 2 else point
-        return self.turn(point[..., :2] - self.tables.target_centre)
-
-    def sum(self, value: Float[Array, "n target"]) -> Float[Array, "n level"]:
-        """Add up over each level."""
-        return np.add.reduceat(value, self.first, axis=1)
-
-    def product(self, value: Float[Array, "n target"]) -> Float[Array, "n level"]:
-        """Multiply over each level."""
-        return np.multiply.reduceat(value, self.first, axis=1)
-
-    def spread(self, value: Float[Array, "n level"]) -> Float[Array, "n target"]:
-        """Hand each target what belongs to its level."""
-        return value[:, self.level]
+WIDE = 0.1  # narrower half of a top that ends half of the falls that one of no width does not [m]
 
 
 # --- the first contact and the support --------------------------------------------------------------------------------
 
 
-@final
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Shape:
-    """How far parts reach: per part [n part] or [n part target]."""
-
-    bottom: Array
-    x: Array
-    y: Array
-    diagonal: tuple[Array, Array]
-    low: Array
-    tilt: Array
-
-
-def _shape(targets: Targets, state: Release) -> Shape:
-    tables, diagonals = targets.tables, ((targets.x + targets.y) / np.sqrt(2.0), (targets.y - targets.x) / np.sqrt(2.0))
-
-    def reach(u: Array) -> Array:
-        each = zip(tables.part_half, tables.part_kind, strict=True)
-        return np.stack(
-            [part_reach(state.axes[:, p], half, int(kind), u) for p, (half, kind) in enumerate(each)], axis=1
-        )
-
-    bottom, _ = heights(state, tables)
-    m = state.axes[:, tables.main, 2] ** 2
-    kind = tables.part_kind[tables.main]
-    if kind == ROUND:
-        m = np.stack([m[:, 0] + m[:, 1], m[:, 2]], axis=1)
-    tilt = np.zeros(len(m)) if kind == BALL else 1.0 - (m * m).sum(axis=1)
-    return Shape(
-        bottom=bottom,
-        x=reach(targets.x),
-        y=reach(targets.y),
-        diagonal=(reach(diagonals[0]), reach(diagonals[1])),
-        low=bottom.min(axis=1, keepdims=True),
-        tilt=tilt[:, None],
-    )
-
-
-def _overlap(targets: Targets, constants: DropConstants, state: Release, shape: Shape) -> Float[Array, "n target"]:
+def _overlap(
+    targets: Targets, constants: DropConstants, state: Release, shape: Shape, stop: SideStop
+) -> Float[Array, "n target"]:
     """D: P that the object is over a target when it passes the height of its top."""
     top, (a, b), d = targets.top, targets.tables.target_half.T, targets.tables.target_diagonal
     D = np.zeros((len(state.c), len(top)))
@@ -115,7 +44,8 @@ def _overlap(targets: Targets, constants: DropConstants, state: Release, shape: 
         s = np.sqrt(constants.position_spread**2 + (constants.velocity_spread * t) ** 2)
         x, y = targets.place(state.c + state.offset[:, p])
         vx, vy = targets.turn(state.v + np.cross(state.w, state.offset[:, p]))
-        x, y = x + vx * (t + constants.delay), y + vy * (t + constants.delay)
+        px, py = targets.turn(stop.pushed(t + constants.delay))
+        x, y = x + vx * (t + constants.delay) + px, y + vy * (t + constants.delay) + py
         upright = box(x, a + shape.x[:, p], s) * box(y, b + shape.y[:, p], s)
         turned = box((x + y) / np.sqrt(2.0), d + shape.diagonal[0][:, p], s)
         turned *= box((y - x) / np.sqrt(2.0), d + shape.diagonal[1][:, p], s)
@@ -181,6 +111,7 @@ class Landing:
     | blur        | variance of the place                                                | m2   | n 1         |
     | fall_spread | sd: standard deviation of where it comes down after it has fallen off | m    | n 1         |
     | velocity    | of its centre of mass at release                                     | m/s  | n 2         |
+    | stop        | the side in its way                                                  |      |             |
     | mass        | probability that it comes down on each level                         |      | n level     |
     | times       | until it is down at the first top of each level, with the delay      | s    | n level     |
     | leaving     | M: probability that it comes down on each level and leaves it        |      | n level     |
@@ -194,18 +125,30 @@ class Landing:
     blur: Float[Array, "n 1"]
     fall_spread: Float[Array, "n 1"]
     velocity: Float[Array, "n 2"]
+    stop: SideStop
     mass: Float[Array, "n level"]
     times: Float[Array, "n level"]
     leaving: Float[Array, "n level"]
     away: Float[Array, "n level 2"]
 
+    def goes_on(self, time: float) -> Float[Array, "n 2"]:
+        """Where it would be some time after it comes down [s]."""
+        down = self.time[:, 0]
+        return self.point + time * self.velocity + self.stop.pushed(down + time) - self.stop.pushed(down)
+
     def falls_to(
         self, constants: DropConstants, size: float, B: Float[Array, "n *level 1"], N: Float[Array, "n *level 2"]
     ) -> Float[Array, "n *level 2"]:
         """Where it comes down if it has left a support: B has, in the directions N."""
-        start = self.point + constants.carry * self.velocity
+        start = self.goes_on(constants.carry)
         start = start[:, None] if N.ndim == 3 else start
         return start + constants.drift * size * N / (B + LEAST_MASS)
+
+
+def catching(tables: DropTables, constants: DropConstants) -> Float[Array, " target"]:
+    """P that each target ends a fall on to its middle."""
+    narrow = tables.target_carries.min(axis=1)
+    return constants.catch + (1.0 - constants.catch) * narrow**2 / (narrow**2 + WIDE**2)
 
 
 def loose(
@@ -214,13 +157,14 @@ def loose(
     """Return B [n level+1] and N [n level+1 2]: what has left the levels above each one and was not caught; and all."""
     k, size, targets = constants, tables.size, Targets(tables)
     a_top, b_top = tables.target_carries.T
+    catches = catching(tables, constants)
     B, N = [np.zeros((len(landing.point), 1))], [np.zeros((len(landing.point), 2))]
     for level, (first, last) in enumerate(zip(tables.level_start[:-1], tables.level_start[1:], strict=True)):
         here = slice(first, last)
         x, y = (value[:, here] for value in targets.place(landing.falls_to(k, size, B[-1], N[-1])))
         inside = box(x, positive(a_top[here] + k.catch_margin * size), landing.fall_spread)
         inside *= box(y, positive(b_top[here] + k.catch_margin * size), landing.fall_spread)
-        keep = np.prod(1.0 - k.catch * inside, axis=1, keepdims=True)
+        keep = np.prod(1.0 - catches[here] * inside, axis=1, keepdims=True)
         M = landing.leaving[:, level, None]
         B.append(B[-1] * keep + M)
         N.append(N[-1] * keep + M * landing.away[:, level])
@@ -243,14 +187,16 @@ class Flight:
 def fly(tables: DropTables, constants: DropConstants, state: Release) -> tuple[Flight, Landing]:
     """Return where the object comes down in each state, and what led to it; there has to be a target."""
     targets = Targets(tables)
-    shape = _shape(targets, state)
-    D = _overlap(targets, constants, state, shape)
+    shape = shape_of(targets, state)
+    stop = find_stop(targets, constants, state, shape)
+    D = _overlap(targets, constants, state, shape, stop)
     F = _first(targets, D)
     fallen = shape.low - targets.top
     times = fall_time(state.v[:, 2:], fallen) + constants.delay
     x, y = targets.place(state.c)
     vx, vy = targets.turn(state.v)
-    place = (x + vx * times, y + vy * times)
+    px, py = targets.turn(stop.pushed(times))
+    place = (x + vx * times + px, y + vy * times + py)
     T, away = _support(targets, constants, state, shape, place)
     total = F.sum(axis=1, keepdims=True) + LEAST_MASS
     time = (F * times).sum(axis=1, keepdims=True) / total
@@ -259,13 +205,14 @@ def fly(tables: DropTables, constants: DropConstants, state: Release) -> tuple[F
     blur = k.position_spread**2 + (k.velocity_spread * time) ** 2 + (k.height_spread * height_fallen) ** 2
     speed2 = (state.v[:, :2] ** 2).sum(axis=1, keepdims=True)
     landing = Landing(
-        point=state.c[:, :2] + state.v[:, :2] * time,
+        point=state.c[:, :2] + state.v[:, :2] * time + stop.pushed(time[:, 0]),
         total=total,
         height=(F * targets.top).sum(axis=1, keepdims=True) / total,
         time=time,
         blur=blur,
         fall_spread=np.sqrt(blur + (k.size_spread * tables.size) ** 2 + k.carry_spread**2 * speed2),
         velocity=state.v[:, :2],
+        stop=stop,
         mass=mass,
         times=times[:, tables.level_start[:-1]],
         leaving=mass * T,

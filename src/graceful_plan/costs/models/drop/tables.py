@@ -61,6 +61,7 @@ class DropTables:
     | target_diagonal| reach in the directions halfway between x and y                  | m    | target     |
     | target_carries | half sizes of what of the top carries                            | m    | target 2   |
     | target_height  | bottom and top                                                   | m    | target 2   |
+    | target_fixed   | 1 for what never moves                                           |      | target     |
     | level_start    | first target of each level, one more entry at the end            |      | level + 1  |
     """
 
@@ -82,6 +83,7 @@ class DropTables:
     target_diagonal: Float[Array, " target"]
     target_carries: Float[Array, "target 2"]
     target_height: Float[Array, "target 2"]
+    target_fixed: Float[Array, " target"]
     level_start: Int[Array, " level_end"]
 
 
@@ -188,6 +190,7 @@ def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
         and not _below(model, int(model.geom_bodyid[geom]), carried)
     ]
     boxes = np.array([_turned_box(model, data, geom) for geom in geoms]).reshape(-1, 11)
+    fixed = (model.body_weldid[model.geom_bodyid[geoms]] == 0).astype(float)
     boxes, source = simplified(boxes, model.geom_bodyid[geoms])
     order = np.argsort(-boxes[:, 10], kind="stable")
     boxes = boxes[order]
@@ -199,6 +202,7 @@ def _targets(scene: Scene, data: mujoco.MjData) -> dict[str, Any]:
         "target_diagonal": boxes[:, 6],
         "target_carries": boxes[:, 7:9],
         "target_height": boxes[:, 9:11],
+        "target_fixed": fixed[source[order]],
         "level_start": levels(boxes[:, 10]),
     }
 

@@ -49,6 +49,7 @@ from graceful_plan.costs.models.drop.constants import DropConstants, DropSetting
 from graceful_plan.costs.models.drop.functions import box, fall_time, part_reach, positive, step
 from graceful_plan.costs.models.drop.landing import LEAST_MASS, Landing, land, loose
 from graceful_plan.costs.models.drop.release import Release, heights, release
+from graceful_plan.costs.models.drop.sides import no_stop
 from graceful_plan.costs.models.drop.tables import DropTables, drop_tables
 from graceful_plan.costs.models.moving.arm import near_links
 from graceful_plan.costs.models.moving.outline import Outline, sweep
@@ -300,7 +301,7 @@ class _Fallen:
         leaves = L.leaving.sum(axis=1) / L.total[:, 0]
         drift = np.einsum("nl,nli->ni", L.leaving, L.away) / L.total
         down = time + L.time[state, 0]
-        rest = (L.point + k.slide * L.velocity + k.drift * size * drift)[state]
+        rest = (L.goes_on(k.slide) + k.drift * size * drift)[state]
         ends = L.point[state] - who.at(down), rest - who.at(down + ROAM_TIME)
         spread = L.blur[:, 0] + (k.side_spread * size) ** 2 + (k.size_spread * size * leaves) ** 2
         spread = np.sqrt(spread[state] + who.spread(down + ROAM_TIME) ** 2)
@@ -327,6 +328,7 @@ def _landing(
         blur=spread**2,
         fall_spread=spread,
         velocity=state.v[:, :2],
+        stop=no_stop(n),
         mass=np.zeros((n, 0)),
         times=np.zeros((n, 0)),
         leaving=np.zeros((n, 0)),

@@ -112,6 +112,7 @@ def _with_target(tables: DropTables, entity: MovingEntity) -> DropTables:
         "target_diagonal": a if entity.is_round else (a + b) / np.sqrt(2.0),
         "target_carries": [DISC * a, DISC * a] if entity.is_round else [a, b],
         "target_height": [where.position[2] - h, where.position[2] + h],
+        "target_fixed": 0.0,
     }
     others = {name: getattr(tables, name) for name in row} | {"target_entity": np.full(len(tables.target_entity), -1)}
     found: dict[str, Any] = {name: np.concatenate([others[name], np.array([value])]) for name, value in row.items()}

@@ -107,7 +107,8 @@ struct Spill {
     at.hard = hard.value();
     at.arrives = landing.leaving[l] + (landing.first[l] - landing.leaving[l]) * at.hard;
     const D time = landing.time[first] + k.carry;
-    at.x = mouth.vx * time, at.y = mouth.vy * time;
+    const D pushed = relu(time - flight.stop.time);
+    at.x = mouth.vx * time + flight.stop.x * pushed, at.y = mouth.vy * time + flight.stop.y * pushed;
   }
   void flow_on(const DropTables& drop, int l, const double* severity) {
     SpillLevel& at = level[l];

@@ -155,7 +155,7 @@ static inline void back_arrive(Backward& back, const Mouth& mouth, const Spill& 
   d_flight.v.z += slope * flight.v.z;
   d_flight.low += slope * (0.5 * kGravity) * (1.0 + h * reciprocal(soft));
   d_mouth.vx += d.x * time, d_mouth.vy += d.y * time;
-  d_landing.time[first] += d.x * mouth.vx + d.y * mouth.vy;
+  d_landing.time[first] += d.x * mouth.vx + d.y * mouth.vy + back_pushed(back, time, d.x, d.y);
 }
 
 // --- the container --------------------------------------------------------------------------------------------------
