@@ -41,7 +41,7 @@ constexpr int kFallSteps = 5;  // of a collapse, see costs/models/body
 
 // What searches and descents are charged, which is what most states are for. Chosen so that sums along motions come out
 // nearly the same (tests/costs/models/test_body_searches.py says how nearly) in a tenth of the time.
-constexpr double kRoughShare = 2e-4;   // of the worst that may happen: hits that are worth less do not count
+constexpr double kRoughShare = 3e-4;   // of the worst that may happen: hits that are worth less do not count
 constexpr double kLeastTail = 3.4e-4;  // 1/(1 + e^8), see costs/models/body
 constexpr double kRoughPiece = 0.2;    // of edges, with a sample at both paces: 10 in a radian [rad]
 constexpr size_t kRoughLooks = 32;     // at states along a motion that descends
