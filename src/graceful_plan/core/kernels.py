@@ -243,21 +243,35 @@ class ImpactKernel:
         return self.native.moving_states(flat, self.kernels.rows("qd", qd)[0]).reshape(batch)
 
     def state_slopes(
-        self, q: ArrayLike, qd: ArrayLike
+        self, q: ArrayLike, qd: ArrayLike, *, rough: bool = False
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch nq"], Float[Array, "*batch nq"]]:
-        """Expected severity given a failure at q and qd, and its derivatives with respect to q and to qd."""
+        """Expected severity given a failure at q and qd, and its derivatives with respect to q and to qd.
+
+        Args:
+            q: States.
+            qd: Their joint velocities.
+            rough: Whether they follow each other along a motion, for which what descents take will do.
+        """
         flat, batch = self.kernels.rows("q", q)
-        value, d_q, d_qd = self.native.state_slopes(flat, self.kernels.rows("qd", qd)[0])
+        value, d_q, d_qd = self.native.state_slopes(flat, self.kernels.rows("qd", qd)[0], rough)
         return value.reshape(batch), d_q.reshape(*batch, self.kernels.nq), d_qd.reshape(*batch, self.kernels.nq)
 
-    def edges(self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP) -> Float[Array, "*batch 2"]:
+    def edges(
+        self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP, *, rough: bool = False
+    ) -> Float[Array, "*batch 2"]:
         """Length [rad] of each straight edge, and the integral of the impact over length or, if timed, over time [s].
 
         By the trapezoid rule. A model that knows velocities takes those of an edge whose slowest joint moves as fast as
         it may.
+
+        Args:
+            q0: Where the edges begin.
+            q1: Where they end.
+            step: Largest distance between samples [rad].
+            rough: Whether what native searches are charged will do; of most models it is the same.
         """
         first, second, batch = self.kernels.edge_rows(q0, q1, step)
-        return self.native.edges(first, second, step).reshape(*batch, 2)
+        return self.native.edges(first, second, step, rough).reshape(*batch, 2)
 
     def edge_gradients(
         self, q0: ArrayLike, q1: ArrayLike, step: float = COST_STEP

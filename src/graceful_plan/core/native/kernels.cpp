@@ -279,7 +279,7 @@ static void body(const Tables& tables, const BodyTables& body, const States& sta
                  double* distance) {
   const size_t n = states.n;
   D qs[kMaxJoints], rates[kMaxJoints];
-  auto* room = new Arm<D>(tables, body, nullptr, nullptr);
+  auto* room = new Arm<D>(tables, body, {});
   Arm<D>& arm = *room;
   const size_t row = size_t(body.n_entity), mode_size = size_t(body.n_row) * row,
                state = size_t(2 * tables.n_joint + 2) * mode_size;
@@ -303,7 +303,7 @@ static void body_impact(const Tables& tables, const BodyTables& body, const Body
                         double* out) {
   const size_t n = states.n;
   F qs[kMaxJoints], rates[kMaxJoints] = {};
-  auto* room = new Arm<F>(tables, body, harm.severity, harm.weight);
+  auto* room = new Arm<F>(tables, body, harm);
   for (size_t first = 0; first < n; first += kLanes<float>) {
     load(tables, states.q, first, n, qs);
     if (states.qd) load(tables, states.qd, first, n, rates);
@@ -317,7 +317,7 @@ static void body_gradient(const Tables& tables, const BodyTables& body, const Bo
                           const Slopes& out) {
   const size_t n = states.n, nq = size_t(tables.n_joint);
   F qs[kMaxJoints], rates[kMaxJoints] = {};
-  auto* arm = new Arm<F, true>(tables, body, harm.severity, harm.weight);
+  auto* arm = new Arm<F, true>(tables, body, harm);
   auto* slopes = new BodySlopes<F>(*arm);
   for (size_t first = 0; first < n; first += kLanes<float>) {
     load(tables, states.q, first, n, qs);

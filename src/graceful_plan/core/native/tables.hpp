@@ -239,7 +239,10 @@ struct BodyTables {
   const JointDrive* drive;                                                // per joint
   const Limb* limb;                                                       // the farthest out first
   const int32_t* entity;                                                  // per obstacle, -1 for none
+  uint64_t looked_at = ~uint64_t(0);  // a bit for each step of joints that fall: whether anything may be met there
   BodyConstants constants;
+
+  bool looks(int step) const { return step >= 64 || looked_at >> step & 1; }
 };
 
 // --- what kernels are asked -----------------------------------------------------------------------------------------
@@ -259,8 +262,15 @@ struct Slopes {  // a value per state, and its derivatives [n, n_joint]
   double *value, *d_q, *d_qd;
 };
 
+// How many spreads off a hit does not count any more, and its probability there; nothing counts where `far` is
+// negative.
+struct Tail {
+  double far, least;
+};
+
 struct BodyHarm {  // how much each way to fail counts [mode, row], and whom it hits [row, entity]
   const double *weight, *severity;
+  const Tail* tail;  // [generator, row, entity]; null: the model's own
 };
 
 // One instruction set's kernels. severity is [n_component, n_entity]; of edges, cost is [n, 2]: length and integral of

@@ -63,8 +63,8 @@ void bind_impact(nb::module_& m) {
   nb::class_<Impact>(m, "Impact")
       .def("states", &Impact::states_array, "q"_a)
       .def("moving_states", &Impact::moving_states_array, "q"_a, "qd"_a)
-      .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a)
-      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a)
+      .def("state_slopes", &Impact::state_slopes_array, "q"_a, "qd"_a, "rough"_a = false)
+      .def("edges", &Impact::edges_array, "q0"_a, "q1"_a, "step"_a, "rough"_a = false)
       .def("edge_gradients", &Impact::edge_gradients_array, "q0"_a, "q1"_a, "step"_a);
   nb::class_<OverlapImpact, Impact>(m, "OverlapImpact")
       .def(nb::init<const Core&, Reals>(), "core"_a, "severity"_a, nb::keep_alive<1, 2>());

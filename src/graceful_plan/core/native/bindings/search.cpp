@@ -57,7 +57,7 @@ class SceneSpace final : public Space {
   bool edge_certain(const double* a, const double* b) override { return free_at(a, b, settings_.fine_step); }
   double impact(const double* a, const double* b) override {
     double cost[2];
-    impact_.edges({a, b, 1, settings_.cost_step}, cost);
+    impact_.rough_edges({a, b, 1, settings_.cost_step}, cost);
     return cost[1];
   }
   bool keep_tool(const double* q, double* displacement) override {
@@ -94,7 +94,7 @@ class SceneSpace final : public Space {
   void costs(const Chain& of, double* out) override {
     if (!impact_.in_python() || (w == 0 && motion_is_length())) return Space::costs(of, out);
     Point cost(2 * size_t(of.n_edge));
-    impact_.edges({of.points, of.points + dim, size_t(of.n_edge), settings_.cost_step}, cost.data());
+    impact_.rough_edges({of.points, of.points + dim, size_t(of.n_edge), settings_.cost_step}, cost.data());
     for (int e = 0; e < of.n_edge; ++e) out[e] = cost[2 * size_t(e)] + w * cost[2 * size_t(e) + 1];
   }
   bool has_slopes() const override { return impact_.has_gradients(); }

@@ -1,6 +1,6 @@
 // The body model: what the arm and what it holds hit if the drives fail here. The specification, with the letters used
 // here, is in costs/models/body. W states side by side, in double or in single precision. What is left out to save time
-// changes nothing but rounding:
+// changes nothing but rounding, unless tables ask for fewer looks or tails for shorter ones:
 //
 // - Planes below distances, taken where the arm is, rule out most of what a limb might hit in a fall.
 // - A joint that fails alone turns what hangs on it as one rigid body from where the arm would have been.
@@ -49,9 +49,10 @@ template <class V> struct FallingJoint {
   V rests;  // 1 where it lies on something
 };
 
+// Numbers are not set to anything.
 template <class T> class Room {
  public:
-  explicit Room(size_t n) : data_(new T[n + 1]()) {}
+  explicit Room(size_t n) : data_(new T[n + 1]) {}
   Room(const Room&) = delete;
   ~Room() { delete[] data_; }
   T* at(size_t k) const { return data_ + k; }
@@ -75,12 +76,12 @@ template <class V, bool kNamed = false> class Arm {
  public:
   Way way;  // the one that was last
 
-  // severity [row, entity] and weight [mode, row]; null: everything counts.
-  Arm(const Tables& t, const BodyTables& b, const double* severity, const double* weight)
+  // Without weights and severities everything counts.
+  Arm(const Tables& t, const BodyTables& b, const BodyHarm& harm)
       : tables_(t),
         body_(b),
-        severity_(severity),
-        weight_(weight),
+        severity_(harm.severity),
+        weight_(harm.weight),
         n_obstacle_(t.n_obstacle),
         n_frame_(b.n_frame),
         padded_((t.n_obstacle + W - 1) / W * W),
@@ -105,13 +106,13 @@ template <class V, bool kNamed = false> class Arm {
         best_(size_t(8 * b.n_entity)),
         worst_(size_t(8 * b.n_entity)),
         who_(size_t(kNamed ? 8 * b.n_entity : 0)),
+        ends_(size_t(kGenerators * 2 * b.n_entity)),
         pending_(size_t(kPending)) {
     share_room();
+    end_tails(harm.tail);
     for (int r = 0; r < 2; ++r)
-      for (int j = 0; j < n_obstacle_; ++j) {
-        const int e = b.entity[j];
-        hit(r, j) = r < b.n_row && e >= 0 && (!severity || severity[r * b.n_entity + e] != 0.0) ? e : -1;
-      }
+      for (int j = 0; j < n_obstacle_; ++j)
+        hit(r, j) = r < b.n_row && reach(r, b.entity[j]) > -kAnywhere ? b.entity[j] : -1;
     int n = 0;
     for (int l = 0; l < n_frame_; ++l) {
       const int joint = t.link[l].joint;
@@ -126,6 +127,7 @@ template <class V, bool kNamed = false> class Arm {
     known_ahead_ = ahead != nullptr;
     steps_ = ahead ? body_.n_reference : body_.n_step;
     for (int j = 0; j < nq; ++j) reference(0, j) = q[j];
+    share_[0] = V{};
     for (int s = 1; s <= steps_; ++s) {
       const double on = body_.constants.carry_on, t = s * body_.constants.step;
       share_[s] = V{} + T(on > 0 ? on * (1.0 - scalar_exponential(-t / on)) : 0.0);
@@ -160,14 +162,12 @@ template <class V, bool kNamed = false> class Arm {
     if (counts(1 + 2 * n)) stray(shared), visit(1 + 2 * n, kStray);
   }
 
-  // Distance from where on a row is never hit.
-  double cut(int generator, int r) const {
-    return body_.constants.offset[generator][r] + kFar * body_.constants.spread[generator][r];
-  }
+  // Distance from where on a row does not hit an entity.
+  T cut(int generator, int r, int e) const { return end_of(generator, r, e).cut; }
   // P, and its derivative with respect to the distance.
-  V probability(int generator, int r, V d, V* slope = nullptr) const {
+  V probability(int generator, int r, int e, V d, V* slope = nullptr) const {
     const BodyConstants& k = body_.constants;
-    const T least = T(1.0 / (1.0 + scalar_exponential(kFar))), inverse = T(1.0 / k.spread[generator][r]);
+    const T least = end_of(generator, r, e).least, inverse = T(1.0 / k.spread[generator][r]);
     const V u = maximum((d - T(k.offset[generator][r])) * inverse, V{} - 60), s = reciprocal(1 + exponential(u));
     if (slope) *slope = s > least ? s * (s - 1) * (inverse / (1 - least)) : V{};
     return relu(s - least) * (1 / (1 - least));
@@ -176,8 +176,8 @@ template <class V, bool kNamed = false> class Arm {
   template <class Visit> void for_each_hit(int mode, int generator, Visit visit) const {
     for (int r = 0; r < body_.n_row; ++r)
       for (int e = 0; e < body_.n_entity; ++e) {
-        const T S = T(weight_[mode * body_.n_row + r] * severity_[r * body_.n_entity + e]), far = T(cut(generator, r));
-        if (S != 0 && any_below(way.best[r][e], V{} + far)) visit(r, e, S, way.best[r][e]);
+        const T S = T(weight_[mode * body_.n_row + r] * severity_[r * body_.n_entity + e]);
+        if (S != 0 && any_below(way.best[r][e], V{} + cut(generator, r, e))) visit(r, e, S, way.best[r][e]);
       }
   }
 
@@ -264,11 +264,8 @@ template <class V, bool kNamed = false> class Arm {
   // Where the arm is: distances, and planes for what follows.
   void look() {
     home_.blocked = V{}, home_.deepest = Id{};
-    for (int r = 0; r < body_.n_row; ++r) {
-      T far = 0;
-      for (int g = 0; g < kGenerators; ++g) far = T(cut(g, r)) > far ? T(cut(g, r)) : far;
-      for (int e = 0; e < body_.n_entity; ++e) home_.best[r][e] = V{} + far;
-    }
+    for (int r = 0; r < body_.n_row; ++r)
+      for (int e = 0; e < body_.n_entity; ++e) home_.best[r][e] = V{} + reach(r, e);
     for (int i = 0; i < body_.n_limb; ++i)
       for (int j = 0; j < n_obstacle_; ++j) look_at(i, j);
     for (int r = 0; r < body_.n_row; ++r)
@@ -311,10 +308,8 @@ template <class V, bool kNamed = false> class Arm {
   void begin(Way& way, int generator, unsigned others = 0) {
     way.gain = body_.constants.stop_gain[generator], way.tolerance = body_.constants.stop_tolerance[generator];
     for (int r = 0; r < body_.n_row; ++r) {
-      T far = T(cut(generator, r));
-      for (int g = 0; g < kGenerators; ++g)
-        if (others >> g & 1 && T(cut(g, r)) > far) far = T(cut(g, r));
       for (int e = 0; e < body_.n_entity; ++e) {
+        const T far = reach(r, e, others | 1u << generator);
         way.best[r][e] = minimum(V{} + far, home_.best[r][e]);
         if constexpr (kNamed) way.who[r][e] = home_.who[r][e];
         way.worst[r][e] = home_.worst[r][e] < far ? home_.worst[r][e] : far;
@@ -400,6 +395,8 @@ template <class V, bool kNamed = false> class Arm {
       const V was = motion.x, before = way.blocked, torque = load(s - 1, joint).torque(sine, cosine);
       fall_alone(drive, body_.constants.step, inertia_[joint], torque, motion);
       displace(s, joint, motion.x, sine, cosine);
+      if constexpr (kNamed) trace_[s] = {motion, V{}};
+      if (!body_.looks(s)) continue;
       if (shared) way.blocked = maximum(way.blocked, depth_[s]);
       meet(s, shared ? drive.link : 0, n_frame_, s < steps_, way);
       const auto rests = way.blocked > before + T(way.tolerance);
@@ -431,6 +428,7 @@ template <class V, bool kNamed = false> class Arm {
   // Frames in [first, last) go on as expected.
   void go_on(int first, int last) {
     for (int s = steps_; s > 0; --s) {
+      if (!body_.looks(s)) continue;
       Way& met = s < steps_ ? along_ : end_;
       met.blocked = depth_[s];
       places_[s].set(stances_[s]);
@@ -441,6 +439,33 @@ template <class V, bool kNamed = false> class Arm {
   }
 
   // --- tables -------------------------------------------------------------------------------------------------------
+
+  // Of hits by a generator: the distance from where on they do not count, and what P would be there.
+  struct End {
+    T cut, least;
+  };
+  const End& end_of(int generator, int r, int e) const { return ends_[(generator * 2 + r) * body_.n_entity + e]; }
+  void end_tails(const Tail* tail) {
+    const double usual = 1.0 / (1.0 + scalar_exponential(kFar));
+    for (int g = 0; g < kGenerators; ++g)
+      for (int r = 0; r < 2; ++r)
+        for (int e = 0; e < body_.n_entity; ++e) {
+          const int at = (g * 2 + r) * body_.n_entity + e;
+          const bool none = r >= body_.n_row || (severity_ && severity_[r * body_.n_entity + e] == 0.0);
+          const Tail its = none   ? Tail{-1.0, 0.0}
+                           : tail ? tail[(g * body_.n_row + r) * body_.n_entity + e]
+                                  : Tail{kFar, usual};
+          const double cut = body_.constants.offset[g][r] + its.far * body_.constants.spread[g][r];
+          ends_[at] = {its.far < 0 ? T(-kAnywhere) : T(cut), T(its.least)};
+        }
+  }
+  // Farther than that, none of some generators hits an entity; minus kAnywhere if they never do.
+  T reach(int r, int e, unsigned generators = ~0u) const {
+    T far = T(-kAnywhere);
+    for (int g = 0; e >= 0 && g < kGenerators; ++g)
+      if (generators >> g & 1 && cut(g, r, e) > far) far = cut(g, r, e);
+    return far;
+  }
 
   bool counts(int mode) const {
     bool found = !weight_;
@@ -455,7 +480,10 @@ template <class V, bool kNamed = false> class Arm {
       stances_[s] = {&frames_[s * n_frame_], &centres_[s * body_.n_limb], &turned_[s * n_frame_]};
     for (int s = 0; s < n_place_; ++s) places_[s].moved_frames = &frames_[(n_stance + s) * n_frame_];
     T* limit = reinterpret_cast<T*>(&gaps_[2 * body_.n_limb * padded_ / W]);
-    for (int k = 0; k < 2 * body_.n_limb * padded_ / W; ++k) gaps_[k] = V{} + T(kAnywhere);  // also those that fill up
+    const int n_gap = 2 * body_.n_limb * padded_ / W;
+    for (int k = 0; k < n_gap + 8 * padded_ / W; ++k)
+      gaps_[k] = V{} + T(k < n_gap ? kAnywhere : 0);  // also what fills up
+    for (int k = 0; kNamed && k < 8 * n_entity; ++k) who_[k] = Id{};
     int k = 0;
     for (Way* one : {&home_, &along_, &end_, &way})
       for (int r = 0; r < 2; ++r, ++k) {
@@ -501,6 +529,7 @@ template <class V, bool kNamed = false> class Arm {
   Room<V> best_;
   Room<T> worst_;
   Room<Id> who_;
+  Room<End> ends_;  // [generator, row, entity]
   Room<Prospect<V>> pending_;
   int n_pending_ = 0;
 };
@@ -510,7 +539,7 @@ template <class V> static inline V body_impact_of(Arm<V>& arm, const V* q, const
   arm.start(q, qd, nullptr, 0, 1);
   arm.fail(qd, [&](int mode, int generator) {
     arm.for_each_hit(mode, generator,
-                     [&](int r, int, Scalar<V> S, V d) { impact += S * arm.probability(generator, r, d); });
+                     [&](int r, int e, Scalar<V> S, V d) { impact += S * arm.probability(generator, r, e, d); });
   });
   return impact;
 }

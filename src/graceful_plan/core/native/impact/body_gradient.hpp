@@ -72,8 +72,8 @@ template <class V> class BodySlopes {
     for (int s = 0; s <= arm_.steps_; ++s) own_torque_[s] = V{};
     arm_.for_each_hit(mode, generator, [&](int r, int e, T S, V d) {
       V slope;
-      impact += S * arm_.probability(generator, r, d, &slope);
-      push(r, e, arm_.way.who[r][e], d < T(arm_.cut(generator, r)) ? S * slope : V{}, generator, joint);
+      impact += S * arm_.probability(generator, r, e, d, &slope);
+      push(r, e, arm_.way.who[r][e], d < arm_.cut(generator, r, e) ? S * slope : V{}, generator, joint);
     });
     if (generator == kJoint) fall_back(joint);
     if (generator == kStuck) stay_back(joint);

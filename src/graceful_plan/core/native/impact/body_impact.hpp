@@ -38,8 +38,13 @@ constexpr const char* kBodyConstants[] = {  // in the order of BodyConstants
 static_assert(sizeof(BodyConstants) == sizeof(kBodyConstants) / sizeof(kBodyConstants[0]) * sizeof(double));
 
 constexpr int kFallSteps = 5;  // of a collapse, see costs/models/body
-constexpr int kRoughSteps =
-    2;  // of a collapse and of joints that fall, in descents; chosen with `kernels` (benchmarks)
+
+// What searches and descents are charged, which is what most states are for. Chosen so that sums along motions come out
+// nearly the same (tests/costs/models/test_body_searches.py says how nearly) in a tenth of the time.
+constexpr double kRoughShare = 3e-4;   // of the worst that may happen: hits that are worth less do not count
+constexpr double kLeastTail = 3.4e-4;  // 1/(1 + e^8), see costs/models/body
+constexpr double kRoughPiece = 0.2;    // of edges, with a sample at both paces: 10 in a radian [rad]
+constexpr size_t kRoughLooks = 32;     // at states along a motion that descends
 
 // The tables of the body model as Python hands them over.
 struct BodyArrays {
@@ -73,14 +78,14 @@ class BodyModel {
     add_limbs(row.data());
     tables_.inertia = inertia_.data(), tables_.drive = drive_.data(), tables_.entity = entity_.data();
     tables_.limb = limb_.data(), tables_.n_limb = int(limb_.size());
-    rough_ = tables_, rough_.n_fall = kRoughSteps;
-    if (n_step > kRoughSteps) rough_.n_step = kRoughSteps, rough_.constants.step *= double(n_step) / kRoughSteps;
+    rough_ = tables_;
+    rough_.looked_at = (n_step < 64 ? uint64_t(1) << n_step : 0) | uint64_t(1) << (3 * n_step + 4) / 5;
   }
   BodyModel(const BodyModel&) = delete;
 
   const Core& core() const { return core_; }
   const BodyTables& tables() const { return tables_; }
-  // The same falls in fewer steps, for a good half of the time.
+  // The same falls, looked at half way and at their end.
   const BodyTables& rough_tables() const { return rough_; }
   const double* speed() const { return speed_.data(); }
   size_t modes() const { return 2 * drive_.size() + 2; }
@@ -115,7 +120,7 @@ class BodyModel {
     check(weight, severity);
     const States states = core_.states(q, qd);
     nb::gil_scoped_release release;
-    core_.kernels().body_impact(core_.tables(), tables_, {weight.data(), severity.data()}, states, out);
+    core_.kernels().body_impact(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
     return array;
   }
   // Impact and its derivatives with respect to q and qd.
@@ -128,9 +133,29 @@ class BodyModel {
     auto by_q = make<double>({n, nq}, out.d_q), by_qd = make<double>({n, nq}, out.d_qd);
     {
       nb::gil_scoped_release release;
-      core_.kernels().body_gradient(core_.tables(), tables_, {weight.data(), severity.data()}, states, out);
+      core_.kernels().body_gradient(core_.tables(), tables_, {weight.data(), severity.data(), nullptr}, states, out);
     }
     return nb::make_tuple(values, by_q, by_qd);
+  }
+  // From where on hits do not count if they are worth less than a share of the worst that may happen.
+  std::vector<Tail> tails(const Point& weight, const Point& severity, double share) const {
+    const size_t nq = drive_.size(), n_row = size_t(tables_.n_row), n_entity = size_t(tables_.n_entity);
+    std::vector<Tail> tails;
+    std::vector<double> worth;
+    for (size_t g = 0; g < kGenerators; ++g)
+      for (size_t r = 0; r < n_row; ++r) {
+        const size_t first = g == kCollapse ? 0 : g == kJoint ? 1 : g == kStuck ? 1 + nq : 1 + 2 * nq;
+        double most = 0;
+        for (size_t m = first; m < first + (g == kJoint || g == kStuck ? nq : 1); ++m)
+          most = std::max(most, weight[m * n_row + r]);
+        for (size_t e = 0; e < n_entity; ++e) worth.push_back(most * severity[r * n_entity + e]);
+      }
+    const double least = worth.empty() ? 0.0 : share * *std::max_element(worth.begin(), worth.end());
+    for (const double w : worth) {
+      const double p = std::max(w > 0 ? least / w : 1.0, kLeastTail);
+      tails.push_back(p < 0.5 ? Tail{std::log(1 / p - 1), p} : Tail{-1, 0});
+    }
+    return tails;
   }
   // Mass matrix and torques of the weight.
   auto dynamics(Reals q) const {
@@ -231,19 +256,21 @@ class BodyImpact final : public Impact {
       : Impact(model.core(), severity), model_(model), weight_(point(weight)), pace_{slow, fast} {
     model.check(weight, severity);
     require(slow >= 0 && fast >= slow && fast < 1e9, "pace");
+    tail_ = model.tails(weight_, severity_, kRoughShare);
   }
   void states(const double* q, size_t n, double* impact) const override {
     core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), {q, nullptr, n}, impact);
   }
   void rough_states(const double* q, size_t n, double* impact) const override {
-    core_.kernels().body_impact(core_.tables(), model_.rough_tables(), harm(), {q, nullptr, n}, impact);
+    core_.kernels().body_impact(core_.tables(), model_.rough_tables(), rough_harm(), {q, nullptr, n}, impact);
   }
   void moving_states(const States& states, double* impact) const override {
     core_.kernels().body_impact(core_.tables(), model_.tables(), harm(), states, impact);
   }
   bool asks_for_velocity() const override { return true; }
   void state_slopes(const States& states, bool rough, const Slopes& out) const override {
-    core_.kernels().body_gradient(core_.tables(), rough ? model_.rough_tables() : model_.tables(), harm(), states, out);
+    if (rough) return rough_slopes(states, out);
+    core_.kernels().body_gradient(core_.tables(), model_.tables(), harm(), states, out);
   }
   void edges(const Edges& edges, double* cost) const override {
     EdgeStates sampled(core_, model_.speed(), pace_, edges, Sampling::kExact);
@@ -251,20 +278,57 @@ class BodyImpact final : public Impact {
     Point slopes(2 * edges.n * size_t(core_.tables().n_joint));
     sampled.integrate({cost, slopes.data(), slopes.data() + slopes.size() / 2});
   }
+  void rough_edges(const Edges& of, double* cost) const override {
+    EdgeStates sampled(core_, model_.speed(), pace_, {of.q0, of.q1, of.n, kRoughPiece}, Sampling::kBoth);
+    core_.kernels().body_impact(core_.tables(), model_.rough_tables(), rough_harm(), sampled.states(),
+                                sampled.impact.data());
+    Point slopes(2 * of.n * size_t(core_.tables().n_joint));
+    sampled.integrate({cost, slopes.data(), slopes.data() + slopes.size() / 2});
+  }
   bool has_gradients() const override { return true; }
   void edge_gradients(const Edges& edges, Sampling sampling, const EdgeSlopes& out) const override {
     EdgeStates sampled(core_, model_.speed(), pace_, edges, sampling);
-    const BodyTables& tables = sampling == Sampling::kExact ? model_.tables() : model_.rough_tables();
-    core_.kernels().body_gradient(core_.tables(), tables, harm(), sampled.states(), sampled.slopes());
+    const bool exact = sampling == Sampling::kExact;
+    core_.kernels().body_gradient(core_.tables(), exact ? model_.tables() : model_.rough_tables(),
+                                  exact ? harm() : rough_harm(), sampled.states(), sampled.slopes());
     sampled.integrate(out);
   }
 
  private:
-  BodyHarm harm() const { return {weight_.data(), severity_.data()}; }
+  BodyHarm harm() const { return {weight_.data(), severity_.data(), nullptr}; }
+  BodyHarm rough_harm() const { return {weight_.data(), severity_.data(), tail_.data()}; }
+
+  // Of states in their order along a motion. Where there are many, the impact and its derivatives are those of some of
+  // them, and on a straight line between.
+  void rough_slopes(const States& states, const Slopes& out) const {
+    const size_t nq = size_t(core_.tables().n_joint), looks = std::min(states.n, kRoughLooks);
+    Point q, qd, value(looks), d_q(looks * nq), d_qd(looks * nq);
+    std::vector<size_t> at(looks);
+    for (size_t k = 0; k < looks; ++k) {
+      at[k] = looks > 1 ? (k * (states.n - 1) + (looks - 1) / 2) / (looks - 1) : 0;
+      q.insert(q.end(), states.q + at[k] * nq, states.q + (at[k] + 1) * nq);
+      qd.insert(qd.end(), states.qd + at[k] * nq, states.qd + (at[k] + 1) * nq);
+    }
+    core_.kernels().body_gradient(core_.tables(), model_.rough_tables(), rough_harm(), {q.data(), qd.data(), looks},
+                                  {value.data(), d_q.data(), d_qd.data()});
+    for (size_t k = 0; k < looks; ++k) {
+      const size_t next = k + 1 < looks ? k + 1 : k, end = k + 1 < looks ? at[k + 1] : states.n;
+      for (size_t i = at[k]; i < end; ++i) {
+        const double t = next > k ? double(i - at[k]) / double(at[next] - at[k]) : 0.0;
+        const auto between = [t](double a, double b) { return a + t * (b - a); };
+        out.value[i] = between(value[k], value[next]);
+        for (size_t j = 0; j < nq; ++j) {
+          out.d_q[i * nq + j] = between(d_q[k * nq + j], d_q[next * nq + j]);
+          out.d_qd[i * nq + j] = between(d_qd[k * nq + j], d_qd[next * nq + j]);
+        }
+      }
+    }
+  }
 
   const BodyModel& model_;
   const Point weight_;
   const double pace_[2];  // shares of the joints' speeds
+  std::vector<Tail> tail_;
 };
 
 }  // namespace gp

@@ -15,10 +15,13 @@ class Impact {
   // The same, good enough to choose what to look at.
   virtual void rough_states(const double* q, size_t n, double* impact) const { states(q, n, impact); }
   virtual void edges(const Edges& edges, double* cost) const = 0;
+  // The same as searches are charged: near enough to choose between paths, and in no more time than that takes.
+  virtual void rough_edges(const Edges& edges, double* cost) const { this->edges(edges, cost); }
   // I of configurations that move; of a model that does not ask for velocities, that at rest.
   virtual void moving_states(const States& states, double* impact) const { this->states(states.q, states.n, impact); }
   virtual bool asks_for_velocity() const { return false; }
-  // The same with its derivatives with respect to q and to qd; by differences unless a model knows better.
+  // The same with its derivatives with respect to q and to qd; by differences unless a model knows better. `rough`: of
+  // states in their order along a motion, near enough for it to descend.
   virtual void state_slopes(const States& states, bool rough, const Slopes& out) const {
     (void)rough;
     const size_t nq = size_t(core_.tables().n_joint), size = states.n * nq;
@@ -72,7 +75,7 @@ class Impact {
     return array;
   }
   // I of states that move, and its derivatives with respect to q and qd.
-  auto state_slopes_array(Reals q, Reals qd) const {
+  auto state_slopes_array(Reals q, Reals qd, bool rough) const {
     Slopes out;
     auto values = make<double>({core_.rows(q)}, out.value);
     auto by_q = make<double>({q.shape(0), q.shape(1)}, out.d_q),
@@ -80,7 +83,7 @@ class Impact {
     const States states = core_.states(q, qd);
     {
       nb::gil_scoped_release release;
-      state_slopes(states, false, out);
+      state_slopes(states, rough, out);
     }
     return nb::make_tuple(values, by_q, by_qd);
   }
@@ -101,12 +104,14 @@ class Impact {
     }
     return nb::make_tuple(costs, by_q0, by_q1);
   }
-  auto edges_array(Reals q0, Reals q1, double step) const {
+  auto edges_array(Reals q0, Reals q1, double step, bool rough) const {
     double* out;
     auto array = make<double>({core_.rows(q0), 2}, out);
     const Edges all = core_.edges(q0, q1, step);
     nb::gil_scoped_release release;
-    in_parts(all, [&](const Edges& part, size_t first) { edges(part, out + 2 * first); });
+    in_parts(all, [&](const Edges& part, size_t first) {
+      rough ? rough_edges(part, out + 2 * first) : edges(part, out + 2 * first);
+    });
     return array;
   }
 
@@ -461,6 +466,11 @@ class SumImpact final : public Impact {
     first_.edges(edges, cost), second_.edges(edges, other.data());
     for (size_t i = 0; i < edges.n; ++i) cost[2 * i + 1] += other[2 * i + 1];  // the length is the same
   }
+  void rough_edges(const Edges& edges, double* cost) const override {
+    Point other(2 * edges.n);
+    first_.rough_edges(edges, cost), second_.rough_edges(edges, other.data());
+    for (size_t i = 0; i < edges.n; ++i) cost[2 * i + 1] += other[2 * i + 1];
+  }
   bool has_gradients() const override { return first_.has_gradients() && second_.has_gradients(); }
   void edge_gradients(const Edges& edges, Sampling sampling, const EdgeSlopes& out) const override {
     const size_t size = edges.n * size_t(core_.tables().n_joint);
@@ -491,11 +501,9 @@ class TimedImpact final : public Impact {
     model_.state_slopes(states, rough, out);
   }
   double exposure(const double* a, const double* b) const override { return slowest(a, b).seconds; }
-  void edges(const Edges& edges, double* cost) const override {
-    const size_t nq = speed_.size();
-    model_.edges(edges, cost);
-    for (size_t e = 0; e < edges.n; ++e)
-      if (cost[2 * e] > 0) cost[2 * e + 1] *= exposure(edges.q0 + e * nq, edges.q1 + e * nq) / cost[2 * e];
+  void edges(const Edges& edges, double* cost) const override { model_.edges(edges, cost), time(edges, cost); }
+  void rough_edges(const Edges& edges, double* cost) const override {
+    model_.rough_edges(edges, cost), time(edges, cost);
   }
   bool has_gradients() const override { return model_.has_gradients(); }
   void edge_gradients(const Edges& edges, Sampling sampling, const EdgeSlopes& out) const override {
@@ -521,6 +529,11 @@ class TimedImpact final : public Impact {
     double seconds;
     size_t joint;
   };
+  void time(const Edges& edges, double* cost) const {
+    const size_t nq = speed_.size();
+    for (size_t e = 0; e < edges.n; ++e)
+      if (cost[2 * e] > 0) cost[2 * e + 1] *= exposure(edges.q0 + e * nq, edges.q1 + e * nq) / cost[2 * e];
+  }
   Slowest slowest(const double* a, const double* b) const {
     Slowest by{0, 0};
     for (size_t j = 0; j < speed_.size(); ++j)

@@ -60,6 +60,11 @@ Derivatives of the impact are those of the nearest spheres, pushed along the nor
 motion to come and the falls above. How inertia changes with q, how the joints of a collapsing arm move each other and
 how contacts stop a fall are left out, so that they only nearly are those of the impact: good for descents.
 
+What searches and descents are charged is rough: of joints that fall, only the step at three fifths and the last one are
+looked at; hits that are worth less than a small share of the worst that may happen do not count (s(U) is that share);
+edges are sampled every 0.2 rad, and motions that descend at 32 states, with straight lines between. `SEARCHED` says how
+close sums along motions are. What a call returns is charged in full.
+
 References:
     Own work, fitted to rollouts in MuJoCo; see the head of `body.yaml`. Composite inertias: Featherstone, "Rigid Body
     Dynamics Algorithms", 2008, chapter 6.
@@ -90,6 +95,9 @@ FAR = 8.0
 """U: spreads beyond which nothing is hit."""
 SINGLE = 1e-4
 """Relative error of sums of P S in single precision; found to be 6e-5 at most in bundled scenes."""
+SEARCHED = 0.16
+"""Error of sums of P S along motions as descents take them, relative to their mean over motions: its root mean square,
+0.03 to 0.15 in bundled scenes. Of edges of 1 rad, as searches take them, up to half as much again."""
 _MOTION = ("brake_time", "brake_stop", "step", "carry_on")
 
 

@@ -110,6 +110,10 @@ class ScaledImpact final : public Impact {
     model_.edges(of, cost);
     for (size_t e = 0; e < of.n; ++e) cost[2 * e + 1] *= factor_;
   }
+  void rough_edges(const Edges& of, double* cost) const override {
+    model_.rough_edges(of, cost);
+    for (size_t e = 0; e < of.n; ++e) cost[2 * e + 1] *= factor_;
+  }
   bool has_gradients() const override { return model_.has_gradients(); }
   void edge_gradients(const Edges& of, Sampling sampling, const EdgeSlopes& out) const override {
     const size_t size = of.n * size_t(core_.tables().n_joint);
