@@ -19,6 +19,7 @@ from xml.parsers import expat
 import mujoco
 
 from graceful_plan.exceptions import NOT_READ, SceneError, SettingError, TooLargeError, why_not_read
+from graceful_plan.regular_file import path_of, read_content
 from graceful_plan.scene.loading.weighing import Swollen, check_png, weighed
 
 MAX_BYTES = 10_000_000
@@ -73,14 +74,16 @@ def load_spec(source: str | Path | mujoco.MjSpec, folder: str | Path | None = No
 
     Raises:
         SceneError: If it is broken or hostile, with file and line.
-        SettingError: If the model's file is not in that folder.
+        SettingError: If it is none of these, or the model's file is not in that folder.
     """
+    if not isinstance(source, str | Path | mujoco.MjSpec):
+        raise SettingError("source", source, "MJCF, the name of a file of it, or a MjSpec")
     if not isinstance(source, str | Path):
         return source.copy()
     if isinstance(source, str) and source.lstrip().startswith("<"):
         _Screen(None).text(source)
         return _parsed(source, None)
-    file = Path(source)
+    file = path_of(source)
     if file.suffix.lower() == ".mjb":
         raise SceneError("binary models cannot be screened; give the MJCF", file=str(file))
     _Screen(_root(file, folder), up=folder is not None).model(file)
@@ -91,7 +94,7 @@ def _root(file: Path, folder: str | Path | None) -> Path:
     """Return the folder that files have to be in."""
     if folder is None:
         return file.parent.resolve()
-    root = Path(folder).resolve()
+    root = path_of(folder).resolve()
     if not (root.is_dir() and file.resolve().is_relative_to(root)):
         raise SettingError("folder", str(folder), f"one that {str(file)!r} is in")
     return root
@@ -194,12 +197,9 @@ class _Screen:
     def file(self, file: Path, replicas: int) -> None:
         """Screen a file that is wanted so many times."""
         try:
-            size = file.stat().st_size
-            content = file.read_bytes() if size <= MAX_BYTES else b""
+            content = read_content(file, MAX_BYTES)
         except NOT_READ as error:
             raise SceneError(why_not_read(error), file=str(file)) from None
-        if size > MAX_BYTES:
-            raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
         resolved = file.resolve()
         if resolved in self.reading:
             raise SceneError("includes itself", file=str(file))
@@ -225,7 +225,7 @@ class _Screen:
                 by_name = Path(os.path.normpath(place / path))  # what is opened by somebody who does not follow it
                 if not (resolved.is_relative_to(self.root) and by_name.is_relative_to(self.root)):
                     return None
-                if resolved.is_file():
+                if resolved.exists() and not resolved.is_dir():  # also pipes, which opening then refuses
                     found.append(resolved)
         return found
 
@@ -238,10 +238,10 @@ class _Screen:
         for file in set(found) - self.weighed:
             self.weighed.add(file)
             try:
-                self.spend_on(asset, "bytes of assets", file.stat().st_size)
-                content = file.read_bytes()
-            except OSError as error:
-                raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+                content = read_content(file, MAX_ASSET_BYTES)
+            except NOT_READ as error:
+                raise SceneError(why_not_read(error), file=str(file)) from None
+            self.spend_on(asset, "bytes of assets", len(content))
             if amount := weighed(asset.tag, content, file.suffix):
                 self.spend_on(asset, *amount)
             try:

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from graceful_plan.exceptions import NOT_READ, SceneError, UnknownNameError, UnsupportedError, why_not_read
+from graceful_plan.regular_file import path_of, read_content
 from graceful_plan.scene.urdf.convex_parts import convex_parts, part_triangles
 from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content, mesh_triangles, obj_content
 
@@ -150,14 +151,11 @@ def parsed_robot(source: str | Path) -> tuple[ET.Element, Path | None]:
 def _text(source: str | Path) -> tuple[str, Path | None]:
     if isinstance(source, str) and source.lstrip().startswith("<"):
         return source, None
-    file = Path(source)
+    file = path_of(source)
     try:
-        size = file.stat().st_size
-        content = file.read_bytes() if size <= _MOST_BYTES else b""
+        content = read_content(file, _MOST_BYTES)
     except NOT_READ as error:
         raise SceneError(why_not_read(error), file=str(file)) from None
-    if size > _MOST_BYTES:
-        raise SceneError(f"{size} bytes, at most {_MOST_BYTES} are read", file=str(file))
     try:
         return content.decode("utf-8"), file.resolve().parent
     except UnicodeDecodeError:
