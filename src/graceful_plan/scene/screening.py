@@ -20,7 +20,7 @@ import mujoco
 
 from graceful_plan.exceptions import NOT_READ, SceneError, SettingError, TooLargeError, why_not_read
 from graceful_plan.regular_file import path_of, read_content
-from graceful_plan.scene.loading.weighing import Swollen, check_png, weighed
+from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, Swollen, check_png, weighed
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
@@ -152,6 +152,8 @@ class _Screen:
     up: bool = False
     """Whether ".." may lead from one folder below the root into another."""
     elements: int = 0
+    users: int = 0
+    """Numbers of users' own that every element may have."""
     files: int = 0
     reading: list[Path] = field(default_factory=list)
     places: set[Path] = field(default_factory=set)
@@ -181,8 +183,7 @@ class _Screen:
     def model(self, file: Path) -> None:
         """Screen a file, what it includes and the assets that it names."""
         self.file(file, 1)
-        for asset in self.assets:
-            self.asset(asset)
+        self.whole(str(file))
 
     def text(self, text: str) -> None:
         """Screen a model that is not in a file, so that there is no folder to find others in."""
@@ -191,6 +192,12 @@ class _Screen:
         except UnicodeEncodeError as error:
             raise SceneError(f"no text that UTF-8 has: {error.reason}", file="<text>") from None
         _XmlReader(self, "<text>", 1).read(content)
+        self.whole("<text>")
+
+    def whole(self, name: str) -> None:
+        """Screen what is known once all elements are."""
+        if said := self.spend("numbers of users' own", self.users * self.elements):
+            raise SceneError(f"with {self.users} for each of {self.elements} elements there are {said}", file=name)
         for asset in self.assets:
             self.asset(asset)
 
@@ -243,6 +250,9 @@ class _Screen:
                 raise SceneError(why_not_read(error), file=str(file)) from None
             self.spend_on(asset, "bytes of assets", len(content))
             if amount := weighed(asset.tag, content, file.suffix):
+                if asset.tag == "mesh" and amount[1] > MOST_OF_A_MESH:
+                    said = f"{asset.given!r} has {amount[1]} vertices and faces; at most {MOST_OF_A_MESH} are read"
+                    raise SceneError(said, file=asset.file, line=asset.line)
                 self.spend_on(asset, *amount)
             try:
                 check_png(file, content)
@@ -328,8 +338,7 @@ class _XmlReader:
             given = sum(len(attributes.get(key, "").split()) for key in ("vertex", "face"))
             return [("vertices and faces of meshes", given / 3)]
         if tag == "size":
-            users = sum(number(key) for key in attributes if key.startswith("nuser_"))
-            return [("numbers of users' own", users * MAX_ELEMENTS / 100)]
+            self.screen.users += sum(number(key) for key in attributes if key.startswith("nuser_"))
         return []
 
     def end(self, _tag: str) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import NOT_READ, SceneError, UnsupportedError, why_not_read
 from graceful_plan.regular_file import read_content
+from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, mesh_weight
 
 Array = np.ndarray
 
@@ -89,6 +90,8 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
         raise SceneError(why_not_read(error), file=str(file)) from None
     if ending == ".dae":
         return _converted(file, content), ".obj"
+    if (weight := mesh_weight(content, ending)) > MOST_OF_A_MESH:
+        raise SceneError(f"{weight} vertices and faces; at most {MOST_OF_A_MESH} are read", file=str(file))
     if ending == ".stl" and _is_text(content):
         return _obj(_corners(content, file)), ".obj"
     return content, ending
