@@ -77,6 +77,7 @@ test-viewer: $(VENV)/.package $(VENV)/.viewer
 fuzz: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/python .ci/fuzz_readers.py --files 20000 $(ARGS)
 	$(BIN)/python .ci/fuzz_native.py --calls 5000
+	$(BIN)/python .ci/fuzz_calls.py
 
 # What survives is looked at one by one: see .ci/mutants.md.
 mutants: $(VENV)/.package $(VENV)/.dev $(VENV)/.checks

@@ -30,11 +30,16 @@ def path_of(file: object) -> Path:
     """Return what was given as the name of a file or folder as a path.
 
     Raises:
-        FormatError: If it is neither text nor a path.
+        FormatError: If it is neither text nor a path, or the system has no such names.
     """
     if not isinstance(file, str | os.PathLike) or isinstance(named := os.fspath(file), bytes):
         raise FormatError(f"{file!r:.100}", f"no name of a file, but of type {type(file).__name__}")
-    return Path(named)
+    path = Path(named)
+    try:
+        path.exists()
+    except OSError as error:  # a name that is too long, above all
+        raise FormatError(f"{file!r:.100}", f"cannot be read: {error.strerror}") from None
+    return path
 
 
 def open_regular(file: str | Path) -> BinaryIO:
