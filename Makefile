@@ -77,6 +77,7 @@ test-viewer: $(VENV)/.package $(VENV)/.viewer
 fuzz: $(VENV)/.package $(VENV)/.dev
 	$(BIN)/python .ci/fuzz_readers.py --files 20000 $(ARGS)
 	$(BIN)/python .ci/fuzz_native.py --calls 5000
+	$(BIN)/python .ci/fuzz_calls.py
 
 # What survives is looked at one by one: see .ci/mutants.md.
 mutants: $(VENV)/.package $(VENV)/.dev $(VENV)/.checks
@@ -120,8 +121,9 @@ $(VENV)/.viewer: requirements/viewer.txt $(VENV)/.dev
 	$(PINNED) -r $<
 	@touch $@
 
+# Of what the packages ask for besides, all that is needed is in the file: yattag, which has no wheel, makes reports alone.
 $(VENV)/.checks: requirements/checks.txt $(VENV)/.dev
-	$(PINNED) -r $<
+	$(PINNED) --no-deps -r $<
 	@touch $@
 
 lock: $(VENV)/.python
@@ -132,7 +134,8 @@ lock: $(VENV)/.python
 	    --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -o requirements/$${set%% *}.txt $${set#* } || exit 1; \
 	done
 	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
-	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c requirements/dev.txt -o requirements/checks.txt requirements/checks.in
+	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c requirements/dev.txt -o $(VENV)/all_checks.txt requirements/checks.in
+	sed '/^yattag==/,/# via/d' $(VENV)/all_checks.txt > requirements/checks.txt
 	sed '/^websockets==/,/# via/d' requirements/runtime.txt > $(VENV)/others.txt
 	$(BIN)/pip-compile -q --upgrade --strip-extras --allow-unsafe --generate-hashes --no-header --annotation-style line \
 	  --no-emit-index-url --no-emit-trusted-host --no-emit-find-links -c $(VENV)/others.txt -o requirements/viewer.txt requirements/viewer.in

@@ -46,6 +46,7 @@ from failbench.sweeps.sweep import read_sweep
 from failbench.sweeps.work import Sweep, SweepMotion
 from failbench.traces.folder import chosen
 from graceful_plan import documents, kept
+from graceful_plan.annotation.annotations import Annotation, Annotations
 from graceful_plan.compare.problems.suite import load_suite
 from graceful_plan.compare.runs.best_motions import BestMotions
 from graceful_plan.compare.runs.comparison import compare, load_comparison
@@ -53,6 +54,7 @@ from graceful_plan.compare.runs.known import read_known, write_known
 from graceful_plan.costs.models.body.constants import BodySettings
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.spill.constants import SpillSettings
 from graceful_plan.floor.files.moving_ai import MovingAIScenario, read_scenarios, write_scenarios
 from graceful_plan.scene.harm.fragility import FragilityTable
@@ -215,6 +217,14 @@ READERS: Mapping[str, Reader] = {
     ),
     "URDF": Reader(("obj.urdf", "part.obj"), lambda f: scene_of(urdf(f / "obj.urdf"))),
     "URDF with STL": Reader(("stl.urdf", "part.stl"), lambda f: scene_of(urdf(f / "stl.urdf"))),
+    "URDF with packages": Reader(
+        ("packed/robot/arm.urdf", "packed/parts/part.obj"),
+        lambda f: scene_of(
+            gp.Scene.from_urdf(
+                f / "packed/robot/arm.urdf", tool="lower", acceleration=8.0, packages=[f / "packed/parts"]
+            )
+        ),
+    ),
     "SRDF": Reader(("arm.srdf",), lambda f: read_srdf(f / "arm.srdf")),
     "severity": Reader(("severity.yaml",), lambda f: gp.SeverityTable.load(f / "severity.yaml")),
     "fragility": Reader(("fragility.yaml",), lambda f: FragilityTable.load(f / "fragility.yaml")),
@@ -222,6 +232,8 @@ READERS: Mapping[str, Reader] = {
     "body model": Reader(("body.yaml",), lambda f: BodySettings.load(f / "body.yaml")),
     "spill model": Reader(("spill.yaml",), lambda f: SpillSettings.load(f / "spill.yaml")),
     "coast model": Reader(("coast.yaml",), lambda f: CoastSettings.load(f / "coast.yaml")),
+    "annotations": Reader(("annotations.yaml",), lambda f: dict(Annotations.load(f / "annotations.yaml").rows)),
+    "drop network": Reader(("drops.npz",), lambda f: DropNetwork.read(f / "drops.npz")),
     "fault prior": Reader(("prior.yaml",), lambda f: gp.FaultPrior.load(f / "prior.yaml")),
     "scenarios": Reader(("scenarios.yaml",), lambda f: scenario.read_file(f / "scenarios.yaml")),
     "suite": Reader(("suite.yaml",), lambda f: load_suite(f / "suite.yaml")),
@@ -280,7 +292,15 @@ def write_valid(folder: Path) -> None:
     write_meshes(folder)
     for kind in ("obj", "stl"):
         (folder / f"{kind}.urdf").write_text(URDF.replace("FORMAT", kind))
+    (folder / "packed" / "robot").mkdir(parents=True)
+    (folder / "packed" / "robot" / "arm.urdf").write_text(URDF.replace("part.FORMAT", "package://parts/part.obj"))
+    (folder / "packed" / "parts").mkdir()
+    shutil.copy(folder / "part.obj", folder / "packed" / "parts")
     (folder / "arm.srdf").write_text(SRDF)
+    DropNetwork.shipped().write(folder / "drops.npz")
+    row = {name: 0.5 for name in gp.SeverityTable.shipped().components}
+    mug = Annotation(category="robust", fragility=2.0, significance=0.3, severity=row, reason="of glass")
+    Annotations(scene="a", model="b", endpoint="c", pictures=False, rows={"mug": mug}).save(folder / "annotations.yaml")
     (folder / "two.xml").write_text(MJCF)
     (folder / "plain.xml").write_text(re.sub("<mesh .*?/>|<geom type=.mesh.*?/>", "", MJCF))
     (folder / "prior.yaml").write_text(PRIOR)

@@ -42,8 +42,18 @@ MODULES = {
     "judge/passing.py": ("tests/judge/test_passing.py", "tests/scene/test_moving.py"),
     "analysis/certificate.py": ("tests/analysis/test_certificate.py", "tests/analysis/test_certified_clearance.py"),
     "query/states/usable.py": ("tests/query/test_goals.py",),
-    "query/goals.py": ("tests/query/test_goals.py", "tests/query/test_ik.py", "tests/query/test_cancel.py"),
-    "scene/scene.py": ("tests/scene/test_scene.py", "tests/scene/test_edit.py", "tests/scene/loading/test_naming.py"),
+    "query/goals.py": (
+        "tests/query/test_goals.py",
+        "tests/query/test_ik.py",
+        "tests/query/test_cancel.py",
+        "tests/query/driving/test_drives.py",
+    ),
+    "scene/scene.py": (
+        "tests/scene/test_scene.py",
+        "tests/scene/test_edit.py",
+        "tests/scene/loading/test_naming.py",
+        "tests/scene/urdf",
+    ),
     "scene/screening.py": ("tests/scene/test_screening.py",),
 }
 """Modules that a wrong verdict would come from, and the tests that are there for them."""

@@ -30,7 +30,7 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 HARNESS = ROOT / "sim" / "failbench"
 HARNESS_FILES = sorted(HARNESS.rglob("*.py"))
 
-BASICS = {"_version", "array_types", "exceptions", "kept", "on_demand", "path", "yaml_file"}
+BASICS = {"_version", "array_types", "exceptions", "kept", "on_demand", "path", "regular_file", "yaml_file"}
 """Modules at the root that every room may use."""
 FLOORS = (
     {"basics"},

@@ -19,6 +19,7 @@ import numpy as np
 import graceful_plan as gp
 from benchmarks import report, suite
 from graceful_plan.core.compile import compile_scene
+from graceful_plan.planners.driving import DRIVING
 
 Array = np.ndarray
 
@@ -27,10 +28,13 @@ ROOT = Path(__file__).parents[2]
 WITHIN = 0.05
 """Of an interruption, until the call is over [s]."""
 MEASURED = """\
-"Interruptions": `plan` with 60 s to go is told to stop at a random moment of its first half second, by `cancelled` or
-by Ctrl-C, for every planner in turn, on a task of `tabletop` and where a wall makes the goal unreachable. "Late" is how
-long the call took from then on. What is returned is either SOLVED and judged anew, or CANCELLED; Ctrl-C raises
-KeyboardInterrupt. "Goals": configurations of which a tenth is free, `time_limit=.3`. "Motions": the log of
+"Interruptions": `plan` with 60 s to go is told to stop at a random moment, by `cancelled` or by Ctrl-C: of its first
+half second for every planner for arms in turn, on a task of `tabletop` and where a wall makes the goal unreachable; of
+its first two seconds for every planner for bases, in `warehouse_aisle`, where that is walled off, where one more walks
+across, and with base and arm of `kitchen`. "Late" is how long the call took from then on. What is returned is either
+SOLVED and judged anew, or CANCELLED; Ctrl-C raises KeyboardInterrupt.
+"Goals": configurations of which a tenth or one is free, and poses of which all but one are inside of the table,
+`time_limit=.3`. "Motions": the log of
 `benchmarks/many_motions.py`, which judges by its own means. "Files" and "calls": `.ci/fuzz_readers.py` and
 `.ci/fuzz_native.py` (the latter with ASan and UBSan in CI, here without), all at once.
 """
@@ -66,10 +70,15 @@ def run(options: suite.Options) -> str:
     # A shell that puts a command in the background has it ignore Ctrl-C, and Python then does, too.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     count = options.pick(1000, quick=60)
-    found = [interrupted(*what) for what in draws(count)]
+    found = [interrupted(*what) for what in (*draws(ARMS, count, 0.5), *draws(BASES, count // 2, 2.0))]
     in_time = [x for x in found if x.late >= 0.0]
     late = np.array([x.late for x in in_time])
-    goals = {n: many_goals(n) for n in options.pick((1000, 20_000), quick=(1000,))}
+    goals = {
+        f"{n} goals, {free}": many_goals(n, free)
+        for n in options.pick((300, 1000, 20_000), quick=(1000,))
+        for free in FREE
+    }
+    goals["300 grasps, one within reach"] = many_grasps(300)
     rows = [
         report.Target(
             what="interruptions after which there was no verified path, CANCELLED or KeyboardInterrupt",
@@ -90,12 +99,13 @@ def run(options: suite.Options) -> str:
     return "\n".join([MEASURED, report.targets(rows), by_planner(in_time)])
 
 
-def draws(count: int) -> Iterator[tuple[str, str, str, float, int]]:
+def draws(asked: Asked, count: int, latest: float) -> Iterator[tuple[str, str, str, float, int]]:
     """Yield planner, place, manner, moment and seed of interruptions."""
     rng = np.random.default_rng(0)
-    every = [(planner, place, how) for planner in gp.PLANNERS for place in PLACES for how in ("cancelled", "Ctrl-C")]
+    planners, places = asked
+    every = [(planner, place, how) for planner in planners for place in places for how in ("cancelled", "Ctrl-C")]
     for i in range(count):
-        yield (*every[i % len(every)], float(rng.uniform(0.0, 0.5)), i)
+        yield (*every[i % len(every)], float(rng.uniform(0.0, latest)), i)
 
 
 @cache
@@ -108,12 +118,55 @@ def tabletop() -> tuple[Any, Any, gp.Scene]:
 @cache
 def walled() -> tuple[Any, Any, gp.Scene]:
     """Return a task whose goal is behind a wall."""
-    given = {"velocity": [1.0] * 3, "acceleration": [2.0] * 3}
+    given: dict[str, Any] = {"velocity": [1.0] * 3, "acceleration": [2.0] * 3}
     scene = gp.Scene.from_mjcf(WALLED, robot="cart/", tool="cart/tool", entities={"wall": "robust"}, **given)
     return [-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], scene
 
 
-PLACES = {"tabletop": tabletop, "behind a wall": walled}
+@cache
+def aisle() -> tuple[Any, Any, gp.Scene]:
+    """Return a task for a base."""
+    task = gp.load_scene("warehouse_aisle").tasks["bring_tools"]
+    return task.start, task.goal, task.scene
+
+
+@cache
+def walled_off() -> tuple[Any, Any, gp.Scene]:
+    """Return that task with a wall across the aisle."""
+    start, goal, scene = aisle()
+    return start, goal, scene.add_box("wall across", [0.05, 4.0, 1.0], [4.0, 0.0, 1.0])
+
+
+@cache
+def walked_across() -> tuple[Any, Any, gp.Scene]:
+    """Return that task with somebody who walks across the aisle."""
+    start, goal, scene = aisle()
+    ways = [[4.0, -3.0, 0.85], [4.0, 3.0, 0.85]]
+    walker = gp.MovingEntity(
+        "walker", "adult", size=[0.25, 0.85], t=[0.0, 6.0], position=ways, spread=0.05, growth=0.05
+    )
+    return start, goal, scene.with_moving(walker)
+
+
+@cache
+def whole_body() -> tuple[Any, Any, gp.Scene]:
+    """Return a task for a base and the arm on it."""
+    task = gp.load_scene("kitchen").tasks["drain_pot"]
+    return task.start, task.goal, task.scene
+
+
+Asked = tuple[tuple[str, ...], tuple[str, ...]]
+"""Planners, and where each of them is asked."""
+PLACES = {
+    "tabletop": tabletop,
+    "behind a wall": walled,
+    "aisle": aisle,
+    "aisle, walled off": walled_off,
+    "aisle, walked across": walked_across,
+    "base and arm": whole_body,
+}
+ARMS: Asked = (tuple(gp.PLANNERS), ("tabletop", "behind a wall"))
+BASES: Asked = (("auto", *DRIVING), ("aisle", "aisle, walled off", "aisle, walked across", "base and arm"))
 
 
 def interrupted(planner: str, place: str, how: str, moment: float, seed: int) -> Interruption:
@@ -132,7 +185,9 @@ def interrupted(planner: str, place: str, how: str, moment: float, seed: int) ->
     timer = threading.Timer(moment, interrupt)
     try:
         timer.start()
-        result = gp.plan(start, goal, scene, planner=planner, seed=seed, time_limit=60.0, cancelled=event.is_set)
+        given: dict[str, Any] = {"max_wait": 5.0} if scene.moving else {}
+        given |= {"planner": planner, "seed": seed, "time_limit": 60.0, "cancelled": event.is_set}
+        result = gp.plan(start, goal, scene, **given)
         over = time.perf_counter()
         timer.cancel()
         timer.join()
@@ -159,23 +214,44 @@ def by_planner(found: list[Interruption]) -> str:
     return report.table(("planner", "place", "n", "late, median [ms]", "most [ms]", "ended"), rows)
 
 
-def many_goals(count: int) -> tuple[str, float]:
-    """Plan to the nearest of many goals, a tenth of them free; return the status and the seconds it took."""
+FREE = ("a tenth usable", "one usable")
+
+
+def many_goals(count: int, free: str) -> tuple[str, float]:
+    """Plan to the nearest of many goals, a tenth or one of them usable; return the status and the seconds it took."""
     start, _, scene = tabletop()
     low, high = scene.limits.position.T
     q = np.random.default_rng(1).uniform(low, high, (12 * count, len(low)))
-    free = gp.clearance(scene, q) > 0.0
-    goals = np.concatenate([q[free][: count // 10], q[~free][: count - count // 10]])
+    clearance = gp.clearance(scene, q)
+    usable = q[clearance > 0.0][: count // 10 if free == FREE[0] else 1]
+    blocked = q[clearance < -0.05]  # by so much that they are not free by exact geometry either
+    goals = blocked[np.arange(count) % len(blocked)]
+    goals[np.linspace(0, count - 1, len(usable) + 2).astype(int)[1:-1]] = usable
+    return timed(start, list(goals), scene)
+
+
+def many_grasps(count: int) -> tuple[str, float]:
+    """Plan to one of many poses, all of them but one inside of the table."""
+    start, goal, scene = tabletop()
+    rng = np.random.default_rng(0)
+    turned = rng.normal(size=(count, 4))
+    poses = [gp.PoseGoal.at([0.55, 0.0, -0.25] + rng.normal(0.0, 0.02, 3), q) for q in turned]
+    poses[count // 2] = gp.PoseGoal.from_tool(np.atleast_2d(goal)[0], scene)
+    return timed(start, poses, scene)
+
+
+def timed(start: Any, goals: list[Any], scene: gp.Scene) -> tuple[str, float]:
+    """Plan within .3 s; return the status and the seconds it took."""
     begun = time.perf_counter()
-    result = gp.plan(start, list(goals), scene, time_limit=0.3, constraints=[])
+    result = gp.plan(start, goals, scene, time_limit=0.3, constraints=[])
     return result.status.name, time.perf_counter() - begun
 
 
-def goal_rows(goals: dict[int, tuple[str, float]]) -> Iterator[report.Target]:
+def goal_rows(goals: dict[str, tuple[str, float]]) -> Iterator[report.Target]:
     """Yield what is said of many goals."""
-    for count, (status, seconds) in goals.items():
+    for what, (status, seconds) in goals.items():
         yield report.Target(
-            what=f"{count} goals within .3 s",
+            what=f"{what}, within .3 s",
             wanted="SOLVED",
             measured=f"{status} after {seconds:.2f} s",
             met=status == "SOLVED" and seconds < 0.35,

@@ -10,7 +10,9 @@ from typing import Any
 
 from graceful_plan.exceptions import FormatError, GracefulPlanError
 from graceful_plan.formats.parquet_file import MissingArrow
+from graceful_plan.formats.samples import text_of
 from graceful_plan.path import Path, finite_array
+from graceful_plan.regular_file import path_of
 from graceful_plan.result import CostBreakdown, PlanResult, Verdict
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -112,11 +114,9 @@ def read_motion(file: str | FilePath) -> Path | Trajectory:
         FormatError: If the file cannot be read, or holds neither; with its name.
         MissingArrow: If it is Parquet and pyarrow is not installed.
     """
-    other = _READERS.get(FilePath(file).suffix)
+    other = _READERS.get(path_of(file).suffix)
     try:
-        return _motion(json.loads(FilePath(file).read_text(encoding="utf-8"))) if other is None else other(file)
-    except OSError as error:
-        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+        return _motion(json.loads(text_of(file, lambda _: False, "JSON")[1])) if other is None else other(file)
     except FormatError as error:
         raise FormatError(str(file), error.problem) from None
     except MissingArrow:

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from graceful_plan.array_types import Float
+from graceful_plan.regular_file import open_regular
 
 Array = np.ndarray
 
@@ -61,7 +62,7 @@ def read(digest: str) -> Float[Array, "..."] | None:
         return None
     file = place / f"{digest}.npz"
     try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as found:
+        with open_regular(file) as opened, np.load(opened, allow_pickle=False) as found:
             return np.asarray(found["values"], dtype=np.float64)
     except FileNotFoundError:
         return None

@@ -20,8 +20,14 @@ MOST_POINTS = 10_000_000
 
 
 def is_real(value: object) -> TypeGuard[float]:
-    """Whether it is a number, which True and False are not; it may be infinite or NaN."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+    """Whether it is a number that a float can be, which True and False are not; it may be infinite or NaN."""
+    if not isinstance(value, numbers.Real) or isinstance(value, bool | np.bool_):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
 
 
 def real_array(name: str, value: object) -> Float[Array, "..."]:

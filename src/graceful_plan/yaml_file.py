@@ -15,6 +15,7 @@ from typing import ClassVar, TypeVar, final
 import yaml
 
 from graceful_plan.exceptions import NOT_READ, SceneError, why_not_read
+from graceful_plan.regular_file import path_of, read_content
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 16
@@ -165,7 +166,7 @@ class YamlTable(ABC):
             SceneError: If the file is broken, with the line.
             SettingError: If a value is out of its range.
         """
-        root = read_yaml(Path(file))
+        root = read_yaml(path_of(file))
         root.only("version", *cls.keys)
         root.check_version(cls.kind)
         return cls.parsed(root)
@@ -186,12 +187,9 @@ def read_yaml(file: Path) -> Block:
         SceneError: If it cannot be read, is too large or too deep, or uses anchors, aliases or tags.
     """
     try:
-        size = file.stat().st_size
-        content = file.read_bytes() if size <= MAX_BYTES else b""
+        content = read_content(file, MAX_BYTES)
     except NOT_READ as error:
         raise SceneError(why_not_read(error), file=str(file)) from None
-    if size > MAX_BYTES:
-        raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
     try:
         return parse_yaml(content.decode("utf-8"), str(file))
     except UnicodeDecodeError as error:

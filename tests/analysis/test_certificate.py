@@ -51,6 +51,27 @@ def test_no_way_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed:
     assert bound is not None and 0.0 <= bound <= float(np.linalg.norm(end - start)) + 1e-9
 
 
+def test_bounds_of_two_slides_and_a_hinge_by_hand():
+    """A slide moves the tool by as much as it moves itself, the hinge by .25 m a radian and turns it by as much."""
+    scene = Scene.from_mjcf(
+        """<mujoco><compiler angle="radian"/><worldbody>
+          <body name="arm/x"><joint name="arm/x" type="slide" axis="1 0 0" range="-2 2"/><geom size=".02" mass="1"/>
+            <body name="arm/y"><joint name="arm/y" type="slide" axis="0 1 0" range="-2 2"/><geom size=".02" mass="1"/>
+              <body name="arm/turn"><joint name="arm/turn" axis="0 0 1" range="-3 3"/>
+                <geom size=".02" mass="1" pos="0 0 .2"/><site name="arm/tool" pos=".25 0 0"/></body></body></body>
+        </worldbody></mujoco>""",
+        robot="arm/",
+        tool="arm/tool",
+        velocity=[1.0] * 3,
+        acceleration=[1.0] * 3,
+    )
+    objective, start = Objective().bind(scene), np.zeros(3)
+    far = PoseGoal.at([1.25, 0.0, 0.0], position_tolerance=0.1)
+    assert lower_bound(start, far, objective) == pytest.approx(0.9 / np.sqrt(1.0 + 1.0 + 0.25**2), rel=1e-5)
+    turned = PoseGoal.at([0.25, 0.0, 0.0], [np.cos(0.6), 0.0, 0.0, np.sin(0.6)], orientation_tolerance=0.05)
+    assert lower_bound(start, turned, objective) == pytest.approx(1.2 - 0.05, rel=1e-5)
+
+
 def test_a_pose_far_away_has_a_bound_above_zero(tabletop: Scene):
     X = compile_scene(tabletop).kernels.tool_pose(tabletop.keyframes["right"])
     X[0, 3] += 0.3

@@ -60,7 +60,7 @@ def test_a_configuration_is_passed_when_the_motion_is_nearest(gantry, share):
 @pytest.mark.parametrize("off", [0.5, 0.99, 1.01, 2.0, 30.0])
 def test_a_configuration_may_be_off_by_so_much(gantry, off):
     check, times = passing(straight_on((1.0, 0.0, 0.0)), [np.array([0.4, 0.0, off * NEAR])], gantry)
-    assert check.worst == pytest.approx(off, rel=1e-6) and check.passed == (off < 1.0)
+    assert check.worst == pytest.approx(off, rel=1e-6) and check.passed == (off < 1.0) and check.limit == 1.0
     assert times == (pytest.approx((0.4,), abs=1e-3) if off < 1.0 else ())
     if not check.passed:
         # Where it is nearest is as wide as it is off: joints count by the largest error.

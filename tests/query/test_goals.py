@@ -113,6 +113,33 @@ def test_a_goal_among_a_thousand_that_cannot_be_used_is_found(scene: Scene, star
     assert (result.status, result.goal_index) == (gp.PlanStatus.SOLVED, 700)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("count", [300, 1000, 20_000])
+@pytest.mark.parametrize("every", [None, 10])
+def test_what_is_usable_of_many_goals_is_planned_for(scene: Scene, start: np.ndarray, count: int, every: int) -> None:
+    """One alone, or a tenth; within which time is measured by the benchmark `hardening`."""
+    q = np.random.default_rng(1).uniform(*scene.limits.position.T, (2 * count + 1000, 7))
+    clearance = gp.clearance(scene, q)
+    blocked, clear = q[clearance < -0.05], q[clearance > 0.0]
+    goals = blocked[np.arange(count) % len(blocked)]
+    usable = [count // 2] if every is None else list(range(0, count, every))
+    goals[usable] = clear[np.arange(len(usable)) % len(clear)]
+    result = gp.plan(start, goals, scene, iterations=50)
+    assert result.status is gp.PlanStatus.SOLVED and result.goal_index in usable
+
+
+@pytest.mark.long
+def test_of_three_hundred_grasps_the_one_within_reach_is_found(scene: Scene, start: np.ndarray) -> None:
+    """All others are inside of the table."""
+    rng = np.random.default_rng(0)
+    turned = rng.normal(size=(300, 4))
+    tool = Placement(scene).place(start).site(scene.tool).xpos.copy()
+    grasps = [PoseGoal.at([0.55, 0.0, -0.25] + rng.normal(0.0, 0.02, 3), q / np.linalg.norm(q)) for q in turned]
+    grasps[217] = PoseGoal.at(tool + [0.0, 0.1, 0.05], [0.0, 1.0, 0.0, 0.0])
+    result = gp.plan(start, grasps, scene, time_limit=3.0)  # ten times what the benchmark `hardening` gives it
+    assert (result.status, result.goal_index) == (gp.PlanStatus.SOLVED, 217)
+
+
 def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.ndarray) -> None:
     """Grasps all around a place: those nearest to the tool give enough, those out of reach say so."""
     tool = Placement(scene).place(start).site(scene.tool)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.judge.exact import exactly_free, state_contacts
 from graceful_plan.scene import contacts
 from graceful_plan.scene.contacts import allowed_pairs, geoms_named, without
 from graceful_plan.scene.elements import AllowedContact
@@ -179,3 +180,21 @@ def test_more_contacts_may_be_allowed_later() -> None:
     assert len(later.add_box("crate", [0.1] * 3, [2.0, 0.0, 0.0]).allowed_contacts) == 1
     with pytest.raises(UnknownNameError, match="'r/nose'"):
         scene.with_allowed_contacts(AllowedContact("r/foot", "r/nose"))
+
+
+@pytest.mark.parametrize(("gap", "touching"), [(0.02, False), (0.001, False), (-0.001, True)])
+def test_what_is_within_a_margin_does_not_touch(gap: float, touching: bool) -> None:
+    """MuJoCo counts it among the contacts, with the distance that there still is."""
+    scene = gp.Scene.from_mjcf(
+        f"""<mujoco><worldbody>
+          <geom name="wall" type="box" size=".1 1 1" pos="{1.3 + gap} 0 0" margin=".05"/>
+          <body name="arm/x"><joint name="arm/x" type="slide" axis="1 0 0" range="-2 2"/>
+            <geom type="sphere" size=".2" mass="1" margin=".05"/><site name="arm/tool"/></body>
+        </worldbody></mujoco>""",
+        robot="arm/",
+        tool="arm/tool",
+        velocity=[1.0],
+        acceleration=[1.0],
+    )
+    assert bool(state_contacts(np.array([1.0]), scene)) is touching
+    assert exactly_free(np.array([[1.0]]), scene).tolist() == [not touching]

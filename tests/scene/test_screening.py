@@ -5,14 +5,17 @@ import zlib
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import LIBRARY
 
 from graceful_plan.exceptions import GracefulPlanError, SceneError, SettingError, TooLargeError
+from graceful_plan.scene.loading.weighing import mesh_weight
 from graceful_plan.scene.model_parts import check_numbers, check_supported
 from graceful_plan.scene.screening import compile_spec, load_spec, within_memory
+from graceful_plan.scene.urdf.reading import read_urdf
 
 _SCENES = LIBRARY / "scene" / "scenes"
 _BOX = '<geom type="box" size="1 1 1"/>'
@@ -305,25 +308,27 @@ def _png(width: int, height: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x02"
 
 
-_TOO_MUCH = {  # what there is too much of, by many small things: words of the message, content, file
+_TOO_MUCH = {  # what there is too much of, by many that are allowed: words of the message, content, how many
     "height fields": (
         "cells of height fields",
         '<asset><hfield name="h{}" nrow="4096" ncol="4096" size="1 1 1 1"/></asset>',
+        200,
     ),
-    "cube textures": ("pixels of textures", '<asset><texture name="t{}" builtin="flat" width="4096"/></asset>'),
-    "numerics": ("numbers in <numeric>", '<custom><numeric name="n{}" size="4096"/></custom>'),
+    "cube textures": ("pixels of textures", '<asset><texture name="t{}" builtin="flat" width="4096"/></asset>', 40),
+    "numerics": ("numbers in <numeric>", '<custom><numeric name="n{}" size="4096"/></custom>', 20_000),
     "users' own": (
         "numbers of users' own",
-        '<size nuser_body="4096" nuser_geom="4096" nuser_jnt="4096" nuser_site="{}"/>',
+        '<worldbody><site name="s{}"/></worldbody><size nuser_site="100" nuser_geom="100"/>',
+        300,
     ),
 }
 
 
 @pytest.mark.parametrize("attack", _TOO_MUCH)
 def test_budgets_are_for_all_elements_together(tmp_path: Path, attack: str) -> None:
-    words, one = _TOO_MUCH[attack]
-    body = "".join(one.format(4096 + k if attack == "users' own" else k) for k in range(300))
-    assert words in str(_refusal(_write(tmp_path, "world.xml", f"<mujoco>{body}</mujoco>".replace("4097", "4096"))))
+    words, one, many = _TOO_MUCH[attack]
+    body = "".join(one.format(k) for k in range(many))
+    assert words in str(_refusal(_write(tmp_path, "world.xml", f"<mujoco>{body}</mujoco>")))
 
 
 def test_files_are_weighed_by_their_headers(tmp_path: Path) -> None:
@@ -337,9 +342,42 @@ def test_files_are_weighed_by_their_headers(tmp_path: Path) -> None:
         tmp_path, "h.xml", '<mujoco><asset><hfield name="h" file="huge.png" size="1 1 1 1"/></asset></mujoco>'
     )
     assert "cells of height fields" in str(_refusal(hills))
-    (tmp_path / "fine.obj").write_bytes(b"\nv 0 0 0" * 2_000_001)
+    (tmp_path / "fine.obj").write_bytes(b"v 0 0 0" + b"\nv 0 0 0" * 1_000_000 + b"\nf 1 2 3")
     mesh = _write(tmp_path, "m.xml", '<mujoco><asset><mesh name="m" file="fine.obj"/></asset></mujoco>')
-    assert "vertices and faces of meshes" in str(_refusal(mesh))
+    assert "'fine.obj' has 1000001 vertices and faces; at most 1000000" in str(_refusal(mesh))
+    collision = '<collision><geometry><mesh filename="fine.obj"/></geometry></collision>'
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="hand">{collision}</link></robot>')
+    with pytest.raises(SceneError, match=r"fine\.obj: 1000001 vertices and faces; at most 1000000"):
+        read_urdf(tmp_path / "arm.urdf")
+
+
+def test_meshes_are_weighed_together(tmp_path: Path) -> None:
+    names = [f"part{k}.obj" for k in range(3)]
+    for name in names:
+        (tmp_path / name).write_bytes(b"v 0 0 0\n" * 700_000)
+    meshes = "".join(f'<mesh name="m{k}" file="{name}"/>' for k, name in enumerate(names))
+    model = _write(tmp_path, "m.xml", f"<mujoco><asset>{meshes}</asset></mujoco>")
+    assert "more than 2000000 vertices and faces of meshes in all" in str(_refusal(model))
+
+
+def test_corners_of_an_stl_that_are_at_one_place_count_once() -> None:
+    """A closed surface has half as many corners as faces; one of loose triangles three times as many."""
+    corners = np.random.default_rng(0).normal(size=(302, 3)).astype("<f4")
+    triangles = np.zeros(600, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    triangles["corners"] = corners[np.arange(1800).reshape(600, 3) % 302]
+    head = bytes(80) + len(triangles).to_bytes(4, "little")
+    assert mesh_weight(head + triangles.tobytes(), ".STL") == 600 + 302
+    triangles["corners"] = np.arange(5400).reshape(600, 3, 3)
+    assert mesh_weight(head + triangles.tobytes(), ".stl") == 600 + 1800
+    assert mesh_weight(b"", ".stl") == mesh_weight(b"solid", ".stl") == 0
+
+
+def test_numbers_of_users_own_count_for_each_element() -> None:
+    body = f'<replicate count="4000">{_BOX}</replicate>'
+    text = '<mujoco><size nuser_geom="{}"/><worldbody>' + body + "</worldbody></mujoco>"
+    assert compile_spec(load_spec(text.format(100))).nuser_geom == 100
+    with pytest.raises(SceneError, match=r"4096 for each of \d+ elements .* more than 10000000 numbers of users' own"):
+        load_spec(text.format(4096))
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
@@ -370,9 +408,9 @@ def test_a_picture_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) 
 
 @pytest.mark.parametrize("line", [b"\n  v 0 0 0", b"\n\tv\t0 0 0", b"\rv 0 0 0", b"\n f 1 2 3"])
 def test_lines_of_a_mesh_count_however_they_begin(tmp_path: Path, line: bytes) -> None:
-    (tmp_path / "fine.obj").write_bytes(2_000_001 * line)
+    (tmp_path / "fine.obj").write_bytes(1_000_001 * line)
     mesh = _write(tmp_path, "m.xml", '<mujoco><asset><mesh name="m" file="fine.obj"/></asset></mujoco>')
-    assert "vertices and faces of meshes" in str(_refusal(mesh))
+    assert "vertices and faces" in str(_refusal(mesh))
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from graceful_plan.exceptions import SettingError
+from graceful_plan.path import is_real
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,7 @@ class AtTime:
     time: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.time) and self.time >= 0.0):
+        if not (is_real(self.time) and math.isfinite(self.time) and self.time >= 0.0):
             raise SettingError("time", self.time, "a finite time >= 0 s")
 
     def onset(self, u: float, duration: float) -> float:

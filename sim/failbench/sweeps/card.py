@@ -51,7 +51,7 @@ Motions: {motions}. Faults: {faults}.
 def write_card(folder: Path, sweep: Sweep, manifest: Mapping[str, Any]) -> None:
     """Write the card of a dataset, but not over a README.md of somebody else."""
     file = folder / CARD
-    if file.exists() and _MARK not in file.read_text(encoding="utf-8", errors="replace"):
+    if file.exists() and not (file.is_file() and _MARK in file.read_text(encoding="utf-8", errors="replace")):
         return
     text = _TEXT.format(
         # Hugging Face refuses files without rows.

@@ -19,6 +19,7 @@ from failbench.basics.chunks import Rows
 from failbench.basics.errors import MissingExtra
 from failbench.basics.tables import TABLES, VERSION, arrow_schema
 from graceful_plan.exceptions import FormatError
+from graceful_plan.regular_file import path_of, read_content
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -109,7 +110,7 @@ def read_dataset(folder: str | Path) -> Dataset:
     check_arrow()
     import pyarrow as pa
 
-    folder = Path(folder)
+    folder = path_of(folder)
     manifest = read_manifest(folder)
     parts = {folder / part["file"]: part for part in manifest["parts"]}
     for file in _files(folder):
@@ -129,7 +130,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     file = folder / MANIFEST
     try:
-        manifest = json.loads(file.read_bytes())
+        manifest = json.loads(read_content(file))
     except FileNotFoundError:
         raise FormatError(str(file), "missing: no dataset, or one that was never finished") from None
     except OSError as error:
@@ -224,7 +225,7 @@ def _read_part(file: Path, part: Mapping[str, Any], version: int) -> pa.Table:
     import pyarrow.parquet as pq
 
     try:
-        content = file.read_bytes()
+        content = read_content(file)
     except OSError as error:
         raise FormatError(str(file), f"missing: {error.strerror}") from None
     if len(content) != part["bytes"]:

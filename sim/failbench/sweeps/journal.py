@@ -19,7 +19,8 @@ from typing import Any
 
 from failbench.basics.chunks import Chunk, ChunkOutcome, Rows
 from failbench.basics.errors import SweepBusy
-from graceful_plan.exceptions import FormatError
+from graceful_plan.exceptions import FormatError, why_not_read
+from graceful_plan.regular_file import check_regular
 
 _SCHEMA = "failbench.journal"
 _VERSION = 1
@@ -47,6 +48,7 @@ class SweepJournal:
     def __init__(self, file: Path) -> None:
         self.file = file
         with self._errors():
+            check_regular(file)
             self._database = sqlite3.connect(file, timeout=0.0, isolation_level=None)
         try:
             with self._errors():
@@ -163,5 +165,7 @@ class SweepJournal:
             if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
                 raise SweepBusy(self.file) from None
             raise FormatError(str(self.file), f"cannot be used: {error}") from None
+        except OSError as error:
+            raise FormatError(str(self.file), why_not_read(error)) from None
         except (sqlite3.DatabaseError, zlib.error, json.JSONDecodeError, UnicodeDecodeError) as error:
             raise FormatError(str(self.file), f"damaged, or no journal of a sweep: {error}") from None

@@ -30,6 +30,7 @@ from failbench.sweeps.executors import Executor, LocalExecutor
 from failbench.sweeps.journal import SweepJournal
 from failbench.sweeps.work import PlanSettings, Sweep, SweepMotion, execution_of, fault_of, own_file, run_chunk
 from graceful_plan.exceptions import FormatError, SettingError
+from graceful_plan.regular_file import path_of
 
 JOURNAL = "journal.sqlite"
 
@@ -83,7 +84,7 @@ def generate(
         MissingExtra: If pyarrow is not installed.
     """
     check_arrow()  # before hours of work, not after
-    folder = Path(folder)
+    folder = path_of(folder)
     folder.mkdir(parents=True, exist_ok=True)
     # Planned before there is a journal, so that one that is there was begun but for a kill within milliseconds.
     is_there = (folder / JOURNAL).exists()
@@ -104,7 +105,7 @@ def resume(folder: str | Path, *, executor: Executor | None = None, callback: Ca
         FormatError: If no sweep was begun there, or it was begun with other versions, files or settings.
     """
     check_arrow()
-    with _begun(Path(folder)) as journal:
+    with _begun(path_of(folder)) as journal:
         return _finish(journal, Path(folder), executor, callback)
 
 
@@ -126,7 +127,7 @@ def read_sweep(folder: str | Path) -> Sweep:
         FormatError: If none was, or its journal is damaged.
         SweepBusy: If another process is working on it.
     """
-    with _begun(Path(folder)) as journal:
+    with _begun(path_of(folder)) as journal:
         return Sweep.from_document(journal.about["sweep"], str(journal.file))
 
 

@@ -21,6 +21,7 @@ from failbench.surroundings.registry import Disturbance, disturbances, staged_fo
 from failbench.sweeps.rows import contact_rows, rollout_row
 from graceful_plan import Scene, Trajectory
 from graceful_plan.exceptions import FormatError, GracefulPlanError, SettingError, UnknownNameError
+from graceful_plan.formats.samples import text_of
 
 _SCHEMA = "failbench.sweep"
 _VERSION = 1
@@ -212,13 +213,11 @@ class Sweep:
             FormatError: If the file cannot be read or holds no such document, or a setting is out of its range.
         """
         try:
-            return cls.from_document(json.loads(Path(file).read_text(encoding="utf-8")), str(file))
+            return cls.from_document(json.loads(text_of(file, lambda _: False, "JSON")[1]), str(file))
         except FormatError as error:
             raise FormatError(str(file), error.problem) from None
         except GracefulPlanError as error:
             raise FormatError(str(file), str(error)) from None
-        except OSError as error:
-            raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
         except (ValueError, RecursionError) as error:
             raise FormatError(str(file), f"not JSON: {error}") from None
 

@@ -17,7 +17,7 @@ from graceful_plan.core.arrays import RobotArrays
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.costs.objective import Objective, SceneObjective
-from graceful_plan.exceptions import SettingError
+from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Certificate, PlanResult
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
@@ -54,7 +54,7 @@ def certify(
             raise SettingError("motion", motion.status.name, "a result with a trajectory")
         moved, length, w = motion.trajectory, motion.cost.motion, motion.cost.w
     else:
-        moved = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
+        moved = motion if isinstance(motion, Path | Trajectory) else Path(finite_array("motion", motion, ndim=2))
         length = moved.length if isinstance(moved, Path) else moved.path.length
     clear = certified_clearance(moved, compile_scene(bound.scene).proof)
     least = lower_bound(moved.q[0], moved.q[-1:] if goal is None else goal, bound)
@@ -73,6 +73,8 @@ def lower_bound(start: Float[Array, " nq"], goal: PoseGoal | ArrayLike, objectiv
     if isinstance(goal, PoseGoal):
         return _least_to_pose(start, goal, objective.kernels)
     goals = np.atleast_2d(finite_array("goal", goal, last=len(start)))
+    if not len(goals):
+        raise ShapeError("goal", goals.shape, f"(n >= 1, {len(start)})")
     return float(np.linalg.norm(goals - start, axis=1).min())
 
 

@@ -19,7 +19,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import ChargedStates, Objective
 from graceful_plan.exceptions import CostError, SettingError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, is_real
 from graceful_plan.result import CostBreakdown, PlanningFailed, PlanResult
 from graceful_plan.scene.elements import Carried
 from graceful_plan.scene.scene import Scene
@@ -164,7 +164,7 @@ def explain(
     objective = objective or Objective()
     if not isinstance(objective.impact, ImpactCost):
         raise SettingError("objective.impact", objective.impact, "an ImpactCost: other costs do not tell who is hit")
-    if not np.isfinite(start_time):
+    if not (is_real(start_time) and np.isfinite(start_time)):
         raise SettingError("start_time", start_time, "a finite time [s]")
     if isinstance(motion, PlanResult):
         if motion.trajectory is None:

@@ -29,7 +29,7 @@ from graceful_plan.costs.models.mixture.mixture import FALLING
 from graceful_plan.exceptions import SettingError, ShapeError
 from graceful_plan.judge.exact import Judge
 from graceful_plan.judge.motion_samples import reach
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.scene import Scene
 
@@ -37,6 +37,8 @@ Array = np.ndarray
 
 DIRECTIONS = 8
 """Directions of motion over which a map is averaged if none is given."""
+_MOST = 1000.0
+"""Height [m] and speed [m/s]; the kernels take no more."""
 MAX_CELLS = 1_000_000
 _MARGIN = 0.2  # around entities [m]
 _FAR_BELOW = 0.3  # the surface; what is lower does not widen the map [m]
@@ -158,10 +160,10 @@ def impact_map(
     if not isinstance(impact, ImpactCost):
         raise SettingError("impact", impact, "an ImpactCost: other costs do not tell who is hit")
     for name, value in (("height", height), ("speed", speed)):
-        if not 0.0 <= value < np.inf:
-            raise SettingError(name, value, "a finite number of at least 0")
+        if not (is_real(value) and 0.0 <= value <= _MOST):
+            raise SettingError(name, value, f"a finite number of at least 0 and at most {_MOST:g}")
     for name, value, unit in (("direction", direction, "an angle [rad]"), ("surface", surface, "a height in W [m]")):
-        if value is not None and not np.isfinite(value):
+        if value is not None and not (is_real(value) and np.isfinite(value)):
             raise SettingError(name, value, f"{unit}, finite, or None")
     rotation = _rotation(scene, q)
     gantry = gantry_scene(scene, rotation)
@@ -259,7 +261,7 @@ def _bounds(scene: Scene, tables: DropTables, surface: float) -> tuple[float, fl
 
 def _cells(bounds: Sequence[float], resolution: float) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
     box = finite_array("bounds", np.array(bounds), ndim=1, last=4).reshape(2, 2)
-    if not 0.0 < resolution < np.inf:
+    if not (is_real(resolution) and 0.0 < resolution < np.inf):
         raise SettingError("resolution", resolution, "a finite width of cells above 0 [m]")
     if not np.all(box[:, 0] < box[:, 1]):
         raise SettingError("bounds", bounds, "least x, greatest x, least y, greatest y [m]")

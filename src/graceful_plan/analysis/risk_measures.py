@@ -42,7 +42,7 @@ from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import Objective, trajectory_batch
 from graceful_plan.documents import table
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, finite_array, is_real
 from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -204,14 +204,14 @@ def risk(
         SettingError: If a setting makes no sense, or `impact` has no interaction model.
     """
     check_level(level)
-    if not np.isfinite(start_time):
+    if not (is_real(start_time) and np.isfinite(start_time)):
         raise SettingError("start_time", start_time, "a finite time [s]")
     if not 0.0 < speed <= 1.0:
         raise SettingError("speed", speed, "a fraction in (0, 1]")
     cost = Objective().impact if impact is None else impact
     law = HarmLaw(cost, scene)
     objective = Objective(impact=cost).bind(scene, (speed, speed))
-    points = motion if isinstance(motion, Path | Trajectory) else Path(np.asarray(motion))
+    points = motion if isinstance(motion, Path | Trajectory) else Path(finite_array("motion", motion, ndim=2))
     charged = objective.charged_states(points)  # also refuses what does not fit the scene
     if isinstance(points, Trajectory):
         batch, weight = _moments(points, scene, start_time)

@@ -13,6 +13,7 @@ import yaml
 from graceful_plan.annotation.questions import MOST_FRAGILITY, entity_classes
 from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.path import is_real
+from graceful_plan.regular_file import path_of
 from graceful_plan.scene.elements import EntityNote
 from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.harm.severity import SeverityTable, check_severity
@@ -115,7 +116,7 @@ class Annotations:
         Raises:
             SceneError: If it is broken, or a name or number in it makes no sense; with the line.
         """
-        root = read_yaml(Path(file))
+        root = read_yaml(path_of(file))
         root.only("version", "scene", "model", "endpoint", "pictures", "entities")
         root.check_version("annotations")
         pictures = root["pictures"]

@@ -66,7 +66,7 @@ class GraspHolds(FeltConstraint):
 
     def __post_init__(self) -> None:
         for name, value in (("friction", self.friction), ("force", self.force)):
-            if value is not None and not (np.isfinite(value) and value > 0.0):
+            if value is not None and not (is_real(value) and 0.0 < value < np.inf):
                 raise SettingError(name, value, "a finite number above 0")
         if not (is_real(self.share) and 0.0 < self.share <= 1.0):
             raise SettingError("share", self.share, "above 0 and at most 1")

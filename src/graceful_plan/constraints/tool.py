@@ -12,7 +12,7 @@ from graceful_plan.array_types import Float
 from graceful_plan.constraints.constraint import Constraint
 from graceful_plan.costs.cost import StateBatch
 from graceful_plan.exceptions import SettingError, UnknownNameError
-from graceful_plan.path import finite_array
+from graceful_plan.path import finite_array, is_real
 from graceful_plan.scene.rules.rules import BoxRule, SpeedRule, Vector
 from graceful_plan.scene.scene import Scene
 
@@ -80,7 +80,7 @@ class ToolSpeed(Constraint):
     def __post_init__(self) -> None:
         for name in ("limit", "within"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
+            if not (is_real(value) and 0.0 < value < np.inf):
                 raise SettingError(name, value, "a finite number above 0")
 
     def rule(self, scene: Scene) -> SpeedRule:

@@ -27,6 +27,7 @@ from types import MappingProxyType
 from typing import final
 
 from graceful_plan.exceptions import SettingError, UnknownNameError
+from graceful_plan.regular_file import path_of
 from graceful_plan.yaml_file import Block, read_yaml
 
 FAILURES = ("drop", "spill", "collapse", "joint", "stuck", "stray")
@@ -137,7 +138,7 @@ class FaultPrior:
             UnknownNameError: If it has no such preset, or no effects for the degree.
             SettingError: If it has several presets, and none is named.
         """
-        root = _versioned(read_yaml(Path(file)), "presets", "effects")
+        root = _versioned(read_yaml(path_of(file)), "presets", "effects")
         own, shipped = root.get("effects"), _shipped_effects()
         tables = {} if own is None else _read_effects(own)
         known = {key: {**shipped.get(key, {}), **tables.get(key, {})} for key in {*shipped, *tables}}

@@ -24,6 +24,7 @@ from graceful_plan.floor.files.moving_ai import read_moving_ai, write_moving_ai
 from graceful_plan.floor.furnishing import furnished
 from graceful_plan.floor.slicing import sliced
 from graceful_plan.path import finite_array, is_real
+from graceful_plan.regular_file import path_of
 from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.scene import Scene
 from graceful_plan.scene.sensed.height_map import HeightMap
@@ -113,7 +114,7 @@ class FloorMap:
         Raises:
             FormatError: If a file is broken, truncated, too large or hostile, or not there.
         """
-        read = read_map_server(Path(file), None if image is None else Path(image), MAX_CELLS)
+        read = read_map_server(path_of(file), None if image is None else path_of(image), MAX_CELLS)
         return cls(occupancy=read.occupancy, resolution=read.resolution, origin=read.origin, name=_name_of(file))
 
     @classmethod
@@ -123,7 +124,7 @@ class FloorMap:
         Raises:
             FormatError: If the file is broken, truncated or too large, or not there.
         """
-        blocked = read_moving_ai(Path(file), MAX_CELLS)
+        blocked = read_moving_ai(path_of(file), MAX_CELLS)
         return cls(occupancy=blocked, resolution=resolution, name=_name_of(file))
 
     @classmethod

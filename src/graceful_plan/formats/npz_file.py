@@ -13,6 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.regular_file import open_regular, path_of
 
 Array = np.ndarray
 
@@ -41,8 +42,9 @@ def read_arrays(file: str | Path, most_bytes: int = MOST_BYTES) -> dict[str, Arr
         FormatError: If it is broken, holds more than so many bytes or anything but arrays of numbers and texts, or is
             not there.
     """
+    path = path_of(file)
     try:
-        opened = Path(file).open("rb")
+        opened = open_regular(path)
     except NOT_READ as error:
         raise FormatError(str(file), why_not_read(error)) from None
     try:

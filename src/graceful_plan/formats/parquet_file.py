@@ -9,6 +9,7 @@ import numpy as np
 
 from graceful_plan.exceptions import NOT_READ, FormatError, GracefulPlanError, why_not_read
 from graceful_plan.formats.samples import SCHEMA, UNITS, VERSION, TimedSamples, from_columns
+from graceful_plan.regular_file import path_of, read_content
 
 MOST_NUMBERS = 2**27
 """Rows times columns of a table that is read: runs of equal numbers take next to nothing in a file."""
@@ -57,8 +58,9 @@ def from_parquet(file: str | Path) -> TimedSamples:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    path = path_of(file)
     try:
-        content = Path(file).read_bytes()
+        content = read_content(path)
     except NOT_READ as error:
         raise FormatError(str(file), why_not_read(error)) from None
     try:

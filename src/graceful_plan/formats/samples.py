@@ -10,6 +10,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.regular_file import path_of, read_content
 
 Array = np.ndarray
 
@@ -63,8 +64,9 @@ def text_of(source: str | Path, is_text: Callable[[str], bool], kind: str) -> tu
     """
     if isinstance(source, str) and is_text(source):
         return f"{kind} text", source
+    path = path_of(source)
     try:
-        content = Path(source).read_bytes()
+        content = read_content(path)
     except NOT_READ as error:
         raise FormatError(str(source), why_not_read(error)) from None
     try:

@@ -24,7 +24,7 @@ from graceful_plan.judge.preparation import own_placement
 from graceful_plan.judge.reference_cost import reference_cost
 from graceful_plan.judge.rule_checks import rule_checks
 from graceful_plan.judge.second_opinion import opinion_of_fcl
-from graceful_plan.path import Path, finite_array
+from graceful_plan.path import Path, finite_array, is_real
 from graceful_plan.result import Check, CostBreakdown, Verdict
 from graceful_plan.scene.pose_goal import PoseGoal, pose_error
 from graceful_plan.scene.rules.rules import Ruled, default_rules
@@ -66,7 +66,7 @@ class Verification:
 
 
 def _check_step(step: float) -> None:
-    if not (np.isfinite(step) and step > 0.0):
+    if not (is_real(step) and np.isfinite(step) and step > 0.0):
         raise SettingError("step", step, "a finite distance > 0 m")
 
 
@@ -148,6 +148,8 @@ def verify(
         checks["goal"] = _pose(goal, motion.q[-1], scene, float(end[1]))
     elif goal is not None:
         goals = np.atleast_2d(finite_array("goal", goal, last=nq))
+        if not len(goals):
+            raise ShapeError("goal", goals.shape, f"({nq},) or (n >= 1, {nq})")
         checks["goal"] = _end_point(motion.q[-1], goals, float(end[1]), scene.endless)
     if too_long:
         return Verdict(checks=checks)

@@ -144,7 +144,12 @@ class Budget:
     @property
     def exhausted(self) -> bool:
         """Whether nothing is left or somebody cancelled."""
-        return self.remaining_iterations <= 0 or self.elapsed >= self.time_limit or self.cancelled()
+        return self.remaining_iterations <= 0 or self.over
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is up or somebody cancelled: what an iteration that takes long asks on the way."""
+        return self.elapsed >= self.time_limit or self.cancelled()
 
     def spend(self, n: int = 1) -> bool:
         """Count `n` iterations; return whether there was budget for them."""

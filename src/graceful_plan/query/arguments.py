@@ -146,8 +146,8 @@ def checked_callback(callback: Callback | None) -> Callback | None:
 def checked_time_limit(time_limit: object, iterations: object) -> float:
     """Return how many seconds the call may take; infinite if iterations alone limit it."""
     whole = isinstance(iterations, numbers.Integral) and not isinstance(iterations, bool)
-    if iterations is not None and not (whole and int(iterations) >= 0):  # type: ignore[call-overload]
-        raise SettingError("iterations", iterations, "a whole number, at least 0")
+    if iterations is not None and not (whole and 0 <= int(iterations) < 2**63):  # type: ignore[call-overload]
+        raise SettingError("iterations", iterations, "a whole number from 0 on, of 63 bits")
     if time_limit is not None and not (is_real(time_limit) and time_limit >= 0.0):
         raise SettingError("time_limit", time_limit, "a number of seconds, at least 0")
     if time_limit is None:

@@ -19,7 +19,8 @@ from xml.parsers import expat
 import mujoco
 
 from graceful_plan.exceptions import NOT_READ, SceneError, SettingError, TooLargeError, why_not_read
-from graceful_plan.scene.loading.weighing import Swollen, check_png, weighed
+from graceful_plan.regular_file import path_of, read_content
+from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, Swollen, check_png, weighed
 
 MAX_BYTES = 10_000_000
 MAX_ASSET_BYTES = 100_000_000
@@ -73,14 +74,16 @@ def load_spec(source: str | Path | mujoco.MjSpec, folder: str | Path | None = No
 
     Raises:
         SceneError: If it is broken or hostile, with file and line.
-        SettingError: If the model's file is not in that folder.
+        SettingError: If it is none of these, or the model's file is not in that folder.
     """
+    if not isinstance(source, str | Path | mujoco.MjSpec):
+        raise SettingError("source", source, "MJCF, the name of a file of it, or a MjSpec")
     if not isinstance(source, str | Path):
         return source.copy()
     if isinstance(source, str) and source.lstrip().startswith("<"):
         _Screen(None).text(source)
         return _parsed(source, None)
-    file = Path(source)
+    file = path_of(source)
     if file.suffix.lower() == ".mjb":
         raise SceneError("binary models cannot be screened; give the MJCF", file=str(file))
     _Screen(_root(file, folder), up=folder is not None).model(file)
@@ -91,7 +94,7 @@ def _root(file: Path, folder: str | Path | None) -> Path:
     """Return the folder that files have to be in."""
     if folder is None:
         return file.parent.resolve()
-    root = Path(folder).resolve()
+    root = path_of(folder).resolve()
     if not (root.is_dir() and file.resolve().is_relative_to(root)):
         raise SettingError("folder", str(folder), f"one that {str(file)!r} is in")
     return root
@@ -149,6 +152,8 @@ class _Screen:
     up: bool = False
     """Whether ".." may lead from one folder below the root into another."""
     elements: int = 0
+    users: int = 0
+    """Numbers of users' own that every element may have."""
     files: int = 0
     reading: list[Path] = field(default_factory=list)
     places: set[Path] = field(default_factory=set)
@@ -178,8 +183,7 @@ class _Screen:
     def model(self, file: Path) -> None:
         """Screen a file, what it includes and the assets that it names."""
         self.file(file, 1)
-        for asset in self.assets:
-            self.asset(asset)
+        self.whole(str(file))
 
     def text(self, text: str) -> None:
         """Screen a model that is not in a file, so that there is no folder to find others in."""
@@ -188,18 +192,21 @@ class _Screen:
         except UnicodeEncodeError as error:
             raise SceneError(f"no text that UTF-8 has: {error.reason}", file="<text>") from None
         _XmlReader(self, "<text>", 1).read(content)
+        self.whole("<text>")
+
+    def whole(self, name: str) -> None:
+        """Screen what is known once all elements are."""
+        if said := self.spend("numbers of users' own", self.users * self.elements):
+            raise SceneError(f"with {self.users} for each of {self.elements} elements there are {said}", file=name)
         for asset in self.assets:
             self.asset(asset)
 
     def file(self, file: Path, replicas: int) -> None:
         """Screen a file that is wanted so many times."""
         try:
-            size = file.stat().st_size
-            content = file.read_bytes() if size <= MAX_BYTES else b""
+            content = read_content(file, MAX_BYTES)
         except NOT_READ as error:
             raise SceneError(why_not_read(error), file=str(file)) from None
-        if size > MAX_BYTES:
-            raise SceneError(f"{size} bytes, at most {MAX_BYTES} are read", file=str(file))
         resolved = file.resolve()
         if resolved in self.reading:
             raise SceneError("includes itself", file=str(file))
@@ -225,7 +232,7 @@ class _Screen:
                 by_name = Path(os.path.normpath(place / path))  # what is opened by somebody who does not follow it
                 if not (resolved.is_relative_to(self.root) and by_name.is_relative_to(self.root)):
                     return None
-                if resolved.is_file():
+                if resolved.exists() and not resolved.is_dir():  # also pipes, which opening then refuses
                     found.append(resolved)
         return found
 
@@ -238,11 +245,14 @@ class _Screen:
         for file in set(found) - self.weighed:
             self.weighed.add(file)
             try:
-                self.spend_on(asset, "bytes of assets", file.stat().st_size)
-                content = file.read_bytes()
-            except OSError as error:
-                raise SceneError(f"cannot be read: {error.strerror}", file=str(file)) from None
+                content = read_content(file, MAX_ASSET_BYTES)
+            except NOT_READ as error:
+                raise SceneError(why_not_read(error), file=str(file)) from None
+            self.spend_on(asset, "bytes of assets", len(content))
             if amount := weighed(asset.tag, content, file.suffix):
+                if asset.tag == "mesh" and amount[1] > MOST_OF_A_MESH:
+                    said = f"{asset.given!r} has {amount[1]} vertices and faces; at most {MOST_OF_A_MESH} are read"
+                    raise SceneError(said, file=asset.file, line=asset.line)
                 self.spend_on(asset, *amount)
             try:
                 check_png(file, content)
@@ -328,8 +338,7 @@ class _XmlReader:
             given = sum(len(attributes.get(key, "").split()) for key in ("vertex", "face"))
             return [("vertices and faces of meshes", given / 3)]
         if tag == "size":
-            users = sum(number(key) for key in attributes if key.startswith("nuser_"))
-            return [("numbers of users' own", users * MAX_ELEMENTS / 100)]
+            self.screen.users += sum(number(key) for key in attributes if key.startswith("nuser_"))
         return []
 
     def end(self, _tag: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
-from graceful_plan.path import Path
+from graceful_plan.path import Path, real_array
 from graceful_plan.scene.elements import Limits
 from graceful_plan.timing.blend import Curve, CurveGrid, Polyline, merge_near_vertices, rounded
 from graceful_plan.timing.topp import InverseDynamics, Restraint, fastest, fastest_with_toppra
@@ -67,7 +67,7 @@ def retime(
         raise ShapeError("path", path.q.shape, f"(n, {len(joints)} joints)")
     if not 0.0 < speed <= 1.0:
         raise SettingError("speed", speed, "0 < speed <= 1")
-    if not np.all(np.isfinite(deviation) & (np.asarray(deviation) >= 0.0)):
+    if not (real_array("deviation", deviation) >= 0.0).all() or np.isinf(deviation).any():
         raise SettingError("deviation", deviation, "a finite distance >= 0 rad")
     if not path.length <= _LONGEST:
         raise RetimingError(f"the path is {path.length:.3g} rad long, at most {_LONGEST:g} rad are timed")

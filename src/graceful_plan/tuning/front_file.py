@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, final
 
 from graceful_plan import documents
 from graceful_plan.exceptions import FormatError
+from graceful_plan.formats.samples import text_of
 from graceful_plan.path import Path, finite_array
 from graceful_plan.result import Check, CostBreakdown, PlanStatus, Verdict
 from graceful_plan.timing.trajectory import Trajectory
@@ -64,12 +65,9 @@ def read_front(source: str | FilePath) -> FrontParts:
     Raises:
         FormatError: If it is not such a document.
     """
-    is_text = isinstance(source, str) and source.lstrip().startswith("{")
-    name = "JSON text" if is_text else str(source)
+    name, text = text_of(source, lambda text: text.lstrip().startswith("{"), "JSON")
     try:
-        document = json.loads(str(source) if is_text else FilePath(source).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FormatError(name, f"cannot be read: {error.strerror}") from None
+        document = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise FormatError(name, f"not JSON: {error}") from None
     return _FrontReader(name).front(document)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.query.driving.pacing import SHARES, Charges, Pieces, cheapest_law
 from graceful_plan.query.driving.walkers import Walkers
 from hall import hall
@@ -73,6 +74,14 @@ def test_who_is_far_away_changes_nothing_and_w_of_0_still_drives_into_nobody():
 def test_the_planner_over_cells_and_time_alone():
     result = planned(SCENE.with_moving(CROSSING), planner="floor_in_time")
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["passing_by"].passed
+
+
+def test_who_cancels_does_not_wait_until_all_is_known_of_those_who_walk(monkeypatch):
+    looked, moving_state = [], ImpactCost.moving_state
+    monkeypatch.setattr(ImpactCost, "moving_state", lambda *given: looked.append(given) or moving_state(*given))
+    scene = SCENE.with_moving(CROSSING)
+    result = planned(scene, planner="floor_in_time", time_limit=600.0, iterations=None, cancelled=lambda: bool(looked))
+    assert result.status is gp.PlanStatus.CANCELLED and len(looked) == 1
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 
 import graceful_plan as gp
 from graceful_plan.exceptions import SceneError, UnsupportedError
+from graceful_plan.scene import scene as scene_module
 from graceful_plan.scene.urdf.convex_parts import convex_parts
 from graceful_plan.scene.urdf.meshes import mesh_content, mesh_triangles, obj_content
+from graceful_plan.scene.urdf.reading import UrdfRobot, read_urdf
 
 Array = np.ndarray
 
@@ -70,6 +73,23 @@ def test_an_angle_has_parts_that_leave_its_bend_free() -> None:
 def test_what_its_hull_fits_stays_whole() -> None:
     assert convex_parts(box([0, 0, 0], [0.4, 0.1, 0.1]), "box", needed=True) == []
     assert convex_parts(np.zeros((2, 3, 3)), "point", needed=True) == []
+
+
+def test_a_robot_whose_links_are_apart_is_not_read_again_to_be_divided(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool | None] = []
+
+    def read(*given: Any, decompose: bool | None) -> UrdfRobot:
+        asked.append(decompose)
+        return read_urdf(*given, decompose=decompose)
+
+    monkeypatch.setattr(scene_module, "read_urdf", read)
+    (tmp_path / "angle.obj").write_bytes(obj_content(angle()))
+    file = tmp_path / "crane.urdf"
+    file.write_text(URDF)
+    gp.Scene.from_urdf(file, tool="angle", acceleration=2.0)
+    assert asked == [False]
 
 
 def test_a_robot_passes_what_is_in_a_bend(tmp_path: Path) -> None:

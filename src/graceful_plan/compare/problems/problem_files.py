@@ -18,8 +18,9 @@ import yaml
 from graceful_plan.compare.problems.motion_problem import Obstacle, ProblemFile
 from graceful_plan.compare.problems.plain_values import Value
 from graceful_plan.compare.problems.problem_formats import moveit_problem, robometrics_problems, vamp_problems
-from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from graceful_plan.exceptions import NOT_READ, FormatError, SettingError, UnknownNameError, why_not_read
 from graceful_plan.path import is_real
+from graceful_plan.regular_file import path_of, read_content
 
 __all__ = ["Obstacle", "ProblemFile", "load_problems"]
 
@@ -52,7 +53,7 @@ def load_problems(
     """
     if not (is_real(fingers) and 0.0 <= fingers <= _WIDEST):
         raise SettingError("fingers", fingers, f"a number in [0, {_WIDEST}] [m]")
-    place = Path(path)
+    place = path_of(path)
     found = tuple(_folder(place, fingers) if place.is_dir() else _file(place, fingers))
     if not found:
         raise FormatError(str(place), "holds no problem")
@@ -100,14 +101,11 @@ def _has_requests(folder: Path) -> bool:
 
 def _read_text(file: Path) -> str:
     try:
-        size = file.stat().st_size
-        if size > MAX_BYTES:
-            raise FormatError(str(file), f"{size} bytes, at most {MAX_BYTES} are read")
-        text = file.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+        text = read_content(file, MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
         raise FormatError(str(file), f"is not UTF-8: {error.reason}") from None
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error)) from None
     if text.startswith("version https://git-lfs"):
         raise FormatError(str(file), "is a pointer of git-lfs, not the file itself; fetch it with `git lfs pull`")
     return text
@@ -137,7 +135,8 @@ def _screen(text: str, file: Path) -> None:
 
 
 def _read_json(file: Path) -> Value:
+    text = _read_text(file)
     try:
-        return Value(str(file), "", json.loads(_read_text(file)))
+        return Value(str(file), "", json.loads(text))
     except (ValueError, RecursionError) as error:
         raise FormatError(str(file), f"broken JSON: {error}") from None

@@ -31,7 +31,8 @@ from typing import Any
 
 from graceful_plan.compare.problems.analytic import analytic_problems
 from graceful_plan.compare.problems.problem_files import load_problems
-from graceful_plan.exceptions import FormatError, SettingError, UnknownNameError
+from graceful_plan.exceptions import NOT_READ, FormatError, SettingError, UnknownNameError, why_not_read
+from graceful_plan.regular_file import open_regular, path_of, read_content
 from graceful_plan.scene.loading.bundled import load_scene, scenes
 from graceful_plan.yaml_file import Block, read_yaml
 
@@ -130,7 +131,7 @@ def load_suite(source: str | Path) -> Suite:
     """
     if str(source) in suites():
         return _read_suite(_FOLDER / f"{source}.yaml")
-    path = Path(source)
+    path = path_of(source)
     if not path.exists():
         raise UnknownNameError("suite", str(source), (*suites(), "a suite file", "a problem file or folder"))
     if path.suffix in (".yaml", ".yml") and _is_suite(path):
@@ -141,10 +142,10 @@ def load_suite(source: str | Path) -> Suite:
 def _is_suite(file: Path) -> bool:
     """Tell a suite file from a problem file, which can be too large to be read twice."""
     try:
-        with file.open("rb") as stream:
+        with open_regular(file) as stream:
             head = stream.read(65536).decode("utf-8", errors="replace")
-    except OSError as error:
-        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error)) from None
     return any(line.startswith(("problems:", "version:")) for line in head.splitlines())
 
 
@@ -297,5 +298,5 @@ def _digest(path: Path) -> str:
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     total = hashlib.sha256()
     for file in files:
-        total.update(file.name.encode() + b"\0" + file.read_bytes())
+        total.update(file.name.encode() + b"\0" + read_content(file))
     return total.hexdigest()[:16]

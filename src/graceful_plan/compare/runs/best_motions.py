@@ -20,6 +20,7 @@ from graceful_plan.compare.runs.records import Run, cubics
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.exceptions import FormatError, GracefulPlanError
 from graceful_plan.judge.verification import verify
+from graceful_plan.regular_file import read_content
 from graceful_plan.result import CostBreakdown
 from graceful_plan.scene.loading.bundled import load_scene
 from graceful_plan.scene.scene import Task
@@ -119,7 +120,7 @@ class BestMotions:
             StaleBestMotion: If it is not of this format.
         """
         try:
-            data = json.loads(file.read_text(encoding="utf-8"))
+            data = json.loads(read_content(file))
             if data.pop("schema") != SCHEMA or data.pop("w") != self.w:
                 raise StaleBestMotion(file.name, "another schema or weight")
             runs = tuple(Attempt(**run) for run in data.pop("runs"))
@@ -238,7 +239,7 @@ class BestMotions:
 
 def _weight(file: Path) -> float:
     try:
-        return float(json.loads(file.read_text(encoding="utf-8"))["w"])
+        return float(json.loads(read_content(file))["w"])
     except _BROKEN as error:
         raise StaleBestMotion(file.name, f"{type(error).__name__}: {error}") from error
 

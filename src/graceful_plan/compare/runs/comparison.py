@@ -21,6 +21,7 @@ from graceful_plan.compare.runs.planner_notes import PlannerNote, read_planners
 from graceful_plan.compare.runs.records import Run
 from graceful_plan.compare.runs.runner import PlannerJob
 from graceful_plan.exceptions import SettingError
+from graceful_plan.regular_file import path_of
 
 Progress = Callable[[int, int, Run | None], None]
 """Called with the runs that are done, those there are in all, and the newest."""
@@ -174,7 +175,7 @@ def compare(
     settings = settle(suite, planners=planners, seeds=seeds, seconds=seconds, w=w, processes=processes)
     machine = describe()
     document = settings.to_document(machine)
-    with RunJournal(Path(out), document, machine, _known(settings)) as journal:
+    with RunJournal(path_of(out), document, machine, _known(settings)) as journal:
         have = {run.key for run in journal.runs}
         jobs = [job for job in settings.jobs if job.key not in have]
         total = len(settings.jobs)
@@ -218,7 +219,7 @@ def load_comparison(folder: str | Path, known: Mapping[str, float] | None = None
     Raises:
         FormatError: If there is no journal, or a damaged one.
     """
-    file = Path(folder) / NAME
+    file = path_of(folder) / NAME
     head, runs = read(file)
     check_head(head, file)
     return _comparison(head, runs, known)

@@ -18,7 +18,8 @@ from types import TracebackType
 from typing import Any
 
 from graceful_plan.compare.runs.records import Run
-from graceful_plan.exceptions import FormatError, GracefulPlanError
+from graceful_plan.exceptions import NOT_READ, FormatError, GracefulPlanError, why_not_read
+from graceful_plan.regular_file import check_regular, read_content
 
 NAME = "journal.jsonl"
 VERSION = 3
@@ -78,6 +79,10 @@ class RunJournal:
     ) -> None:
         self.file = folder / NAME
         folder.mkdir(parents=True, exist_ok=True)
+        try:
+            check_regular(self.file)
+        except NOT_READ as error:
+            raise FormatError(str(self.file), why_not_read(error)) from None
         self._stream = self.file.open("ab+")
         try:
             self._lock()
@@ -142,9 +147,9 @@ def read(file: Path) -> tuple[dict[str, Any], list[Run]]:
         FormatError: If it is something else, of another version, or damaged.
     """
     try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise FormatError(str(file), f"cannot be read: {error.strerror}") from None
+        content = read_content(file)
+    except NOT_READ as error:
+        raise FormatError(str(file), why_not_read(error)) from None
     lines = content.split(b"\n")[:-1]
     if not lines:
         raise FormatError(str(file), "no journal of a comparison: it has no first line")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from graceful_plan.compare.runs.best_motions import BestMotions
 from graceful_plan.exceptions import SettingError
+from graceful_plan.regular_file import path_of
 from graceful_plan.yaml_file import read_yaml
 
 NAME = "best_known.yaml"
@@ -28,9 +29,10 @@ def read_known(file: str | Path, w: float | None = None) -> dict[str, float]:
         SettingError: If they are for another weight.
         StaleBestMotion: If a motion of a folder is for another weight, or does not hold what its file says.
     """
-    if Path(file).is_dir():
-        return (BestMotions.in_folder(Path(file)) if w is None else BestMotions(Path(file), w)).totals()
-    top = read_yaml(Path(file))
+    place = path_of(file)
+    if place.is_dir():
+        return (BestMotions.in_folder(place) if w is None else BestMotions(place, w)).totals()
+    top = read_yaml(place)
     top.only("version", "w", "best_known")
     if top["version"].number() != _VERSION:
         raise top["version"].error(f"version {top['version'].value}; this version reads {_VERSION}")

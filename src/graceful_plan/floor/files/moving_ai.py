@@ -14,6 +14,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool
 from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.regular_file import path_of, read_content
 
 Array = np.ndarray
 
@@ -68,7 +69,7 @@ def read_scenarios(file: str | Path) -> list[MovingAIScenario]:
     Raises:
         FormatError: If the file is broken or too large, or not there.
     """
-    file = Path(file)
+    file = path_of(file)
     found = []
     for number, line in enumerate(_content(file, 200 * _MOST_SCENARIOS).splitlines(), start=1):
         words = line.split()
@@ -129,13 +130,9 @@ def _head(file: Path, lines: list[bytes]) -> tuple[int, int]:
 
 def _content(file: Path, most: int) -> bytes:
     try:
-        size = file.stat().st_size
-        content = file.read_bytes() if size <= most else b""
+        return read_content(file, most)
     except NOT_READ as error:
         raise FormatError(str(file), why_not_read(error)) from None
-    if size > most:
-        raise FormatError(str(file), f"{size} bytes, at most {most} are read")
-    return content
 
 
 def _write(file: Path, content: bytes) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Int
 from graceful_plan.exceptions import NOT_READ, FormatError, why_not_read
+from graceful_plan.regular_file import read_content
 
 Array = np.ndarray
 
@@ -41,20 +43,16 @@ def read_picture(file: Path, most_pixels: int) -> GreyPicture:
         FormatError: If it is broken, truncated or too large, or not there.
     """
     try:
-        size = file.stat().st_size
-        with file.open("rb") as stream:
-            head = stream.read(_MOST_HEAD)
+        # Five digits and a space for each pixel of a plain PGM, two bytes for those of others; a PNG is packed.
+        content = read_content(file, 6 * most_pixels + _MOST_HEAD)
     except NOT_READ as error:
         raise FormatError(str(file), why_not_read(error)) from None
-    if head.startswith(b"\x89PNG\r\n\x1a\n"):
-        return _read_png(file, head, most_pixels)
-    # Five digits and a space for each pixel of a plain one, two bytes for those of others.
-    if size > 6 * most_pixels + _MOST_HEAD:
-        raise FormatError(str(file), f"{size} bytes, more than {most_pixels} pixels can have")
-    return _read_pgm(file, head, most_pixels)
+    read = _read_png if content.startswith(b"\x89PNG\r\n\x1a\n") else _read_pgm
+    return read(file, content, most_pixels)
 
 
-def _read_pgm(file: Path, head: bytes, most_pixels: int) -> GreyPicture:
+def _read_pgm(file: Path, content: bytes, most_pixels: int) -> GreyPicture:
+    head = content[:_MOST_HEAD]
     if head[:2] not in (b"P2", b"P5"):
         raise FormatError(str(file), "is neither a PGM (P2, P5) nor a PNG")
     numbers, at = [], 2
@@ -69,7 +67,6 @@ def _read_pgm(file: Path, head: bytes, most_pixels: int) -> GreyPicture:
         raise FormatError(str(file), f"{width} x {height} pixels; from 1 to {most_pixels} are read")
     if not 0 < most < 65536:
         raise FormatError(str(file), f"its greatest value is {most}, expected 1 to 65535")
-    content = file.read_bytes()
     found = _plain(file, content[at:]) if head[:2] == b"P2" else _binary(content[at + 1 :], most)
     if found.size < width * height:
         raise FormatError(str(file), f"is truncated: {found.size} of {width * height} pixels")
@@ -91,14 +88,14 @@ def _plain(file: Path, content: bytes) -> Int[Array, " pixel"]:
     return np.fromstring(content, dtype=np.int32, sep=" ")
 
 
-def _read_png(file: Path, head: bytes, most_pixels: int) -> GreyPicture:
-    width, height = (int.from_bytes(head[k : k + 4], "big") for k in (16, 20))
-    if len(head) < 33 or not (width > 0 and height > 0 and width * height <= most_pixels):
+def _read_png(file: Path, content: bytes, most_pixels: int) -> GreyPicture:
+    width, height = (int.from_bytes(content[k : k + 4], "big") for k in (16, 20))
+    if len(content) < 33 or not (width > 0 and height > 0 and width * height <= most_pixels):
         raise FormatError(str(file), f"{width} x {height} pixels; from 1 to {most_pixels} are read")
     from PIL import Image  # comes with matplotlib; importing the library must not import it
 
     try:
-        with Image.open(file, formats=("PNG",)) as image:
+        with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
             clear = np.asarray(image.getchannel("A")) < 255 if "A" in image.getbands() else None
             grey = np.asarray(image.convert("L"), dtype=np.int32)
     except (*NOT_READ, SyntaxError, EOFError, Image.DecompressionBombError) as error:

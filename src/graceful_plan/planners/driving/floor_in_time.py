@@ -93,13 +93,16 @@ class FloorInTime(Planner):
         inside, outside = radii(discs)
         floor = floor_around(charging.scene, top, np.array([start, *problem.goals])[:, :2], (_FINE, self.around))
         seconds = sum(floor.size) + self.late
-        charge = _Charge(self, driven, start, outside + _KEPT, seconds)
+        charge = _Charge(self, driven, start, outside + _KEPT, seconds, budget)
         for share in _SHARES:
             if not budget.spend():
                 return
             cells = _Cells.of(floor, self.cell, inside + share * (outside - inside), (start, goals[0]))
             grid = TimedGrid(free=cells.free, ticks=charge.ticks)
-            found = grid.cheapest(cells.start, cells.goal, lambda tick, xy=cells.xy: charge(tick, xy))
+            try:
+                found = grid.cheapest(cells.start, cells.goal, lambda tick, xy=cells.xy: charge(tick, xy))
+            except _Over:
+                return
             if len(found.cells) == 0:
                 continue
             xy = cells.xy[found.cells[:, 1], found.cells[:, 0]]
@@ -137,6 +140,10 @@ class _Cells:
         return cls(xy, free, places[0], places[1])
 
 
+class _Over(Exception):
+    """The search is given up, for its time is."""
+
+
 class _Charge:
     """What moves cost at ticks."""
 
@@ -147,9 +154,10 @@ class _Charge:
         start: Float[Array, " nq"],
         kept: float,
         seconds: float,
+        budget: Budget,
     ) -> None:
         objective, base = driven
-        self.objective, self.cell, self.start = objective, of.cell, start
+        self.objective, self.cell, self.start, self.budget = objective, of.cell, start, budget
         self.tick = 0.5 * of.cell / (_CRUISE * base.v_max)
         self.ticks = int(seconds / self.tick)
         halves = 2 * (self.ticks + max(move.ticks for move in MOVES))
@@ -158,7 +166,13 @@ class _Charge:
         ]
         self.own = np.array([of.cell * move.length + _TIME * self.tick * move.ticks for move in MOVES])
 
+    def go_on(self) -> None:
+        """Raise `_Over` once there is no time left for the search."""
+        if self.budget.over:
+            raise _Over
+
     def __call__(self, tick: int, xy: Float[Array, "row column 2"]) -> Float[Array, "move row column"]:
+        self.go_on()
         cost = np.repeat(self.own, xy.shape[0] * xy.shape[1]).reshape(len(MOVES), *xy.shape[:2])
         for k, move in enumerate(MOVES):
             middle = xy + 0.5 * self.cell * np.array([move.columns, move.rows])
@@ -225,6 +239,7 @@ class _Walker:
             way = np.array([move.columns, move.rows]) / move.length
             qd = np.zeros_like(q)
             q[:, 2], qd[:, :2] = np.arctan2(way[1], way[0]), self.charge.speed(move) * way
+            self.charge.go_on()
             found = impact.moving_state(moving_batch(alone, q, qd, np.full(len(q), t)))
             table[k] = objective.w * found.reshape(x.shape)
         return table

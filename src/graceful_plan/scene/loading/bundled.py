@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from graceful_plan.exceptions import UnknownNameError
+from graceful_plan.regular_file import path_of
 from graceful_plan.scene.loading.file import read_scene
 from graceful_plan.scene.scene import Scene
 
@@ -34,7 +35,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
         SceneError: If the file is broken or hostile, with file and line.
         UnsupportedError: If the model has features that cannot be represented.
     """
-    path = Path(name_or_path)
+    path = path_of(name_or_path)
     if path.suffix in (".yaml", ".yml"):
         return read_scene(path)
     for folder in (_FOLDER, _MOBILE):

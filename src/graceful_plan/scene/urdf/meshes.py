@@ -11,7 +11,9 @@ from urllib.parse import unquote
 import numpy as np
 
 from graceful_plan.array_types import Float
-from graceful_plan.exceptions import NOT_READ, SceneError, UnsupportedError
+from graceful_plan.exceptions import NOT_READ, SceneError, UnsupportedError, why_not_read
+from graceful_plan.regular_file import read_content
+from graceful_plan.scene.loading.weighing import MOST_OF_A_MESH, mesh_weight
 
 Array = np.ndarray
 
@@ -80,13 +82,16 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
         UnsupportedError: If it is of another kind, or the library that converts it is not there.
     """
     ending = file.suffix.lower()
-    if file.stat().st_size > _MOST_BYTES:
-        raise SceneError(f"{file.stat().st_size} bytes, at most {_MOST_BYTES} are read", file=str(file))
-    if ending == ".dae":
-        return _converted(file), ".obj"
-    if ending not in _READ:
+    if ending not in (*_READ, ".dae"):
         raise UnsupportedError(f"{file}: meshes may be .stl, .obj or .dae")
-    content = file.read_bytes()
+    try:
+        content = read_content(file, _MOST_BYTES)
+    except NOT_READ as error:
+        raise SceneError(why_not_read(error), file=str(file)) from None
+    if ending == ".dae":
+        return _converted(file, content), ".obj"
+    if (weight := mesh_weight(content, ending)) > MOST_OF_A_MESH:
+        raise SceneError(f"{weight} vertices and faces; at most {MOST_OF_A_MESH} are read", file=str(file))
     if ending == ".stl" and _is_text(content):
         return _obj(_corners(content, file)), ".obj"
     return content, ending
@@ -162,7 +167,7 @@ def _obj(corners: Float[Array, "corner 3"]) -> bytes:
     return text.getvalue().encode()
 
 
-def _converted(file: Path) -> bytes:
+def _converted(file: Path, content: bytes) -> bytes:
     try:
         trimesh = importlib.import_module("trimesh")
         importlib.import_module("collada")
@@ -170,7 +175,7 @@ def _converted(file: Path) -> bytes:
         told = "COLLADA is read by trimesh and pycollada: pip install 'graceful-plan[urdf]'"
         raise UnsupportedError(f"{file}: {told}") from None
     try:
-        mesh = trimesh.load(file, force="mesh")
+        mesh = trimesh.load(io.BytesIO(content), file_type="dae", force="mesh")
     except Exception as error:  # whatever the library meets in a broken file
         raise SceneError(f"not a COLLADA file that can be read: {error}", file=str(file)) from None
     return _obj(np.asarray(mesh.triangles, dtype=float).reshape(-1, 3))

@@ -18,10 +18,14 @@ import mujoco
 import numpy as np
 
 from graceful_plan.exceptions import NOT_READ, SceneError, UnknownNameError, UnsupportedError, why_not_read
+from graceful_plan.regular_file import path_of, read_content
+from graceful_plan.scene.loading.weighing import mesh_weight
 from graceful_plan.scene.urdf.convex_parts import convex_parts, part_triangles
 from graceful_plan.scene.urdf.meshes import found_mesh, mesh_content, mesh_triangles, obj_content
 
 _MOST_BYTES = 10_000_000
+_MOST_OF_MESHES = 2_000_000
+"""Vertices and faces of all meshes together."""
 _MOVING = ("revolute", "continuous", "prismatic")
 _LEAST_INERTIA = 1e-7
 """Of links, about any axis [kg m^2]: MuJoCo asks for some, and frames for sensors often have none, or less."""
@@ -118,8 +122,13 @@ def read_urdf(source: str | Path, packages: Packages = (), *, decompose: bool | 
         places = {package: Path(place) for package, place in packages.items()}
     else:
         places = [Path(place) for place in packages]
+    weight = 0
     for k, name in enumerate(sorted(meshes)):
-        found = _in_parts(*mesh_content(found_mesh(name, folder, places)), name, decompose)
+        content, ending = mesh_content(found_mesh(name, folder, places))
+        weight += mesh_weight(content, ending)
+        if weight > _MOST_OF_MESHES:
+            raise SceneError(f"with the mesh {name[:200]!r} there are more than {_MOST_OF_MESHES} vertices and faces")
+        found = _in_parts(content, ending, name, decompose)
         parts[name] = [f"mesh{k}_{i}{ending}" for i, (_, ending) in enumerate(found)]
         assets |= zip(parts[name], (content for content, _ in found), strict=True)
     for link in root.iterfind("link"):
@@ -150,14 +159,11 @@ def parsed_robot(source: str | Path) -> tuple[ET.Element, Path | None]:
 def _text(source: str | Path) -> tuple[str, Path | None]:
     if isinstance(source, str) and source.lstrip().startswith("<"):
         return source, None
-    file = Path(source)
+    file = path_of(source)
     try:
-        size = file.stat().st_size
-        content = file.read_bytes() if size <= _MOST_BYTES else b""
+        content = read_content(file, _MOST_BYTES)
     except NOT_READ as error:
         raise SceneError(why_not_read(error), file=str(file)) from None
-    if size > _MOST_BYTES:
-        raise SceneError(f"{size} bytes, at most {_MOST_BYTES} are read", file=str(file))
     try:
         return content.decode("utf-8"), file.resolve().parent
     except UnicodeDecodeError:

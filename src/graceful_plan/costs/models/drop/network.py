@@ -18,8 +18,6 @@ native/impact/learned/network.hpp, its gradient network_gradient.hpp.
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -31,6 +29,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.models.drop.tables import SHAPE_CLASSES, DropTables
 from graceful_plan.exceptions import FormatError, ShapeError
+from graceful_plan.formats.npz_file import read_arrays
+from graceful_plan.regular_file import path_of
 
 Array = np.ndarray
 
@@ -105,11 +105,10 @@ class DropNetwork:
             FormatError: If it is something else, of another version, too large, or has numbers that are none.
         """
         try:
-            return _read(Path(file))
+            return _read(path_of(file))
         except FormatError:
             raise
-        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error,
-                NotImplementedError, RecursionError, ShapeError) as error:  # fmt: skip
+        except (ValueError, KeyError, TypeError, RecursionError, ShapeError) as error:
             raise FormatError(str(file), f"no network: {error}") from None
 
     def write(self, file: str | Path) -> None:
@@ -173,14 +172,9 @@ def _shipped() -> DropNetwork:
 
 
 def _read(file: Path) -> DropNetwork:
-    if file.stat().st_size > _MOST_BYTES:
-        raise FormatError(str(file), f"no network: more than {_MOST_BYTES} bytes")
-    with zipfile.ZipFile(file) as archive:
-        if sum(member.file_size for member in archive.infolist()) > _MOST_BYTES:
-            raise FormatError(str(file), f"no network: unpacked, more than {_MOST_BYTES} bytes")
-    with np.load(file, allow_pickle=False) as data:
-        header = json.loads(str(data["header"]))
-        arrays = {name: np.asarray(data[name], dtype=np.float64) for name in _ARRAYS}
+    data = read_arrays(file, _MOST_BYTES)
+    header = json.loads(str(data["header"]))
+    arrays = {name: np.asarray(data[name], dtype=np.float64) for name in _ARRAYS}
     expected: dict[str, object] = {"schema": _SCHEMA, "version": _VERSION, "told": list(TOLD), "looks": list(LOOKS)}
     expected["shapes"] = list(SHAPE_CLASSES)
     for key, wanted in expected.items():

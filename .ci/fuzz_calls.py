@@ -1,0 +1,176 @@
+"""Call every public function with values that make no sense: an error of ours says so, or it does not matter.
+
+python .ci/fuzz_calls.py [--name NAME ...]
+
+Each parameter of everything in `__all__` of both packages, constructors and readers of classes included, is given
+numbers, arrays, texts or names of files that its type allows while the others are as they should be. What fails is any
+error but a GracefulPlanError, and what takes longer than 20 s. Objects of a wrong type (a number for a scene) and what
+is in sequences are not tried.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import logging
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+import failbench
+import graceful_plan as gp
+
+SLOW = 20
+NUMBERS: dict[str, Any] = {
+    "NaN": float("nan"),
+    "infinity": float("inf"),
+    "minus infinity": float("-inf"),
+    "a negative number": -1,
+    "a huge integer": 10**400,
+}
+ARRAYS: dict[str, Any] = {
+    "no numbers": np.zeros(0),
+    "no rows": np.zeros((0, 7)),
+    "wrong shape": np.zeros((2, 3, 5)),
+    "NaN in an array": np.full(7, np.nan),
+    "infinity in an array": np.full((2, 7), np.inf),
+    "texts in an array": np.array(["a", "b"]),
+    "rows of several lengths": [[1.0], [1.0, 2.0]],
+}
+TEXTS: dict[str, Any] = {
+    "nonsense": "nonsense",
+    "nothing": "",
+    "a lone surrogate": "\ud800",
+    "a null": "a\0b",
+    "a long one": "x" * 10_000,
+}
+OTHERS: dict[str, Any] = {"None": None, "bytes": b"abc", "an object": object(), "a list": ["a"]}
+"""For what takes the name of a file."""
+COMPOSED = ("Callable", "dict", "Mapping", "Sequence", "tuple", "Iterable", "Restraint", "Reaches")
+"""Words of the types of parameters that are not tried."""
+KINDS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
+    (("float", "int", "ArrayLike", "Float", "Configuration", "Goal"), NUMBERS),
+    (("ArrayLike", "Float", "Configuration", "Goal"), ARRAYS),
+    (("str", "Configuration", "Goal"), TEXTS),
+    (("str | Path", "str | FilePath"), OTHERS),
+)
+"""Words of a parameter's annotation, and what it is given."""
+LEFT_OUT = frozenset(
+    {"view", "annotate", "compare", "film", "sweep_of", "generate", "resume", "validate", "StateBatch", "Roadmap"}
+)
+"""What serves, asks a network or works for minutes by what it is given; and states as costs get them, unchecked."""
+
+
+def valid(folder: Path) -> dict[str, Any]:
+    """Return values by the names of parameters."""
+    task = gp.load_scene("tabletop").tasks["right_to_left"]
+    start, goal = np.asarray(task.start), np.atleast_2d(task.goal)[0]
+    path = gp.Path(np.array([start, goal]))
+    motion = gp.retime(path, task.scene.limits, task.scene.joints)
+    motion.to_json(folder / "m.json")
+    return {
+        "start": start, "goal": goal, "scene": task.scene, "path": path, "trajectory": motion, "motion": motion,
+        "q": start, "limits": task.scene.limits, "iterations": 20, "n": 4, "rollouts": 2, "height": 0.2, "points": 2,
+        "file": folder / "m.json", "source": folder / "m.json", "task": task,
+    }  # fmt: skip
+
+
+def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Yield everything public that can be called."""
+    for package in (gp, failbench):
+        for name in sorted(package.__all__):
+            found = getattr(package, name)
+            if name in LEFT_OUT or not callable(found) or inspect.isabstract(found):
+                continue
+            if not (inspect.isclass(found) and issubclass(found, BaseException)):
+                yield f"{package.__name__}.{name}", found
+            for method in vars(found) if inspect.isclass(found) else ():
+                if not method.startswith("_") and isinstance(vars(found)[method], classmethod | staticmethod):
+                    yield f"{package.__name__}.{name}.{method}", getattr(found, method)
+
+
+def wrong_values(annotation: str) -> dict[str, Any]:
+    """Return values that a parameter's type allows, or does not tell from others, and that make no sense."""
+    chosen: dict[str, Any] = {}
+    if any(word in annotation for word in COMPOSED):
+        return chosen
+    for words, values in KINDS:
+        if any(word in annotation for word in words):
+            chosen |= values
+    return chosen
+
+
+def cases(call: Callable[..., Any], known: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield arguments of which one is wrong, and which."""
+    try:
+        parameters = inspect.signature(call).parameters.values()
+    except (TypeError, ValueError):
+        return
+    named = [p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    for wrong in named:
+        for what, value in wrong_values(str(wrong.annotation)).items():
+            given = {p.name: known[p.name] for p in named if p.name in known and p.default is p.empty}
+            given |= {p.name: known[p.name] for p in named if p.name == "iterations"}
+            given[wrong.name] = value
+            if all(p.name in given for p in named if p.default is p.empty):
+                yield f"{wrong.name} = {what}", given
+
+
+class TooSlow(BaseException):
+    """A call took too long."""
+
+
+def _alarm(number: int, frame: FrameType | None) -> None:
+    raise TooSlow
+
+
+def trouble(call: Callable[..., Any], given: dict[str, Any]) -> str | None:
+    """Return what is wrong with how a call takes its arguments."""
+    signal.alarm(SLOW)
+    try:
+        call(**given)
+    except gp.GracefulPlanError as error:
+        return None if str(error) else "an error without words"
+    except TooSlow:
+        return f"took more than {SLOW} s"
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__}: {str(error)[:90]!a} ({Path(at.filename).name}:{at.lineno})"
+    finally:
+        signal.alarm(0)
+    return None
+
+
+def main() -> int:
+    """Return how many calls went wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--name", nargs="*", help="only these, such as graceful_plan.plan")
+    args = parser.parse_args()
+    logging.disable()
+    warnings.simplefilter("ignore")
+    signal.signal(signal.SIGALRM, _alarm)
+    total = wrong = 0
+    with tempfile.TemporaryDirectory() as scratch:
+        known = valid(Path(scratch))
+        for name, call in callables():
+            if args.name and name not in args.name:
+                continue
+            for what, given in cases(call, known):
+                total += 1
+                if found := trouble(call, given):
+                    wrong += 1
+                    print(f"{name}: {what}: {found}", flush=True)
+    print(f"{total} calls, {wrong} wrong")
+    return wrong
+
+
+if __name__ == "__main__":
+    sys.exit(min(main(), 100))
