@@ -15,7 +15,7 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
 
-_DRIVES = 0.6
+_DRIVES = 0.4
 """Speed at which a base is held at half the angle to its way that the bend asks for [m/s]."""
 _TURNS = 0.3
 """Rate of turning from which on a base that turns in place is held behind its place [rad/s]."""
