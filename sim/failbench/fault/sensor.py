@@ -103,10 +103,12 @@ class ControlDelay(Fault):
         return None if self.line == "command" else 0.0
 
     def apply(self, plant: Plant, level: float) -> None:
-        """Send what was meant for some steps ago, and read what was true then."""
+        """Send what was meant for some steps ago, and read what was true then; a base is told its speeds late."""
         steps = round(level * self.amount / plant.dt)
         if self.line != "measurement":
-            plant.lag, struck = steps, actuators(plant)
+            struck, wheels = actuators(plant), plant.robot.actuators[plant.wheels]
+            plant.lag = steps if np.isin(wheels, struck).any() else 0
+            struck = np.setdiff1d(struck, wheels)
             plant.ahead[:, struck] = _late_commands(plant, steps)[:, struck]
         if self.line != "command":
             self._read_late(plant, steps)
@@ -180,7 +182,7 @@ class ScaleError(Fault):
     def apply(self, plant: Plant, level: float) -> None:
         """Scale the feedback; of wheels what they turn from the onset on, for their encoders only count."""
         bias, struck = plant["actuator_biasprm"], plant.robot.actuators[plant.joints]
-        counted = np.isin(plant.joints, [wheel for side in plant.robot.together for wheel in side])
+        counted = np.isin(plant.joints, plant.wheels)
         before = plant.memory.setdefault("before", np.where(counted, plant.q[plant.joints], 0.0))
         bias[struck, 0] -= level * self.amount * bias[struck, 1] * before
         bias[struck, 1:3] *= 1.0 + level * self.amount

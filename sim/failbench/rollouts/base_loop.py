@@ -19,7 +19,7 @@ from failbench.wheels.slipping import fitted_tracking
 from graceful_plan import Scene, Trajectory
 from graceful_plan.array_types import Float
 from graceful_plan.control.diff_drive_controller import Tracking
-from graceful_plan.control.drive_state import DriveState
+from graceful_plan.control.drive_state import DriveCommand, DriveState
 from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
@@ -27,7 +27,9 @@ Array = np.ndarray
 TICK = 10
 """Steps from one command of the loop to the next."""
 _SLACK = 0.5
-"""How far a wheel's servo may lag behind the angle that it is told [rad]: its integral does not wind up further."""
+"""How far the angle that a wheel's servo is told may be from what it reads [rad]: its integral winds up no further."""
+_BEHIND = 3.0
+"""How far the rate that a wheel is told goes ahead of its own [rad/s]."""
 
 
 Misreadings = Callable[[], Float[Array, " wheel"]]
@@ -46,9 +48,11 @@ class BasePlan:
     | scene      | what the controller sees: all but what is carried                |             |
     | dt         | time step [s]                                                    |             |
     | wheel      | addresses of the wheels in qpos                                  | wheel       |
+    | rim        | their dofs                                                       | wheel       |
     | motor      | their actuators                                                  | wheel       |
     | kp         | stiffness of their servos                                        | wheel       |
     | kd         | their damping                                                    | wheel       |
+    | reach      | by how much the rims can get faster from one tick to the next [m/s] |          |
     """
 
     rolling: Rolling
@@ -57,9 +61,11 @@ class BasePlan:
     scene: Scene
     dt: float
     wheel: Array
+    rim: Array
     motor: Array
     kp: Float[Array, " wheel"]
     kd: Float[Array, " wheel"]
+    reach: float
 
     @classmethod
     def of(cls, world: World, trajectory: Trajectory, controller: Controller | None = None) -> BasePlan | None:
@@ -90,10 +96,36 @@ class BasePlan:
             scene=scene,
             dt=dt,
             wheel=robot.qpos[:n],
+            rim=robot.dofs[:n],
             motor=robot.actuators[:n],
             kp=robot.kp[:n],
             kd=robot.kd[:n],
+            reach=TICK * dt * _hardest(world),
         )
+
+    def reached(
+        self, wanted: DriveCommand, before: Float[Array, " wheel"], qvel: Float[Array, " qvel"]
+    ) -> DriveCommand:
+        """Return what comes nearest to a command that the wheels can do before the next one.
+
+        Half of what motors give is kept for the speed: a base that asks for more turning than they have would stand
+        and spin.
+
+        Args:
+            wanted: What the base should do.
+            before: Rates of the wheels that were asked for last [rad/s]; wheels that are far from them count.
+            qvel: Velocities of everything.
+        """
+        turning = qvel[self.rim]
+        rims = self.rolling.base.radius * np.clip(before, turning - _BEHIND, turning + _BEHIND)
+        half = len(rims) // 2
+        left, right = float(rims[:half].mean()), float(rims[half:].mean())
+        v, turn, lever = 0.5 * (left + right), 0.5 * (right - left), self.rolling.base.lever
+        faster = min(max(wanted.v - v, -0.5 * self.reach), 0.5 * self.reach)
+        room = self.reach - abs(faster)
+        more = lever * wanted.omega - turn
+        omega = wanted.omega if abs(more) <= room else (turn + np.copysign(room, more)) / lever
+        return DriveCommand(v + faster, float(omega))
 
     def loop(self, angles: Float[Array, " wheel"], summed: float = 0.0) -> BaseLoop:
         """Return a loop whose servos stand at these angles of the wheels [rad]."""
@@ -117,6 +149,8 @@ class BaseLoop:
     misread: Misreadings | None = None
     follower: CourseFollower = field(init=False)
     _believed: tuple[float, float, float] | None = field(default=None, init=False)
+    _told: list[Array] = field(default_factory=list, init=False)
+    """Rates of the wheels that were asked for: as they turned at first, then in each tick [rad/s]."""
     _before: tuple[tuple[float, float, float], Array] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -128,7 +162,7 @@ class BaseLoop:
         return self.follower.arrived(DriveState(*self.plan.rolling.drives(qpos, qvel)))
 
     def commands(
-        self, step: int, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"]
+        self, step: int, qpos: Float[Array, " qpos"], qvel: Float[Array, " qvel"], lag: int = 0
     ) -> Float[Array, "tick wheel"]:
         """Return what the wheels' servos are sent in the steps of this tick.
 
@@ -136,20 +170,28 @@ class BaseLoop:
             step: Steps since the motion began.
             qpos: Positions of everything.
             qvel: Velocities.
+            lag: Steps by which the speeds that the base is told arrive late; its servos sum up what arrives.
         """
         plan, base = self.plan, self.plan.rolling.base
         x, y, yaw, v, omega = plan.rolling.drives(qpos, qvel)
         state = DriveState(*self._place((x, y, yaw)), v, omega)
         command = self.follower.command(state, step)
-        self.summed = self.follower.gains.summed(self.summed, command, state, TICK * plan.dt)
-        told = self.follower.gains.held(command, state, self.summed)
+        summed = self.follower.gains.summed(self.summed, command, state, TICK * plan.dt)
+        wanted = self.follower.gains.held(command, state, summed)
+        told = plan.reached(wanted, self._told[-1] if self._told else qvel[plan.rim], qvel)
+        if told.omega == wanted.omega or abs(summed) < abs(self.summed):
+            self.summed = summed
         half = len(plan.wheel) // 2
         side = np.concatenate([-np.ones(half), np.ones(half)])
         rates = np.clip((told.v + side * base.lever * told.omega) / base.radius, *_rim(base.rim_max / base.radius))
-        self.angles = np.clip(self.angles, qpos[plan.wheel] - _SLACK, qpos[plan.wheel] + _SLACK)
-        after = self.angles + rates * plan.dt * np.arange(1, TICK + 1)[:, None]
+        read = qpos[plan.wheel] + (0.0 if self.misread is None else self.misread())
+        self.angles = np.clip(self.angles, read - _SLACK, read + _SLACK)
+        self._told += [rates] if self._told else [qvel[plan.rim].copy(), rates]
+        ticks = len(self._told) - 1 + (np.arange(TICK) - lag) // TICK
+        arrived = np.array([self._told[max(0, tick)] for tick in ticks])
+        after = self.angles + plan.dt * np.cumsum(arrived, axis=0)
         self.angles = after[-1]
-        return (plan.kp * after + plan.kd * rates) / plan.kp
+        return after + plan.kd / plan.kp * arrived
 
     def _place(self, truth: tuple[float, float, float]) -> tuple[float, float, float]:
         """Return where the base is believed to be."""
@@ -172,6 +214,17 @@ class BaseLoop:
             self._believed = (bx + c * along - s * across, by + s * along + c * across, heading + turned)
         self._before = truth, wrong
         return self._believed
+
+
+def _hardest(world: World) -> float:
+    """Return how hard the motors of a base speed it up on the straight [m/s^2]."""
+    assert world.rolling is not None
+    model, robot, base = world.model, world.robot, world.rolling.base
+    n = len(base.wheels)
+    mass = float(model.body_subtreemass[model.dof_bodyid[world.rolling.dofs[2]]])
+    rotors = float(model.dof_armature[robot.dofs[:n]].sum())
+    force = float(model.actuator_forcerange[robot.actuators[:n], 1].sum()) / base.radius
+    return force / (mass + rotors / base.radius**2)
 
 
 def _rim(most: float) -> tuple[float, float]:

@@ -208,7 +208,6 @@ class _Wheels:
         self._plan, self._plant, self._onset, self._qpos, self._qvel = execution.base, plant, onset, qpos, qvel
         told = execution.loop[min(onset // TICK, len(execution.loop) - 1)]
         self._loop = execution.base.loop(told[:-1], float(told[-1]))
-        self._sent = plant.past[:, execution.base.motor]
         n = len(execution.base.wheel)
         self._hurt = bool((plant.joints < n).any())
         self._healthy = execution.world.model.actuator_biasprm[execution.base.motor, 1].copy()
@@ -217,15 +216,9 @@ class _Wheels:
         plant, motor = self._plant, self._plan.motor
         if encoders and self._hurt and plant.lag == 0:
             self._loop.misread = lambda: self._wrong(step)
-        rows = self._loop.commands(self._onset + step, self._qpos, self._qvel)
-        rows = rows[: max(0, len(plant.command) - step)]
-        self._sent = np.concatenate([self._sent, rows])
-        late = self._sent
-        if plant.lag:
-            late = np.concatenate([np.repeat(self._sent[:1], plant.lag, axis=0), self._sent])
-        begin = self._onset + step
-        part = slice(step, step + len(rows))
-        told = late[begin : begin + len(rows)] if plant.lag else rows
+        told = self._loop.commands(self._onset + step, self._qpos, self._qvel, plant.lag)
+        told = told[: max(0, len(plant.command) - step)]
+        part = slice(step, step + len(told))
         before = plant.healthy[part][:, motor]
         plant.healthy.flags.writeable = True
         plant.healthy[part, motor] = told

@@ -44,7 +44,7 @@ class Plant:
     | xfrc        | force and torque on each body in W, until they are changed                               |
     | planned     | positions of the joints that the motion has at times since the onset [s]                 |
     | step        | steps since the onset                                                                    |
-    | lag         | steps by which what a controller closes on the way reaches the wheels late               |
+    | lag         | steps by which the speeds that a base is told arrive late                                |
     | memory      | whatever the fault wants to remember                                                     |
     | misreading  | what `misread` was told last, for whoever reads sensors: step, joints, error; None for none |
     """
@@ -96,6 +96,11 @@ class Plant:
     def qd(self) -> Array:
         """Velocities of the planned joints now [rad/s or m/s]."""
         return self.qvel[self.robot.dofs]
+
+    @property
+    def wheels(self) -> Array:
+        """Indices of the driven joints that are wheels of a base, whose controller closes its loop on the way."""
+        return np.array([wheel for side in self.robot.together for wheel in side], dtype=int)
 
     @property
     def ahead(self) -> Array:

@@ -15,6 +15,8 @@ from graceful_plan.scene.mobile.diff_drive import DiffDrive
 
 Array = np.ndarray
 
+_DRIVES = 0.4
+"""Speed at which a base is held at half the angle to its way that the bend asks for [m/s]."""
 _TURNS = 0.3
 """Rate of turning from which on a base that turns in place is held behind its place [rad/s]."""
 
@@ -100,8 +102,11 @@ class Tracking:
 
     :math:`\omega = \omega_r + v_r k_y e_y + (|v_r| k_h + k_x) \sin e_h`, to which :math:`k_r (\omega - \omega_m)` and
     its integral are added, :math:`\omega_m` being the measured rate: a skid-steer slips less the faster it drives. In
-    bends the base is held at the angle to its way at which its origin does not leave it (`Pivot`). Where it turns in
-    place, its origin has to go round the pivot; it is kept `share` of that behind, so that it is off less to the side.
+    bends the base is held at the angle to its way at which its origin does not leave it (`Pivot`), but not before it
+    drives: no base that gets going turns so fast. Where it turns in place, its origin has to go round the pivot; it is
+    kept `share` of that behind, so that it is off less to the side. What is corrected is bounded by
+    :math:`\sqrt{2 \alpha |e|}`, e being the heading that is missed and what the way aside counts as: from a faster turn
+    the motors could not bring it back, and it would swing about its way.
 
     Y. Kanayama et al., "A stable tracking control method for an autonomous mobile robot", ICRA 1990.
 
@@ -111,22 +116,24 @@ class Tracking:
         k_h: Of the heading [1/m].
         k_rate: Of the rate of turning as a gyro measures it.
         k_integral: Of its integral [1/s].
+        alpha: Angular acceleration that motors have to spare [rad/s^2].
         lead: What motors need until they do as they are told [s]: speeds are looked up as much ahead.
         pivot: Where the base has no sideways speed.
         share: Of the distance to the pivot, where it turns in place.
     """
 
     k_x: float = 6.0
-    k_y: float = 120.0
-    k_h: float = 15.0
-    k_rate: float = 2.0
-    k_integral: float = 10.0
+    k_y: float = 20.0
+    k_h: float = 6.0
+    k_rate: float = 1.0
+    k_integral: float = 5.0
+    alpha: float = 3.0
     lead: float = 0.05
     pivot: Pivot = Pivot()
     share: float = 0.6
 
     def __post_init__(self) -> None:
-        check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "lead", "share"))
+        check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "alpha", "lead", "share"))
 
     def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:
         """Return what leads to a state that moves on, before the measured rate of turning counts.
@@ -147,11 +154,19 @@ class Tracking:
         turns = min(1.0, abs(wanted.omega) / _TURNS)
         along = c * dx + s * dy - self.share * (1.0 - rolls) * turns * ahead
         across = -s * dx + c * dy
-        slant = rolls * math.atan2(sideways, abs(wanted.v)) * math.copysign(1.0, wanted.v)
+        drives = wanted.v**2 / (wanted.v**2 + _DRIVES**2)
+        slant = drives * rolls * math.atan2(sideways, abs(wanted.v)) * math.copysign(1.0, wanted.v)
         heading = wrapped(wanted.yaw + slant - state.yaw)
         v = wanted.v * math.cos(heading - slant) + self.k_x * along
-        pull = wanted.v * self.k_y * across + (abs(wanted.v) * self.k_h + self.k_x) * math.sin(heading)
-        return DriveCommand(v, wanted.omega + pull)
+        return DriveCommand(v, wanted.omega + self._pull(wanted.v, across, heading))
+
+    def _pull(self, v: float, across: float, heading: float) -> float:
+        """Return the rate of turning that leads back to the way [rad/s]."""
+        stiff = abs(v) * self.k_h + self.k_x
+        pull = v * self.k_y * across + stiff * math.sin(heading)
+        missed = abs(heading) + (abs(v) * self.k_y * abs(across) / stiff if stiff else 0.0)
+        most = math.sqrt(2.0 * self.alpha * missed)
+        return min(max(pull, -most), most)
 
     def summed(self, before: float, command: DriveCommand, state: DriveState, dt: float) -> float:
         """Return the integral of commanded minus measured rate of turning a time later [rad].

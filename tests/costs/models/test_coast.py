@@ -154,11 +154,14 @@ def test_walls_stop_it():
     assert hit(0.0, 2.0, scene=hall(extra=shield)) < 1e-4
 
 
-def test_by_default_a_base_is_feared_as_much_as_what_it_carries():
+def test_by_default_all_failures_of_a_base_without_an_arm_are_its_own():
+    fetch = gp.load_scene("kitchen")
+    assert SHIPPED.of_base(fetch) == SHIPPED.share and SHIPPED.of_cargo(fetch) == 1.0 - SHIPPED.share
+    assert SHIPPED.of_base(SCENE) == 1.0 and SHIPPED.of_cargo(SCENE) == SHIPPED.thrown
     q, qd = states()
     batch = moving_batch(SCENE, q, qd)
     coast = gp.ImpactCost(model=Coast()).state(batch)
-    np.testing.assert_allclose(gp.ImpactCost().state(batch), SHIPPED.share * coast, atol=1e-12)
+    np.testing.assert_allclose(gp.ImpactCost().state(batch), coast, atol=1e-12)
     sources = gp.ImpactCost().sources(batch)
     assert set(sources) == {"drop", "spill", "stop", "coast"} or "coast" in sources
     kernel = gp.Objective(w=1.0).bind(SCENE).kernel
@@ -209,5 +212,5 @@ def test_slow_near_people():
     fast, careful = (gp.plan("west", [4.0, 0.8, 0.0], SCENE, w=w, iterations=n) for w, n in asked)
     objective = gp.Objective(w=1.0)
     harm = [gp.evaluate(result.trajectory, SCENE, objective).impact for result in (fast, careful)]
-    assert harm[1] < 0.2 * harm[0]
-    assert careful.trajectory.duration < 1.25 * fast.trajectory.duration
+    assert harm[1] < 0.1 * harm[0]
+    assert careful.trajectory.duration < 2.0 * fast.trajectory.duration

@@ -14,6 +14,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.scene import Scene
 from graceful_plan.yaml_file import Block, YamlTable
 
 Array = np.ndarray
@@ -70,7 +71,8 @@ class CoastSettings(YamlTable):
     """Constants of the coast model.
 
     Args:
-        share: Of failures, those of the base rather than of what it carries.
+        share: Of failures, those of the base rather than of gripper and arm; all of a robot that has neither are.
+        thrown: Of failures of a base without an arm, those that throw off what stands on it.
         reference_speed: Speed of a hit that severities are for [m/s].
         position_spread: Standard deviation of where the base is across its way [m].
         drift: How much farther it strays per metre [m/m].
@@ -86,9 +88,20 @@ class CoastSettings(YamlTable):
 
     shipped_file = Path(__file__).with_name("coast.yaml")
     kind = "coast settings"
-    keys = ("share", "reference_speed", "position_spread", "drift", "straightens", "friction", "brakes", "ways")
+    keys = (
+        "share",
+        "thrown",
+        "reference_speed",
+        "position_spread",
+        "drift",
+        "straightens",
+        "friction",
+        "brakes",
+        "ways",
+    )
 
     share: float
+    thrown: float
     reference_speed: float
     position_spread: float
     drift: float
@@ -98,8 +111,9 @@ class CoastSettings(YamlTable):
     ways: Mapping[str, Way]
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.share <= 1.0:
-            raise SettingError("share", self.share, "a number in [0, 1]")
+        for name in ("share", "thrown"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise SettingError(name, getattr(self, name), "a number in [0, 1]")
         for name in ("reference_speed", "position_spread", "friction", "brakes"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingError(name, getattr(self, name), "a finite number above 0")
@@ -135,6 +149,18 @@ class CoastSettings(YamlTable):
                 bend=(0.0,) if bend is None else bend.numbers(),
             )
         return cls(**{key: root[key].number() for key in cls.keys if key != "ways"}, ways=ways)
+
+    def of_base(self, scene: Scene) -> float:
+        """Return the share of failures that are the base's: all of them if there is nothing else that may fail."""
+        if scene.base is None:
+            return 0.0
+        return 1.0 if scene.joints == scene.base.joints else self.share
+
+    def of_cargo(self, scene: Scene) -> float:
+        """Return the share of failures in which what is carried is let go, or thrown off a base without an arm."""
+        if scene.base is None:
+            return 1.0
+        return self.thrown if scene.joints == scene.base.joints else 1.0 - self.share
 
     def stops(self, load: float = 1.0) -> Float[Array, "stop 6"]:
         """Return every combination of ways in which both sides do the same.

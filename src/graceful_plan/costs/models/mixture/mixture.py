@@ -92,11 +92,11 @@ class Footprint(NativeModel):
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
         """Return the same by generator, those that have a weight."""
-        aboard = self._aboard(batch.scene)
         found = {**self._gripper_sources(batch), **self._arm_sources(batch)}
-        if aboard == 1.0:
+        if batch.scene.base is None:
             return found
-        coast = self.base.share * Coast(self.base).probability(batch)
+        coast = self.base.of_base(batch.scene) * Coast(self.base).probability(batch)
+        aboard = self.base.of_cargo(batch.scene)
         return {**{name: aboard * P for name, P in found.items()}, "coast": coast}
 
     @property
@@ -109,7 +109,7 @@ class Footprint(NativeModel):
         if batch.scene.carried is None or not self.knows_own_loss or not len(batch):
             return {"drop": np.zeros(len(batch))}
         kernel = drop_kernel(batch.scene, self.settings, self.spill, fragility, self.stop, self.network)
-        weight = self._aboard(batch.scene) * self.prior.weights()["drop"]
+        weight = self.base.of_cargo(batch.scene) * self.prior.weights()["drop"]
         return {"drop": weight * kernel.own_loss(batch.q, batch.qd)}
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
@@ -132,10 +132,10 @@ class Footprint(NativeModel):
         """Return the native kernel; where arms may fail, its derivatives along edges are close rather than exact."""
         parts: list[ImpactKernel] = []
         if scene.base is not None:
-            coast = Coast(self.base).kernel(scene, self.base.share * severity, paces)
+            coast = Coast(self.base).kernel(scene, self.base.of_base(scene) * severity, paces)
             parts += [coast] if coast is not None else []
-            severity = self._aboard(scene) * severity
-        rows, loss = self._severities(scene, severity), self._aboard(scene) * self._own_severity(own)
+            severity = self.base.of_cargo(scene) * severity
+        rows, loss = self._severities(scene, severity), self.base.of_cargo(scene) * self._own_severity(own)
         if scene.carried is not None and (rows.any() or loss):
             parts.append(self._drop_kernel(scene, own).with_severity(rows, paces, own=loss))
         weights = self._arm_weights()
@@ -159,9 +159,13 @@ class Footprint(NativeModel):
         """
         if self._arm_weights().any():
             return None
-        scene, aboard, found = batch.scene, self._aboard(batch.scene), (np.zeros_like(batch.q), np.zeros_like(batch.q))
+        scene, aboard, found = (
+            batch.scene,
+            self.base.of_cargo(batch.scene),
+            (np.zeros_like(batch.q), np.zeros_like(batch.q)),
+        )
         if scene.base is not None:
-            found = Coast(self.base).gradients(batch, self.base.share * severity) or found
+            found = Coast(self.base).gradients(batch, self.base.of_base(scene) * severity) or found
         if scene.carried is None:
             return found
         kernel, rows = self._drop_kernel(scene, own), self._severities(scene, aboard * severity)
@@ -172,10 +176,6 @@ class Footprint(NativeModel):
         """Return a model in which places that things fall from, and distances, are uncertain by so much more."""
         wide = self.settings.widened(metres), self.spill.widened(metres), self.body.widened(metres)
         return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
-
-    def _aboard(self, scene: Scene) -> float:
-        """Share of failures that are not the base's."""
-        return 1.0 if scene.base is None else 1.0 - self.base.share
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of drops, of spills and of stops."""
