@@ -33,6 +33,7 @@ class Handles:
         self._server, self._controls, self._ask = server, controls, ask
         self.start, self.goal = (self._end(name, drives) for name in ("start", "goal"))
         self._thing: Any = None
+        self._name = ""
         self._dragged(self.start, Question.starting_at)
         self._dragged(self.goal, Question.going_to)
 
@@ -60,20 +61,18 @@ class Handles:
 
     def offer(self, name: str, X_WB: Float[Array, "4 4"] | None) -> None:
         """Show a handle for a thing that is at a pose, or none any more."""
-        if self._thing is not None:
-            self._thing.remove()
-            self._thing = None
         if X_WB is None:
+            if self._thing is not None:
+                self._thing.visible = False
             return
-        self._thing = self._server.scene.add_transform_controls(
-            "/entity",
-            scale=0.2,
-            line_width=3.0,
-            depth_test=False,
-            position=X_WB[:3, 3],
-            wxyz=quaternion_of(X_WB[:3, :3]),
-        )
-        self._dragged(self._thing, lambda question, pose: question.with_moved(name, pose))
+        if self._thing is None:
+            self._thing = self._server.scene.add_transform_controls(
+                "/entity", scale=0.2, line_width=3.0, depth_test=False
+            )
+            self._dragged(self._thing, lambda question, pose: question.with_moved(self._name, pose))
+        self._name = name
+        self._thing.position, self._thing.wxyz = X_WB[:3, 3], quaternion_of(X_WB[:3, :3])
+        self._thing.visible = True
 
     def _end(self, name: str, drives: bool) -> Any:
         return self._server.scene.add_transform_controls(
