@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import stub_viser
+from browsing import until
 
 import graceful_plan as gp
 from graceful_plan.viewer import state as state_module
+from graceful_plan.viewer.browser import handles
 from graceful_plan.viewer.browser.page import Page
 from graceful_plan.viewer.question import CHOSEN, ORDINARY, PlanAnswer, Question
 from graceful_plan.viewer.shapes import parts
@@ -67,6 +69,14 @@ class Desk:
         answer = self.motions[question.w >= 1.0]
         return replace(answer.among(question), question=question)
 
+    def type(self, which, *places):
+        """Type places into the field of "start" or "goal", and wait until the last one is asked for."""
+        before = self.page.state.question
+        for place in places:
+            getattr(self.c, which).enter(place)
+        until(lambda: self.page.state.question is not before)
+        self.wait()
+
     def wait(self):
         assert self.page.state.worker.wait(_LONG)
 
@@ -83,6 +93,7 @@ def opened(question, motions):
         patch.setitem(sys.modules, "viser", stub_viser)
         desk = Desk(question, motions)
         patch.setattr(state_module, "answered", desk.answered)
+        patch.setattr(handles, "_PAUSE", 0.05)
         desk.page.begin()
         desk.wait()
         yield desk
@@ -114,10 +125,9 @@ def session(desk):
     c.names.enter(True)
     desk.wait()
     desk.found = False
-    c.goal.enter((0.5, 0.0, 9.0))
-    desk.wait()
+    desk.type("goal", (0.5, 0.0, 9.0))
     desk.found = True
-    c.goal.enter((0.5, 0.0, 0.5))
+    desk.type("goal", (0.5, 0.0, 0.5))
     c.other.enter("hidden")
     desk.wait()
     c.fault.enter("gripper_failure")
@@ -218,8 +228,7 @@ def test_without_a_motion_nothing_is_said_of_one(desk):
     assert far.visible and "Impact of a failure now" in desk.c.now_text.content
     begun = desk.place("green").copy()
     desk.found = False
-    desk.c.goal.enter((0.5, 0.0, 9.0))
-    desk.wait()
+    desk.type("goal", (0.5, 0.0, 9.0))
     assert not far.visible and desk.c.now_text.content == "" and not desk.server.only("gui", "chart").visible
     assert "INVALID_GOAL" in desk.c.plan_text.content
     start = desk.page.state.question.scene.data_at(desk.page.state.question.start).body("green").xpos
@@ -238,6 +247,19 @@ def test_a_thing_that_cannot_be_moved_has_its_handle_where_it_is(desk, monkeypat
     handle.drag(there + 1.0)
     assert desk.server.complaints == ["it hangs on something else"]
     np.testing.assert_allclose(handle.position, there, atol=1e-9)
+
+
+def test_half_of_a_number_is_no_start(desk):
+    """It once was refused, and the field was put back while the rest was typed."""
+    x, y, z = desk.page.state.question.handle_pose(desk.page.state.question.start)[:3, 3].tolist()
+    desk.type("start", (x, y, 0.0), (x, y, z + 0.04))
+    found = desk.page.state.question
+    np.testing.assert_allclose(found.handle_pose(found.start)[:3, 3], [x, y, z + 0.04], atol=1e-3)
+    assert desk.server.complaints == []
+    desk.c.start.enter((x, y, -9.0))
+    until(lambda: desk.c.start.value == pytest.approx((x, y, z + 0.04), abs=1e-3))
+    (said,) = desk.server.complaints
+    assert "out of reach" in said
 
 
 def test_who_comes_while_two_scenes_stand_side_by_side_sees_both(desk):

@@ -90,6 +90,7 @@ class Page:
     def close(self) -> None:
         """Stop serving the page; done at the end of the program, too."""
         atexit.unregister(self.close)
+        self.handles.close()
         self.state.close()
         self.player.close()
         with contextlib.redirect_stdout(io.StringIO()):
