@@ -24,7 +24,7 @@ the viewer, in a browser without a window. Packages come from wherever pip is se
 fresh environment of each Python, with its dependencies, then `.ci/smoke_wheel`: `pip check`, planning, evaluating,
 `doctor` and FailBench from a folder where no source is. Wheels are those in `dist/`; what is missing there is built.
 """
-_STEP = re.compile(r"^ *([\d.]+) s  ([^:]+)(?:: (.*))?$", flags=re.MULTILINE)
+_STEP = re.compile(r"^ *([\d.]+) s  ([^:\n]+)(?:: (.*))?$", flags=re.MULTILINE)
 
 
 def run(options: suite.Options) -> str:
