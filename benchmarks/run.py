@@ -43,6 +43,7 @@ SUBJECTS = (
     "startup",
     "hardening",
     "viewer",
+    "packages",
     "discretisation",
     "motions",
     "paper_table",
@@ -78,6 +79,7 @@ SUBJECTS = (
 """In the order of RESULTS.md; each is a module of `benchmarks.subjects` with TITLE and run(options)."""
 ON_REQUEST = frozenset(
     {
+        "packages",
         "best_known",
         "auto",
         "trajectory_prediction",

@@ -353,7 +353,7 @@ ELSEWHERE = {
     "explain.md": "analysis/test_explanation.py",
     "problem-files.md": "compare/problems/test_problem_files.py",
     "risk.md": "analysis/test_risk_measures.py",
-    "viewer.md": "viewer/test_browser.py",
+    "viewer.md": "viewer/browser/test_browser.py",
 }
 """Guides whose snippets need files, long budgets or an extra, and the tests that run them."""
 GUIDES = sorted(

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import graceful_plan as gp
-from graceful_plan.floor.generated import floor_plan
+from graceful_plan.floor.generated import GeneratedFloor, floor_plan
 from graceful_plan.floor.grid_paths import FloorGrid
 from graceful_plan.viz.outlines import draw_entities
 
@@ -28,29 +28,45 @@ ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
 _COMMAND = (sys.executable, "-m", "graceful_plan.tools.cli")
 _COLOURS = ("#0b62c4", "#a3408f", "#00805a")
+_FLOORS, _HARM, _ELSEWHERE = 40, 1.0, 0.4
+"""Of so many floors the first one is taken where the ordinary drive has more than this impact, and w = 1 gets farther
+than this from it [m]."""
 _WAIT = 12.0
 """How long a page may take until everything on it is drawn [s]; there is no graphics card."""
 
 
 def rooms() -> None:
-    """Draw a floor by chance: distances, paths over cells, and what a base drives."""
-    made = floor_plan(7, rooms=(3, 2), people=5)
+    """Draw the first floor by chance on which failures do harm and regard for them changes the drive."""
+    seed, made, drives = next(found for found in map(_driven, range(_FLOORS)) if _matters(*found[2]))
     floor, grid = made.floor, FloorGrid(floor=made.floor, radius=0.3)
-    scene = floor.to_scene("jackal")
-    with _figure(IMAGES / "rooms.png", 2, (10.0, 4.0)) as (cells, drives):
-        for axes in (cells, drives):
+    with _figure(IMAGES / "rooms.png", 2, (10.0, 4.4)) as (cells, among):
+        for axes in (cells, among):
             _draw_map(axes, floor, distances=axes is cells)
         for method, colour in zip(("dijkstra", "theta_star"), _COLOURS, strict=False):
             xy = grid.path(made.start[:2], made.goal[:2], method=method).xy
             cells.plot(*xy.T, color=colour, label=f"{method}, {_length(xy):.1f} m")
         for solid in floor.entities:
-            drives.plot(*solid.pose[:2], "o", color="#d55e00", markersize=7)
-            drives.annotate(solid.entity or "", solid.pose[:2], (6, 4), textcoords="offset points", fontsize=7)
-        for w, colour in ((0.0, _COLOURS[0]), (1.0, _COLOURS[1])):
-            result = gp.plan(made.start, gp.BasePose(*made.goal), scene, w=w, time_limit=15.0)
-            _draw_drive(drives, result, colour, f"w = {w:g}")
+            among.plot(*solid.pose[:2], "o", color="#d55e00", markersize=7)
+            among.annotate(solid.entity or "", solid.pose[:2], (6, 4), textcoords="offset points", fontsize=7)
+        for result, w, colour in zip(drives, (0.0, 1.0), _COLOURS, strict=False):
+            _draw_drive(among, result, colour, f"w = {w:g}")
         cells.set_title("tint: distance to the next obstacle; paths over cells")
-        drives.set_title("what a Jackal drives among people")
+        among.set_title(f"what a Jackal drives among people, floor {seed}")
+
+
+def _driven(seed: int) -> tuple[int, GeneratedFloor, tuple[gp.PlanResult, gp.PlanResult]]:
+    made = floor_plan(seed, rooms=(3, 2), people=5)
+    scene, goal = made.floor.to_scene("jackal"), gp.BasePose(*made.goal)
+    first, second = (gp.plan(made.start, goal, scene, w=w, time_limit=15.0) for w in (0.0, 1.0))
+    return seed, made, (first, second)
+
+
+def _matters(first: gp.PlanResult, second: gp.PlanResult) -> bool:
+    """Whether the second drive is elsewhere than the first one, which does harm."""
+    if first.trajectory is None or second.trajectory is None or first.cost is None:
+        return False
+    one, other = first.trajectory.q[:, None, :2], second.trajectory.q[None, :, :2]
+    return first.cost.impact > _HARM and bool(np.linalg.norm(one - other, axis=2).min(axis=0).max() > _ELSEWHERE)
 
 
 def drive() -> None:
@@ -157,7 +173,7 @@ def _figure(file: Path, count: int, size: tuple[float, float]) -> Iterator[Any]:
     yield axes[0]
     for one in axes[0]:
         one.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-        one.legend(fontsize=8, loc="upper right", framealpha=0.9)
+        one.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     figure.savefig(file, dpi=110)
     plt.close(figure)
 

@@ -13,7 +13,7 @@ from graceful_plan.exceptions import SettingError, UnknownNameError
 from graceful_plan.viewer.browser import words
 from graceful_plan.viewer.failing import Failure, faults_of
 from graceful_plan.viewer.fall import fall_at, going_on_at
-from graceful_plan.viewer.question import Question
+from graceful_plan.viewer.question import Question, answered
 from graceful_plan.viewer.risk_layer import heat_colours
 from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.state import MOST_KEPT, ViewerState
@@ -204,6 +204,28 @@ def test_the_latest_weight_wins(fresh):
     assert fresh.answer.question.w == 0.9
 
 
+def test_an_answer_that_was_overtaken_at_the_last_moment_is_dropped(fresh):
+    """The worker may have looked whether it is still wanted just before something else was asked."""
+    late, known = dataclasses.replace(fresh.answer, question=fresh.question.weighted(0.7)), fresh.answer
+    fresh._done(late)
+    assert fresh.answer is known
+    fresh.question = late.question
+    fresh._done(late)
+    assert fresh.answer is late
+
+
+def test_a_known_motion_is_shown_among_moved_things_until_there_is_another(fresh):
+    before, X = fresh.motion, fresh.question.entity_pose("red1")
+    X[0, 3] += 0.03
+    fresh.fail(Failure(fault="gripper_failure"))
+    fresh.worker.close()
+    fresh.ask(fresh.question.with_moved("red1", X))
+    assert fresh.motion.trajectory is before.trajectory and fresh.motion.scene is fresh.question.scene
+    assert fresh.replay is None and fresh.answer.question is not fresh.question
+    red = [part.name for part in parts(fresh.motion.scene)].index("red1")
+    np.testing.assert_allclose(fresh.at(0.0).position[red], X[:3, 3], atol=1e-9)
+
+
 def test_a_dragged_goal_is_reached(fresh):
     question, motion = fresh.question, fresh.motion
     X_WT = question.handle_pose(motion.trajectory.q[-1])
@@ -274,7 +296,17 @@ def test_a_goal_out_of_reach_is_said_and_nothing_is_shown(question):
 # --- failures ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_gripper_failure_is_replayed_beside_what_was_predicted(fresh):
+@pytest.fixture
+def careless(question, state):
+    """A state of its own that shows the ordinary motion, under which there is somebody to be hit."""
+    ordinary = question.weighted(0.0)
+    own = ViewerState(ordinary, answer=answered(ordinary, state.answer, lambda: False))
+    yield own
+    own.close()
+
+
+def test_a_gripper_failure_is_replayed_beside_what_was_predicted(careless):
+    fresh = careless
     replay = fresh.fail(Failure(fault="gripper_failure", moment=0.5))
     assert replay.onset == pytest.approx(0.5 * fresh.motion.duration, abs=0.011)
     assert np.all(np.diff(replay.t) > 0.0) and replay.t[0] == 0.0 and fresh.duration == replay.duration

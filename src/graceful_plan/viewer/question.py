@@ -177,6 +177,11 @@ class PlanAnswer:
         """Those that were found, the chosen one first."""
         return tuple(motion for motion in (self.chosen, self.ordinary) if motion is not None)
 
+    def among(self, question: Question) -> PlanAnswer:
+        """Return the same motions among the things of another question, which they may hit: it is not answered yet."""
+        chosen, ordinary = (one and _again(one, question) for one in (self.chosen, self.ordinary))
+        return replace(self, chosen=chosen, ordinary=ordinary)
+
 
 def answered(question: Question, known: PlanAnswer | None, cancelled: Callable[[], bool]) -> PlanAnswer:
     """Plan both motions, but for what is known: the chosen one of the same question, the ordinary one of the same way.
@@ -207,7 +212,7 @@ def _shown(label: str, question: Question, result: PlanResult) -> tuple[ShownMot
 
 
 def _again(motion: ShownMotion, question: Question) -> ShownMotion:
-    """Return a motion that stays, with what it risks if severities are others."""
+    """Return a motion that stays, with what it risks if things are elsewhere or severities are others."""
     if motion.scene is question.scene:
         return motion
     cost = Objective(impact=question.impact, w=0.0).bind(question.scene).breakdown(motion.trajectory)

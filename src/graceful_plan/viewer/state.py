@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import final
@@ -10,11 +11,13 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
+from graceful_plan.scene.scene import Scene
 from graceful_plan.viewer.failing import Failure, FailureBench, Replay, recorded_replay
 from graceful_plan.viewer.fall import Fall, GoingOn, fall_at, going_on_at
 from graceful_plan.viewer.question import PlanAnswer, Question, answered
 from graceful_plan.viewer.recorded import RecordedRollouts
 from graceful_plan.viewer.risk_layer import RiskLayer, risk_layer
+from graceful_plan.viewer.shapes import parts
 from graceful_plan.viewer.shown import ShownMotion
 from graceful_plan.viewer.worker import LatestWins
 
@@ -55,9 +58,11 @@ class ShownMoment:
 class ViewerState:
     """Question, answer, replay and time. Changes of the question are planned in a worker, the latest wins.
 
+    Threads share it: whoever changes it, or reads more than one thing of it, holds its `lock`.
+
     Args:
         question: What is asked first.
-        changed: Called when there is a new answer, in the worker's thread.
+        changed: Called when there is a new answer, in the worker's thread, which holds the lock then.
         failed: Called with what went wrong with one, in the same thread.
         answer: What is known already; nothing is planned then until somebody asks.
     """
@@ -69,6 +74,7 @@ class ViewerState:
         failed: Callable[[Exception], None] = lambda error: None,
         answer: PlanAnswer | None = None,
     ) -> None:
+        self.lock = threading.RLock()
         self.question, self.answer, self.replay = question, answer, None
         self.kept: tuple[ShownMotion, ...] = ()
         self._changed, self._bench = changed, FailureBench()
@@ -77,7 +83,12 @@ class ViewerState:
     # --- what is asked ------------------------------------------------------------------------------------------------
 
     def ask(self, question: Question) -> None:
-        """Ask the planner; the answer comes later, unless something else is asked before."""
+        """Ask the planner; the answer comes later, unless something else is asked before.
+
+        Among other things, the motions that are known stay until then, with what they risk there; a replay does not.
+        """
+        if self.answer is not None and question.scene is not self.question.scene:
+            self._take(self.answer.among(question))
         self.question = question
         self.worker.ask(question)
 
@@ -103,7 +114,8 @@ class ViewerState:
         """
         replay, (question, answer) = recorded_replay(rollouts, number), rollouts.shown(number)
         if question is not self.question:
-            self.answer = answer
+            self.question, self.answer = question, answer
+            self.kept = tuple(one for one in self.kept if _same_parts(one.scene, question.scene))
             self.ask(question)
         self.replay = replay
         return replay
@@ -139,10 +151,15 @@ class ViewerState:
         return answered(question, self.answer, cancelled)
 
     def _done(self, answer: PlanAnswer) -> None:
+        with self.lock:
+            if answer.question is self.question:  # nothing else was asked at the last moment
+                self._take(answer)
+                self._changed()
+
+    def _take(self, answer: PlanAnswer) -> None:
         before, self.answer = self.motion, answer
         if self.motion is not before:
             self.replay = None
-        self._changed()
 
     # --- what is shown ------------------------------------------------------------------------------------------------
 
@@ -196,3 +213,8 @@ class ViewerState:
     def close(self) -> None:
         """End the worker."""
         self.worker.close()
+
+
+def _same_parts(first: Scene, second: Scene) -> bool:
+    """Whether motions in two scenes can be shown side by side."""
+    return [part.name for part in parts(first)] == [part.name for part in parts(second)]

@@ -20,7 +20,7 @@ _ASIDE = 0.35
 
 @final
 class Cameras:
-    """The cameras of all browsers that show a page.
+    """The cameras of all browsers that show a page, or will.
 
     Args:
         server: viser's server.
@@ -54,8 +54,7 @@ class Cameras:
         self._shifted = shift
         if not more.any():
             return
-        for client in self._server.get_clients().values():
-            camera = client.camera
+        for camera in (self._server.initial_camera, *(client.camera for client in self._server.get_clients().values())):
             position, target = np.asarray(camera.position), np.asarray(camera.look_at)
             back = (position - target) / np.linalg.norm(position - target)
             camera.position = position + 0.5 * more + 0.6 * farther * back

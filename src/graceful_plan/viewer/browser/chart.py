@@ -12,50 +12,73 @@ from graceful_plan.viz.style import ENTITY_COLOURS, OTHERS_COLOUR
 Array = np.ndarray
 
 _ENTITIES = 4
+_SERIES = _ENTITIES + 3
+"""The time, those in most danger, all others, and the line that says when."""
 _NOW = 1e-6
-"""Width of the line that says when [s]."""
+"""Width of that line [s]."""
+_UNUSED = {"label": "", "width": 0, "points": {"show": False}}
 
 
 @final
 class ImpactChart:
-    """A chart on the page.
+    """A chart on the page: one for as long as the page is there, whatever motion it is of.
+
+    A browser applies what is written to elements of the panel after everything else that came at the same time. An
+    element that is written to and then taken away is gone by then, which is an error; so this one never is. It always
+    has as many series, since a browser may draw between the data and what they are called.
 
     Args:
-        server: viser's server; the chart is put where the panel is at.
-        motion: What it is of.
+        server: viser's server; the chart is put where the panel is at, out of sight until there is a motion.
     """
 
-    def __init__(self, server: Any, motion: ShownMotion) -> None:
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._motion: ShownMotion | None = None
+        self._values: list[Array] = []
+        self._top = 1.0
+        nothing = np.zeros(2)
+        self._handle = server.gui.add_uplot(
+            (np.arange(2.0), *[nothing] * (_SERIES - 1)),
+            ({"label": "t [s]"}, *[_UNUSED] * (_SERIES - 1)),
+            height=190,
+            scales=self._scales(),
+            axes=({"label": "time [s]", "labelSize": 18, "size": 34}, {"size": 46}),
+            legend={"show": True, "live": False},
+            visible=False,
+        )
+
+    def draw(self, motion: ShownMotion | None) -> None:
+        """Draw another motion; without one there is no chart to be seen."""
         self._motion = motion
-        self._names = motion.worst(_ENTITIES)
-        index = [motion.entities.index(name) for name in self._names]
+        if motion is None:
+            self._handle.visible = False
+            return
+        names = motion.worst(_ENTITIES)
+        index = [motion.entities.index(name) for name in names]
         others = motion.risk - motion.by_entity[:, index].sum(axis=1)
         self._values = [*motion.by_entity[:, index].T, np.maximum(others, 0.0)]
         self._top = max(1e-3, 1.05 * float(max(values.max(initial=0.0) for values in self._values)))
-        labels = [*self._names, "all others"]
-        colours = [*ENTITY_COLOURS[: len(self._names)], OTHERS_COLOUR]
+        colours = zip([*names, "all others"], [*ENTITY_COLOURS[: len(names)], OTHERS_COLOUR], strict=True)
         series: list[Any] = [{"label": "t [s]"}]
-        series += [
-            {"label": label, "stroke": colour, "width": 2} for label, colour in zip(labels, colours, strict=True)
-        ]
+        series += [{"label": label, "stroke": colour, "width": 2} for label, colour in colours]
         series.append({"label": "now", "stroke": "#d62728", "width": 1})
-        self.handle = server.gui.add_uplot(
-            self._data(0.0),
-            tuple(series),
-            height=190,
-            scales={"x": {"time": False}, "y": {"range": (0.0, self._top)}},
-            axes=({"label": "time [s]", "labelSize": 18, "size": 34}, {"size": 46}),
-            legend={"show": True, "live": False},
-        )
+        with self._server.atomic():
+            self._handle.series = (*series, *[_UNUSED] * (_SERIES - len(series)))
+            self._handle.scales = self._scales()
+            self.show(0.0)
+            self._handle.visible = True
 
     def show(self, t: float) -> None:
-        """Move the line to a time [s]."""
-        self.handle.data = self._data(t)
-
-    def _data(self, t: float) -> tuple[Array, ...]:
+        """Move the line to a time [s], if there is a motion."""
+        if self._motion is None:
+            return
         here = min(max(t, 0.0), self._motion.duration)
         x = np.union1d(self._motion.risk_t, [here, here + _NOW])
         now = np.full(len(x), np.nan)
         at = int(np.searchsorted(x, here))
         now[at], now[at + 1] = 0.0, self._top
-        return (x, *(np.interp(x, self._motion.risk_t, values) for values in self._values), now)
+        shown = [x, *(np.interp(x, self._motion.risk_t, values) for values in self._values), now]
+        self._handle.data = (*shown, *[np.full(len(x), np.nan)] * (_SERIES - len(shown)))
+
+    def _scales(self) -> dict[str, Any]:
+        return {"x": {"time": False}, "y": {"range": (0.0, self._top)}}

@@ -7,7 +7,6 @@ import contextlib
 import importlib
 import io
 import logging
-import threading
 from collections.abc import Callable
 from typing import Any, final
 
@@ -58,8 +57,9 @@ class Page:
         viser: Any = importlib.import_module("viser")
         with contextlib.redirect_stdout(io.StringIO()):  # it greets on the terminal
             self.server: Any = viser.ViserServer(host=host, port=port, label="graceful_plan", verbose=False)
-        self.lock = threading.RLock()
         self.state = ViewerState(question, self._answered, self._not_answered, answer)
+        # Whoever draws holds it, too: what is drawn is always of one answer.
+        self.lock = self.state.lock
         self._asked_first = False
         self._theme(dark)
         self.server.scene.configure_environment_map(None)
@@ -75,9 +75,8 @@ class Page:
             self.stage = DrawnStage(self.server, self.controls, question)
             self._place_handles()
             self._connect()
-            if answer is not None:
-                self._answered()
-            self._show(0.0)
+            self._draw()
+            self._say(busy=False)
         self.server.on_client_connect(lambda client: when_drawn(client, self.begin))
         self.player.start()
         atexit.register(self.close)
@@ -91,6 +90,7 @@ class Page:
     def close(self) -> None:
         """Stop serving the page; done at the end of the program, too."""
         atexit.unregister(self.close)
+        self.handles.close()
         self.state.close()
         self.player.close()
         with contextlib.redirect_stdout(io.StringIO()):
@@ -130,7 +130,7 @@ class Page:
         c.heal.on_click(lambda _: self._guarded(self._heal))
         c.renew.on_click(lambda _: self._guarded(self._lay_map))
         if c.recorded is not None:
-            c.recorded.on_chosen(lambda number: self._guarded(self._happen_again, number))
+            c.recorded.connect(self._guarded, self._happen_again)
         self._pick()
 
     def _on(self, handle: Any, act: Callable[[], None]) -> None:
@@ -151,6 +151,7 @@ class Page:
             self._complain(error)
             with self.lock:
                 self._place_handles()
+                self._offer_move()
 
     def _complain(self, error: Exception) -> None:
         if not isinstance(error, GracefulPlanError):
@@ -161,14 +162,13 @@ class Page:
     def _ask(self, question: Question) -> None:
         self._asked_first = True
         self.state.ask(question)
+        if question.scene is not self.stage.drawn:
+            self._draw()
         self._say(busy=True)
 
     def _changed(self, change: Change, X_W: Array) -> None:
         """Ask something with other ends or among other things."""
-        before = self.state.question
-        self._ask(change(before, X_W))
-        if self.state.question.scene is not before.scene:
-            self._set_scene()
+        self._ask(change(self.state.question, X_W))
         self._place_handles()
 
     def _place_handles(self) -> None:
@@ -188,41 +188,44 @@ class Page:
         scene = self.state.question.scene
         self.stage.set_scene(self.state.question)
         self.controls.offer(tuple(scene.entities), faults_of(scene))
+        self._pick()
 
     def _pick(self) -> None:
         scene, c = self.state.question.scene, self.controls
         if c.entity.value in scene.entities:
             c.severity.value = float(max(scene.entities[c.entity.value].severity.values(), default=0.0))
-            self._offer_move()
+        self._offer_move()
 
     def _set_severity(self) -> None:
         c = self.controls
         self._ask(self.state.question.with_severity(c.entity.value, float(c.severity.value)))
-        self.stage.name_things(self.state.question)
 
     def _offer_move(self) -> None:
-        name = self.controls.entity.value
-        wanted = self.controls.move.value
-        self.handles.offer(name, self.state.question.entity_pose(name) if wanted else None)
+        name, question = self.controls.entity.value, self.state.question
+        wanted = self.controls.move.value and name in question.scene.entities
+        self.handles.offer(name, question.entity_pose(name) if wanted else None)
 
     # --- answers ------------------------------------------------------------------------------------------------------
 
     def _answered(self) -> None:
-        with self.lock:
-            if self.state.answer is not None and self.state.answer.question.scene is not self.stage.drawn:
-                self._set_scene()
-            self.controls.heal.visible = self.state.replay is not None
-            self._show_handles()
-            # The chart first: one that is written to and taken away at once is an error in the browser.
-            self.stage.set_chart(self.state.motion)
-            self.draw_plans()
-            self.player.seek(min(self.player.t, self.state.duration))
-            self._lay_map()
-            self._say(busy=False)
+        self._draw()
+        self._say(busy=False)
+
+    def _draw(self) -> None:
+        """Draw everything anew that may have changed with an answer, or with what stands around."""
+        if self.state.question.scene is not self.stage.drawn:
+            self._set_scene()
+        self.controls.heal.visible = self.state.replay is not None
+        self._show_handles()
+        self.stage.set_chart(self.state.motion)
+        self.draw_plans()
+        self.player.seek(self.player.t)
+        self._lay_map()
 
     def _not_answered(self, error: Exception) -> None:
         self._complain(error)
-        self._say(busy=False)
+        with self.lock:
+            self._say(busy=False)
 
     def draw_plans(self) -> None:
         """Draw the motions as they are to be shown."""
@@ -267,16 +270,14 @@ class Page:
 
     def _happen_again(self, number: int) -> None:
         """Show a rollout of the dataset, on its own motion."""
-        recorded, before = self.controls.recorded, self.state.question
+        recorded, before, c = self.controls.recorded, self.state.question, self.controls
         if recorded is None:
             return
         replay = self.state.happen_again(recorded.rollouts, number)
         if self.state.question is not before:
-            self._set_scene()
+            self._draw()
             self._place_handles()
-            self.controls.w.value = self.state.question.w
-            self.stage.set_chart(self.state.motion)
-            self.draw_plans()
+            c.w.max, c.w.value = max(c.w.max, self.state.question.w), self.state.question.w
         self._watch(replay)
 
     def _watch(self, replay: Replay) -> None:
@@ -288,5 +289,5 @@ class Page:
     def _heal(self) -> None:
         self.state.forget()
         self.controls.heal.visible = False
-        self.player.seek(min(self.player.t, self.state.duration))
+        self.player.seek(self.player.t)
         self._say(busy=not self.state.worker.idle)

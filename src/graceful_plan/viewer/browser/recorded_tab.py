@@ -30,13 +30,21 @@ class RecordedTab:
             self._show = gui.add_button("Let it happen again", color="red")
             self._told = gui.add_html("")
         self._filter()
-        self._motion.on_update(lambda _: self._filter())
-        self._fault.on_update(lambda _: self._filter())
-        self._place.on_update(lambda _: self._describe())
 
-    def on_chosen(self, act: Callable[[int], None]) -> None:
-        """Call a function with the number of the rollout that somebody wants to see."""
-        self._show.on_click(lambda _: act(self.number) if len(self._order) else None)
+    def connect(self, guarded: Callable[..., None], chosen: Callable[[int], None]) -> None:
+        """Act on what somebody does.
+
+        Args:
+            guarded: Calls a function with what is given besides, alone: no two browsers at the same time.
+            chosen: Called with the number of the rollout that somebody wants to see.
+        """
+        for handle, act in ((self._motion, self._filter), (self._fault, self._filter), (self._place, self._describe)):
+            handle.on_update(lambda event, act=act: guarded(act) if event.client is not None else None)
+        self._show.on_click(lambda _: guarded(self._choose, chosen))
+
+    def _choose(self, chosen: Callable[[int], None]) -> None:
+        if len(self._order):
+            chosen(self.number)
 
     def tell(self, text: str) -> None:
         """Say what was predicted and observed of what is shown, in HTML."""

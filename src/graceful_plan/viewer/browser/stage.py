@@ -35,21 +35,26 @@ class DrawnStage:
         self._server, self._controls = server, controls
         self._plans = DrawnPlans(server, Cameras(server, question))
         self._footprints = marks.Footprints(server)
-        self._scene: DrawnScene | None = None
         self.layer: Any = None
-        self._chart: ImpactChart | None = None
+        with controls.chart_folder:
+            self._chart = ImpactChart(server)
         self._labels: list[Any] = []
-        self.set_scene(question)
+        self._draw_scene(question)
 
     def set_scene(self, question: Question) -> None:
         """Draw the scene of a question from scratch, where its robot is at the start."""
-        if self._scene is not None:
-            self._scene.remove()
+        self._scene.remove()
+        self._draw_scene(question)
+
+    def _draw_scene(self, question: Question) -> None:
         self.drawn: Scene = question.scene
         self._scene = DrawnScene(self._server, "/scene", question.scene)
+        self._begin(question)
+        self.name_things(question)
+
+    def _begin(self, question: Question) -> None:
         poses, _ = poses_along(question.scene, parts(question.scene), question.start[None], np.zeros(1))
         self._scene.put(poses.position[0], poses.quaternion[0])
-        self.name_things(question)
 
     def name_things(self, question: Question) -> None:
         """Write names and severities on what may be hit, if they are wanted."""
@@ -69,13 +74,8 @@ class DrawnStage:
         self._plans.draw(state.motion, state.others, self._controls.other.value)
 
     def set_chart(self, motion: ShownMotion | None) -> None:
-        """Draw the chart of a motion."""
-        if self._chart is not None:
-            self._chart.handle.remove()
-            self._chart = None
-        if motion is not None:
-            with self._controls.chart_folder:
-                self._chart = ImpactChart(self._server, motion)
+        """Draw the chart of a motion; of none, there is no chart."""
+        self._chart.draw(motion)
 
     def lay(self, layer: RiskLayer | None) -> None:
         """Lay a risk map into the scene instead of the one that is there."""
@@ -84,11 +84,15 @@ class DrawnStage:
         self.layer = None if layer is None else marks.add_layer(self._server, layer)
 
     def show(self, state: ViewerState, t: float, words_too: bool = True) -> None:
-        """Show a time [s]."""
-        moment = state.at(t)
-        if moment is None or self._scene is None:
+        """Show a time [s]; without a motion, the robot at the start and nothing of what may become of it."""
+        moment, replay = state.at(t), state.replay
+        if moment is None:
+            if words_too:
+                self._begin(state.question)
+                self._scene.strike(())
+                self._footprints.show(None, None)
+                self._controls.now_text.content = ""
             return
-        replay = state.replay
         with self._server.atomic():
             self._scene.put(moment.position, moment.turned)
             self._plans.put(moment.beside)
@@ -98,5 +102,4 @@ class DrawnStage:
             self._scene.strike({name for _, name, after, _ in hits if replay and t >= replay.onset + after})
         if words_too:
             self._controls.now_text.content = words.now_words(moment.impact, failed=moment.failed)
-            if self._chart is not None:
-                self._chart.show(t)
+            self._chart.show(t)

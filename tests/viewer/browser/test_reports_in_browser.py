@@ -22,10 +22,15 @@ def pages(browser_parts, tmp_path_factory):
     tune = ["tune", "tabletop", "lift_to_goal", "--iterations", "300", "--validate", "2", "--out", str(folder / "tune")]
     suite = folder / "suite.yaml"
     suite.write_text("version: 1\nproblems: [{scene: tabletop, tasks: [lift_to_goal]}]\n")
-    bench = ["bench", "--suite", str(suite), "--planners", *gp.PLANNERS, "--seeds", "1", "--time-limit", "0.05"]
+    bench = ["bench", "--suite", str(suite), "--planners", *gp.PLANNERS, "--seeds", "1", "--processes", "0"]
     assert cli.main(tune) in (cli.DONE, cli.FAILED)
-    assert cli.main([*bench, "--processes", "0", "--out", str(folder / "bench")]) == cli.DONE
-    return {"tune": folder / "tune" / "front.html", "bench": folder / "bench" / "report.html"}
+    # On a busy machine no planner may be done in a twentieth of a second: what nobody solves has no motion to show.
+    limits = (limit for limit in ("0.05", "0.5", "5") if compared(bench, limit, folder) == cli.DONE)
+    return {"tune": folder / "tune" / "front.html", "bench": folder / next(limits) / "report.html"}
+
+
+def compared(bench, limit, folder):
+    return cli.main([*bench, "--time-limit", limit, "--out", str(folder / limit)])
 
 
 @pytest.mark.parametrize("name", ["tune", "bench"])

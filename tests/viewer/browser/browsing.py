@@ -28,8 +28,25 @@ def until(condition):
     raise AssertionError("it never came true")
 
 
+def press(find):
+    """Click on the first element that is found and in sight, as soon as the page lets it be clicked."""
+    from selenium.common.exceptions import WebDriverException
+
+    def pressed():
+        for one in find():
+            try:
+                if one.is_displayed():
+                    one.click()
+                    return True
+            except WebDriverException:  # a busy page has drawn it anew, or something lies over it for a moment
+                continue
+        return False
+
+    until(pressed)
+
+
 def click(browser, words):
-    until(lambda: browser.find_elements("xpath", f"//*[normalize-space(text())='{words}']"))[0].click()
+    press(lambda: browser.find_elements("xpath", f"//*[normalize-space(text())='{words}']"))
 
 
 def tick(browser, label):
@@ -61,12 +78,20 @@ def picture(browser):
 
 
 def choose(browser, label, option):
-    """Choose from the list behind a label."""
-    labels = browser.find_elements("xpath", f"//*[normalize-space(text())='{label}']")
-    shown = next(one for one in labels if one.is_displayed())  # tabs that are not open have labels, too
-    shown.find_element("xpath", "following::input[1]").click()
+    """Choose from the list behind a label that is in sight; the same label may be on tabs that are not."""
+    path = f"//*[normalize-space(text())='{label}']/following::input[1]"
     listed = f"//*[@role='option' and normalize-space(.)='{option}']"
-    until(lambda: [one for one in browser.find_elements("xpath", listed) if one.is_displayed()])[0].click()
+
+    def fields():
+        return [one for one in browser.find_elements("xpath", path) if one.is_displayed()]
+
+    def options():
+        return [one for one in browser.find_elements("xpath", listed) if one.is_displayed()]
+
+    press(fields)
+    until(options)
+    press(options)
+    until(lambda: fields() and fields()[0].get_attribute("value") == option)
 
 
 def media(browser, *, width, dark):

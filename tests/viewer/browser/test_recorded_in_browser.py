@@ -45,7 +45,7 @@ def harm(page):
 
 def test_a_rollout_is_chosen_by_fault_and_happens_again(page, viewer):
     click(page, "Rollouts")
-    until(lambda: "observed harm" in text(page))
+    until(lambda: "Let it happen again" in text(page))
     choose(page, "Fault", "gripper_failure")
     tab = viewer._page.controls.recorded
     until(lambda: "gripper_failure, severe" in text(page) and "of 2" in text(page))
@@ -61,6 +61,7 @@ def test_a_rollout_is_chosen_by_fault_and_happens_again(page, viewer):
 
 def test_another_failure_is_made_up_beside_them(page, viewer):
     click(page, "Failure")
+    until(lambda: "Let it fail" in text(page))  # both tabs have a list of faults
     choose(page, "Fault", "power_loss")
     choose(page, "Degree", "critical")
     enter(page, "Moment [%]", 25)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import time
 
@@ -33,7 +34,9 @@ def page(viewer, browser):
 
 
 @pytest.mark.usefixtures("browser_parts")
-def test_the_guide_runs(capsys):
+def test_the_guide_runs(capsys, monkeypatch):
+    # So many iterations instead of a second, which is not the same on a busy machine.
+    monkeypatch.setattr(gp, "plan", functools.partial(gp.plan, iterations=300))
     (snippet,) = re.findall(
         r"^```python\n(.*?)^```", (ROOT / "docs" / "viewer.md").read_text(), re.MULTILINE | re.DOTALL
     )
@@ -196,10 +199,12 @@ def test_layers_and_darkness_change_the_picture(page, viewer):
 
 
 def test_a_base_that_drives_is_shown_and_fails(browser):
-    with gp.view("apartment", port=8380, time_limit=2.0) as viewer:
+    with gp.view("apartment", port=8380, time_limit=4.0) as viewer:
         browser.get(viewer.url)
         until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
-        enter(browser, "Time [s]", 2)
+        times = np.linspace(0.0, state(viewer).duration, 20).round(2).tolist()
+        moving = next(t for t in times if state(viewer).at(t).going_on is not None)  # it may stand for a moment
+        enter(browser, "Time [s]", moving)
         until(lambda: state(viewer).at(viewer._page.player.t).going_on is not None)
         click(browser, "Failure")
         click(browser, "Let it fail")
@@ -208,6 +213,7 @@ def test_a_base_that_drives_is_shown_and_fails(browser):
         X = state(viewer).question.goal_pose()
         click(browser, "Plan")
         enter(browser, "Goal [m]", round(float(X[0, 3]) + 0.2, 2))
-        until(lambda: state(viewer).worker.idle and state(viewer).motion is not None)
+        asked = X[0, 3] + 0.2
+        until(lambda: abs(state(viewer).question.goal_pose()[0, 3] - asked) < 5e-3 and state(viewer).worker.idle)
         assert abs(state(viewer).motion.trajectory.q[-1, 0] - X[0, 3] - 0.2) < 0.02
         assert errors(browser) == []
