@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
-from graceful_plan.query.driving.pacing import SHARES, Charges, Pieces, cheapest_law
-from graceful_plan.query.driving.walkers import Walkers
+from graceful_plan.query.driving.among.pacing import SHARES, Charges, Pieces, cheapest_law
+from graceful_plan.query.driving.among.walkers import Walkers
 from hall import hall
 
 SCENE = hall(extra="").edit(remove=["person", "pillar"])
