@@ -39,7 +39,8 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     found, refused, stats = Search(), None, {}
     for problem in problems(request, ends):
         drives = Drives(request=request, ends=ends, problem=problem)
-        ordinary = _ordinary(drives, budget, rng)
+        among, chance = drives.walkers is not None, copy.deepcopy(rng)
+        ordinary = Search() if among else _ordinary(drives, budget, chance)
         found = _searched(request, problem, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         first = first_verified(drives.stops(found), request)
@@ -47,6 +48,8 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
         judged, reference = first, None
         if not (_passed(first) and (budget.cancelled() or wants_it_soon(found))):
+            # Among those who move a first motion takes longer than a search: there it is had before.
+            ordinary = _ordinary(drives, budget, chance) if among and not budget.exhausted else ordinary
             candidates, reference = drives.motions(found, ordinary, budget, rng)
             judged = _better(first_verified(candidates, request), first)
         if judged is not None and judged.verdict.passed:
@@ -65,7 +68,7 @@ def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> Searc
     plain = drives.without_regard_for_impact().request
     share = _ORDINARY_SHARE
     with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
-        return _searched(plain, drives.problem, part, copy.deepcopy(rng))
+        return _searched(plain, drives.problem, part, rng)
 
 
 def _searched(request: Request, problem: SceneProblem, budget: Budget, rng: np.random.Generator) -> Search:

@@ -1,7 +1,8 @@
 // A* over cells, headings and ticks of time, among those who move: a base waits, turns in place, drives along its
 // heading fast or slowly, or backwards, and where others then are is asked of its outline as it then stands. What is
 // left to pay without them, found beforehand backwards from the goal, bounds the rest from below and is exact but for
-// them (D. Silver, "Cooperative pathfinding", AIIDE 2005).
+// them; and with them once they have come to rest, so that nothing is tried where they then bar the way (D. Silver,
+// "Cooperative pathfinding", AIIDE 2005).
 #pragma once
 
 #include <algorithm>
@@ -93,16 +94,18 @@ class Timed {
   // From a pose at tick 0 to a cell in one of some headings, each of which costs something to end with.
   template <class Late> TimedPath path(const TimedNode& start, int x, int y, const double* ending, const Late& late) {
     TimedPath out;
-    if (!flood(x, y, ending, late)) {
+    rests_ = rests();
+    const bool soon = rests_ <= rules_.ticks;
+    if (!flood(x, y, ending, false, &left_, late) || (soon && !flood(x, y, ending, true, &last_, late))) {
       out.stopped = true;
       return out;
     }
     const size_t n = floor_.cells(), first = floor_.index(start.x, start.y, start.heading);
-    if (!(left_[first] < kNone)) return out;
+    if (!(to_go(first, 0) < kNone)) return out;
     layers_.assign(size_t(rules_.ticks) + 1, {});
     layer(0)[first] = {0.0F, -1, false};
     std::priority_queue<Item> queue;
-    queue.push({left_[first], first});
+    queue.push({to_go(first, 0), first});
     double best = double(kNone);  // with what the heading costs in which it ends
     TimedNode end{};
     while (!queue.empty() && double(queue.top().total) < best) {
@@ -113,7 +116,7 @@ class Timed {
       Known& known = layers_[size_t(tick)][at];
       if (known.closed) continue;
       known.closed = true;
-      if (++out.expansions % kClockEvery == 0 && late()) {
+      if (++out.expansions >= kMost || (out.expansions % kClockEvery == 0 && late())) {
         out.stopped = true;
         return out;
       }
@@ -133,7 +136,7 @@ class Timed {
 
  private:
   static constexpr float kNone = std::numeric_limits<float>::infinity();
-  static constexpr int64_t kClockEvery = 1024;
+  static constexpr int64_t kClockEvery = 1024, kMost = 2'000'000;
   struct Known {
     float cost = kNone;
     int16_t came = -1;
@@ -185,28 +188,50 @@ class Timed {
     return float(price);
   }
 
-  template <class Late> bool flood(int x, int y, const double* ending, const Late& late) {
-    left_.assign(floor_.cells(), kNone);
+  // From which tick on nobody moves any more.
+  int rests() const {
+    size_t half = 0;
+    for (size_t w = 0; w < walkers_.n; ++w) {
+      const double* row = walkers_.shape + 7 * w * walkers_.halves;
+      const double* last = row + 7 * (walkers_.halves - 1);
+      for (size_t k = walkers_.halves; k-- > half;) {
+        if (!std::equal(last, last + 7, row + 7 * k)) {
+          half = k + 1;
+          break;
+        }
+      }
+    }
+    return int((half + 1) / 2);
+  }
+  // What is left to pay at least: exact once nobody moves any more.
+  float to_go(size_t at, int tick) const { return tick >= rests_ ? last_[at] : left_[at]; }
+
+  // Of every cell and heading, without those who move, or with them where they are at last.
+  template <class Late>
+  bool flood(int x, int y, const double* ending, bool among, std::vector<float>* out, const Late& late) {
+    std::vector<float>& left = *out;
+    left.assign(floor_.cells(), kNone);
     std::priority_queue<Item> queue;
     for (int h = 0; h < floor_.headings; ++h) {
       const size_t at = floor_.index(x, y, h);
       if (!(floor_.open[at] & 1) || !(ending[h] < double(kNone))) continue;
-      left_[at] = float(ending[h]);
-      queue.push({left_[at], at});
+      left[at] = float(ending[h]);
+      queue.push({left[at], at});
     }
     int64_t expansions = 0;
     while (!queue.empty()) {
       const Item item = queue.top();
       queue.pop();
-      if (item.total > left_[item.state]) continue;
+      if (item.total > left[item.state]) continue;
       if (++expansions % kClockEvery == 0 && late()) return false;
       const TimedNode node = node_of(item.state, 0);
       for (const size_t k : to_[size_t(node.heading)]) {
         const TimedMove& m = moves_[k];
         const int fx = node.x - m.dx, fy = node.y - m.dy;
         if (m.kind == TimedMove::kWait || !may(m, fx, fy)) continue;
-        const float total = item.total + still(m, fx, fy);
-        float& known = left_[floor_.index(fx, fy, m.heading)];
+        float total = item.total + still(m, fx, fy);
+        if (among) total += float(others(m, {fx, fy, m.heading, rests_}));
+        float& known = left[floor_.index(fx, fy, m.heading)];
         if (!(total < known)) continue;
         known = total;
         queue.push({total, floor_.index(fx, fy, m.heading)});
@@ -219,7 +244,8 @@ class Timed {
     const int after = node.tick + m.ticks;
     if (after > rules_.ticks || !may(m, node.x, node.y)) return;
     const size_t to = m.kind == TimedMove::kWait ? at : floor_.index(node.x + m.dx, node.y + m.dy, arrives(m));
-    if (!(left_[to] < kNone)) return;
+    const float go_on = to_go(to, after);
+    if (!(go_on < kNone)) return;
     Known& known = layer(after)[to];
     const float least = cost + still(m, node.x, node.y);
     if (known.closed || !(least < known.cost)) return;
@@ -227,7 +253,7 @@ class Timed {
     const float total = least + float(more);
     if (!(total < known.cost)) return;
     known.cost = total, known.came = int16_t(k);
-    queue->push({total + left_[to], size_t(after) * n + to});
+    queue->push({total + go_on, size_t(after) * n + to});
   }
   // What those who move add to a move; infinite if it must not be made.
   double others(const TimedMove& m, const TimedNode& node) const {
@@ -288,7 +314,8 @@ class Timed {
   std::vector<std::vector<size_t>> from_, to_;  // moves by the heading that they begin and end with
   std::vector<Disc> disc_;                      // of each heading
   double reach_ = 0;
-  std::vector<float> left_;
+  std::vector<float> left_, last_;
+  int rests_ = 0;
   std::vector<std::vector<Known>> layers_;
 };
 
