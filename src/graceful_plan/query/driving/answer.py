@@ -6,6 +6,7 @@ What is returned costs no more, by J, than what a call with a weight of 0 has: s
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from graceful_plan.query.motions import Motion
 from graceful_plan.query.request import Request
 from graceful_plan.query.search import ALL, Search, search
 from graceful_plan.result import PlanResult
+from graceful_plan.timing.drive_curve import Drive
 
 _SHARE, _ARM_SHARE = 0.5, 0.3
 """Of the time, for the search of a base's path, of one without and with an arm or among those who move; the rest is for
@@ -39,21 +41,20 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     found, refused, stats = Search(), None, {}
     for problem in problems(request, ends):
         drives = Drives(request=request, ends=ends, problem=problem)
-        among, chance = drives.walkers is not None, copy.deepcopy(rng)
-        ordinary = Search() if among else _ordinary(drives, budget, chance)
+        # Who listens is told of paths soon; among those who move a first motion takes longer than a search.
+        early, chance = request.callback is None and drives.walkers is None, copy.deepcopy(rng)
+        ordinary = _ordinary(drives, budget, chance) if early else []
         found = _searched(request, problem, budget, rng)
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        first = first_verified(drives.stops(found), request)
+        first = _first(drives, ordinary, found)
         if found.paths:  # now it is known what timing and judging take here
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
-        judged, reference = first, None
+        judged = first
         if not (_passed(first) and (budget.cancelled() or wants_it_soon(found))):
-            # Among those who move a first motion takes longer than a search: there it is had before.
-            ordinary = _ordinary(drives, budget, chance) if among and not budget.exhausted else ordinary
-            candidates, reference = drives.motions(found, ordinary, budget, rng)
-            judged = _better(first_verified(candidates, request), first)
+            ordinary = ordinary if early else _ordinary(drives, budget, chance)
+            judged = _better(first_verified(drives.motions(found, ordinary, budget, rng), request), first)
         if judged is not None and judged.verdict.passed:
-            judged = _in_full(judged, reference, drives)
+            judged = _in_full(judged, drives.reference(ordinary), drives)
             return solved(judged, (found, ends), request, budget, stats)
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
@@ -61,14 +62,21 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     return failed((found, ends), refused, "", budget, stats)
 
 
-def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> Search:
-    """Search by a weight of 0 with the same chance, as a call without regard for impact would."""
-    if drives.request.objective.w == 0.0:
-        return Search()
-    plain = drives.without_regard_for_impact().request
-    share = _ORDINARY_SHARE
+def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> list[tuple[Motion, Drive]]:
+    """Return what a call with a weight of 0 and the same chance would make."""
+    if drives.request.objective.w == 0.0 or budget.exhausted:
+        return []
+    plain, share = drives.without_regard_for_impact().request, _ORDINARY_SHARE
     with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
-        return _searched(plain, drives.problem, part, rng)
+        searched = _searched(plain, drives.problem, part, rng)
+    return drives.ordinary(searched, budget)
+
+
+def _first(drives: Drives, ordinary: Sequence[tuple[Motion, Drive]], found: Search) -> Judged | None:
+    """Return a motion that is had should all others come too late."""
+    reference = drives.reference(ordinary) if drives.walkers is None else None
+    first = None if reference is None else first_verified([reference], drives.request)
+    return first if _passed(first) else first_verified(drives.stops(found), drives.request) or first
 
 
 def _searched(request: Request, problem: SceneProblem, budget: Budget, rng: np.random.Generator) -> Search:

@@ -76,33 +76,41 @@ class Drives:
         objective = of.objective.with_weight(0.0).bind(of.scene, of.paces)
         return replace(self, request=replace(self.request, objective=objective, preference=None, callback=None))
 
+    def ordinary(self, searched: Search, budget: Budget) -> list[tuple[Motion, Drive]]:
+        """Return motions near paths for a weight of 0, and what they are along, the best first; charged for that."""
+        if not searched.paths or budget.exhausted:
+            return []
+        with budget.share(_ORDINARY_SHARE * budget.remaining_seconds) as part:
+            return self.without_regard_for_impact()._made(searched, part, np.random.default_rng(0))
+
+    def reference(self, ordinary: Sequence[tuple[Motion, Drive]]) -> Motion | None:
+        """Return the best of them, charged by J as `motions` are, None if it drives into somebody."""
+        if not ordinary or ordinary[0][0].ranking >= _INTO:
+            return None
+        return recharged(ordinary[0][0], self._closely)
+
     def motions(
-        self, searched: Search, ordinary: Search, budget: Budget, rng: np.random.Generator
-    ) -> tuple[list[Motion], Motion | None]:
-        """Return motions near paths, the best first, and the best for a weight of 0, if that was made.
+        self, searched: Search, ordinary: Sequence[tuple[Motion, Drive]], budget: Budget, rng: np.random.Generator
+    ) -> list[Motion]:
+        """Return motions near paths, the best first, and none before the reference that costs more.
 
         Among those who move they are charged closely; see `in_full`.
 
         Args:
             searched: The paths that were found, the best at the end.
-            ordinary: Those for a weight of 0.
+            ordinary: What was made for a weight of 0: the law of time that pays is found along it as well.
             budget: Time for descents.
             rng: Chance for postures.
         """
         found: list[Motion] = []
-        reference: Motion | None = None
-        if ordinary.paths and budget.remaining_seconds > 0.0:
-            plain = self.without_regard_for_impact()
-            with budget.share(_ORDINARY_SHARE * budget.remaining_seconds) as part:
-                made = plain._made(ordinary, part, np.random.default_rng(0))
-            for motion, drive in made[:KEPT]:
-                found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
-            if made and made[0][0].ranking < _INTO:
-                reference = recharged(made[0][0], self._closely)
+        for motion, drive in ordinary[:KEPT]:
+            if found and not self._has_plenty():
+                break
+            found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
         found += [motion for motion, _ in self._made(searched, budget, rng, some=bool(found))]
         # Among those who move, laws of time take a while: that along the path itself was tried before.
         found += [] if self.walkers is not None and found else self.stops(searched)
-        return self._in_order(found, reference), reference
+        return self._in_order(found, self.reference(ordinary))
 
     def stops(self, searched: Search) -> list[Motion]:
         """Return motions along the best path itself, with a stop at each of its corners; none if it leads nowhere."""
