@@ -31,7 +31,7 @@ _SHARE, _ARM_SHARE = 0.5, 0.3
 curves near it."""
 _CLOSE = 1.1
 """How much more a motion may cost by a close estimate so that it is charged in full before it is dropped."""
-_ORDINARY_SHARE = 0.15
+_ORDINARY_SHARE = 0.25
 """Of the time and of the iterations, for the search by a weight of 0 before: it is quick, for nothing but walls is
 looked at."""
 
@@ -43,15 +43,16 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         drives = Drives(request=request, ends=ends, problem=problem)
         # Who listens is told of paths soon; among those who move a first motion takes longer than a search.
         early, chance = request.callback is None and drives.walkers is None, copy.deepcopy(rng)
-        ordinary = _ordinary(drives, budget, chance) if early else []
+        plain, ordinary = _ordinary(drives, budget, chance) if early else (Search(), [])
         found = _searched(request, problem, budget, rng)
+        found = found if found.paths or found.stopped else plain
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
         first = _first(drives, ordinary, found)
         if found.paths:  # now it is known what timing and judging take here
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
         judged = first
         if not (_passed(first) and (budget.cancelled() or wants_it_soon(found))):
-            ordinary = ordinary if early else _ordinary(drives, budget, chance)
+            ordinary = ordinary if early else _ordinary(drives, budget, chance)[1]
             judged = _better(first_verified(drives.motions(found, ordinary, budget, rng), request), first)
         if judged is not None and judged.verdict.passed:
             judged = _in_full(judged, drives.reference(ordinary), drives)
@@ -62,14 +63,14 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     return failed((found, ends), refused, "", budget, stats)
 
 
-def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> list[tuple[Motion, Drive]]:
-    """Return what a call with a weight of 0 and the same chance would make."""
+def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> tuple[Search, list[tuple[Motion, Drive]]]:
+    """Return what a call with a weight of 0 and the same chance would find and make."""
     if drives.request.objective.w == 0.0 or budget.exhausted:
-        return []
-    plain, share = drives.without_regard_for_impact().request, _ORDINARY_SHARE
-    with budget.share(share * budget.remaining_seconds, share * budget.remaining_iterations) as part:
-        searched = _searched(plain, drives.problem, part, rng)
-    return drives.ordinary(searched, budget)
+        return Search(), []
+    plain = drives.without_regard_for_impact().request
+    with budget.share(iterations=_ORDINARY_SHARE * budget.remaining_iterations) as part:
+        searched = _searched(plain, drives.problem, part, rng, share=_ORDINARY_SHARE)
+    return searched, drives.ordinary(searched, budget)
 
 
 def _first(drives: Drives, ordinary: Sequence[tuple[Motion, Drive]], found: Search) -> Judged | None:
@@ -79,10 +80,14 @@ def _first(drives: Drives, ordinary: Sequence[tuple[Motion, Drive]], found: Sear
     return first if _passed(first) else first_verified(drives.stops(found), drives.request) or first
 
 
-def _searched(request: Request, problem: SceneProblem, budget: Budget, rng: np.random.Generator) -> Search:
-    if request.objective.scene.moving:
-        return search_among_walkers(request, problem, budget, rng, share=_ARM_SHARE)
-    share = _SHARE if problem.start.size == BASE else _ARM_SHARE
+def _searched(
+    request: Request, problem: SceneProblem, budget: Budget, rng: np.random.Generator, share: float | None = None
+) -> Search:
+    moving = bool(request.objective.scene.moving)
+    if share is None:
+        share = _SHARE if problem.start.size == BASE and not moving else _ARM_SHARE
+    if moving:
+        return search_among_walkers(request, problem, budget, rng, share=share)
     return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL, share=share)
 
 

@@ -40,7 +40,7 @@ _PLANE_SHARE = 0.35
 """Of the time for motions, for those whose arm stays while the base moves."""
 _CURVE_SHARE = 0.5
 """Of the time that is left, for one curve."""
-_ORDINARY_SHARE = 0.3
+_ORDINARY_SHARE = 0.35
 """Of the time for motions, for those of a weight of 0."""
 _REPOSED, _LINES = 8, 2
 """How often postures are chosen along a motion, and along how many that the arm stays in."""
@@ -108,8 +108,6 @@ class Drives:
                 break
             found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
         found += [motion for motion, _ in self._made(searched, budget, rng, some=bool(found))]
-        # Among those who move, laws of time take a while: that along the path itself was tried before.
-        found += [] if self.walkers is not None and found else self.stops(searched)
         return self._in_order(found, self.reference(ordinary))
 
     def stops(self, searched: Search) -> list[Motion]:
