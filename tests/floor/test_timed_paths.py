@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graceful_plan.exceptions import SettingError, ShapeError
-from graceful_plan.floor.timed_paths import HEADINGS, LEAVES, STANDS, STEPS, Kind, Others, Paces, TimedLattice
+from graceful_plan.floor.timed_paths import HEADINGS, LEAVES, STANDS, STEPS, MoveKind, Others, TimedLattice, TimedPaces
 
 DISC = np.array([[0.1, 0.0, 0.3]])
 """A base whose outline is ahead of its origin."""
@@ -34,14 +34,17 @@ def price_of(of, who, node, move):
     """What a move costs; infinite if it must not be made."""
     (x, y, h, tick), rows, columns = node, *of.open.shape[1:]
     to, arrives = (x + move.columns, y + move.rows), (h + move.turn) % HEADINGS
-    drives = move.kind in (Kind.FORWARD, Kind.SLOW, Kind.BACKWARD)
+    drives = move.kind in (MoveKind.FORWARD, MoveKind.SLOW, MoveKind.BACKWARD)
     if not (0 <= to[0] < columns and 0 <= to[1] < rows and of.open[arrives, to[1], to[0]] & STANDS):
         return np.inf
-    leaves = of.open[h, to[1], to[0]] if move.kind is Kind.BACKWARD else of.open[h, y, x]
+    leaves = of.open[h, to[1], to[0]] if move.kind is MoveKind.BACKWARD else of.open[h, y, x]
     if drives and not leaves & LEAVES:
         return np.inf
     price, seconds, gap = move.price, move.ticks * TICK, np.inf
-    faces, share = ((h + 4) % HEADINGS if move.kind is Kind.BACKWARD else h), 1.0 if move.kind is Kind.FORWARD else 0.5
+    faces, share = (
+        ((h + 4) % HEADINGS if move.kind is MoveKind.BACKWARD else h),
+        1.0 if move.kind is MoveKind.FORWARD else 0.5,
+    )
     if drives and of.rate is not None:
         price += share * seconds * of.rate[faces, y, x]
     middle = np.array([x, y]) + 0.5 * np.array([move.columns, move.rows])
@@ -111,7 +114,7 @@ def test_it_waits_until_the_door_is_open_or_turns_in_place():
     assert not len(lattice(everywhere(1, 4), 11).cheapest((0, 0, 0), (3, 0), others=walking(*places)).nodes)
     back = of.cheapest((3, 0, 0), (0, 0))
     assert (back.nodes[:, 2] == 0).all()  # a short way is driven backwards
-    round_ = lattice(everywhere(1, 4), 40, paces=Paces(reverse=False)).cheapest((3, 0, 0), (0, 0))
+    round_ = lattice(everywhere(1, 4), 40, paces=TimedPaces(reverse=False)).cheapest((3, 0, 0), (0, 0))
     assert sorted({int(h) for h in round_.nodes[:, 2]}) in ([0, 1, 2, 3, 4], [0, 4, 5, 6, 7])
 
 
@@ -138,6 +141,6 @@ def test_what_makes_no_sense_is_refused():
     with pytest.raises(SettingError, match="ticks"):
         lattice(everywhere(300, 300), 10_000)
     with pytest.raises(SettingError, match="turn"):
-        lattice(everywhere(2, 2), 3, paces=Paces(turn=0))
+        lattice(everywhere(2, 2), 3, paces=TimedPaces(turn=0))
     with pytest.raises(SettingError, match="goal"):
         lattice(everywhere(2, 2), 3).cheapest((0, 0, 0), (2, 0))

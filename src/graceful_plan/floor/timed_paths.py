@@ -36,7 +36,7 @@ MOST_STATES = 2**28
 """Cells times headings times ticks."""
 
 
-class Kind(IntEnum):
+class MoveKind(IntEnum):
     """What a move does, as the core has it."""
 
     WAIT = 0
@@ -54,13 +54,13 @@ class TimedMove(NamedTuple):
     rows: int
     turn: int
     ticks: int
-    kind: Kind
+    kind: MoveKind
     price: float
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Paces:
+class TimedPaces:
     """How long moves take, and their prices.
 
     | field    | meaning                                                     | unit |
@@ -84,14 +84,16 @@ class Paces:
         for h, (c, r) in enumerate(STEPS):
             ticks = 3 if c and r else 2
             length = self.width * float(np.hypot(c, r))
-            found.append(TimedMove(h, 0, 0, 0, 1, Kind.WAIT, self.second))
-            for turn in (1, -1):
-                price = self.turning + self.second * self.turn
-                found.append(TimedMove(h, 0, 0, turn, self.turn, Kind.TURN, price))
-            found.append(TimedMove(h, c, r, 0, ticks, Kind.FORWARD, length + self.second * ticks))
-            found.append(TimedMove(h, c, r, 0, 2 * ticks, Kind.SLOW, length + 2 * self.second * ticks))
+            wait = TimedMove(heading=h, columns=0, rows=0, turn=0, ticks=1, kind=MoveKind.WAIT, price=self.second)
+            fast = wait._replace(
+                columns=c, rows=r, ticks=ticks, kind=MoveKind.FORWARD, price=length + self.second * ticks
+            )
+            slow = fast._replace(ticks=2 * ticks, kind=MoveKind.SLOW, price=length + 2 * self.second * ticks)
+            turning = self.turning + self.second * self.turn
+            turns = [wait._replace(turn=turn, ticks=self.turn, kind=MoveKind.TURN, price=turning) for turn in (1, -1)]
+            found += [wait, *turns, fast, slow]
             if self.reverse:
-                found.append(TimedMove(h, -c, -r, 0, 2 * ticks, Kind.BACKWARD, length + 2 * self.second * ticks))
+                found.append(slow._replace(columns=-c, rows=-r, kind=MoveKind.BACKWARD))
         return tuple(found)
 
 
@@ -167,7 +169,7 @@ class TimedLattice:
     tick: float
     ticks: int
     outline: Float[Array, "disc 3"]
-    paces: Paces = field(default_factory=Paces)
+    paces: TimedPaces = field(default_factory=TimedPaces)
     rate: Float[Array, "heading row column"] | None = None
     slow: float = 0.5
 
@@ -178,7 +180,7 @@ class TimedLattice:
         if self.ticks < 0 or (self.ticks + 1) * np.size(self.open) >= MOST_STATES:
             raise SettingError("TimedLattice.ticks", self.ticks, f"at least 0, times cells below {MOST_STATES}")
         if self.paces.turn < 1:
-            raise SettingError("Paces.turn", self.paces.turn, "at least 1 tick")
+            raise SettingError("TimedPaces.turn", self.paces.turn, "at least 1 tick")
 
     def cheapest(
         self,

@@ -21,8 +21,18 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.floor.floor_map import FloorMap
-from graceful_plan.floor.timed_paths import HEADINGS, LEAVES, MOST_STATES, STANDS, STEPS, Others, Paces, TimedLattice
+from graceful_plan.floor.timed_paths import (
+    HEADINGS,
+    LEAVES,
+    MOST_STATES,
+    STANDS,
+    STEPS,
+    Others,
+    TimedLattice,
+    TimedPaces,
+)
 from graceful_plan.path import Path
 from graceful_plan.planners.driving.bases_only import of_a_base
 from graceful_plan.planners.driving.footprint import floor_around, footprint, near_entities, turns_and_straights
@@ -33,7 +43,6 @@ from graceful_plan.planners.settings import positive
 from graceful_plan.planners.trivial import stays_at_goal
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.scene.moving import MovingEntity
-from graceful_plan.scene.still import as_if_nobody_moved
 
 Array = np.ndarray
 
@@ -128,7 +137,7 @@ class FloorInTime(Planner):
         seconds = width * sum(cells.open.shape[1:]) + self.late
         ticks = min(int(seconds / tick), MOST_STATES // cells.open.size - 2)
         turn, angle = _TURNS * 2.0 * np.pi / HEADINGS / base.omega_max, 2.0 * np.pi / HEADINGS
-        paces = Paces(
+        paces = TimedPaces(
             turn=max(1, round(turn / tick)),
             reverse=base.reverse,
             width=width,

@@ -16,11 +16,11 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.judge.passing_by import STANDING
 from graceful_plan.planners.driving.footprint import footprint
 from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.planners.driving.roughly import roughly
-from graceful_plan.scene.still import as_if_nobody_moved
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
