@@ -461,6 +461,33 @@ class GridAnswer(TypedDict):
     expansions: int
     cells: NDArray[np.int32]
 
+class TimedAnswer(TypedDict):
+    found: bool
+    stopped: bool
+    cost: float
+    expansions: int
+    nodes: NDArray[np.int32]
+
+def timed_path(
+    *,
+    open: NDArray[np.uint8],
+    rate: NDArray[np.float32],
+    width: float,
+    moves: NDArray[np.int32],
+    price: Reals,
+    shape: Reals,
+    velocity: NDArray[np.int32],
+    beside: NDArray[np.float32],
+    apart: float,
+    outline: Reals,
+    rules: Reals,
+    ticks: int,
+    start: NDArray[np.int32],
+    goal: NDArray[np.int32],
+    ending: Reals,
+    late: Callable[[], bool],
+) -> TimedAnswer: ...
+
 @final
 class DynamicWindow:
     def __init__(

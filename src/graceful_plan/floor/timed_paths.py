@@ -1,147 +1,230 @@
-"""Paths of a point over the cells of a floor and over time, where what a step costs changes: somebody walks there.
+"""Paths of a base over the cells of a floor, over headings and over time, where others walk: exact, in the native core.
 
-Time goes in ticks. A point waits, or steps to one of eight neighbours, fast or slowly; each move takes a number of
-ticks, and no diagonal one cuts a corner. What a move costs that begins in a cell at a tick is told by whoever asks, and
-is infinite where it must not be made. Costs of all cells at all ticks are found by dynamic programming, one tick after
-the other, and are exact: every move leads to a later tick.
+Time goes in ticks. A base waits, turns in place to the next of eight headings, or drives to the next cell along its
+heading: fast, slowly, or backwards. Each move takes a number of ticks and has a price; besides, it costs what failures
+on it would do to those who stand and to those who move, where they then are. No move comes closer to those who move
+than it must, and being close has a price.
+
+A* finds the cheapest path of all: what is left to pay without those who move is known from a search before, and bounds
+the rest from below.
+
+References:
+    D. Silver, "Cooperative pathfinding", AIIDE 2005.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import NamedTuple, final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float, Int
+from graceful_plan.array_types import Float, Int, UInt8
+from graceful_plan.core import _native
 from graceful_plan.exceptions import SettingError, ShapeError
 
 Array = np.ndarray
 
-MOST_STATES = 20_000_000
-"""Cells times ticks."""
+HEADINGS = 8
+"""The first is along x; each drives to one of the eight cells around."""
+STEPS = tuple((round(np.cos(a)), round(np.sin(a))) for a in 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS)
+"""Columns and rows of a move along each heading."""
+STANDS, LEAVES = 1, 2
+"""Bits of a cell and heading: the base may be there; from there it may drive forward."""
+MOST_STATES = 2**28
+"""Cells times headings times ticks."""
+
+
+class MoveKind(IntEnum):
+    """What a move does, as the core has it."""
+
+    WAIT = 0
+    TURN = 1
+    FORWARD = 2
+    SLOW = 3
+    BACKWARD = 4
 
 
 class TimedMove(NamedTuple):
-    """A step to a neighbour, or to wait."""
+    """A move that begins in a heading; turns are counted in headings, to the left."""
 
+    heading: int
     columns: int
     rows: int
+    turn: int
     ticks: int
-
-    @property
-    def length(self) -> float:
-        """In cells."""
-        return float(np.hypot(self.columns, self.rows))
+    kind: MoveKind
+    price: float
 
 
-def _moves() -> tuple[TimedMove, ...]:
-    around = [(c, r) for c in (-1, 0, 1) for r in (-1, 0, 1) if (c, r) != (0, 0)]
-    fast = [TimedMove(c, r, 3 if c and r else 2) for c, r in around]
-    return (TimedMove(0, 0, 1), *fast, *(TimedMove(c, r, 2 * ticks) for c, r, ticks in fast))
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimedPaces:
+    """How long moves take, and their prices.
+
+    | field    | meaning                                                     | unit |
+    |----------|-------------------------------------------------------------|------|
+    | turn     | ticks of a turn to the next heading                         |      |
+    | reverse  | whether the base drives backwards                           |      |
+    | width    | price of a cell's width, driven                             |      |
+    | second   | price of a tick                                             |      |
+    | turning  | price of a turn                                             |      |
+    """
+
+    turn: int = 1
+    reverse: bool = True
+    width: float = 1.0
+    second: float = 0.1
+    turning: float = 0.2
+
+    def moves(self) -> tuple[TimedMove, ...]:
+        """Return all moves: a cell in two ticks, or three along a diagonal; twice as many slowly and backwards."""
+        found = []
+        for h, (c, r) in enumerate(STEPS):
+            ticks = 3 if c and r else 2
+            length = self.width * float(np.hypot(c, r))
+            wait = TimedMove(heading=h, columns=0, rows=0, turn=0, ticks=1, kind=MoveKind.WAIT, price=self.second)
+            fast = wait._replace(
+                columns=c, rows=r, ticks=ticks, kind=MoveKind.FORWARD, price=length + self.second * ticks
+            )
+            slow = fast._replace(ticks=2 * ticks, kind=MoveKind.SLOW, price=length + 2 * self.second * ticks)
+            turning = self.turning + self.second * self.turn
+            turns = [wait._replace(turn=turn, ticks=self.turn, kind=MoveKind.TURN, price=turning) for turn in (1, -1)]
+            found += [wait, *turns, fast, slow]
+            if self.reverse:
+                found.append(slow._replace(columns=-c, rows=-r, kind=MoveKind.BACKWARD))
+        return tuple(found)
 
 
-MOVES = _moves()
-"""Wait; steps of a cell in two ticks, or three along a diagonal; and the same at half the speed."""
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Others:
+    """Those who move, as the core has them; nobody by default.
 
-Charge = Callable[[int], Float[Array, "move row column"]]
-"""What each move costs that begins at a tick, in each cell; infinite where it must not be made."""
+    | field    | meaning                                                                    | shape                 |
+    |----------|----------------------------------------------------------------------------|-----------------------|
+    | shape    | rectangles seen from above, in the frame of the cells, at half ticks [m]:  | other half 7          |
+    |          | x, y, cosine and sine of the yaw, half length, half width, radius around   |                       |
+    | velocity | which class of velocities theirs is in                                     | other half            |
+    | beside   | price of a second of fast driving, by where the base is seen from them,    | class heading place   |
+    |          | along x and y                                                              | place                 |
+    | apart    | between places [m]                                                         |                       |
+    | driving  | clearance below which nothing drives or turns [m]                          |                       |
+    | standing | clearance below which nothing waits [m]                                    |                       |
+    | wanted   | clearance below which being close has a price [m]                          |                       |
+    | close    | price of a second without any                                              |                       |
+    """
+
+    shape: Float[Array, "other half 7"] = field(default_factory=lambda: np.zeros((0, 1, 7)))
+    velocity: Int[Array, "other half"] = field(default_factory=lambda: np.zeros((0, 1), dtype=np.int32))
+    beside: Float[Array, "class heading place place"] = field(default_factory=lambda: np.zeros((0, HEADINGS, 1, 1)))
+    apart: float = 0.5
+    driving: float = 0.0
+    standing: float = 0.0
+    wanted: float = 0.0
+    close: float = 0.0
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimedPath:
-    """Cells and the ticks at which a point is there.
+    """Cells, headings and the ticks at which the base is there.
 
-    | field | meaning                                              | unit | shape   |
-    |-------|------------------------------------------------------|------|---------|
-    | cells | column and row, from the start to the goal           |      | point 2 |
-    | ticks | when it gets there, which is when the next move begins |    | point   |
-    | cost  | sum of the charges; infinite if no path leads there  |      |         |
+    | field      | meaning                                                | unit | shape   |
+    |------------|--------------------------------------------------------|------|---------|
+    | nodes      | column, row, heading and tick, from the start on       |      | point 4 |
+    | cost       | sum of the prices; infinite if no path leads there     |      |         |
+    | expansions | states that were looked at                             |      |         |
+    | stopped    | whether time was up                                    |      |         |
     """
 
-    cells: Int[Array, "point 2"] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    ticks: Int[Array, " point"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    nodes: Int[Array, "point 4"] = field(default_factory=lambda: np.zeros((0, 4), dtype=np.int32))
     cost: float = np.inf
+    expansions: int = 0
+    stopped: bool = False
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TimedGrid:
-    """Cells of which some are free.
+class TimedLattice:
+    """Cells and headings of which some are open.
 
     Args:
-        free: Whether the point may be there.
-        ticks: After how many it has to be at its goal.
-        moves: What it can do.
+        open: `STANDS` and `LEAVES` of each, of eight headings.
+        width: Of a cell [m].
+        tick: Of time [s].
+        ticks: The last one.
+        outline: Discs that cover the base, in its frame: x, y, radius [m].
+        paces: How long moves take.
+        rate: Price of a second of fast driving for those who stand, in each cell and heading; None for nothing.
+        slow: Share of it, and of that beside those who move, on moves that are slow or backwards.
 
     Raises:
-        ShapeError: If there are no cells.
-        SettingError: If there are too many cells and ticks, or moves that take no time.
+        ShapeError, SettingError: If they do not fit, or there would be too many states.
     """
 
-    free: Bool[Array, "row column"]
+    open: UInt8[Array, "heading row column"]
+    width: float
+    tick: float
     ticks: int
-    moves: tuple[TimedMove, ...] = MOVES
+    outline: Float[Array, "disc 3"]
+    paces: TimedPaces = field(default_factory=TimedPaces)
+    rate: Float[Array, "heading row column"] | None = None
+    slow: float = 0.5
 
     def __post_init__(self) -> None:
-        if not np.size(self.free):
-            raise ShapeError("free", np.shape(self.free), "(rows, columns)")
-        if self.ticks < 0 or (self.ticks + 1) * np.size(self.free) > MOST_STATES:
-            raise SettingError("TimedGrid.ticks", self.ticks, f"at least 0, times cells at most {MOST_STATES}")
-        if any(move.ticks < 1 for move in self.moves):
-            raise SettingError("TimedGrid.moves", self.moves, "moves of at least one tick")
+        shape = np.shape(self.open)
+        if len(shape) != 3 or shape[0] != HEADINGS or 0 in shape:
+            raise ShapeError("open", shape, f"({HEADINGS}, rows, columns)")
+        if self.ticks < 0 or (self.ticks + 1) * np.size(self.open) >= MOST_STATES:
+            raise SettingError("TimedLattice.ticks", self.ticks, f"at least 0, times cells below {MOST_STATES}")
+        if self.paces.turn < 1:
+            raise SettingError("TimedPaces.turn", self.paces.turn, "at least 1 tick")
 
-    def cheapest(self, start: tuple[int, int], goal: tuple[int, int], charge: Charge) -> TimedPath:
-        """Return the path of least cost from one cell (column, row) at tick 0 to another one by the last tick."""
-        rows, columns = self.free.shape
-        for name, (column, row) in (("start", start), ("goal", goal)):
+    def cheapest(
+        self,
+        start: tuple[int, int, int],
+        goal: tuple[int, int],
+        *,
+        others: Others | None = None,
+        ending: Float[Array, " heading"] | None = None,
+        late: Callable[[], bool] = lambda: False,
+    ) -> TimedPath:
+        """Return the path of least cost from a column, row and heading at tick 0 to a cell by the last tick.
+
+        Args:
+            start: Where it begins.
+            goal: Column and row.
+            others: Those who move.
+            ending: What each heading costs at the goal; nothing by default.
+            late: Asked from time to time; the search ends once it is.
+        """
+        _, rows, columns = self.open.shape
+        for name, (column, row) in (("start", start[:2]), ("goal", goal)):
             if not (0 <= column < columns and 0 <= row < rows):
                 raise SettingError(name, (column, row), f"a column and a row below {columns} and {rows}")
-        best = np.full((self.ticks + 1, rows, columns), np.inf)
-        move_to = np.full(best.shape, -1, dtype=np.int8)
-        best[0][start[::-1]] = 0.0
-        steps = [self._step(move) for move in self.moves]
-        for tick in range(self.ticks):
-            if not np.isfinite(best[tick]).any():
-                continue
-            charges = charge(tick)
-            for k, (move, (begin, end, may)) in enumerate(zip(self.moves, steps, strict=True)):
-                if (after := tick + move.ticks) > self.ticks:
-                    continue
-                value = np.where(may, best[tick][begin] + charges[k][begin], np.inf)
-                better = value < best[after][end]
-                best[after][end][better] = value[better]
-                move_to[after][end][better] = k
-        return self._traced(best[:, goal[1], goal[0]], move_to, goal)
-
-    def _traced(
-        self, costs: Float[Array, " tick"], move_to: Int[Array, "tick row column"], goal: tuple[int, int]
-    ) -> TimedPath:
-        tick = int(np.argmin(costs))
-        if not np.isfinite(costs[tick]):
-            return TimedPath()
-        column, row = goal
-        cells, ticks, cost = [goal], [tick], float(costs[tick])
-        while (k := int(move_to[tick, row, column])) >= 0:
-            move = self.moves[k]
-            column, row, tick = column - move.columns, row - move.rows, tick - move.ticks
-            cells.append((column, row))
-            ticks.append(tick)
-        return TimedPath(cells=np.array(cells[::-1]), ticks=np.array(ticks[::-1]), cost=cost)
-
-    def _step(self, move: TimedMove) -> tuple[tuple[slice, slice], tuple[slice, slice], Bool[Array, "row column"]]:
-        """Return where a move may begin, where it then ends, and whether both and what is beside are free."""
-        rows, columns = self.free.shape
-
-        def at(r: int, c: int) -> tuple[slice, slice]:
-            first_r, first_c = max(0, -move.rows), max(0, -move.columns)
-            last_r, last_c = rows - max(0, move.rows), columns - max(0, move.columns)
-            return slice(first_r + r, max(last_r, first_r) + r), slice(first_c + c, max(last_c, first_c) + c)
-
-        begin, end = at(0, 0), at(move.rows, move.columns)
-        may = self.free[begin] & self.free[end]
-        if move.rows and move.columns:
-            may = may & self.free[at(move.rows, 0)] & self.free[at(0, move.columns)]
-        return begin, end, may
+        moves, who = self.paces.moves(), Others() if others is None else others
+        rate = np.zeros(0) if self.rate is None else self.rate
+        found = _native.timed_path(
+            open=np.ascontiguousarray(self.open, dtype=np.uint8),
+            rate=np.ascontiguousarray(rate, dtype=np.float32),
+            width=self.width,
+            moves=np.array([move[:6] for move in moves], dtype=np.int32),
+            price=np.array([move.price for move in moves]),
+            shape=np.ascontiguousarray(who.shape, dtype=np.float64),
+            velocity=np.ascontiguousarray(who.velocity, dtype=np.int32),
+            beside=np.ascontiguousarray(who.beside, dtype=np.float32),
+            apart=who.apart,
+            outline=np.ascontiguousarray(self.outline, dtype=np.float64),
+            rules=np.array([who.driving, who.standing, who.wanted, who.close, self.slow, self.tick]),
+            ticks=self.ticks,
+            start=np.array(start, dtype=np.int32),
+            goal=np.array(goal, dtype=np.int32),
+            ending=np.zeros(HEADINGS) if ending is None else np.ascontiguousarray(ending, dtype=np.float64),
+            late=late,
+        )
+        if not found["found"]:
+            return TimedPath(expansions=found["expansions"], stopped=found["stopped"])
+        return TimedPath(nodes=found["nodes"], cost=found["cost"], expansions=found["expansions"])

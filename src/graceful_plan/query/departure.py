@@ -17,6 +17,7 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import StateBatch, checked_state
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.planner import Budget
@@ -27,8 +28,6 @@ from graceful_plan.query.ends import Ends
 from graceful_plan.query.request import Request
 from graceful_plan.query.search import ALL, Search, is_solution, search, thinned
 from graceful_plan.result import CostBreakdown
-from graceful_plan.scene.per_scene import per_scene
-from graceful_plan.scene.scene import Scene
 from graceful_plan.timing.retiming import retime
 from graceful_plan.timing.trajectory import Trajectory
 
@@ -107,12 +106,6 @@ def search_among_moving(
     deadline = -np.inf if budget.cancelled() else latest
     found.paths = choice.ordered(paths, len(found.paths) - 1, deadline)
     return found
-
-
-@per_scene
-def as_if_nobody_moved(scene: Scene) -> Scene:
-    """Return a scene without those who move, the same in every call: compiling it takes as long as a short call."""
-    return scene.without_moving()
 
 
 @dataclass(frozen=True)

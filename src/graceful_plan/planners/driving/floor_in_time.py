@@ -1,30 +1,43 @@
-"""Paths over the cells of a floor map and over time, among those who move: before or behind somebody, or after a wait.
+"""Paths over the cells of a floor map, headings and time, among those who move: before or behind somebody, or waiting.
 
-A disc goes over coarse cells by dynamic programming over time (`floor.timed_paths`). A step costs its length, its time
-and w times what those who move would suffer if the base failed on it, where they then are; nobody is driven into, and
-nobody is waited for where they walk. What is found becomes turns in place and straight stretches, and loses its times:
-the law of time is found again on the smooth curve. Impact on those who stand is left to that as well.
+The robot's outline at the heading of travel, as discs, goes over coarse cells in the core (`floor.timed_paths`). A move
+costs its length, its time and w times what those around would suffer if the base failed on it, where they then are;
+nobody is driven into, and nobody is waited for where they walk. Where no way is found, cells are halved. What is found
+becomes turns in place and straight stretches, and loses its times: the law of time is found again on the smooth curve.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Bool, Float, Int, UInt8
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.floor.floor_map import FloorMap
-from graceful_plan.floor.timed_paths import MOVES, TimedGrid, TimedMove
+from graceful_plan.floor.timed_paths import (
+    HEADINGS,
+    LEAVES,
+    MOST_STATES,
+    STANDS,
+    STEPS,
+    Others,
+    TimedLattice,
+    TimedPaces,
+)
 from graceful_plan.path import Path
 from graceful_plan.planners.driving.bases_only import of_a_base
-from graceful_plan.planners.driving.footprint import floor_around, footprint, radii, turns_and_straights
+from graceful_plan.planners.driving.footprint import floor_around, footprint, near_entities, turns_and_straights
 from graceful_plan.planners.driving.postures import BASE
+from graceful_plan.planners.driving.roughly import roughly
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import positive
 from graceful_plan.planners.trivial import stays_at_goal
@@ -37,23 +50,32 @@ _FINE = 0.05
 """Cells of the map that is cut out of the scene [m]."""
 _CRUISE = 0.7
 """Share of the fastest speed at which a cell is crossed in two ticks."""
-_SHARES = (1.0, 0.5, 0.0)
-"""Of the way from the disc inside of the robot to the one around it: what keeps clear, one after the other."""
-_REACH, _APART = 3.0, 0.5
+_TURNS = 0.5
+"""Of the time that a turn in place takes at the fastest rate: on a smooth curve most of it passes while it drives."""
+_TURN_PRICE = 0.25
+"""What a radian costs besides [m]: bends are slow, and longer than straight ways."""
+_YAW = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
+_REACH, _APART = 3.0, 0.3
 """How far off somebody is looked at, and between these places [m]."""
 _MOST_VELOCITIES = 4
-_SLOW = 0.5
-"""Impact at half the speed, as a share: routes need no more, the law of time looks again."""
-_KEPT = 0.2
-"""Clearance to those who move, besides the discs [m]."""
+_COARSE = 2
+"""Impact on those who stand is looked at in every so manieth cell of a row and a column."""
+_DRIVING, _STANDING, _WANTED = 0.1, 0.0, 0.3
+"""Clearance to those who move below which discs do not drive, do not wait, and cost something [m]."""
+_CLOSE = 2.0
+"""What a second costs besides without any clearance [m/s]."""
 _TIME = 0.3
 """What a second costs besides [m/s]: about as much as when motions are compared."""
+_FINER = (1.0, 0.5)
+"""Widths of cells, as shares, one after the other until there is a way."""
+_REPAIRS = 6
+"""Most searches at one width: cells of moves that turn out not to be free are closed."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class FloorInTime(Planner):
-    """Dynamic programming over cells and time; one path for each disc that gets through.
+    """A* over cells, headings and time.
 
     The arm stays as it is at the start. One iteration is one search.
 
@@ -84,176 +106,229 @@ class FloorInTime(Planner):
             SettingError: If the robot has no base that drives.
         """
         del rng
-        driven = charging, _ = of_a_base(objective, self.name)
+        charging, base = of_a_base(objective, self.name)
         start = problem.start
         goals = [goal for goal in problem.goals if np.array_equal(goal[BASE:], start[BASE:])]
         if not goals:
             return
         discs, top = footprint(charging.scene, start)
-        inside, outside = radii(discs)
         floor = floor_around(charging.scene, top, np.array([start, *problem.goals])[:, :2], (_FINE, self.around))
-        seconds = sum(floor.size) + self.late
-        charge = _Charge(self, driven, start, outside + _KEPT, seconds, budget)
-        for share in _SHARES:
-            if not budget.spend():
-                return
-            cells = _Cells.of(floor, self.cell, inside + share * (outside - inside), (start, goals[0]))
-            grid = TimedGrid(free=cells.free, ticks=charge.ticks)
-            try:
-                found = grid.cheapest(cells.start, cells.goal, lambda tick, xy=cells.xy: charge(tick, xy))
-            except _Over:
-                return
-            if len(found.cells) == 0:
-                continue
-            xy = cells.xy[found.cells[:, 1], found.cells[:, 0]]
-            q = turns_and_straights(_without_collinear(xy), start, goals[0])
-            if problem.edges_free(q[:-1], q[1:]).all():
-                yield Path(q).without_duplicates()
-                return
+        beside = _Beside(charging, base, start, budget)
+        for share in _FINER:
+            cells = _Cells.of(floor, share * self.cell, discs, (start, goals[0]))
+            for _ in range(_REPAIRS):
+                if not budget.spend():
+                    return
+                try:
+                    q = self._found(cells, beside, discs, budget)
+                except _Over:
+                    return
+                if q is None:
+                    break
+                blocked = ~problem.edges_free(q[:-1], q[1:])
+                if not blocked.any():
+                    yield Path(q).without_duplicates()
+                    return
+                cells.close(q[:-1][blocked], q[1:][blocked])
+
+    def _found(
+        self, cells: _Cells, beside: _Beside, discs: Float[Array, "disc 3"], budget: Budget
+    ) -> Float[Array, "vertex nq"] | None:
+        """Search once; return the path, None if there is none or no time."""
+        base, width = beside.base, cells.width
+        tick = 0.5 * width / (_CRUISE * base.v_max)
+        seconds = width * sum(cells.open.shape[1:]) + self.late
+        ticks = min(int(seconds / tick), MOST_STATES // cells.open.size - 2)
+        turn, angle = _TURNS * 2.0 * np.pi / HEADINGS / base.omega_max, 2.0 * np.pi / HEADINGS
+        paces = TimedPaces(
+            turn=max(1, round(turn / tick)),
+            reverse=base.reverse,
+            width=width,
+            second=_TIME * tick,
+            turning=_TURN_PRICE * angle,
+        )
+        rate = beside.standing(cells.xy)
+        lattice = TimedLattice(
+            open=cells.open, width=width, tick=tick, ticks=ticks, outline=discs, paces=paces, rate=rate
+        )
+        found = lattice.cheapest(
+            cells.start,
+            cells.goal,
+            others=beside.others(cells.xy[0, 0], 0.5 * tick, 2 * ticks + 2),
+            ending=_TURN_PRICE * np.abs(_turned(_YAW - cells.ends[1][2])),
+            late=lambda: budget.over,
+        )
+        return cells.path(found.nodes) if len(found.nodes) else None
 
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Coarse cells: their centres in W, which are free, and where the ends are."""
+    """Coarse cells, one of them around the start: their centres in W, which headings are open there, and the ends."""
 
     xy: Float[Array, "row column 2"]
-    free: Bool[Array, "row column"]
-    start: tuple[int, int]
+    open: UInt8[Array, "heading row column"]
+    width: float
+    start: tuple[int, int, int]
     goal: tuple[int, int]
+    ends: tuple[Float[Array, " nq"], Float[Array, " nq"]]
 
     @classmethod
     def of(
-        cls, floor: FloorMap, cell: float, radius: float, ends: tuple[Float[Array, " nq"], Float[Array, " nq"]]
+        cls,
+        floor: FloorMap,
+        width: float,
+        discs: Float[Array, "disc 3"],
+        ends: tuple[Float[Array, " nq"], Float[Array, " nq"]],
     ) -> _Cells:
-        (width, height), yaw = floor.size, floor.origin[2]
+        (x0, y0, yaw), (start, goal) = floor.origin, ends
         assert yaw == 0.0
-        columns, rows = max(1, int(width / cell)), max(1, int(height / cell))
+        corner, size = np.array([x0, y0]), np.array(floor.size)
+        first = np.floor((start[:2] - corner) / width).astype(int)
+        columns, rows = (first + np.floor((corner + size - start[:2]) / width).astype(int) + 1).tolist()
         at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        xy = floor.in_world((at + 0.5) * cell)
-        free = floor.clearance(xy) >= radius
-        places = []
-        for end in ends:
-            column, row = np.floor(floor.on_map(end[:2]) / cell).astype(int)
-            place = int(np.clip(column, 0, columns - 1)), int(np.clip(row, 0, rows - 1))
-            free[place[::-1]] = True
-            places.append(place)
-        return cls(xy, free, places[0], places[1])
+        xy = start[:2] + (at - first) * width
+        opened = np.zeros((HEADINGS, rows, columns), dtype=np.uint8)
+        for h, step in enumerate(STEPS):
+            stands = _clear(floor, xy, discs, _YAW[h])
+            middle = _clear(floor, xy + 0.5 * width * np.array(step), discs, _YAW[h])
+            opened[h] = STANDS * stands + LEAVES * (stands & middle)
+        column, row = np.clip(np.rint((goal[:2] - start[:2]) / width).astype(int) + first, 0, (columns - 1, rows - 1))
+        heading = int(np.argmin(np.abs(_turned(_YAW - start[2]))))
+        opened[heading, first[1], first[0]] |= STANDS
+        opened[:, row, column] |= STANDS
+        return cls(xy, opened, width, (int(first[0]), int(first[1]), heading), (int(column), int(row)), ends)
+
+    def path(self, nodes: Int[Array, "point 4"]) -> Float[Array, "vertex nq"]:
+        """Return turns and straight stretches; waits are left out."""
+        moves = np.append(True, np.abs(np.diff(nodes[:, :2], axis=0)).max(axis=1) > 0)
+        at = nodes[moves]
+        steps, way = np.diff(at[:, :2], axis=0), np.array(STEPS)[at[1:, 2]]
+        forward = (steps * way).sum(axis=1) > 0
+        changes = (np.diff(steps, axis=0) != 0).any(axis=1) | (np.diff(forward) != 0)
+        kept = np.concatenate([[True], changes, [True]]) if len(at) > 1 else np.array([True])
+        xy = self.xy[at[kept, 1], at[kept, 0]]
+        if len(xy) == 1:
+            xy = np.repeat(xy, 2, axis=0)
+        gears: Bool[Array, " edge"] = forward[np.flatnonzero(kept)[1:] - 1] if len(at) > 1 else np.array([True])
+        return turns_and_straights(xy, *self.ends, gears)
+
+    def close(self, a: Float[Array, "edge nq"], b: Float[Array, "edge nq"]) -> None:
+        """Close what edges that are not free lead over."""
+        origin = self.xy[0, 0]
+        for from_, to in zip(a, b, strict=True):
+            n = max(2, math.ceil(float(np.linalg.norm(to[:2] - from_[:2])) / (0.5 * self.width)) + 1)
+            cell = np.rint((np.linspace(from_[:2], to[:2], n) - origin) / self.width).astype(int)
+            column, row = np.clip(cell, 0, np.array(self.open.shape[:0:-1]) - 1).T
+            for yaw in np.linspace(from_[2], to[2], 3):
+                self.open[round(yaw / (2.0 * np.pi / HEADINGS)) % HEADINGS, row, column] &= STANDS
+        self.open[self.start[2], self.start[1], self.start[0]] |= STANDS
 
 
 class _Over(Exception):
     """The search is given up, for its time is."""
 
 
-class _Charge:
-    """What moves cost at ticks."""
+class _Beside:
+    """What failures cost beside those who stand and those who move."""
 
-    def __init__(
-        self,
-        of: FloorInTime,
-        driven: tuple[SceneObjective, DiffDrive],
-        start: Float[Array, " nq"],
-        kept: float,
-        seconds: float,
-        budget: Budget,
-    ) -> None:
-        objective, base = driven
-        self.objective, self.cell, self.start, self.budget = objective, of.cell, start, budget
-        self.tick = 0.5 * of.cell / (_CRUISE * base.v_max)
-        self.ticks = int(seconds / self.tick)
-        halves = 2 * (self.ticks + max(move.ticks for move in MOVES))
-        self.walkers = [
-            _Walker(self, entity, kept + _radius(entity), halves) for entity in objective.scene.moving.values()
-        ]
-        self.own = np.array([of.cell * move.length + _TIME * self.tick * move.ticks for move in MOVES])
+    def __init__(self, objective: SceneObjective, base: DiffDrive, start: Float[Array, " nq"], budget: Budget) -> None:
+        self.objective, self.base, self.start, self.budget = objective, base, start, budget
+        self.speed = _CRUISE * base.v_max
 
-    def go_on(self) -> None:
+    @cached_property
+    def _still(self) -> SceneObjective:
+        of = self.objective
+        return SceneObjective(of.objective, as_if_nobody_moved(of.scene), of.paces)
+
+    def standing(self, xy: Float[Array, "row column 2"]) -> Float[Array, "heading row column"] | None:
+        """Return the price of a second of driving in each cell and heading, for those who stand."""
+        if self.objective.w == 0.0:
+            return None
+        coarse = xy[::_COARSE, ::_COARSE]
+        near = near_entities(coarse, self._still.scene)
+        rate = np.zeros((HEADINGS, *near.shape))
+        if near.any():
+            for h in range(HEADINGS):
+                self._go_on()
+                rate[h][near] = self.objective.w * self._still.quick_states(*self._driving(coarse[near], h))
+        return rate.repeat(_COARSE, axis=1).repeat(_COARSE, axis=2)[:, : xy.shape[0], : xy.shape[1]]
+
+    def others(self, origin: Float[Array, " 2"], half: float, halves: int) -> Others:
+        """Return those who move, at half ticks [s], as seen from the first cell."""
+        t = half * np.arange(halves)
+        n = math.ceil(_REACH / _APART)
+        places, shapes, velocities = _APART * np.arange(-n, n + 1), [], []
+        tables: list[Float[Array, "heading place place"]] = []
+        for entity in self.objective.scene.moving.values():
+            shape, velocity, _ = seen_from_above(entity, t)
+            shape[:, :2] -= origin
+            classes, row = _classes(velocity)
+            shapes.append(shape)
+            velocities.append(len(tables) + row)
+            tables += [self._beside(entity, float(t[np.argmax(row == k)]), places) for k in range(classes)]
+        return Others(
+            shape=np.stack(shapes),
+            velocity=np.stack(velocities),
+            beside=np.stack(tables),
+            apart=_APART,
+            driving=_DRIVING,
+            standing=_STANDING,
+            wanted=_WANTED,
+            close=_CLOSE,
+        )
+
+    def _beside(
+        self, entity: MovingEntity, t: float, places: Float[Array, " place"]
+    ) -> Float[Array, "heading place place"]:
+        """Return the price of a second of driving beside somebody, as they are at a time."""
+        impact, n = self.objective.objective.impact, len(places)
+        table = np.zeros((HEADINGS, n, n))
+        if self.objective.w == 0.0 or not isinstance(impact, ImpactCost):
+            return table
+        rough, alone = roughly(impact), as_if_nobody_moved(self.objective.scene).with_moving(entity)
+        xy = entity.at(t).position[:2] + np.stack(np.meshgrid(places, places, indexing="ij"), axis=-1).reshape(-1, 2)
+        for h in range(HEADINGS):
+            self._go_on()
+            found = rough.moving_state(moving_batch(alone, *self._driving(xy, h), np.full(len(xy), t)))
+            table[h] = self.objective.w * found.reshape(n, n)
+        return table
+
+    def _go_on(self) -> None:
         """Raise `_Over` once there is no time left for the search."""
         if self.budget.over:
             raise _Over
 
-    def __call__(self, tick: int, xy: Float[Array, "row column 2"]) -> Float[Array, "move row column"]:
-        self.go_on()
-        cost = np.repeat(self.own, xy.shape[0] * xy.shape[1]).reshape(len(MOVES), *xy.shape[:2])
-        for k, move in enumerate(MOVES):
-            middle = xy + 0.5 * self.cell * np.array([move.columns, move.rows])
-            for walker in self.walkers:
-                walker.add(cost[k], k, middle, 2 * tick + move.ticks)
-        return cost
-
-    def speed(self, move: TimedMove) -> float:
-        """Of the base on a move [m/s]."""
-        return self.cell * move.length / (self.tick * move.ticks)
+    def _driving(self, xy: Float[Array, "n 2"], heading: int) -> tuple[Float[Array, "n nq"], Float[Array, "n nq"]]:
+        """Return configurations and velocities of the base that drives there."""
+        q = np.tile(self.start, (len(xy), 1))
+        qd = np.zeros_like(q)
+        q[:, :2], q[:, 2] = xy, _YAW[heading]
+        qd[:, :2] = self.speed * np.array([np.cos(_YAW[heading]), np.sin(_YAW[heading])])
+        return q, qd
 
 
-class _Walker:
-    """One who moves: a table of w times the impact by where the base is, seen from them, and where it drives."""
-
-    def __init__(self, charge: _Charge, entity: MovingEntity, kept: float, halves: int) -> None:
-        self.charge, self.entity, self.kept = charge, entity, kept
-        n = int(np.ceil(_REACH / _APART))
-        self.places = _APART * np.arange(-n, n + 1)
-        self.t = 0.5 * charge.tick * np.arange(halves)
-        shape, self.velocity, _ = seen_from_above(entity, self.t)
-        self.position = shape[:, :2]
-        self.tables: dict[tuple[float, ...], Float[Array, "move place place"]] = {}
-
-    def add(self, cost: Float[Array, "row column"], move: int, xy: Float[Array, "row column 2"], half: int) -> None:
-        """Add what a move costs in the middle of a tick, or between two, from everywhere."""
-        x, y = np.moveaxis(xy - self.position[half], -1, 0)
-        near = (np.abs(x) < _REACH) & (np.abs(y) < _REACH)
-        if not near.any():
-            return
-        x, y = x[near], y[near]
-        more = np.where(np.hypot(x, y) < self.kept, np.inf, 0.0)
-        if self.charge.objective.w > 0.0 and MOVES[move].length > 0.0:
-            at = (np.rint(of / _APART).astype(int) + len(self.places) // 2 for of in (x, y))
-            more += self.charge.tick * MOVES[move].ticks * self._table(half)[move][tuple(at)]
-        cost[near] += more
-
-    def _table(self, half: int) -> Float[Array, "move place place"]:
-        """Return w times the impact of each move, for the velocity at a time."""
-        key = tuple(np.round(self.velocity[half], 1).tolist())
-        if key not in self.tables and len(self.tables) >= _MOST_VELOCITIES:
-            key = min(self.tables, key=lambda known: float(np.hypot(known[0] - key[0], known[1] - key[1])))
-        if key not in self.tables:
-            self.tables[key] = self._looked_at(float(self.t[half]))
-        return self.tables[key]
-
-    def _looked_at(self, t: float) -> Float[Array, "move place place"]:
-        impact, objective = self.charge.objective.objective.impact, self.charge.objective
-        table = np.zeros((len(MOVES), len(self.places), len(self.places)))
-        if not isinstance(impact, ImpactCost):
-            return table
-        there, scene = self.entity.at(t).position[:2], objective.scene
-        alone = scene.without_moving().with_moving(self.entity)
-        x, y = np.meshgrid(self.places, self.places, indexing="ij")
-        q = np.tile(self.charge.start, (x.size, 1))
-        q[:, 0], q[:, 1] = there[0] + x.ravel(), there[1] + y.ravel()
-        for k, move in enumerate(MOVES):
-            if move.length == 0.0:
-                continue
-            fast = move._replace(ticks=move.ticks // 2)
-            if fast in MOVES[:k]:
-                table[k] = _SLOW * table[MOVES.index(fast)]
-                continue
-            way = np.array([move.columns, move.rows]) / move.length
-            qd = np.zeros_like(q)
-            q[:, 2], qd[:, :2] = np.arctan2(way[1], way[0]), self.charge.speed(move) * way
-            self.charge.go_on()
-            found = impact.moving_state(moving_batch(alone, q, qd, np.full(len(q), t)))
-            table[k] = objective.w * found.reshape(x.shape)
-        return table
+def _classes(velocity: Float[Array, "half 2"]) -> tuple[int, Int[Array, " half"]]:
+    """Return how many classes of velocities there are, and which each is in."""
+    known, row = np.unique(np.round(velocity, 1), axis=0, return_inverse=True)
+    if len(known) > _MOST_VELOCITIES:
+        often = np.argsort(-np.bincount(row.ravel()), kind="stable")[:_MOST_VELOCITIES]
+        known = known[often]
+        row = np.argmin(np.linalg.norm(velocity[:, None] - known, axis=2), axis=1)
+    return len(known), row.ravel()
 
 
-def _radius(entity: MovingEntity) -> float:
-    return float(entity.size[0] if entity.is_round else np.linalg.norm(entity.size[:2]))
+def _clear(
+    floor: FloorMap, xy: Float[Array, "row column 2"], discs: Float[Array, "disc 3"], yaw: float
+) -> Bool[Array, "row column"]:
+    """Tell where discs around a robot with this heading touch nothing."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    offset = np.column_stack([c * discs[:, 0] - s * discs[:, 1], s * discs[:, 0] + c * discs[:, 1]])
+    found = np.ones(xy.shape[:2], dtype=bool)
+    for at, radius in zip(offset, discs[:, 2], strict=True):
+        found &= floor.clearance(xy + at) >= radius
+    return found
 
 
-def _without_collinear(xy: Float[Array, "_ 2"]) -> Float[Array, "_ 2"]:
-    """Leave out waits, and points on the straight line from the one before to the next."""
-    xy = xy[np.append(True, np.abs(np.diff(xy, axis=0)).max(axis=1) > 0.0)]
-    if len(xy) < 3:
-        return xy
-    a, b = np.diff(xy, axis=0)[:-1], np.diff(xy, axis=0)[1:]
-    bends = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > 1e-9
-    return xy[np.concatenate([[True], bends, [True]])]
+def _turned(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Return angles from -pi to pi."""
+    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi

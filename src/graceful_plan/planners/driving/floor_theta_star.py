@@ -15,23 +15,20 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from graceful_plan.array_types import Bool, Float
+from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.floor.floor_map import FloorMap
 from graceful_plan.floor.grid_paths import FloorGrid
 from graceful_plan.path import Path
 from graceful_plan.planners.driving.bases_only import of_a_base
-from graceful_plan.planners.driving.footprint import floor_around, footprint, radii, turns_and_straights
+from graceful_plan.planners.driving.footprint import floor_around, footprint, near_entities, radii, turns_and_straights
 from graceful_plan.planners.driving.postures import BASE, postures
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem, path_total
 from graceful_plan.planners.settings import positive
 from graceful_plan.planners.trivial import stays_at_goal
-from graceful_plan.scene.scene import Scene
 
 Array = np.ndarray
 
-_NEAR = 2.5
-"""How far from entities impact is looked at [m]: a base that fails at 2 m/s hardly goes farther."""
 _COARSE = 4
 """Impact is looked at in every so manieth cell of a row and a column."""
 _DIRECTIONS = 8
@@ -113,7 +110,7 @@ class FloorThetaStar(Planner):
         rows, columns = (math.ceil(n / _COARSE) for n in floor.shape)
         cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
         xy = floor.centres((cells + 0.5) * _COARSE - 0.5)
-        near = _near_entities(xy, objective.scene)
+        near = near_entities(xy, objective.scene)
         field, n = np.zeros((rows, columns)), int(near.sum())
         q, qd = np.tile(start, (n, 1)), np.zeros((n, len(start)))
         q[:, :2] = xy[near]
@@ -128,13 +125,3 @@ class FloorThetaStar(Planner):
 
 def _left(budget: Budget) -> float:
     return max(budget.remaining_seconds, 1e-3)
-
-
-def _near_entities(xy: Float[Array, "row column 2"], scene: Scene) -> Bool[Array, "row column"]:
-    data = scene.data_at(np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T))
-    near = np.zeros(xy.shape[:2], dtype=bool)
-    for entity in scene.entities.values():
-        for geom in entity.geoms:
-            reach = _NEAR + float(scene.model.geom_rbound[geom])
-            near |= np.linalg.norm(xy - data.geom_xpos[geom, :2], axis=-1) < reach
-    return near

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.core.compile import compile_scene
 from graceful_plan.floor.floor_map import FloorMap
 from graceful_plan.planners.driving.postures import BASE
@@ -17,6 +17,8 @@ Array = np.ndarray
 
 _SLICES = 5
 """Discs of a cover, at most."""
+NEAR = 2.5
+"""How far from entities impact is looked at [m]: a base that fails at 2 m/s hardly goes farther."""
 _FLOOR = 0.03
 """Heights that a base drives over [m]."""
 
@@ -69,15 +71,37 @@ def floor_around(scene: Scene, top: float, ends: Float[Array, "end 2"], settings
     return FloorMap.from_scene(scene, heights=heights, resolution=resolution, bounds=bounds)
 
 
+def near_entities(xy: Float[Array, "row column 2"], scene: Scene) -> Bool[Array, "row column"]:
+    """Tell which places are near somebody who stands, or something that can be harmed."""
+    data = scene.data_at(np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T))
+    near = np.zeros(xy.shape[:2], dtype=bool)
+    for entity in scene.entities.values():
+        for geom in entity.geoms:
+            reach = NEAR + float(scene.model.geom_rbound[geom])
+            near |= np.linalg.norm(xy - data.geom_xpos[geom, :2], axis=-1) < reach
+    return near
+
+
 def turns_and_straights(
-    xy: Float[Array, "point 2"], start: Float[Array, " nq"], goal: Float[Array, " nq"]
+    xy: Float[Array, "point 2"],
+    start: Float[Array, " nq"],
+    goal: Float[Array, " nq"],
+    gears: Bool[Array, " edge"] | None = None,
 ) -> Float[Array, "vertex nq"]:
-    """Return the way through points, driven forward, with a turn in place at each; headings go on beyond pi."""
+    """Return the way through points with a turn in place at each; headings go on beyond pi.
+
+    Args:
+        xy: The points.
+        start: Takes the place of the first.
+        goal: Takes the place of the last.
+        gears: Whether each stretch is driven forward; all of them by default.
+    """
     points = np.concatenate([start[None, :2], xy[1:-1], goal[None, :2]])
+    ahead = np.ones(len(points) - 1, dtype=bool) if gears is None else gears
     poses, yaw = [start[:BASE]], float(start[2])
-    for a, b in pairwise(points):
+    for a, b, forward in zip(points[:-1], points[1:], ahead, strict=True):
         if np.hypot(*(b - a)) > 0.0:
-            direction = math.atan2(b[1] - a[1], b[0] - a[0])
+            direction = math.atan2(b[1] - a[1], b[0] - a[0]) + (0.0 if forward else math.pi)
             yaw += math.remainder(direction - yaw, 2.0 * math.pi)
             poses += [np.array([*a, yaw]), np.array([*b, yaw])]
     q = np.column_stack([poses, np.tile(start[BASE:], (len(poses), 1))])

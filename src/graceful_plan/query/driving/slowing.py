@@ -21,6 +21,8 @@ SHARES = np.array([1.0, 0.85, 0.7, 0.55, 0.4, 0.3, 0.2])
 """Of the fastest speed, that are compared."""
 _LEAST = 0.05
 """Of the fastest speed along the curve, below which nothing is slowed down: it begins and ends at rest."""
+_LOOKS = 200
+"""Places of a motion that are looked at, about."""
 _FREE = 1e9
 """Squared path speed where nothing is to be slower."""
 
@@ -39,9 +41,11 @@ def slower_where_it_pays(
     grid = next((g for g in map(drive.grid, (1, 2, 4)) if len(g.q) == len(trajectory)), None)
     if objective.w == 0.0 or grid is None:
         return None
-    impact = np.stack([objective.quick_states(trajectory.q, share * trajectory.qd) for share in SHARES])
+    every = max(1, len(trajectory) // _LOOKS)
+    q, qd = trajectory.q[::every], trajectory.qd[::every]
+    impact = np.stack([objective.quick_states(q, share * qd) for share in SHARES])
     price = (time_price + objective.w * impact) / SHARES[:, None]
-    return capped(grid, trajectory, SHARES[np.argmin(price, axis=0)])
+    return capped(grid, trajectory, SHARES[np.argmin(price, axis=0)].repeat(every)[: len(trajectory)])
 
 
 def capped(grid: CurveGrid, trajectory: Trajectory, share: Float[Array, " point"]) -> Restraint | None:

@@ -19,8 +19,8 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.planners.planner import Budget
+from graceful_plan.query.driving.among.walkers import KEPT, Walkers
 from graceful_plan.query.driving.moving_curve import Curvature, MovingCurve
-from graceful_plan.query.driving.walkers import KEPT, Walkers
 from graceful_plan.scene.mobile.diff_drive import DiffDrive
 from graceful_plan.timing.bspline import basis
 from graceful_plan.timing.drive_curve import Roll, rolled

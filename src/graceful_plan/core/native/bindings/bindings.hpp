@@ -11,6 +11,7 @@ void bind_impact(nb::module_&);  // after bind_core
 void bind_search(nb::module_&);  // after bind_impact
 void bind_lattice(nb::module_&);
 void bind_grid(nb::module_&);
+void bind_timed(nb::module_&);
 void bind_control(nb::module_&);
 
 }  // namespace gp

@@ -8,5 +8,6 @@ NB_MODULE(_native, m) {
   gp::bind_search(m);
   gp::bind_lattice(m);
   gp::bind_grid(m);
+  gp::bind_timed(m);
   gp::bind_control(m);
 }

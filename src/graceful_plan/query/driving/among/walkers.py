@@ -6,7 +6,7 @@ the times at which the base gets there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,10 +16,11 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
+from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.judge.passing_by import STANDING
 from graceful_plan.planners.driving.footprint import footprint
 from graceful_plan.planners.driving.postures import BASE
-from graceful_plan.query.departure import as_if_nobody_moved
+from graceful_plan.planners.driving.roughly import roughly
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
@@ -50,12 +51,24 @@ class Walkers:
         of = self.objective
         return SceneObjective(of.objective, as_if_nobody_moved(of.scene), of.paces)
 
+    @cached_property
+    def rough(self) -> SceneObjective:
+        """The objective, close to it but much faster where a base fails; see `roughly`."""
+        of = self.objective
+        if self._rough is None or of.w == 0.0:
+            return of
+        return SceneObjective(replace(of.objective, impact=self._rough), of.scene, of.paces)
+
     def impact(self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], t: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Return what they add to the impact of states at times; nothing by costs of one's own."""
-        cost = self.objective.objective.impact
-        if self.objective.w == 0.0 or not isinstance(cost, ImpactCost):
+        """Return about what they add to the impact of states at times; nothing by costs of one's own."""
+        if self.objective.w == 0.0 or self._rough is None:
             return np.zeros(len(q))
-        return cost.moving_state(moving_batch(self.objective.scene, q, qd, t))
+        return self._rough.moving_state(moving_batch(self.objective.scene, q, qd, t))
+
+    @cached_property
+    def _rough(self) -> ImpactCost | None:
+        cost = self.objective.objective.impact
+        return roughly(cost) if isinstance(cost, ImpactCost) else None
 
     def slopes(
         self, q: Float[Array, "n nq"], qd: Float[Array, "n nq"], t: Float[Array, " n"]

@@ -14,8 +14,8 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.judge.passing_by import STANDING
+from graceful_plan.query.driving.among.walkers import KEPT, Walkers
 from graceful_plan.query.driving.slowing import capped
-from graceful_plan.query.driving.walkers import KEPT, Walkers
 from graceful_plan.timing.drive_curve import Drive
 from graceful_plan.timing.topp import Restraint
 from graceful_plan.timing.trajectory import Trajectory

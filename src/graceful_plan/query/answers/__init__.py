@@ -1,0 +1,1 @@
+"""From ends to a result: search, time, judge, and again more cautiously."""

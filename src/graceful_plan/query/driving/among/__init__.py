@@ -1,0 +1,1 @@
+"""Bases among those who move: where and when to go."""

@@ -1,0 +1,116 @@
+"""The way of a base from its ends to a result: search, a motion soon, curves near what was found, and the judge.
+
+What is returned costs no more, by J, than what a call with a weight of 0 has: see `candidates`.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from graceful_plan.planners.planner import Budget
+from graceful_plan.planners.scene_problem import SceneProblem
+from graceful_plan.query.answers.outcome import failed, problems, solved, until_last_steps
+from graceful_plan.query.deadline.quick import wants_it_soon
+from graceful_plan.query.driving.among.searching import search_among_walkers
+from graceful_plan.query.driving.candidates import Drives
+from graceful_plan.query.driving.postures import BASE
+from graceful_plan.query.ends import Ends
+from graceful_plan.query.finish import Judged, first_verified
+from graceful_plan.query.motions import Motion
+from graceful_plan.query.request import Request
+from graceful_plan.query.search import ALL, Search, search
+from graceful_plan.result import PlanResult
+from graceful_plan.timing.drive_curve import Drive
+
+_SHARE, _ARM_SHARE = 0.5, 0.3
+"""Of the time, for the search of a base's path, of one without and with an arm or among those who move; the rest is for
+curves near it."""
+_CLOSE = 1.1
+"""How much more a motion may cost by a close estimate so that it is charged in full before it is dropped."""
+_ORDINARY_SHARE = 0.25
+"""Of the time and of the iterations, for the search by a weight of 0 before: it is quick, for nothing but walls is
+looked at."""
+
+
+def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.Generator) -> PlanResult:
+    """Search, time, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
+    found, refused, stats = Search(), None, {}
+    for problem in problems(request, ends):
+        drives = Drives(request=request, ends=ends, problem=problem)
+        # Who listens is told of paths soon; among those who move a first motion takes longer than a search.
+        early, chance = request.callback is None and drives.walkers is None, copy.deepcopy(rng)
+        plain, ordinary = _ordinary(drives, budget, chance) if early else (Search(), [])
+        found = _searched(request, problem, budget, rng)
+        found = found if found.paths or found.stopped else plain
+        stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
+        first = _first(drives, ordinary, found)
+        if found.paths:  # now it is known what timing and judging take here
+            budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
+        judged = first
+        if not (_passed(first) and (budget.cancelled() or wants_it_soon(found))):
+            ordinary = ordinary if early else _ordinary(drives, budget, chance)[1]
+            judged = _better(first_verified(drives.motions(found, ordinary, budget, rng), request), first)
+        if judged is not None and judged.verdict.passed:
+            judged = _in_full(judged, drives.reference(ordinary), drives)
+            return solved(judged, (found, ends), request, budget, stats)
+        refused = refused or judged
+        if budget.exhausted or found.stopped or not (found.paths or found.refused):
+            break
+    return failed((found, ends), refused, "", budget, stats)
+
+
+def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> tuple[Search, list[tuple[Motion, Drive]]]:
+    """Return what a call with a weight of 0 and the same chance would find and make."""
+    if drives.request.objective.w == 0.0 or budget.exhausted:
+        return Search(), []
+    plain = drives.without_regard_for_impact().request
+    with budget.share(iterations=_ORDINARY_SHARE * budget.remaining_iterations) as part:
+        searched = _searched(plain, drives.problem, part, rng, share=_ORDINARY_SHARE)
+    return searched, drives.ordinary(searched, budget)
+
+
+def _first(drives: Drives, ordinary: Sequence[tuple[Motion, Drive]], found: Search) -> Judged | None:
+    """Return a motion that is had should all others come too late."""
+    reference = drives.reference(ordinary) if drives.walkers is None else None
+    first = None if reference is None else first_verified([reference], drives.request)
+    return first if _passed(first) else first_verified(drives.stops(found), drives.request) or first
+
+
+def _searched(
+    request: Request, problem: SceneProblem, budget: Budget, rng: np.random.Generator, share: float | None = None
+) -> Search:
+    moving = bool(request.objective.scene.moving)
+    if share is None:
+        share = _SHARE if problem.start.size == BASE and not moving else _ARM_SHARE
+    if moving:
+        return search_among_walkers(request, problem, budget, rng, share=share)
+    return search(request.planner, problem, request.objective, budget, rng, request.callback, kept=ALL, share=share)
+
+
+def _in_full(judged: Judged, reference: Motion | None, drives: Drives) -> Judged:
+    """Return a motion charged in full, or the one for a weight of 0 if that turns out to be better."""
+    chosen = replace(judged, motion=drives.in_full(judged.motion))
+    if drives.walkers is None or reference is None or drives.request.preference is not None:
+        return chosen
+    if reference.cost.total > _CLOSE * judged.motion.cost.total or chosen.motion.trajectory is reference.trajectory:
+        return chosen
+    reference = drives.in_full(reference)
+    if reference.cost.total >= chosen.motion.cost.total:
+        return chosen
+    other = first_verified([reference], drives.request)
+    return other if other is not None and _passed(other) and not other.verdict.warnings else chosen
+
+
+def _passed(judged: Judged | None) -> bool:
+    return judged is not None and judged.verdict.passed
+
+
+def _better(one: Judged | None, other: Judged | None) -> Judged | None:
+    """Return what passed, better without a warning, better by its ranking."""
+    if one is None or other is None or not (_passed(one) and _passed(other)):
+        return one if _passed(one) or not _passed(other) else other
+    return min(one, other, key=lambda of: (bool(of.verdict.warnings), of.motion.ranking))
