@@ -16,7 +16,8 @@ MEASURED = f"""\
 Scenes: each of `benchmarks/unseen`, {walled.VERSIONS} times with {walled.WALLS} walls beside the ways of its tasks
 (`benchmarks/walled.py`): 10 to 70 cm high, 16 to 60 cm long, at any angle, as near as the ends of all tasks allow.
 Drops and figures as in `drop_prediction`; walls count as furniture. No constant of the model was fitted on any of them.
-What its step 0 is made of (which sides count, how sharply) was chosen by looking at such drops beside other walls.
+What its step 0 is made of (which sides count, how sharply) was chosen by looking at such drops beside other
+walls, and at some of the scenes that lie under these.
 """
 SEED = 9100
 KINDS = (

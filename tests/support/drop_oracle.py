@@ -158,6 +158,7 @@ def side_stop(T, parts, k, c, v, low, high):
                 (half[j] + 0.5 * (upper[j] - lower[j]) - across) / (math.sqrt(5.0) * s)
             )
             E *= smooth((t["Z"] - h) / 0.067) * smooth((h + high - low - t["low"]) / 0.067 - 1.0)
+            E *= smooth(2.0 * abs(speed[i]) / 0.1 - 1.0)
             effect = E * abs(speed[i]) * max(end - time, 0.0)
             if effect > best[0]:
                 best = (effect, time, -E * speed[i] * axes[i], E, t)

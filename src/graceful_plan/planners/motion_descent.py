@@ -29,6 +29,8 @@ TIME_PRICE = 0.05
 CAREFUL_TIME_PRICE = 0.3
 """The same where something full is carried [rad/s]: how long it takes does not follow from how far it is any more, and
 motions of the shortest paths would take up to half as long again for a hundredth less length."""
+DRIVING_TIME_PRICE = 0.3
+"""The same of a base that drives [m/s], for which being slow costs no length and spares harm: without it, it crawls."""
 _ROUND = 20
 """Evaluations of a descent between two looks at the clock."""
 _HARDENINGS = 3

@@ -19,7 +19,15 @@ from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
-from graceful_plan.planners.motion_descent import LONG, Effort, Landed, MotionDescents, Start, time_price
+from graceful_plan.planners.motion_descent import (
+    DRIVING_TIME_PRICE,
+    LONG,
+    Effort,
+    Landed,
+    MotionDescents,
+    Start,
+    time_price,
+)
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.resampling import evenly
@@ -351,6 +359,8 @@ def charged(whole: Path, trajectory: Trajectory, arrival: int, request: Request)
 
 def price_of_time(request: Request) -> float:
     """Return what a second of a motion counts when motions are compared."""
+    if request.objective.scene.base is not None:
+        return DRIVING_TIME_PRICE
     return time_price(careful=request.constraints.level)
 
 

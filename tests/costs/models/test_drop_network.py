@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import pickle
-import zipfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -316,12 +315,11 @@ def test_damaged_files_are_refused_or_harmless(
 
 
 def test_large_files_are_not_unpacked(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("header.npy", b"\0" * (1 << 24))
-    with pytest.raises(FormatError, match="unpacked"):
+    np.savez_compressed(tmp_path / "bomb.npz", header=np.zeros(1 << 21))
+    with pytest.raises(FormatError, match="holds 16777216 bytes"):
         DropNetwork.read(tmp_path / "bomb.npz")
     (tmp_path / "long.npz").write_bytes(b"\0" * (1 << 21))
-    with pytest.raises(FormatError, match="bytes"):
+    with pytest.raises(FormatError, match="not a zip file"):
         DropNetwork.read(tmp_path / "long.npz")
     with pytest.raises(FormatError, match="nowhere"):
         DropNetwork.read(tmp_path / "nowhere.npz")

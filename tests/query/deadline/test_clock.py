@@ -11,6 +11,7 @@ import pytest
 import graceful_plan as gp
 from graceful_plan.constraints.scene_constraints import SceneConstraints
 from graceful_plan.query import finish
+from graceful_plan.query.answers import searched
 from graceful_plan.query.deadline.clock import Clock, Paces, paces_of
 from graceful_plan.query.ends import find_ends
 from graceful_plan.result import PlanStatus
@@ -121,7 +122,7 @@ def test_a_first_motion_is_there_if_what_follows_comes_too_late(task, monkeypatc
         time.sleep(1.0)
         return [], ""
 
-    monkeypatch.setattr(sys.modules["graceful_plan.plan"], "motions", late)
+    monkeypatch.setattr(searched, "motions", late)
     paces = paces_of(task.scene)
     for _ in range(16):
         paces.took("judging", 0.01)

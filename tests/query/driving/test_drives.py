@@ -17,7 +17,7 @@ def planned(goal, scene=SCENE, start="west", **given):
 
 
 def test_a_base_drives_round_what_is_in_the_way():
-    result = planned("east")
+    result = planned("east", w=0.0)  # with a weight it is slow near the person
     assert result.status is gp.PlanStatus.SOLVED and result.verdict.checks["rolling"].passed
     trajectory = result.trajectory
     np.testing.assert_allclose(trajectory.q[[0, -1]], [[-4, 0, 0], [4, 0, 0]], atol=1e-9)

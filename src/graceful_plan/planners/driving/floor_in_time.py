@@ -38,6 +38,7 @@ from graceful_plan.planners.driving.bases_only import of_a_base
 from graceful_plan.planners.driving.footprint import floor_around, footprint, near_entities, turns_and_straights
 from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.planners.driving.roughly import roughly
+from graceful_plan.planners.motion_descent import DRIVING_TIME_PRICE
 from graceful_plan.planners.planner import BoundObjective, Budget, Planner, Problem
 from graceful_plan.planners.settings import positive
 from graceful_plan.planners.trivial import stays_at_goal
@@ -64,8 +65,6 @@ _DRIVING, _STANDING, _WANTED = 0.1, 0.0, 0.3
 """Clearance to those who move below which discs do not drive, do not wait, and cost something [m]."""
 _CLOSE = 2.0
 """What a second costs besides without any clearance [m/s]."""
-_TIME = 0.3
-"""What a second costs besides [m/s]: about as much as when motions are compared."""
 _FINER = (1.0, 0.5)
 """Widths of cells, as shares, one after the other until there is a way."""
 _REPAIRS = 6
@@ -144,7 +143,7 @@ class FloorInTime(Planner):
             turn=max(1, round(turn / tick)),
             reverse=base.reverse,
             width=width,
-            second=_TIME * tick,
+            second=DRIVING_TIME_PRICE * tick,
             turning=_TURN_PRICE * angle,
         )
         rate = beside.standing(cells.xy)

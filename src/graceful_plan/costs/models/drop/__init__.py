@@ -47,6 +47,7 @@ entities that move need it.
       gap = x + l - a if vx < 0, else -x - u - a;  t = max(gap, 0)/max(|vx|, 0.001);  w = max(t - delay, 0)
       y' = y + vy t + (ly + uy)/2;  s^2 = s0^2 + (sv t)^2;  h = low + vz w - g w^2/2
       E = c(gap/0.006 + 1) c((b + (uy - ly)/2 - |y'|)/(s sqrt5)) c((Z - h)/0.067) c((h + high - low - bottom)/0.067 - 1)
+        times c(2 |vx|/0.1 - 1)
       of all these the one with the greatest E |vx| max(T - t, 0) > 0, T = fall(low - lowest Z) + delay + 0.15, counts:
         ts = t,  p = -E vx times the axis;  none: E = 0, p = 0
       push(T) = p max(T - ts, 0) is added below to every place at a time T after the release

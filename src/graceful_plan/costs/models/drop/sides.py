@@ -1,7 +1,8 @@
 """The side that a flying object meets before it comes down: step 0 of the drop model, in NumPy.
 
-Symbols as in the specification, the docstring of the package. Its constants were chosen on drops beside walls, half of
-those of `benchmarks/walled.py`; how good it is on the others is measured there.
+Symbols as in the specification, the docstring of the package. Its constants were chosen on the drops
+beside walls of the first seed of `benchmarks/walled.py`, with some of the other scenes' in sight; other walls are
+measured there.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ _TOP = 0.067  # how sharply it is below its upper edge, and above its lower one 
 _LATE = 0.067  # how sharply it is there before it comes down [s]
 _AFTER = 0.15  # how long after it has come down a side may still be in its way [s]
 _SLOW = 1e-3  # slower than that it gets nowhere [m/s]
+_MOVES = 0.1  # as fast as that it counts as flying towards a side [m/s]
 
 
 @final
@@ -97,6 +99,7 @@ def _meeting(
     chance = chance * smooth_step((half - np.abs(across)) / (np.sqrt(5.0) * s))
     chance = chance * smooth_step((top - height) / _TOP)
     chance = chance * smooth_step((height + shape.high - shape.low - bottom) / _TOP - 1.0) * tables.target_fixed
+    chance = chance * smooth_step(2.0 * np.abs(v[axis]) / _MOVES - 1.0)
     normal = (targets.x, targets.y)[axis][:, :2]
     push = -(chance * v[axis])[..., None] * normal
     return chance * np.abs(v[axis]) * np.maximum(end - time, 0.0), time, chance, push

@@ -165,6 +165,7 @@ constexpr double kSideWidth = 2.2360679774997896;  // of a step over noise of st
 constexpr double kSideLate = 0.067;                // how sharply it is there before it comes down [s]
 constexpr double kSideAfter = 0.15;                // how long after it has come down a side may still be in its way [s]
 constexpr double kSideSlow = 1e-3;                 // slower than that it gets nowhere [m/s]
+constexpr double kSideMoves = 0.1;                 // as fast as that it counts as flying towards a side [m/s]
 
 // From 0 at -1 to 1 at 1, and its derivative.
 struct Step {
@@ -233,8 +234,9 @@ struct SideMeeting {
   Step above(const Flight& flight, const Surface& s) const {
     return Step((height + flight.high - flight.low - s.bottom) * (1.0 / kSideTop) - 1.0);
   }
-  D chance(const Flight& flight, const Surface& s) const {
-    return in_front().value * beside().value * below(s).value * above(flight, s).value;
+  Step moves(D v) const { return Step(absolute(v) * (2.0 / kSideMoves) - 1.0); }
+  D chance(const Flight& flight, const Surface& s, D v) const {
+    return in_front().value * beside().value * below(s).value * above(flight, s).value * moves(v).value;
   }
 };
 
@@ -268,7 +270,7 @@ static inline void find_stop(const DropTables& drop, Flight& flight) {
       const auto may = meeting.in_time(end);
       if (!any(may)) continue;
       meeting.detail(drop, flight, s, extents, i, at, v);
-      const D chance = where(may, meeting.chance(flight, s), D{});
+      const D chance = where(may, meeting.chance(flight, s, v[i]), D{});
       const D effect = chance * absolute(v[i]) * (end - meeting.time);
       const auto first = effect > stop.effect;
       if (!any(first)) continue;

@@ -20,9 +20,10 @@ static inline void back_meeting(Backward& back, const Extents& extents, int surf
   const D at[2] = {from.x, from.y}, v[2] = {by.x, by.y};
   SideMeeting m(s, extents, i, at, v);
   m.detail(drop, flight, s, extents, i, at, v);
-  const Step front = m.in_front(), beside = m.beside(), under = m.below(s), over = m.above(flight, s);
+  const Step front = m.in_front(), beside = m.beside(), under = m.below(s), over = m.above(flight, s),
+             moves = m.moves(v[i]);
   const D push = d.x * Extents::axis_x(s, i) + d.y * Extents::axis_y(s, i);
-  const D d_chance = d.chance - v[i] * push, heights = under.value * over.value;
+  const D d_any = d.chance - v[i] * push, d_chance = d_any * moves.value, heights = under.value * over.value;
   const D d_heights = d_chance * front.value * beside.value;
   const D d_over = d_heights * under.value * over.slope * (1.0 / kSideTop);
   const D d_height = d_over - d_heights * over.value * under.slope * (1.0 / kSideTop);
@@ -38,7 +39,8 @@ static inline void back_meeting(Backward& back, const Extents& extents, int surf
   const D inverse_speed = reciprocal(m.speed);
   const D d_gap = d_chance * front.slope * beside.value * heights * (1.0 / kSideTouch) +
                   where(m.gap > 0.0, d_time * inverse_speed, D{});
-  const D d_speed = where(absolute(v[i]) > kSideSlow, -d_time * m.time * inverse_speed, D{});
+  const D d_speed = where(absolute(v[i]) > kSideSlow, -d_time * m.time * inverse_speed, D{}) +
+                    d_any * front.value * beside.value * heights * moves.slope * (2.0 / kSideMoves);
   const auto backwards = v[i] < 0.0;
   D d_at[2], d_v[2], d_low[2], d_high[2];
   d_low[i] = where(backwards, d_gap, D{}), d_high[i] = where(backwards, D{}, -d_gap), d_at[i] = d_low[i] + d_high[i];
