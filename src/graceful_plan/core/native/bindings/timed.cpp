@@ -1,7 +1,6 @@
 // Paths of a base over cells, headings and time.
 #include "lattice/timed.hpp"
 
-
 #include "bindings/bindings.hpp"
 #include "core.hpp"
 
