@@ -13,7 +13,7 @@ from benchmarks import report, suite
 Array = np.ndarray
 
 TITLE = "Bases among those who walk past: with and without regard for time"
-ROOMS, SECONDS, SEED = 12, 8.0, 16
+ROOMS, SECONDS, SEED = 30, 8.0, 16
 SIZE = (10.0, 5.0)
 """Of a room [m]."""
 WAIT = 3.0
