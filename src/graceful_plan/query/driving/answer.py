@@ -35,6 +35,10 @@ _ORDINARY_SHARE = 0.25
 """Of the time and of the iterations, for the search by a weight of 0 before: it is quick, for nothing but walls is
 looked at."""
 
+_MOTIONS_SHARE = 0.7
+"""Of the time that is left after the search, for motions: the last curve and its laws of time end late, and what is not
+judged in time is not had."""
+
 
 def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.Generator) -> PlanResult:
     """Search, time, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
@@ -53,7 +57,9 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         judged = first
         if not (_passed(first) and (budget.cancelled() or wants_it_soon(found))):
             ordinary = ordinary if early else _ordinary(drives, budget, chance)[1]
-            judged = _better(first_verified(drives.motions(found, ordinary, budget, rng), request), first)
+            with budget.share(_MOTIONS_SHARE * budget.remaining_seconds) as part:
+                candidates = drives.motions(found, ordinary, part, rng)
+            judged = _better(first_verified(candidates, request), first)
         if judged is not None and judged.verdict.passed:
             judged = _in_full(judged, drives.reference(ordinary), drives)
             return solved(judged, (found, ends), request, budget, stats)
