@@ -118,7 +118,8 @@ def test_the_core_is_the_specification_in_bundled_scenes(name):
     qd = 0.4 * (task.goal[:1] - task.start)
     q = 0.5 * (task.goal[:1] + task.start)
     found = BodyModel(constants).distances(_batch(task.scene, q, qd))
-    np.testing.assert_allclose(found[0], BodyTwin(task.scene, constants).distances(q[0], qd[0]), atol=_SAME)
+    # Nearest points are iterated for, and may end a few nanometres apart.
+    np.testing.assert_allclose(found[0], BodyTwin(task.scene, constants).distances(q[0], qd[0]), atol=1e-7)
 
 
 def _accelerations(scene, q):
