@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import shutil
 
 import pytest
+from browsing import text, until
 
 _BROWSERS, _DRIVERS = ("chromium", "chromium-browser", "google-chrome"), ("chromedriver", "chromium.chromedriver")
 _ARGUMENTS = (
@@ -46,3 +48,11 @@ def browser(browser_parts):
     driver = webdriver.Chrome(options=options, service=Service(browser_parts[1]))
     yield driver
     driver.quit()
+
+
+@pytest.fixture(scope="module")
+def page(viewer, browser):
+    """Return the browser at the page of the file's own `viewer`, with a motion on it."""
+    browser.get(viewer.url)
+    until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
+    return browser

@@ -26,13 +26,6 @@ def viewer(browser_parts):
         yield viewer
 
 
-@pytest.fixture(scope="module")
-def page(viewer, browser):
-    browser.get(viewer.url)
-    until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
-    return browser
-
-
 @pytest.mark.usefixtures("browser_parts")
 def test_the_guide_runs(capsys, monkeypatch):
     # So many iterations instead of a second, which is not the same on a busy machine.

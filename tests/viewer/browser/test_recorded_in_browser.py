@@ -30,13 +30,6 @@ def viewer(browser_parts, tmp_path_factory):
         yield viewer
 
 
-@pytest.fixture(scope="module")
-def page(viewer, browser):
-    browser.get(viewer.url)
-    until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
-    return browser
-
-
 def harm(page):
     """Harm on the page: predicted and observed."""
     found = until(lambda: re.search(r"all\s+([\d.]+)\s+([\d.]+)", text(page)))

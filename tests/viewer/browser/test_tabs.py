@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from browsing import click, enter, errors, state, text, until
@@ -20,13 +18,6 @@ pytestmark = [
 def viewer(browser_parts):
     with gp.view("tabletop", task="lift_to_goal", port=8410, time_limit=1.0) as viewer:
         yield viewer
-
-
-@pytest.fixture(scope="module")
-def page(viewer, browser):
-    browser.get(viewer.url)
-    until(lambda: re.search(r"impact\s+[\d.]+", text(browser)))
-    return browser
 
 
 def settled(viewer, w):

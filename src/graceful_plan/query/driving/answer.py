@@ -6,7 +6,6 @@ What is returned costs no more, by J, than what a call with a weight of 0 has: s
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +33,6 @@ _CLOSE = 1.1
 _ORDINARY_SHARE = 0.25
 """Of the time and of the iterations, for the search by a weight of 0 before: it is quick, for nothing but walls is
 looked at."""
-
 _MOTIONS_SHARE = 0.7
 """Of the time that is left after the search, for motions: the last curve and its laws of time end late, and what is not
 judged in time is not had."""
@@ -51,17 +49,20 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
         found = _searched(request, problem, budget, rng)
         found = found if found.paths or found.stopped else plain
         stats = {"search_time": budget.elapsed, "iterations": float(budget.spent)}
-        first = _first(drives, ordinary, found)
+        reference = drives.reference(ordinary)
+        first = _first(drives, reference, found)
         if found.paths:  # now it is known what timing and judging take here
             budget.time_limit = min(budget.time_limit, until_last_steps(request, budget.elapsed))
         judged = first
         if not (_passed(first) and (budget.cancelled() or wants_it_soon(found))):
-            ordinary = ordinary if early else _ordinary(drives, budget, chance)[1]
+            if not early:
+                ordinary = _ordinary(drives, budget, chance)[1]
+                reference = drives.reference(ordinary)
             with budget.share(_MOTIONS_SHARE * budget.remaining_seconds) as part:
-                candidates = drives.motions(found, ordinary, part, rng)
+                candidates = drives.motions(found, (ordinary, reference), part, rng)
             judged = _better(first_verified(candidates, request), first)
         if judged is not None and judged.verdict.passed:
-            judged = _in_full(judged, drives.reference(ordinary), drives)
+            judged = _in_full(judged, reference, drives)
             return solved(judged, (found, ends), request, budget, stats)
         refused = refused or judged
         if budget.exhausted or found.stopped or not (found.paths or found.refused):
@@ -79,9 +80,8 @@ def _ordinary(drives: Drives, budget: Budget, rng: np.random.Generator) -> tuple
     return searched, drives.ordinary(searched, budget)
 
 
-def _first(drives: Drives, ordinary: Sequence[tuple[Motion, Drive]], found: Search) -> Judged | None:
+def _first(drives: Drives, reference: Motion | None, found: Search) -> Judged | None:
     """Return a motion that is had should all others come too late."""
-    reference = drives.reference(ordinary) if drives.walkers is None else None
     first = None if reference is None else first_verified([reference], drives.request)
     return first if _passed(first) else first_verified(drives.stops(found), drives.request) or first
 

@@ -90,7 +90,11 @@ class Drives:
         return recharged(ordinary[0][0], self._closely)
 
     def motions(
-        self, searched: Search, ordinary: Sequence[tuple[Motion, Drive]], budget: Budget, rng: np.random.Generator
+        self,
+        searched: Search,
+        besides: tuple[Sequence[tuple[Motion, Drive]], Motion | None],
+        budget: Budget,
+        rng: np.random.Generator,
     ) -> list[Motion]:
         """Return motions near paths, the best first, and none before the reference that costs more.
 
@@ -98,17 +102,19 @@ class Drives:
 
         Args:
             searched: The paths that were found, the best at the end.
-            ordinary: What was made for a weight of 0: the law of time that pays is found along it as well.
+            besides: What was made for a weight of 0, along which the law of time that pays is found as well, and the
+                `reference` of it.
             budget: Time for descents.
             rng: Chance for postures.
         """
         found: list[Motion] = []
+        ordinary, reference = besides
         for motion, drive in ordinary[:KEPT]:
             if found and not self._has_plenty():
                 break
             found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
         found += [motion for motion, _ in self._made(searched, budget, rng, some=bool(found))]
-        return self._in_order(found, self.reference(ordinary))
+        return self._in_order(found, reference)
 
     def stops(self, searched: Search) -> list[Motion]:
         """Return motions along the best path itself, with a stop at each of its corners; none if it leads nowhere."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.models.moving.arm import moving_spheres
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -89,15 +90,12 @@ def touched(
     batch: StateBatch, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]
 ) -> Bool[Array, " pair"]:
     """Tell for which pairs the entity would be touched by moving links or what they carry before anything fails."""
-    robot = batch.compiled.robot
-    moves = np.flatnonzero(robot.sphere_link != 0)
-    poses, sphere = batch.link_poses[:, robot.sphere_link[moves]], robot.sphere[moves]
-    centre = np.einsum("nsij,sj->nsi", poses[..., :3, :3], sphere[:, :3]) + poses[..., :3, 3]
-    radius = sphere[:, 3] - robot.protrusion
+    centre, radius = moving_spheres(batch)
+    radius = radius - batch.compiled.robot.protrusion
     here, there, half = who.at(time), who.entity.at(time), who.entity.half_size
     c, s = np.cos(there.yaw)[:, None], np.sin(there.yaw)[:, None]
     found = np.zeros(len(state), dtype=bool)
-    for first in range(0, len(moves), 16):  # a few spheres at a time, to bound memory
+    for first in range(0, len(radius), 16):  # a few spheres at a time, to bound memory
         part = slice(first, first + 16)
         ball = centre[:, part][state]
         x, y = ball[..., 0] - here[:, :1], ball[..., 1] - here[:, 1:]
