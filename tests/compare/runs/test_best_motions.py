@@ -118,6 +118,16 @@ def test_a_motion_that_is_too_fast_is_refused(stored, motions):
     assert motions.renewed(TASK, task()) is None
 
 
+def test_a_motion_that_would_lose_what_is_held_is_refused(stored, motions):
+    bottle = gp.load_scene("dining_table").tasks["pass_bottle"]
+    scene = bottle.scene
+    jerked = gp.retime(gp.Path(np.stack([bottle.start, bottle.goal[0]])), scene.limits, scene.joints)
+    rows = np.column_stack([jerked.t, jerked.q, jerked.qd])
+    motions.write(dataclasses.replace(stored, samples=tuple(map(tuple, rows.tolist()))))
+    with pytest.raises(StaleBestMotion, match="grasp_holds"):
+        motions.load(TASK, bottle)
+
+
 @pytest.mark.parametrize("text", ["{", "{}", "[]", '"text"', '{"schema": 1, "w": 1.0}', '{"schema": 2, "w": 0.5}'])
 def test_files_of_another_format_are_refused(motions, text):
     file = motions.file_of(TASK)

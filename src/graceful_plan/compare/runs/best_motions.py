@@ -1,8 +1,9 @@
 """The best motion known for each task of a scene, one JSON file a task; judged again whenever it is read.
 
 A file counts only while its motion still starts and ends where the task does, keeps the limits, is free by exact
-geometry and costs what the file says; else the scene, the task or the cost has changed and `BestMotions.load` refuses
-it. A motion is stored as its samples, a row each: time, positions, velocities. The cubics between them are all of it.
+geometry, keeps what plans keep unless they are told otherwise, and costs what the file says; else the scene, the task
+or the cost has changed and `BestMotions.load` refuses it. A motion is stored as its samples, a row each: time,
+positions, velocities. The cubics between them are all of it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import final
 import numpy as np
 
 from graceful_plan.compare.runs.records import Run, cubics
+from graceful_plan.constraints.scene_constraints import default_constraints
 from graceful_plan.costs.objective import Objective, evaluate
 from graceful_plan.exceptions import FormatError, GracefulPlanError
 from graceful_plan.judge.verification import verify
@@ -251,5 +253,6 @@ def _not_a_solution(trajectory: Trajectory, task: Task) -> list[str]:
         found.append("does not begin at the start")
     if np.abs(task.goal - trajectory.q[-1]).max(axis=1).min() > _SAME:
         found.append("ends at no goal")
-    verdict = verify(trajectory, task.scene)
+    # Who plans keeps what is carried in the grasp, too; a motion that does not is no better one.
+    verdict = verify(trajectory, task.scene, constraints=default_constraints(task.scene))
     return found + [f"{name}: {verdict.checks[name].detail}" for name in verdict.failures]

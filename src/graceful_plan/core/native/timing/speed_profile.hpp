@@ -50,7 +50,7 @@ class SpeedProfile {
     for (size_t i = 0; i < n; ++i) cap(curve, i);
     for (size_t i = 0; i <= n; ++i)
       if (curve.stop[i]) beta_[i] = 0, bound_[i] = {};
-    for (size_t i = n; i-- > 0;) reach_back(curve, i);
+    for (size_t i = n; i-- > 0;) reach_back(curve, i), ease(curve, i);
     x_[0] = beta_[0];
     for (size_t i = 0; i < n; ++i) go_on(curve, i);
     return x_;
@@ -78,8 +78,9 @@ class SpeedProfile {
  private:
   static constexpr double kUnbounded = 1e12, kLeast = 1e-12;
   static constexpr int kBeta = -1;
-  enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain };
-  struct Bound {  // what limits beta: a joint at one side, two rows, one row
+  static constexpr size_t kEnd = size_t(-1);
+  enum Kind : uint8_t { kFixed, kVelocity, kPair, kOverturn, kChain, kStill, kCorner };
+  struct Bound {  // what limits beta: a joint at one side, two rows, one row; of a corner the second may be kEnd
     Kind kind = kFixed;
     size_t first = 0, second = 0;
   };
@@ -150,13 +151,55 @@ class SpeedProfile {
       if (gain > 0) lower(i, (beta_[i + 1] + S * reach_[r]) / gain, {kChain, r, 0});
     }
   }
+  // What an upper row says of the squared speed at the end of its interval: at most gain x + push, x that at its
+  // beginning. So does beta there, with a gain of 0.
+  struct Line {
+    double gain, push;
+    size_t row;
+    double at(double x) const { return gain * x + push; }
+  };
+  Line line(const CurveSamples& curve, size_t i, size_t r) const {
+    if (r == kEnd) return {0, beta_[i + 1], kEnd};
+    return {1 - 2 * curve.step[i] * tilt_[r], 2 * curve.step[i] * reach_[r], r};
+  }
+  // Where to go as fast as can be now means to go slowly next, as where a row says next to nothing of u, less speed is
+  // better: as much as makes the sum of both speeds the greatest. Where that is depends continuously on the curve; the
+  // fastest next after the fastest now does not.
+  void ease(const CurveSamples& curve, size_t i) {
+    const size_t first = rows_of(curve) * i, end = first + rows_of(curve);
+    Line now = line(curve, i, kEnd);
+    for (size_t r = first; r < end; ++r) {
+      if (!(side_[r] & kUpper)) continue;
+      const Line other = line(curve, i, r);
+      if (other.at(beta_[i]) < now.at(beta_[i])) now = other;
+    }
+    while (now.gain < 0) {
+      const double still = now.push / (now.gain * now.gain - now.gain);
+      if (still >= beta_[i]) return;
+      Line next = now;
+      double corner = still;
+      const auto look = [&](const Line& other) {
+        if (!(other.gain > now.gain)) return;
+        const double meet = (now.push - other.push) / (other.gain - now.gain);
+        if (meet > corner) corner = meet, next = other;
+      };
+      look(line(curve, i, kEnd));
+      for (size_t r = first; r < end; ++r)
+        if (side_[r] & kUpper) look(line(curve, i, r));
+      if (next.row == now.row) return lower(i, still, {kStill, now.row, 0});
+      lower(i, corner, {kCorner, now.row, next.row});
+      now = next;
+    }
+  }
   void go_on(const CurveSamples& curve, size_t i) {
     const size_t rows = rows_of(curve);
     const double S = 2 * curve.step[i];
+    // At a corner, the steeper of its rows says the same, but with less precision.
+    const size_t steep = bound_[i].kind == kCorner && x_[i] >= beta_[i] ? bound_[i].first : kEnd;
     double best = beta_[i + 1];
     for (size_t k = 0; k < rows; ++k) {
       const size_t r = rows * i + k;
-      if (!(side_[r] & kUpper)) continue;
+      if (!(side_[r] & kUpper) || r == steep) continue;
       const double next = (1 - S * tilt_[r]) * x_[i] + S * reach_[r];
       if (next < best) best = next, limited_[i + 1] = int(k);
     }
@@ -175,6 +218,21 @@ class SpeedProfile {
       const double apart = tilt_[by.first] - tilt_[by.second];
       d_reach[by.first] += d / apart, d_reach[by.second] += d / apart;
       d_tilt[by.first] -= beta_[i] / apart * d, d_tilt[by.second] += beta_[i] / apart * d;
+    } else if (by.kind == kStill || by.kind == kCorner) {
+      const Line first = line(curve, i, by.first);
+      const auto move = [&](size_t r, double d_gain, double d_push) {
+        if (r == kEnd)
+          d_beta[i + 1] += d_push;
+        else
+          d_tilt[r] -= 2 * curve.step[i] * d_gain, d_reach[r] += 2 * curve.step[i] * d_push;
+      };
+      if (by.kind == kStill) {
+        const double scale = first.gain * first.gain - first.gain;
+        return move(by.first, -d * beta_[i] * (2 * first.gain - 1) / scale, d / scale);
+      }
+      const double apart = line(curve, i, by.second).gain - first.gain;
+      move(by.first, d * beta_[i] / apart, d / apart);
+      move(by.second, -d * beta_[i] / apart, -d / apart);
     } else {
       const double S = 2 * curve.step[i], gain = 1 - S * tilt_[by.first];
       d_tilt[by.first] += S * beta_[i] / gain * d;
