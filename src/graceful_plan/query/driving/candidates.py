@@ -36,17 +36,21 @@ from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
-_PLANE_SHARE = 0.35
-"""Of the time for motions, for those whose arm stays while the base moves."""
+_PLANE_SHARE, _AMONG_SHARE = 0.35, 0.6
+"""Of the time for motions, for those whose arm stays while the base moves: where nobody moves, and among those who do.
+"""
 _CURVE_SHARE = 0.5
 """Of the time that is left, for one curve."""
-_ORDINARY_SHARE = 0.1
-"""Of the time that is left, for motions of a weight of 0: the first is nearly as good as all, and the others' time is
-better spent on curves that have regard for impact."""
+_ORDINARY_SHARE, _ORDINARY_AMONG = 0.1, 0.4
+"""Of the time that is left, for motions of a weight of 0. Where nobody moves, the first is nearly as good as all, and
+the others' time is better spent on curves that have regard for impact; among those who move it takes several to pass
+them, and these are where to begin with any weight."""
 _REPOSED, _LINES = 8, 2
 """How often postures are chosen along a motion, and along how many that the arm stays in."""
 _WORTH = 1e-3
 """Relative gain below which no more postures are chosen."""
+_SLOWER = (0.6, 0.4, 0.8)
+"""Shares of the speed at which curves among those who move are made as well."""
 _INTO = 1e6
 """What is added to the ranking of motions that drive into somebody."""
 
@@ -81,7 +85,8 @@ class Drives:
         """Return motions near paths for a weight of 0, and what they are along, the best first; charged for that."""
         if not searched.paths or budget.exhausted:
             return []
-        with budget.share(_ORDINARY_SHARE * budget.remaining_seconds) as part:
+        share = _ORDINARY_SHARE if self.walkers is None else _ORDINARY_AMONG
+        with budget.share(share * budget.remaining_seconds) as part:
             return self.without_regard_for_impact()._made(searched, part, np.random.default_rng(0))
 
     def reference(self, ordinary: Sequence[tuple[Motion, Drive]]) -> Motion | None:
@@ -158,9 +163,9 @@ class Drives:
         self, searched: Search, budget: Budget, rng: np.random.Generator, *, some: bool = False
     ) -> list[tuple[Motion, Drive]]:
         """Return motions near paths and what they are along, the best first; none is late if there are some."""
-        smoother, has_arm, planner = self._smoother(), self.problem.start.size > BASE, self.request.planner
-        moves_arm = has_arm and isinstance(planner, DriveLattice) and planner.moves_arm
-        with budget.share((_PLANE_SHARE if moves_arm else 1.0) * budget.remaining_seconds) as part:
+        smoother, moves_arm = self._smoother(), self._moves_arm
+        share = (_PLANE_SHARE if self.walkers is None else _AMONG_SHARE) if moves_arm else 1.0
+        with budget.share(share * budget.remaining_seconds) as part:
             found = list(self._in_the_plane(searched, part, yielded=some))
         found.sort(key=lambda one: one[0].ranking)
         for number in range(_REPOSED if moves_arm and found else 0):
@@ -176,6 +181,14 @@ class Drives:
                 if number >= _LINES and found[0][0].ranking > (1.0 - _WORTH) * before:
                     break
         return sorted(found, key=lambda one: one[0].ranking)
+
+    @property
+    def _moves_arm(self) -> bool:
+        """Whether it may be worth it that the arm moves while the base does."""
+        problem, planner = self.problem, self.request.planner
+        if problem.start.size <= BASE or not isinstance(planner, DriveLattice) or not planner.moves_arm:
+            return False
+        return self.request.objective.w > 0.0 or bool((problem.goals[:, BASE:] != problem.start[BASE:]).any())
 
     def _in_the_plane(self, searched: Search, budget: Budget, *, yielded: bool) -> Iterator[tuple[Motion, Drive]]:
         """Yield motions whose arm stays while the base moves, and what they are along."""
@@ -204,8 +217,12 @@ class Drives:
         smoother = self._smoother()
         for path in reversed(paths[-(KEPT if self.problem.start.size == BASE else 1) :]):
             yield path, smoother
-            if smoother.walkers is not None:  # whom the law of time alone lets pass
-                yield path, replace(smoother, walkers=None)
+            if smoother.walkers is not None:
+                # Who is slower meets them elsewhere, where there may be room to pass; the law of time follows.
+                slower = [replace(smoother, speed=share * smoother.speed) for share in _SLOWER]
+                # The last is for whom the law of time alone lets pass.
+                for other in (*slower, replace(smoother, walkers=None)):
+                    yield path, other
 
     def _smoother(self) -> Smoother:
         objective = self.request.objective
