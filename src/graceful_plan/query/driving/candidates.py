@@ -6,7 +6,7 @@ nothing is returned that costs more than the best of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -51,7 +51,7 @@ _REPOSED, _LINES = 8, 2
 _WORTH = 1e-3
 """Relative gain below which no more postures are chosen."""
 _COMPETE = 6
-"""Motions that are charged in full: all others cost more by an objective that is within some percent of the asked one."""
+"""Motions that are charged in full: the others cost more by an objective that is within percents of the asked one."""
 _SLOWER = (0.6, 0.4, 0.8)
 """Shares of the speed at which curves among those who move are made as well."""
 _INTO = 1e6
@@ -66,11 +66,13 @@ class Drives:
         request: What is asked.
         ends: Both ends.
         problem: What was searched in.
+        cancelled: Whether the call is to end.
     """
 
     request: Request
     ends: Ends
     problem: SceneProblem
+    cancelled: Callable[[], bool] = lambda: False
     walkers: Walkers | None = field(init=False)
     """Those who move, if anybody does."""
     closely: Request = field(init=False)
@@ -131,7 +133,7 @@ class Drives:
             found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
         found += [motion for motion, _ in self._made(searched, budget, rng, some=bool(found))]
         for motion, drive in ordinary[1:KEPT]:
-            if not self._has_plenty():
+            if budget.over or not self._has_plenty():
                 break
             found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
         return self._in_order(found, reference)
@@ -207,10 +209,10 @@ class Drives:
         among = self.walkers is not None
         for path, smoother in self._chosen(searched.paths):
             whole, arrival = self.ends.joined(path)
-            if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not self._has_plenty())):
+            if whole.length == 0.0 or (yielded and (budget.over or not self._has_plenty())):
                 continue
             for parts in joined_ends(stages(whole)):
-                if yielded and among and budget.remaining_seconds <= 0.0:
+                if yielded and among and budget.over:
                     return
                 wait: float | None = 0.0
                 while wait is not None:
@@ -221,7 +223,7 @@ class Drives:
                     yielded = yielded or bool(made)
                     yield from made
                     # Who waits meets others elsewhere: once more, for setting out then.
-                    again = among and bool(made) and wait == 0.0 and budget.remaining_seconds > 0.0
+                    again = among and bool(made) and wait == 0.0 and not budget.over
                     wait = _wait(made[0][0].trajectory) if again else None
 
     def _chosen(self, paths: Sequence[Path]) -> Iterator[tuple[Path, Smoother]]:
@@ -272,7 +274,9 @@ class Drives:
         with request.clock.measured("timing"):
             try:
                 fast = self._trajectory(drive)
-                slower, wait = paced(drive, fast, walkers, price_of_time(request), self.request.max_wait)
+                slower, wait = paced(
+                    drive, fast, walkers, price_of_time(request), self.request.max_wait, self.cancelled
+                )
                 laws = [fast]
                 if slower is not None or wait > 0.0:
                     laws = [self._trajectory(drive, slower).delayed(wait), fast]
