@@ -144,8 +144,8 @@ class Charges:
         low = np.minimum(np.floor(place).astype(int), len(_LOOKED_AT) - 2)
         part = (place - low)[:, None, None]
         moving = ((1.0 - part) * looked[low] + part * looked[low + 1]).swapaxes(0, 1)
-        drives = np.linalg.norm(pieces.qd[:, :2], axis=1) * SHARES.min() > STANDING
-        into = (walkers.gap(q, at).reshape(n, len(t)) < KEPT) & drives[:, None]
+        moves = np.abs(pieces.qd).max(axis=1) * SHARES.min() > STANDING
+        into = (walkers.gap(q, at).reshape(n, len(t)) < KEPT) & moves[:, None]
         return cls(time_price + w * rate, w * moving, into)
 
     def second(self, piece: int, share: int, t: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -103,8 +103,8 @@ class Walkers:
         """Whether the sound robot comes close to drive into one of them."""
         t = motion.t[0] + motion.duration * np.linspace(0.0, 1.0, _LOOKS)
         state = motion.at(t)
-        drives = np.linalg.norm(state.qd[:, :2], axis=1) > STANDING
-        return bool((drives & (self.gap(state.q, t) < 0.5 * KEPT)).any())
+        moves = np.abs(state.qd).max(axis=1) > STANDING
+        return bool((moves & (self.gap(state.q, t) < 0.5 * KEPT)).any())
 
     @cached_property
     def _balls(self) -> Balls:
