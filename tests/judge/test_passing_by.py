@@ -47,6 +47,15 @@ def test_a_base_that_stands_drives_into_nobody():
     assert passing_check(still, at([[0.0, -2.0, 0.85], [0.0, 2.0, 0.85]], [0.0, 5.0])).passed
 
 
+def test_who_is_beside_is_met_by_the_corners_of_a_base_that_turns_in_place():
+    t = np.linspace(0.0, 2.0, 41)
+    q = np.column_stack([np.zeros((41, 2)), t])
+    turning = gp.Trajectory(t, q, np.tile([0.0, 0.0, 1.0], (41, 1)), np.zeros((41, 3)), SCENE.joints)
+    beside = at([[0.0, 0.49, 0.85]])  # 3 cm from the wheels of a base that stands as it begins
+    assert not passing_check(turning, beside).passed
+    assert passing_check(turning, at([[0.0, 0.7, 0.85]])).passed
+
+
 def test_verdicts_have_it_for_bases_among_those_who_move_alone():
     trajectory = straight()
     assert "passing_by" not in gp.verify(trajectory, SCENE).checks

@@ -1,7 +1,7 @@
 """Whether a robot that drives into nobody who moves: where they are predicted to be, with exact geometry.
 
-Only what the robot does counts: while its base stands, others may walk into it. Places are those of the prediction;
-its spread is part of the impact, not of this check.
+Only what the robot does counts, be it that it drives, turns in place or moves its arm: while it stands still, others
+may walk into it. Places are those of the prediction; its spread is part of the impact, not of this check.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from graceful_plan.timing.trajectory import Trajectory
 Array = np.ndarray
 
 STANDING = 0.01
-"""Speed below which a base stands [m/s]."""
+"""Speed of every joint below which a robot stands still [m/s or rad/s]."""
 _STEP = 0.02
 """How far robot and others move at most between two looks [m]."""
 _MOST = 20_000
@@ -33,14 +33,14 @@ def passing_check(motion: Trajectory, scene: Scene) -> Check:
     """Check a trajectory at its own times; the worst is the least clearance to somebody who moves [m]."""
     t = _times(motion, scene)
     state = motion.at(t)
-    drives = np.linalg.norm(state.qd[:, :2], axis=1) > STANDING
+    moves = np.abs(state.qd).max(axis=1) > STANDING
     model = _with_walkers(scene)
     placement, robot = Placement(scene, model), _robot_geoms(scene)
     worst, first, whom = _FAR, None, ""
     for name, entity in scene.moving.items():
         (geom,) = np.flatnonzero(model.geom_bodyid == model.body(name).id)
         body, there = int(model.body_mocapid[model.body(name).id]), entity.at(t)
-        for k in np.flatnonzero(drives & _near(state.q, there.position, model, robot, int(geom))):
+        for k in np.flatnonzero(moves & _near(state.q, there.position, model, robot, int(geom))):
             placement.data.mocap_pos[body] = there.position[k]
             half = 0.5 * float(there.yaw[k])
             placement.data.mocap_quat[body] = [np.cos(half), 0.0, 0.0, np.sin(half)]

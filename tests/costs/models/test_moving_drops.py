@@ -13,8 +13,9 @@ from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.moving.arm import moving_spheres
 from graceful_plan.costs.models.moving.drops import moving_probability
-from graceful_plan.costs.models.moving.whereabouts import _CELL, PLACES, normal_places
+from graceful_plan.costs.models.moving.whereabouts import _CELL, PLACES, OffPrediction, normal_places, touched
 
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the model of what stands still: here the object is followed down the side of
@@ -182,6 +183,24 @@ def test_nobody_is_where_they_would_have_been_touched():
     assert P < 0.6 * blind  # most places from which it is hit are such
     inside = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.0, 0.0, 0.85]], spread=0.02)
     assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # of none that is free, all
+
+
+@pytest.mark.parametrize("size", [[0.25, 0.85], [0.4, 0.2, 0.3]])
+def test_who_would_be_touched_is_whom_any_sphere_touches(size):
+    scene = gp.load_scene("hallway").tasks["carry_bottle"].scene
+    rng = np.random.default_rng(1)
+    q, t = rng.uniform(*np.clip(scene.limits.position.T, -1.0, 1.0), (200, len(scene.joints))), np.zeros(200)
+    who = gp.MovingEntity("a", "adult", size=size, t=[0.0], position=[[0.3, 0.2, 0.6]], yaw=[0.4], spread=0.3)
+    batch, off = StateBatch(scene, q, time=t), rng.normal(size=(200, 2))
+    there = off * 0.3 + [0.3, 0.2]
+    centre, radius = moving_spheres(batch)
+    x, y, z = np.moveaxis(centre - np.column_stack([there, np.full(200, 0.6)])[:, None], -1, 0)
+    along, across = np.abs(np.cos(0.4) * x + np.sin(0.4) * y), np.abs(np.cos(0.4) * y - np.sin(0.4) * x)
+    beside = [np.hypot(x, y) - size[0]] if who.is_round else [along - size[0], across - size[1]]
+    beyond = np.maximum(np.stack([*beside, np.abs(z) - size[-1]]), 0.0)
+    expected = (np.linalg.norm(beyond, axis=0) < radius - batch.compiled.robot.protrusion).any(axis=1)
+    assert 20 < expected.sum() < 180
+    np.testing.assert_array_equal(touched(batch, OffPrediction(who, off, 1.0), np.arange(200), t), expected)
 
 
 @pytest.mark.parametrize("geom", ["box", "cylinder"])

@@ -48,6 +48,20 @@ def test_laws_of_time_are_as_good_as_the_best_of_all():
         assert best - 1e-9 <= found <= 1.03 * best
 
 
+def test_who_cancels_does_not_wait_for_all_looks_at_those_who_walk(monkeypatch):
+    walkers = Walkers(gp.Objective().bind(SCENE.with_moving(CROSSING), (0.5, 1.0)))
+    pieces = Pieces(np.zeros((2, 3)), np.array([[1.0, 0.0, 0.0]] * 2), np.ones(2), np.arange(2))
+    looked, impact = [], Walkers.impact
+    monkeypatch.setattr(Walkers, "impact", lambda *given: looked.append(1) or impact(*given))
+    whole = Charges.of(pieces, walkers, 0.3, 0.0)
+    several = len(looked)
+    hasty = Charges.of(pieces, walkers, 0.3, 0.0, cancelled=lambda: True)
+    assert len(looked) == several + 1 < 2 * several
+    # At the fastest speed, where harm is most, it is what it was.
+    np.testing.assert_array_equal(hasty.moving[:, 0], whole.moving[:, 0])
+    np.testing.assert_array_equal(hasty.into, whole.into)
+
+
 @pytest.mark.long
 def test_nobody_is_driven_into_and_harm_is_less_than_without_regard_for_time():
     scene = SCENE.with_moving(CROSSING)

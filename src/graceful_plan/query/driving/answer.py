@@ -42,7 +42,7 @@ def driven_answer(request: Request, ends: Ends, budget: Budget, rng: np.random.G
     """Search, time, judge, and search more cautiously for as long as the judge objects and the budget lasts."""
     found, refused, stats = Search(), None, {}
     for problem in problems(request, ends):
-        drives = Drives(request=request, ends=ends, problem=problem)
+        drives = Drives(request=request, ends=ends, problem=problem, cancelled=budget.cancelled)
         # Who listens is told of paths soon; among those who move a first motion takes longer than a search.
         early, chance = request.callback is None and drives.walkers is None, copy.deepcopy(rng)
         plain, ordinary = _ordinary(drives, budget, chance) if early else (Search(), [])

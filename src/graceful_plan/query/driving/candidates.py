@@ -6,7 +6,7 @@ nothing is returned that costs more than the best of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
+from graceful_plan.planners.driving.roughly import rough_objective
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.driving.among.pacing import paced
@@ -36,17 +37,23 @@ from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
-_PLANE_SHARE = 0.35
-"""Of the time for motions, for those whose arm stays while the base moves."""
+_PLANE_SHARE, _AMONG_SHARE = 0.35, 0.6
+"""Of the time for motions, for those whose arm stays while the base moves: where nobody moves, and among those who do.
+"""
 _CURVE_SHARE = 0.5
 """Of the time that is left, for one curve."""
-_ORDINARY_SHARE = 0.1
-"""Of the time that is left, for motions of a weight of 0: the first is nearly as good as all, and the others' time is
-better spent on curves that have regard for impact."""
+_ORDINARY_SHARE, _ORDINARY_AMONG = 0.1, 0.4
+"""Of the time that is left, for motions of a weight of 0. Where nobody moves, the first is nearly as good as all, and
+the others' time is better spent on curves that have regard for impact; among those who move it takes several to pass
+them, and these are where to begin with any weight."""
 _REPOSED, _LINES = 8, 2
 """How often postures are chosen along a motion, and along how many that the arm stays in."""
 _WORTH = 1e-3
 """Relative gain below which no more postures are chosen."""
+_COMPETE = 6
+"""Motions that are charged in full: the others cost more by an objective that is within percents of the asked one."""
+_SLOWER = (0.6, 0.4, 0.8)
+"""Shares of the speed at which curves among those who move are made as well."""
 _INTO = 1e6
 """What is added to the ranking of motions that drive into somebody."""
 
@@ -59,17 +66,28 @@ class Drives:
         request: What is asked.
         ends: Both ends.
         problem: What was searched in.
+        cancelled: Whether the call is to end.
     """
 
     request: Request
     ends: Ends
     problem: SceneProblem
+    cancelled: Callable[[], bool] = lambda: False
     walkers: Walkers | None = field(init=False)
     """Those who move, if anybody does."""
+    closely: Request = field(init=False)
+    """The request with an objective that is close to the asked one and fast; the law of time knows when to go."""
 
     def __post_init__(self) -> None:
         objective = self.request.objective
-        object.__setattr__(self, "walkers", Walkers(objective) if objective.scene.moving else None)
+        walkers = Walkers(objective) if objective.scene.moving else None
+        object.__setattr__(self, "walkers", walkers)
+        closely = self.request
+        if walkers is not None:
+            closely = replace(self.request, max_wait=0.0, objective=walkers.rough)
+        elif self.request.preference is None:
+            closely = replace(self.request, objective=rough_objective(objective))
+        object.__setattr__(self, "closely", closely)
 
     def without_regard_for_impact(self) -> Drives:
         """Return the same for a weight of 0."""
@@ -81,14 +99,15 @@ class Drives:
         """Return motions near paths for a weight of 0, and what they are along, the best first; charged for that."""
         if not searched.paths or budget.exhausted:
             return []
-        with budget.share(_ORDINARY_SHARE * budget.remaining_seconds) as part:
+        share = _ORDINARY_SHARE if self.walkers is None else _ORDINARY_AMONG
+        with budget.share(share * budget.remaining_seconds) as part:
             return self.without_regard_for_impact()._made(searched, part, np.random.default_rng(0))
 
     def reference(self, ordinary: Sequence[tuple[Motion, Drive]]) -> Motion | None:
         """Return the best of them, charged by J as `motions` are, None if it drives into somebody."""
         if not ordinary or ordinary[0][0].ranking >= _INTO:
             return None
-        return recharged(ordinary[0][0], self._closely)
+        return recharged(ordinary[0][0], self.closely if self.walkers is not None else self.request)
 
     def motions(
         self,
@@ -114,7 +133,7 @@ class Drives:
             found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
         found += [motion for motion, _ in self._made(searched, budget, rng, some=bool(found))]
         for motion, drive in ordinary[1:KEPT]:
-            if not self._has_plenty():
+            if budget.over or not self._has_plenty():
                 break
             found += [other for other, _ in self._timed(drive, motion.path, motion.arrival)]
         return self._in_order(found, reference)
@@ -128,7 +147,7 @@ class Drives:
             scene = self.request.objective.scene
             return [charged(whole, retime(whole, scene.limits, scene.joints), arrival, self.request)]
         made = self._timed(connected(list(stopping(whole.q))), whole, arrival)
-        return sorted((motion for motion, _ in made), key=lambda one: one.ranking)
+        return self._in_order([motion for motion, _ in made], None)
 
     def in_full(self, motion: Motion) -> Motion:
         """Return a motion charged for what was asked; ranked behind all others if it was."""
@@ -137,16 +156,16 @@ class Drives:
         full = recharged(motion, replace(self.request, max_wait=0.0))
         return replace(full, ranking=full.ranking + _INTO * (motion.ranking >= _INTO))
 
-    @property
-    def _closely(self) -> Request:
-        """The request with an objective that is close to the asked one and fast; the law of time knows when to go."""
-        if self.walkers is None:
-            return self.request
-        return replace(self.request, max_wait=0.0, objective=self.walkers.rough)
-
     def _in_order(self, found: list[Motion], reference: Motion | None) -> list[Motion]:
         """Return motions, the best first; what costs more than the reference comes behind it."""
         found = sorted(found, key=lambda one: one.ranking)
+        if self.walkers is None and self.closely.objective is not self.request.objective:
+            full = []
+            for motion in found[:_COMPETE]:
+                if full and not self._has_plenty():
+                    break
+                full.append(recharged(motion, self.request))
+            found = sorted(full, key=lambda one: one.ranking)
         if reference is None:
             return found
         if self.request.preference is not None:
@@ -158,9 +177,9 @@ class Drives:
         self, searched: Search, budget: Budget, rng: np.random.Generator, *, some: bool = False
     ) -> list[tuple[Motion, Drive]]:
         """Return motions near paths and what they are along, the best first; none is late if there are some."""
-        smoother, has_arm, planner = self._smoother(), self.problem.start.size > BASE, self.request.planner
-        moves_arm = has_arm and isinstance(planner, DriveLattice) and planner.moves_arm
-        with budget.share((_PLANE_SHARE if moves_arm else 1.0) * budget.remaining_seconds) as part:
+        smoother, moves_arm = self._smoother(), self._moves_arm
+        share = (_PLANE_SHARE if self.walkers is None else _AMONG_SHARE) if moves_arm else 1.0
+        with budget.share(share * budget.remaining_seconds) as part:
             found = list(self._in_the_plane(searched, part, yielded=some))
         found.sort(key=lambda one: one[0].ranking)
         for number in range(_REPOSED if moves_arm and found else 0):
@@ -177,15 +196,23 @@ class Drives:
                     break
         return sorted(found, key=lambda one: one[0].ranking)
 
+    @property
+    def _moves_arm(self) -> bool:
+        """Whether it may be worth it that the arm moves while the base does."""
+        problem, planner = self.problem, self.request.planner
+        if problem.start.size <= BASE or not isinstance(planner, DriveLattice) or not planner.moves_arm:
+            return False
+        return self.request.objective.w > 0.0 or bool((problem.goals[:, BASE:] != problem.start[BASE:]).any())
+
     def _in_the_plane(self, searched: Search, budget: Budget, *, yielded: bool) -> Iterator[tuple[Motion, Drive]]:
         """Yield motions whose arm stays while the base moves, and what they are along."""
         among = self.walkers is not None
         for path, smoother in self._chosen(searched.paths):
             whole, arrival = self.ends.joined(path)
-            if whole.length == 0.0 or (yielded and (budget.remaining_seconds <= 0.0 or not self._has_plenty())):
+            if whole.length == 0.0 or (yielded and (budget.over or not self._has_plenty())):
                 continue
             for parts in joined_ends(stages(whole)):
-                if yielded and among and budget.remaining_seconds <= 0.0:
+                if yielded and among and budget.over:
                     return
                 wait: float | None = 0.0
                 while wait is not None:
@@ -196,7 +223,7 @@ class Drives:
                     yielded = yielded or bool(made)
                     yield from made
                     # Who waits meets others elsewhere: once more, for setting out then.
-                    again = among and bool(made) and wait == 0.0 and budget.remaining_seconds > 0.0
+                    again = among and bool(made) and wait == 0.0 and not budget.over
                     wait = _wait(made[0][0].trajectory) if again else None
 
     def _chosen(self, paths: Sequence[Path]) -> Iterator[tuple[Path, Smoother]]:
@@ -204,8 +231,12 @@ class Drives:
         smoother = self._smoother()
         for path in reversed(paths[-(KEPT if self.problem.start.size == BASE else 1) :]):
             yield path, smoother
-            if smoother.walkers is not None:  # whom the law of time alone lets pass
-                yield path, replace(smoother, walkers=None)
+            if smoother.walkers is not None:
+                # Who is slower meets them elsewhere, where there may be room to pass; the law of time follows.
+                slower = [replace(smoother, speed=share * smoother.speed) for share in _SLOWER]
+                # The last is for whom the law of time alone lets pass.
+                for other in (*slower, replace(smoother, walkers=None)):
+                    yield path, other
 
     def _smoother(self) -> Smoother:
         objective = self.request.objective
@@ -224,7 +255,7 @@ class Drives:
         """Return motions along a curve: as fast as can be, and with the law of time that pays."""
         if not drive.stretches:
             return []
-        request, price = self.request, price_of_time(self.request)
+        request, price = self.closely, price_of_time(self.request)
         if self.walkers is not None:
             return [(motion, drive) for motion in self._in_time(drive, whole, arrival, self.walkers)]
         with request.clock.measured("timing"):
@@ -239,11 +270,13 @@ class Drives:
 
     def _in_time(self, drive: Drive, whole: Path, arrival: int, walkers: Walkers) -> Iterator[Motion]:
         """Do so among those who move, charged closely; motions that drive into somebody rank behind all others."""
-        request = self._closely
+        request = self.closely
         with request.clock.measured("timing"):
             try:
                 fast = self._trajectory(drive)
-                slower, wait = paced(drive, fast, walkers, price_of_time(request), self.request.max_wait)
+                slower, wait = paced(
+                    drive, fast, walkers, price_of_time(request), self.request.max_wait, self.cancelled
+                )
                 laws = [fast]
                 if slower is not None or wait > 0.0:
                     laws = [self._trajectory(drive, slower).delayed(wait), fast]

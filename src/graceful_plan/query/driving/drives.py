@@ -70,7 +70,8 @@ def _smooth(stage: DriveStage, smoother: Smoother, problem: SceneProblem, budget
         return
     for spacing in _SPACINGS:
         roll = _fitted(stage, spacing)
-        for curve in (smoother.descended(roll, budget), roll):
+        near = smoother.roughly.descended(roll, budget)
+        for curve in (smoother.descended(near, budget), near, roll):
             if problem.states_free(curve.samples(2)[1][0]).all():
                 yield curve
                 return

@@ -8,6 +8,7 @@ time. Shares follow each other as the base can speed up and brake.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +59,12 @@ class Pieces:
 
 
 def paced(
-    drive: Drive, fast: Trajectory, walkers: Walkers, time_price: float, max_wait: float = 0.0
+    drive: Drive,
+    fast: Trajectory,
+    walkers: Walkers,
+    time_price: float,
+    max_wait: float = 0.0,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> tuple[Restraint | None, float]:
     """Return limits on the path speed of the cheapest law of time, None if there are none, and the wait before [s].
 
@@ -68,12 +74,13 @@ def paced(
         walkers: Who moves.
         time_price: What a second costs besides.
         max_wait: Longest wait before it goes [s].
+        cancelled: Once it says so, impact is looked at less closely.
     """
     grid = next((g for g in map(drive.grid, (1, 2, 4)) if len(g.q) == len(fast)), None)
     if grid is None:
         return None, 0.0
     pieces = pieces_of(fast)
-    charge = Charges.of(pieces, walkers, time_price, max_wait)
+    charge = Charges.of(pieces, walkers, time_price, max_wait, cancelled)
     base = walkers.objective.scene.base
     assert base is not None
     share, wait = cheapest_law(pieces, charge, max_wait, base.a_max)
@@ -108,8 +115,15 @@ class Charges:
     into: Bool[Array, "piece time"]
 
     @classmethod
-    def of(cls, pieces: Pieces, walkers: Walkers, time_price: float, max_wait: float) -> Charges:
-        """Look at all pieces."""
+    def of(
+        cls,
+        pieces: Pieces,
+        walkers: Walkers,
+        time_price: float,
+        max_wait: float,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> Charges:
+        """Look at all pieces; once it is cancelled, at no further shares: impact is then as at one that was."""
         n, w, still = len(pieces.seconds), walkers.objective.w, walkers.still
         latest = max_wait + _LATER * float(pieces.seconds.sum()) + _MORE
         t = _SEEN * np.arange(int(np.ceil(latest / _SEEN)) + 1)
@@ -117,7 +131,10 @@ class Charges:
         qd, soonest = np.repeat(pieces.qd, len(t), axis=0), np.append(0.0, np.cumsum(pieces.seconds)[:-1])
         reached = at > np.repeat(soonest, len(t)) - 2.0 * _SEEN
         looked = np.zeros((len(_LOOKED_AT), n * len(t)))
-        for k, a in enumerate(_LOOKED_AT):
+        for k, a in reversed(list(enumerate(_LOOKED_AT))):
+            if k < len(_LOOKED_AT) - 1 and cancelled():
+                looked[: k + 1] = looked[k + 1]
+                break
             looked[k, reached] = walkers.impact(q[reached], a * qd[reached], at[reached])
         looked = looked.reshape(-1, n, len(t))
         rate = np.zeros((n, len(SHARES)))
@@ -127,8 +144,8 @@ class Charges:
         low = np.minimum(np.floor(place).astype(int), len(_LOOKED_AT) - 2)
         part = (place - low)[:, None, None]
         moving = ((1.0 - part) * looked[low] + part * looked[low + 1]).swapaxes(0, 1)
-        drives = np.linalg.norm(pieces.qd[:, :2], axis=1) * SHARES.min() > STANDING
-        into = (walkers.gap(q, at).reshape(n, len(t)) < KEPT) & drives[:, None]
+        moves = np.abs(pieces.qd).max(axis=1) * SHARES.min() > STANDING
+        into = (walkers.gap(q, at).reshape(n, len(t)) < KEPT) & moves[:, None]
         return cls(time_price + w * rate, w * moving, into)
 
     def second(self, piece: int, share: int, t: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -14,19 +14,18 @@ import numpy as np
 from graceful_plan.array_types import Float
 from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
-from graceful_plan.costs.models.coast.walkers import seen_from_above
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.costs.still import as_if_nobody_moved
 from graceful_plan.judge.passing_by import STANDING
-from graceful_plan.planners.driving.footprint import footprint
 from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.planners.driving.roughly import roughly
+from graceful_plan.query.driving.among.balls import Balls
 from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
 KEPT = 0.15
-"""Clearance to people that is planned with, from discs around the robot [m]; the judge asks for more than none."""
+"""Clearance to people that is planned with [m]; the judge asks for more than none."""
 _NUDGE = 1e-4
 """For differences [m, rad, m/s, rad/s, s]."""
 _HARDLY = 1e-6
@@ -53,9 +52,11 @@ class Walkers:
 
     @cached_property
     def rough(self) -> SceneObjective:
-        """The objective, close to it but much faster where a base fails; see `roughly`."""
+        """The objective, close to it but much faster where a base fails, see `roughly`; without them if none counts."""
         of = self.objective
-        if self._rough is None or of.w == 0.0:
+        if of.w == 0.0:
+            return self.still
+        if self._rough is None:
             return of
         return SceneObjective(replace(of.objective, impact=self._rough), of.scene, of.paces)
 
@@ -94,30 +95,17 @@ class Walkers:
         return value, by_q, by_qd, by_t
 
     def gap(self, q: Float[Array, "n nq"], t: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Return how far discs around the robot are from the nearest of them, as predicted [m]."""
-        discs = self._discs
-        c, s = np.cos(q[:, 2, None]), np.sin(q[:, 2, None])
-        x = q[:, 0, None] + c * discs[:, 0] - s * discs[:, 1]
-        y = q[:, 1, None] + s * discs[:, 0] + c * discs[:, 1]
-        gap = np.full(len(q), np.inf)
-        for entity in self.objective.scene.moving.values():
-            shape = seen_from_above(entity, t)[0]
-            dx, dy = x - shape[:, 0, None], y - shape[:, 1, None]
-            ux, uy = shape[:, 2, None], shape[:, 3, None]
-            ex, ey = np.abs(ux * dx + uy * dy) - shape[:, 4, None], np.abs(ux * dy - uy * dx) - shape[:, 5, None]
-            outside = np.hypot(np.maximum(ex, 0.0), np.maximum(ey, 0.0)) + np.minimum(np.maximum(ex, ey), 0.0)
-            np.minimum(gap, (outside - shape[:, 6, None] - discs[:, 2]).min(axis=1), out=gap)
-        return gap
+        """Return how far the robot is from the nearest of them, as predicted [m]; see `Balls.gap`."""
+        gaps = [self._balls.gap(q, entity, t) for entity in self.objective.scene.moving.values()]
+        return np.min(gaps, axis=0)
 
     def meets(self, motion: Trajectory) -> bool:
         """Whether the sound robot comes close to drive into one of them."""
         t = motion.t[0] + motion.duration * np.linspace(0.0, 1.0, _LOOKS)
         state = motion.at(t)
-        drives = np.linalg.norm(state.qd[:, :2], axis=1) > STANDING
-        return bool((drives & (self.gap(state.q, t) < 0.5 * KEPT)).any())
+        moves = np.abs(state.qd).max(axis=1) > STANDING
+        return bool((moves & (self.gap(state.q, t) < 0.5 * KEPT)).any())
 
     @cached_property
-    def _discs(self) -> Float[Array, "disc 3"]:
-        scene = self.objective.scene
-        posture = np.clip(np.zeros(len(scene.joints)), *scene.limits.position.T)
-        return footprint(scene, posture)[0]
+    def _balls(self) -> Balls:
+        return Balls(self.objective.scene)
