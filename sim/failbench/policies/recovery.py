@@ -115,7 +115,7 @@ class ReplanOnFailure(Recovery):
         iterations: Of the planner; what makes the motion the same every time.
         deceleration: Of the stop, as of `StopOnFailure`.
         tolerance: How far from where it is to stand a joint may be read, in the mean over the last 0.2 s [rad or m].
-        following: The same while it moves on to its goal: commands that are late are no reason to stop.
+        following: The same on its way to the goal, in the mean over 0.1 s: commands that are late are no reason to stop.
     """
 
     w: float | None = None
@@ -123,7 +123,7 @@ class ReplanOnFailure(Recovery):
     iterations: int = 300
     deceleration: float = 1.0
     tolerance: float = 0.05
-    following: float = 0.2
+    following: float = 0.25
 
     def __post_init__(self) -> None:
         if not (is_real(self.time_limit) and 0.0 <= self.time_limit < np.inf):
@@ -157,8 +157,8 @@ class _GoingOn:
         waited = time - max(settings.time_limit, self._braking.duration)
         if waited < -1e-9:
             return self._braking.at(time)
-        most = settings.tolerance if self._follower is None else settings.following
-        if np.abs(np.mean(self._off, axis=0)).max() > most:
+        most, since = (settings.tolerance, 0) if self._follower is None else (settings.following, len(self._off) // 2)
+        if np.abs(np.mean(list(self._off)[since:], axis=0)).max() > most:
             return None
         if self._follower is None:
             motion = _motion(settings, self._task, tuple(seen.q_desired.tolist()), self._seed)
