@@ -115,7 +115,7 @@ class ReplanOnFailure(Recovery):
         iterations: Of the planner; what makes the motion the same every time.
         deceleration: Of the stop, as of `StopOnFailure`.
         tolerance: How far from where it is to stand a joint may be read, in the mean over the last 0.2 s [rad or m].
-        following: The same on its way to the goal, in the mean over 0.1 s: commands that are late are no reason to stop.
+        following: The same on its way to the goal, over 0.1 s: commands that are late are no reason to stop.
     """
 
     w: float | None = None
