@@ -264,7 +264,10 @@ def tables(done: Sequence[Block]) -> Iterator[str]:
     )
     yield from overview({name: found[name] for name in CONTROLLERS if name in found})
     yield from by_fault({name: found[name] for name in CONTROLLERS if name in found})
-    yield from recovery({name: found[name] for name in RECOVERIES if name in found})
+    recoveries = {name: found[name] for name in RECOVERIES if name in found}
+    if "none" in recoveries:
+        yield from recovery(recoveries)
+        yield from by_fault(recoveries)
 
 
 def overview(found: Mapping[str, Sum]) -> Iterator[str]:
@@ -303,8 +306,6 @@ def by_fault(found: Mapping[str, Sum]) -> Iterator[str]:
 
 def recovery(found: Mapping[str, Sum]) -> Iterator[str]:
     """Yield what recoveries of the default plan are worth."""
-    if "none" not in found:
-        return
     columns = ("recovery of **plan**", "success", "harm of a failed episode", "less than without (paired)")
     yield f"| {' | '.join(columns)} | faults with less, more |"
     yield "|---|---|---|---|---|"
