@@ -53,11 +53,13 @@ episodes of a job are stratified, which the intervals ignore. Per task: failures
 healthy motion lasts, and its own harm.
 
 Controllers: **plan, w = 0** and **plan** (default w) follow their motion by the clock; **plan, replan** is the
-second, which 0.1 s after the onset stops, plans from where it stands for 0.5 s of the world's time, and goes on;
+second, which 0.1 s after the onset stops, plans from where it stands for 0.5 s of the world's time, and goes on, or
+lets its brakes close where a joint does not obey;
 **script** lifts, crosses, lowers by tool poses; **reach** is a network trained with PPO on joints alone, blind to
 what is around, around three motions of `tabletop_l1`, one of which is that of the first task. A recovery notices
-every fault, exactly so late. Planners have iterations and no seconds, and every draw has a seed: the figures are the
-same on a busy machine.
+every fault, exactly so late. Recoveries, and **none** beside them, are watched for the whole time, whether the goal is
+reached or not: who is there sooner is spared nothing that comes later, with the object still in the gripper. Planners
+have iterations and no seconds, and every draw has a seed: the figures are the same on a busy machine.
 """
 
 
@@ -68,6 +70,8 @@ class Controller:
     factory: PolicyFactory
     recovery: Recovery | None = None
     delay: float = 0.1
+    whole: bool = False
+    """Whether episodes go on for the whole time, reached or not."""
 
 
 PLAN = planned()
@@ -79,17 +83,13 @@ CONTROLLERS: Mapping[str, Controller] = {
     "reach": Controller(reach),
 }
 RECOVERIES: Mapping[str, Controller] = {
-    "none": CONTROLLERS["plan"],
-    "stop after 0.1 s": Controller(PLAN, StopOnFailure(), 0.1),
-    "stop after 0.5 s": Controller(PLAN, StopOnFailure(), 0.5),
-    "replan after 0.1 s": CONTROLLERS["plan, replan"],
-    "replan after 0.5 s": Controller(PLAN, ReplanOnFailure(), 0.5),
+    "none": Controller(PLAN, whole=True),
+    "stop after 0.1 s": Controller(PLAN, StopOnFailure(), 0.1, whole=True),
+    "stop after 0.5 s": Controller(PLAN, StopOnFailure(), 0.5, whole=True),
+    "replan after 0.1 s": Controller(PLAN, ReplanOnFailure(), 0.1, whole=True),
+    "replan after 0.5 s": Controller(PLAN, ReplanOnFailure(), 0.5, whole=True),
 }
-ALL: Mapping[str, Controller] = CONTROLLERS | {
-    name: controller for name, controller in RECOVERIES.items() if name not in ("none", "replan after 0.1 s")
-}
-SAME = {"none": "plan", "replan after 0.1 s": "plan, replan"}
-"""Recoveries that are controllers of the first table."""
+ALL: Mapping[str, Controller] = CONTROLLERS | RECOVERIES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +146,7 @@ def fill(file: Path, tasks: Sequence[str], blocks: int, options: suite.Options, 
 def do(job: PolicyJob) -> Block:
     """Do one block."""
     began, controller = time.process_time(), ALL[job.controller]
-    task = ready(job.task)
+    task = ready(job.task, whole=controller.whole)
     found = evaluate(
         task,
         controller.factory,
@@ -170,9 +170,12 @@ def do(job: PolicyJob) -> Block:
 
 
 @cache
-def ready(task: str) -> PolicyTask:
+def ready(task: str, *, whole: bool) -> PolicyTask:
     """Make a task ready, once in a process: what was planned or settled for it is not done again."""
-    return policy_task(path_of(task))
+    if not whole:
+        return policy_task(path_of(task))
+    limit = ready(task, whole=False).limit
+    return policy_task(path_of(task), PolicySettings(limit=limit, horizon=limit))
 
 
 def path_of(task: str) -> str:
@@ -261,7 +264,10 @@ def tables(done: Sequence[Block]) -> Iterator[str]:
     )
     yield from overview({name: found[name] for name in CONTROLLERS if name in found})
     yield from by_fault({name: found[name] for name in CONTROLLERS if name in found})
-    yield from recovery({name: found[SAME.get(name, name)] for name in RECOVERIES if SAME.get(name, name) in found})
+    recoveries = {name: found[name] for name in RECOVERIES if name in found}
+    if "none" in recoveries:
+        yield from recovery(recoveries)
+        yield from by_fault(recoveries)
 
 
 def overview(found: Mapping[str, Sum]) -> Iterator[str]:
@@ -300,8 +306,6 @@ def by_fault(found: Mapping[str, Sum]) -> Iterator[str]:
 
 def recovery(found: Mapping[str, Sum]) -> Iterator[str]:
     """Yield what recoveries of the default plan are worth."""
-    if "none" not in found:
-        return
     columns = ("recovery of **plan**", "success", "harm of a failed episode", "less than without (paired)")
     yield f"| {' | '.join(columns)} | faults with less, more |"
     yield "|---|---|---|---|---|"

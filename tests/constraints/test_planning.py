@@ -155,3 +155,9 @@ def test_a_scene_keeps_what_it_asks_for(scene: gp.Scene) -> None:
     desk = gp.load_scene("desk").with_constraints(gp.KeepContents(0.4), gp.Upright(0.5))
     declared = gp.KeepContents(0.4), gp.Upright(0.5)
     assert default_constraints(desk.tasks["bring_coffee"].scene) == (*declared, gp.GraspHolds())
+
+
+def test_who_is_at_the_goal_already_has_nothing_to_time(coffee: gp.Task) -> None:
+    goal = np.atleast_2d(coffee.goal)[0]
+    found = gp.plan(goal, goal, coffee.scene, iterations=20)
+    assert found.status is gp.PlanStatus.SOLVED and found.unwrap().duration == 0.0

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
 from failbench.simulated.plant import Plant
+from failbench.simulated.world import World
 from graceful_plan.exceptions import UnsupportedError
 
 Array = np.ndarray
@@ -19,6 +22,9 @@ FRICTION = ("dof_frictionloss", "dof_solref", "dof_solimp", "actuator_forcerange
 
 BRAKE_TORQUE = 1.5
 """Torque up to which a brake holds, as a multiple of what the joint's motor can give."""
+
+BRAKES = FRICTION
+"""Model fields that `close_brakes` needs."""
 
 _GRAVITY = 9.81
 _STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -44,16 +50,40 @@ def add_friction(plant: Plant, share: float) -> Array:
     Raises:
         UnsupportedError: If the greatest torque of one of them is not known.
     """
-    dofs = plant.robot.dofs[plant.joints]
     limit = plant["actuator_forcerange"][plant.robot.actuators[plant.joints], 1]
     for joint in plant.joints[limit <= 0.0]:
         name = plant.robot.joints[joint]
         raise UnsupportedError(f"the greatest torque of the joint {name!r} is not known; tell the scene")
     torque = share * limit
-    plant["dof_frictionloss"][dofs] += torque
-    plant["dof_solref"][dofs] = [2.0 * plant.dt, 1.0]
-    plant["dof_solimp"][dofs] = _STIFF
+    _rub(plant.__getitem__, plant.robot.dofs[plant.joints], torque, plant.dt)
     return torque
+
+
+def close_brakes(fields: Mapping[str, Array], world: World) -> None:
+    """Hold all joints, the fingers' excepted, by brakes, and take the power from their drives.
+
+    Brakes are as strong as a healthy robot's, whatever is broken: springs close them.
+
+    Args:
+        fields: Live model fields of one simulation: `BRAKES`, as they are without brakes.
+        world: Where.
+
+    Raises:
+        UnsupportedError: If the greatest torque of a joint is not known.
+    """
+    robot, model = world.robot, world.model
+    limit = model.actuator_forcerange[robot.actuators, 1]
+    for joint in np.flatnonzero(limit <= 0.0):
+        raise UnsupportedError(f"the greatest torque of the joint {robot.joints[joint]!r} is not known; tell the scene")
+    _rub(fields.__getitem__, robot.dofs, BRAKE_TORQUE * limit, float(model.opt.timestep))
+    fields["actuator_forcerange"][robot.actuators] = 0.0
+
+
+def _rub(fields: Callable[[str], Array], dofs: Array, torque: Array, dt: float) -> None:
+    """Add dry friction to degrees of freedom, as stiff as the time step allows."""
+    fields("dof_frictionloss")[dofs] += torque
+    fields("dof_solref")[dofs] = [2.0 * dt, 1.0]
+    fields("dof_solimp")[dofs] = _STIFF
 
 
 def scale_response(plant: Plant, share: float) -> None:

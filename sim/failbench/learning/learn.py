@@ -9,6 +9,7 @@ from typing import Any
 from failbench.calibrations.calibrate import rounded, rounded_figures, versions
 from failbench.calibrations.failure_jobs import Progress
 from failbench.calibrations.failures import read_failures, write_failures
+from failbench.learning.generated import PREFIX
 from failbench.learning.rollouts import DropData, drop_things, pairs_of
 from failbench.learning.training import Learned, Training, train
 
@@ -42,11 +43,12 @@ def learn(
         source = {"motions_without": len(refused), "data": settings}
         if file is not None:
             write_failures(file, failures)
-    pairs = pairs_of(failures)
+    pairs, scenes = pairs_of(failures), {part.scene for part in failures}
     found = train(pairs, training)
     about = {
         **versions(),
-        "scenes": len({part.scene for part in failures}),
+        "scenes": len(scenes),
+        "bundled_scenes": sum(not name.startswith(PREFIX) for name in scenes),
         "motions": len(failures),
         "drops": sum(len(part) for part in failures),
         "pairs": len(pairs),
@@ -73,5 +75,6 @@ def table(found: Learned) -> str:
     for label, figures in (("drop model", found.plain), ("network", found.corrected)):
         rows.append((label, *(f"{getattr(figures, name):.4f}" for name in names)))
     about = found.network.about
-    head = f"{about['drops']} drops in {about['scenes']} scenes; in the bundled ones, by which it was chosen:\n"
+    head = f"{about['drops']} drops in {about['scenes']} scenes; in {about['bundled_scenes']} bundled ones of them, "
+    head += "by which it was chosen:\n"
     return head + "\n".join(f"{row[0]:<12}" + "".join(f"{cell:>19}" for cell in row[1:]) for row in rows)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from failbench.fault.drives import BRAKES, close_brakes
 from failbench.policies.policy import Observation, checked_action
 from failbench.policies.sensing import Reading, Sensing
 from failbench.policies.servoing import Servoing, Straightness
@@ -111,6 +112,7 @@ class Episode:
         robot = task.world.robot
         self._seen: list[tuple[int, Reading, Array]] = []
         self._there = 0
+        self._brakes: dict[str, Array] = {}
         self.reached: float | None = None
         """When the tool had been at its goal for long enough [s]."""
         self.distance = self._distance(qpos[robot.qpos])
@@ -156,6 +158,8 @@ class Episode:
             goal=task.goal,
             tool_goal=task.tool_goal,
             objects=self._objects(qpos),
+            q_desired=self._servoing.q,
+            qd_desired=self._servoing.speed,
             images={} if self._camera is None else self._camera(qpos),
         )
 
@@ -168,6 +172,8 @@ class Episode:
         rows = self._servoing.commands(kind, checked_action(action, self.task, kind))
         self._sent.command[self.step : self.step + len(rows)] = rows
         self._sent.command[self.step + len(rows) :] = rows[-1]  # held, if nothing more comes
+        if kind == "brake" and not self._brakes:
+            self._brake()
         if self._injection is not None and self.step - self.onset != self._injection.next:
             self._injection.renew()
 
@@ -185,6 +191,7 @@ class Episode:
                 qvel=live.qvel,
                 eq_active=live.eq_active,
             )
+            self._injection.brakes = self._brakes
             self._sensing = Sensing(self._injection)
         if self._injection is not None and self._sensing is not None:
             if self.step - self.onset == self._injection.next:
@@ -234,6 +241,14 @@ class Episode:
     def finish(self) -> dict[str, Any]:
         """Return what became of everything: the fields of a Rollout that are consequences."""
         return self._recorder.finish(0)
+
+    def _brake(self) -> None:
+        """Let the brakes close: those of a healthy robot once and for all, else each time that the fault has acted."""
+        self._brakes = {name: self._live.fields(name) for name in BRAKES}
+        if self._injection is None:
+            close_brakes(self._brakes, self.task.world)
+        else:
+            self._injection.brakes = self._brakes
 
     def _see(self) -> None:
         robot, live = self.task.world.robot, self._live

@@ -26,6 +26,7 @@ ACTIONS: Mapping[str, str] = MappingProxyType(
         "joint_velocity": "how fast they are to move during it [rad/s or m/s]",
         "tool_pose": "where the tool is to be after it, wxyz_xyz in W",
         "command": "what every actuator gets, as the simulated drives take it",
+        "brake": "nothing: the brakes of all joints close for good, and their drives lose their power",
     }
 )
 """Kinds of actions, and what is in them."""
@@ -34,6 +35,9 @@ ACTIONS: Mapping[str, str] = MappingProxyType(
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observation:
     """What a policy sees, broken sensors and delays included. Objects and pictures are seen as they are.
+
+    What is desired is the robot's own affair: no sensor and no delay has a part in it. Actions of the kind "command"
+    take the place of the low-level controller, and leave it where it began.
 
     | field       | meaning                                                      | unit           | shape        |
     |-------------|--------------------------------------------------------------|----------------|--------------|
@@ -44,6 +48,8 @@ class Observation:
     | goal        | where the joints are to end                                  | rad or m       | nq           |
     | tool_goal   | where the tool is to end, wxyz_xyz in W                      | m              | 7            |
     | objects     | where the entities are in W, in the order of the scene       | m              | entity xyz   |
+    | q_desired   | where the low-level controller wants the joints to be now    | rad or m       | nq           |
+    | qd_desired  | how fast it wanted them to move in the last period           | rad/s or m/s   | nq           |
     | images      | pictures by camera                                           |                | height width |
     """
 
@@ -54,11 +60,13 @@ class Observation:
     goal: Float[Array, " nq"]
     tool_goal: Float[Array, " 7"]
     objects: Float[Array, "entity xyz"]
+    q_desired: Float[Array, " nq"]
+    qd_desired: Float[Array, " nq"]
     images: Mapping[str, UInt8[Array, "height width 3"]] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def vector(self) -> Float[Array, " n"]:
-        """Everything but time and pictures in one row."""
+        """Everything but time, pictures and what is desired in one row."""
         return np.concatenate([self.q, self.qd, self.tool, self.goal, self.tool_goal, self.objects.ravel()])
 
 
@@ -120,7 +128,7 @@ def action_kind(policy: Policy) -> str:
 
 def action_size(task: PolicyTask, kind: str) -> int:
     """Return how many numbers an action has."""
-    return {"tool_pose": 7, "command": task.world.model.nu}.get(kind, len(task.start))
+    return {"tool_pose": 7, "command": task.world.model.nu, "brake": 0}.get(kind, len(task.start))
 
 
 def checked_action(action: ArrayLike, task: PolicyTask, kind: str) -> Float[Array, " n"]:

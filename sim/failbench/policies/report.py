@@ -95,12 +95,13 @@ class PolicyReport:
     def __str__(self) -> str:
         rows = [("healthy", self.healthy), *self.by_fault.items()]
         wide = max(len(label) for label, _ in rows)
+        arrived = "at its goal" if all(one.reached for one in self.healthy_rollouts) else "at its goal, or out of time,"
         lines = [
             f"{self.task}: {self.n} episodes of each kind, seed {self.seed}, {100.0 * self.confidence:g} % intervals; "
             f"recovery: {self.recovery}",
             f"{'':{wide}}  {'success':22}  {'harm':22}  {'harm added':22}  dropped  spilled",
             *(_row(label, figures, wide) for label, figures in rows),
-            f"healthy robot: at its goal after {self.duration:.2f} s in the mean; harm per executed task at "
+            f"healthy robot: {arrived} after {self.duration:.2f} s in the mean; harm per executed task at "
             f"{self.rate:g} failures/h: {self.harm_per_task:.4g}",
         ]
         diverged = sum(figures.diverged for _, figures in rows)

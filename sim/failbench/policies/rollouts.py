@@ -137,7 +137,8 @@ class _Runner:
         for sim, (_, _, policy) in self.running.items():
             episode = self._batch.episodes[sim]
             assert episode is not None
-            actions[sim] = action_kind(policy), policy(episode.observation)
+            action = policy(episode.observation)
+            actions[sim] = action_kind(policy), action  # in this order: who relieves a policy may act otherwise
         self._batch.advance(actions)
         ended = []
         for sim in list(self.running):

@@ -61,6 +61,8 @@ class Servoing:
             return np.repeat(action[None], steps, axis=0)
         if kind == "joint_velocity":
             target = self.q + task.settings.period * action
+        elif kind == "brake":
+            target = self.q
         elif kind == "tool_pose":
             target = self._towards(action)
         else:

@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from failbench.fault.drives import close_brakes
 from failbench.recording.records import Job
 from failbench.rollouts.base_loop import TICK, BasePlan
 from failbench.simulated.plant import Plant
@@ -130,10 +131,12 @@ class Injection:
             paced=lambda time, pace, change: execution.paced(onset * execution.dt + time, pace, change),
             fields={name: fields[name] for name in fault.FIELDS},
         )
-        self._model = execution.world.model
+        self._world = execution.world
         self._wheels = _Wheels(execution, self.plant, onset, qpos, qvel) if execution.base is not None else None
         self._end = steps if fault.duration is None else max(1, round(fault.duration / execution.dt))
         self._level: float | None = None
+        self.brakes: Mapping[str, Array] = {}
+        """Live model fields with which brakes hold the joints, see `close_brakes`; none while they are open."""
         self.next = 0
         """The step before which the fault acts next."""
 
@@ -154,11 +157,13 @@ class Injection:
         self._restore()
         if self.next >= self._end:
             self.next, self._level = NEVER, None
+            self._hold()
             return
         ramp = round(fault.ramp / plant.dt)
         level = 1.0 if ramp == 0 else min(1.0, (self.next + _RAMP_STEPS) / ramp)
         self._level = level
         fault.apply(plant, level)
+        self._hold()
         wait = NEVER if fault.period is None else max(1, round(fault.period / plant.dt))
         self.next = min(self.next + min(wait, _RAMP_STEPS if level < 1.0 else NEVER), self._end)
 
@@ -182,16 +187,22 @@ class Injection:
         self._restore()
         if self._level is not None:
             self.job.fault.apply(self.plant, self._level)
+        self._hold()
 
     @property
     def level(self) -> float:
         """How much of the fault acts now, from 0 (not begun yet, or over) to 1."""
         return 0.0 if self._level is None else self._level
 
+    def _hold(self) -> None:
+        """Let brakes that have closed go on holding, whatever the fault has just done."""
+        if self.brakes:
+            close_brakes(self.brakes, self._world)
+
     def _restore(self) -> None:
         plant = self.plant
-        for name, values in plant.fields.items():
-            values[...] = getattr(self._model, name)
+        for name, values in (*plant.fields.items(), *self.brakes.items()):
+            values[...] = getattr(self._world.model, name)
         plant.ahead[...] = plant.healthy[plant.step :]
         plant.walk[plant.step :] = self._walk[plant.step :]
         plant.xfrc[...] = 0.0

@@ -189,6 +189,8 @@ class SceneConstraints:
 
     def _slowdowns(self, trajectory: Trajectory, longest: float) -> int:
         """Return how often a motion has to be slowed down until nothing swings over the rim, or gets too long [s]."""
+        if trajectory.duration == 0.0:
+            return 0  # at its goal already
         most = float(np.log(longest / trajectory.duration) / np.log(_SLOWDOWN))
         most = int(min(np.ceil(most), _MOST_SLOWDOWNS))
         keepers = [keeper.stays_below(trajectory, self.scene) for keeper in self.keepers]

@@ -199,6 +199,7 @@ def test_the_command_learns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     one, two = DropNetwork.read(first), DropNetwork.read(second)
     np.testing.assert_array_equal(one.told, two.told)
     assert one.about["drops"] == 6 and one.about["scenes"] == 3 and one.about["drops_from"] == "drops.npz"
+    assert one.about["bundled_scenes"] == 1
 
 
 @pytest.mark.long
