@@ -128,18 +128,6 @@ def test_what_is_usable_of_many_goals_is_planned_for(scene: Scene, start: np.nda
     assert result.status is gp.PlanStatus.SOLVED and result.goal_index in usable
 
 
-@pytest.mark.long
-def test_of_three_hundred_grasps_the_one_within_reach_is_found(scene: Scene, start: np.ndarray) -> None:
-    """All others are inside of the table."""
-    rng = np.random.default_rng(0)
-    turned = rng.normal(size=(300, 4))
-    tool = Placement(scene).place(start).site(scene.tool).xpos.copy()
-    grasps = [PoseGoal.at([0.55, 0.0, -0.25] + rng.normal(0.0, 0.02, 3), q / np.linalg.norm(q)) for q in turned]
-    grasps[217] = PoseGoal.at(tool + [0.0, 0.1, 0.05], [0.0, 1.0, 0.0, 0.0])
-    result = gp.plan(start, grasps, scene, time_limit=3.0)  # ten times what the benchmark `hardening` gives it
-    assert (result.status, result.goal_index) == (gp.PlanStatus.SOLVED, 217)
-
-
 def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.ndarray) -> None:
     """Grasps all around a place: those nearest to the tool give enough, those out of reach say so."""
     tool = Placement(scene).place(start).site(scene.tool)
@@ -154,8 +142,8 @@ def test_a_set_of_poses_is_tried_from_the_nearest_on(scene: Scene, start: np.nda
         if k != 2:
             reached = Placement(scene).place(q).site(scene.tool).xpos
             np.testing.assert_allclose(reached, {1: far, 3: near}[k], atol=1e-3)
-    many = resolve_goal([here] * 20 + [away], scene, start)
-    assert 8 <= len(many.index) <= 9 and 20 not in many.index
+    few = resolve_goal([away] * 3 + [here] * 5, scene, start)
+    assert 8 <= len(few.index) <= 9 and not {0, 1, 2} & set(few.index)
     assert len(resolve_goal([beyond, beyond], scene, start).q) == 0
 
 
