@@ -44,6 +44,7 @@ MODULES = {
     "query/states/usable.py": ("tests/query/test_goals.py",),
     "query/goals.py": (
         "tests/query/test_goals.py",
+        "tests/query/test_pose_sets.py",
         "tests/query/test_ik.py",
         "tests/query/test_cancel.py",
         "tests/query/driving/test_drives.py",
