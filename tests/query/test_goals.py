@@ -104,6 +104,10 @@ def test_who_is_in_a_hurry_looks_on_until_one_is_usable(scene: Scene, start: np.
         resolved = resolve_goal(given, scene, start, hurried=lambda: True)
         assert set(range(30)) <= set(resolved.index) and "no time to look at" in resolved.detail
     assert resolve_goal(several, scene, start).index == (*range(30), 299)
+    # 64 at a time: the collisions of a first look are found, all the others are not looked at.
+    goals[:] = colliding
+    goals[-1] = start
+    assert "no time to look at 235 of 300" in resolve_goal(goals, scene, start, cancelled=lambda: True).detail
 
 
 def test_a_goal_among_a_thousand_that_cannot_be_used_is_found(scene: Scene, start: np.ndarray) -> None:
@@ -167,6 +171,15 @@ def test_a_collision_names_the_pair_and_its_depth(scene: Scene, colliding: np.nd
     assert f"AllowedContact({names[0]!r}, {names[1]!r})" in resolved.detail
     scene.geoms_named(names[0]), scene.geoms_named(names[1])  # these are names that it takes
     assert f"start: {contact.first} is {1e3 * contact.depth:.3g} mm in {contact.second}" in resolved.detail
+
+
+def test_one_goal_needs_no_number_and_one_contact_no_others(scene: Scene, start: np.ndarray) -> None:
+    anywhere = np.random.default_rng(0).uniform(*scene.limits.position.T, size=(200, 7))
+    for count, more in ((1, ""), (2, " and 1 more")):
+        q = next(q for q in anywhere if len(state_contacts(q, scene)) == count)
+        alone, both = resolve_goal(q, scene, start), resolve_goal([q, start], scene, start)
+        assert alone.detail.startswith("goal: ") and both.detail.startswith("goal 0: ")
+        assert f" mm in {state_contacts(q, scene)[0].second}{more}; if they may touch" in alone.detail
 
 
 @pytest.mark.parametrize("side", [0, 1])
