@@ -63,10 +63,12 @@ KINDS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     (("str | Path", "str | FilePath"), OTHERS),
 )
 """Words of a parameter's annotation, and what it is given."""
-LEFT_OUT = frozenset(
-    {"view", "annotate", "compare", "film", "sweep_of", "generate", "resume", "validate", "StateBatch", "Roadmap"}
-)
+LEFT_OUT = frozenset({"view", "annotate", "compare", "film", "sweep_of", "generate", "resume", "StateBatch"})
 """What serves, asks a network or works for minutes by what it is given; and states as costs get them, unchecked."""
+CHEAP = ("iterations", "n", "rollouts", "nodes", "points")
+"""Numbers that are given also where there is a default, which would take long."""
+MADE_OTHERWISE = frozenset({"Roadmap"})
+"""Classes whose constructors take what their own methods make."""
 
 
 def valid(folder: Path) -> dict[str, Any]:
@@ -79,7 +81,7 @@ def valid(folder: Path) -> dict[str, Any]:
     return {
         "start": start, "goal": goal, "scene": task.scene, "path": path, "trajectory": motion, "motion": motion,
         "q": start, "limits": task.scene.limits, "iterations": 20, "n": 4, "rollouts": 2, "height": 0.2, "points": 2,
-        "file": folder / "m.json", "source": folder / "m.json", "task": task,
+        "file": folder / "m.json", "source": folder / "m.json", "task": task, "nodes": 40,
     }  # fmt: skip
 
 
@@ -90,7 +92,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
             found = getattr(package, name)
             if name in LEFT_OUT or not callable(found) or inspect.isabstract(found):
                 continue
-            if not (inspect.isclass(found) and issubclass(found, BaseException)):
+            if name not in MADE_OTHERWISE and not (inspect.isclass(found) and issubclass(found, BaseException)):
                 yield f"{package.__name__}.{name}", found
             for method in vars(found) if inspect.isclass(found) else ():
                 if not method.startswith("_") and isinstance(vars(found)[method], classmethod | staticmethod):
@@ -118,7 +120,7 @@ def cases(call: Callable[..., Any], known: dict[str, Any]) -> Iterator[tuple[str
     for wrong in named:
         for what, value in wrong_values(str(wrong.annotation)).items():
             given = {p.name: known[p.name] for p in named if p.name in known and p.default is p.empty}
-            given |= {p.name: known[p.name] for p in named if p.name == "iterations"}
+            given |= {p.name: known[p.name] for p in named if p.name in CHEAP}
             given[wrong.name] = value
             if all(p.name in given for p in named if p.default is p.empty):
                 yield f"{wrong.name} = {what}", given

@@ -41,13 +41,17 @@ from failbench import scenario
 from failbench.calibrations.failures import Failures, read_failures, write_failures
 from failbench.policies.adapters import REACH
 from failbench.policies.mlp import Mlp
+from failbench.sweeps import dataset
+from failbench.sweeps.card import write_card
 from failbench.sweeps.dataset import read_manifest
 from failbench.sweeps.sweep import read_sweep
 from failbench.sweeps.work import Sweep, SweepMotion
 from failbench.traces.folder import chosen
 from graceful_plan import documents, kept
 from graceful_plan.annotation.annotations import Annotation, Annotations
+from graceful_plan.compare import summarise
 from graceful_plan.compare.problems.suite import load_suite
+from graceful_plan.compare.reports.report import page
 from graceful_plan.compare.runs.best_motions import BestMotions
 from graceful_plan.compare.runs.comparison import compare, load_comparison
 from graceful_plan.compare.runs.known import read_known, write_known
@@ -61,6 +65,7 @@ from graceful_plan.scene.harm.fragility import FragilityTable
 from graceful_plan.scene.urdf.srdf import read_srdf
 from graceful_plan.viewer.opening import asked
 from graceful_plan.viewer.recorded import RecordedRollouts
+from graceful_plan.viz.front_page import write_front_page
 
 SLOW = 10
 """Seconds after which a reader counts as hanging."""
@@ -194,6 +199,42 @@ def front_of(front: gp.ParetoFront) -> list[Any]:
     return [(point.path, point.trajectory, point.cost) for point in front.points]
 
 
+def sealed(folder: Path) -> Path:
+    """Give a manifest the checksum that it should have, as somebody would who wants it to be believed."""
+    file = folder / "manifest.json"
+    try:
+        manifest = json.loads(file.read_bytes())
+        file.write_text(json.dumps({**manifest, "sha256": dataset._self_checksum(manifest)}))
+    except (OSError, ValueError, TypeError, RecursionError, AttributeError):
+        pass
+    return folder
+
+
+def card_of(folder: Path) -> str:
+    """Write a dataset's card where there may be something of somebody else, which stays as it is."""
+    manifest, file = read_manifest(sealed(folder)), folder / "README.md"
+    before = file.read_bytes() if file.is_file() else b""
+    write_card(folder, Sweep.from_document(manifest["sweep"]), manifest)
+    if before and b"made by failbench generate" not in before and file.read_bytes() != before:
+        raise AssertionError("the card took the place of a file of somebody else")
+    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
+
+
+def page_of_front(file: Path) -> str:
+    """Write the page of a front; nothing in the front ends the script in it or brings another."""
+    front, out = gp.ParetoFront.load(file), file.with_suffix(".html")
+    write_front_page(front, gp.load_scene("tabletop").tasks["right_to_left"].scene, out, title=front.scene)
+    written = out.read_text(encoding="utf-8")
+    if written.lower().count("<script") != 1 or written.lower().count("</script") != 1:
+        raise AssertionError("a text in the front became part of the page")
+    return written
+
+
+def report_of(folder: Path) -> str:
+    """Return the page of a comparison."""
+    return page(summarise(load_comparison(folder)))
+
+
 READERS: Mapping[str, Reader] = {
     "trajectory JSON": Reader(("m.json",), lambda f: gp.Trajectory.from_json(f / "m.json")),
     "trajectory JSON text": Reader(("m.json",), lambda f: gp.Trajectory.from_json(text(f / "m.json", "{"))),
@@ -248,6 +289,12 @@ READERS: Mapping[str, Reader] = {
     "dataset": Reader(
         ("sweep/manifest.json", "sweep/rollouts/part-00000.parquet"), lambda f: failbench.read_dataset(f / "sweep")
     ),
+    "dataset that was sealed anew": Reader(
+        ("sweep/manifest.json",), lambda f: failbench.read_dataset(sealed(f / "sweep")).sweep
+    ),
+    "card of a dataset": Reader(("sweep/manifest.json", "sweep/README.md"), lambda f: card_of(f / "sweep")),
+    "page of a front": Reader(("front.json",), lambda f: page_of_front(f / "front.json")),
+    "page of a comparison": Reader(("bench/journal.jsonl",), lambda f: report_of(f / "bench")),
     "sweep": Reader(("sweep/journal.sqlite",), lambda f: read_sweep(f / "sweep")),
     "sweep JSON": Reader(("sweep.json",), lambda f: Sweep.from_json(f / "sweep.json")),
     "failures": Reader(("failures.npz",), lambda f: read_failures(f / "failures.npz")),

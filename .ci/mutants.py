@@ -29,7 +29,12 @@ from mutated import ROOT, copied, tests_pass, told
 
 LIBRARY = "src/graceful_plan"
 MODULES = {
-    "costs/objective.py": ("tests/costs/test_costs.py", "tests/costs/test_slopes.py", "tests/costs/test_own_loss.py"),
+    "costs/objective.py": (
+        "tests/costs/test_costs.py",
+        "tests/costs/test_slopes.py",
+        "tests/costs/test_own_loss.py",
+        "tests/planners/optimisers/test_edge_derivatives.py",
+    ),
     "timing/retiming.py": ("tests/timing/test_retiming.py",),
     "timing/trajectory.py": ("tests/timing/test_trajectory.py", "tests/formats/test_formats.py"),
     "judge/verification.py": ("tests/judge/test_verification.py", "tests/judge/test_passing.py"),
@@ -44,6 +49,7 @@ MODULES = {
     "query/states/usable.py": ("tests/query/test_goals.py",),
     "query/goals.py": (
         "tests/query/test_goals.py",
+        "tests/query/test_pose_sets.py",
         "tests/query/test_ik.py",
         "tests/query/test_cancel.py",
         "tests/query/driving/test_drives.py",

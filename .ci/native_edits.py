@@ -114,13 +114,18 @@ EDITS = {
             ("«boxes.bottom[r] = minimum(boxes.bottom[r], c[2] - half[2])»", "boxes.bottom[r] = c[2] - half[2]"),
         ),
     ),
-    "impact/drop.hpp": (
+    "impact/flight/flight.hpp": (
         DROPS,
         (
             ("return («vz + square_root(vz * vz + 2.0 * kGravity * k)»)", "square_root(2.0 * kGravity * k)"),
             ("over *= «1.0 - f * h»", "D{} + 1.0"),
             ("if («!joint.slide») {", "true"),
             ("part.bottom = «z - up»", "z + up"),
+        ),
+    ),
+    "impact/drop.hpp": (
+        DROPS,
+        (
             ("near = where(«flight.highest_bottom - top > kAbove»", "(flight.highest_bottom - top > -kAbove)"),
             ("best = «maximum(best, value)»", "best + value"),
             ("maximum(o.x - r.x, «-s.carries[0] - at.x»)", "-s.carries[0] + at.x"),
@@ -170,7 +175,7 @@ EDITS = {
         PROFILES,
         (
             ("if («gain < 0 && (bounds[r] & kUpper)»)", "false"),
-            ("if («floor < ceiling - kApart * (std::abs(floor) + std::abs(ceiling))») return", "true"),
+            ("(bounds[r] & kLower) && «below > floor»", "below < floor"),
             ("if («gain > 0») lower(i", "gain > 0.5"),
             ("set_row(rows * i + dim + j, «slope[dim + j] + S * bend[dim + j]»", "slope[dim + j]"),
             ("lower(«i + side», fast * fast", "i"),

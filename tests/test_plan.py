@@ -93,6 +93,14 @@ def test_iterations_make_it_reproducible(task, name):
     assert a.cost.total == b.cost.total
 
 
+def test_a_time_limit_besides_iterations_only_ends_them_early(task):
+    alone = _quick(task, w=0.3, iterations=40, seed=3)
+    limited = _quick(task, w=0.3, iterations=40, seed=3, time_limit=1e300)
+    np.testing.assert_array_equal(limited.unwrap().q, alone.unwrap().q)
+    ended = gp.plan(task.start, task.goal, task.scene, iterations=10**9, time_limit=0.0)
+    assert ended.status is not gp.PlanStatus.SOLVED or ended.stats["iterations"] < 10**9
+
+
 def test_iterations_make_what_is_seen_on_the_way_reproducible(task):
     first, second = (_quick(task, iterations=400, seed=4) for _ in range(2))
     assert len(first.trace) > 1

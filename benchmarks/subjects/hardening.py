@@ -33,10 +33,9 @@ half second for every planner for arms in turn, on a task of `tabletop` and wher
 its first two seconds for every planner for bases, in `warehouse_aisle`, where that is walled off, where one more walks
 across, and with base and arm of `kitchen`. "Late" is how long the call took from then on. What is returned is either
 SOLVED and judged anew, or CANCELLED; Ctrl-C raises KeyboardInterrupt.
-"Goals": configurations of which a tenth or one is free, and poses of which all but one are inside of the table,
-`time_limit=.3`. "Motions": the log of
-`benchmarks/many_motions.py`, which judges by its own means. "Files" and "calls": `.ci/fuzz_readers.py` and
-`.ci/fuzz_native.py` (the latter with ASan and UBSan in CI, here without), all at once.
+"Goals": configurations of which a tenth or one is free, and poses of which all but one cannot be reached or not freely,
+`time_limit=.3`. "Motions": the log of `benchmarks/many_motions.py`, which judges by its own means. "Files" and "calls":
+`.ci/fuzz_readers.py` and `.ci/fuzz_native.py` (the latter with ASan and UBSan in CI, here without), all at once.
 """
 WALLED = """<mujoco model="walled">
   <compiler angle="radian"/>
@@ -69,8 +68,8 @@ def run(options: suite.Options) -> str:
     """Interrupt, plan to many goals, and read logs; return Markdown."""
     # A shell that puts a command in the background has it ignore Ctrl-C, and Python then does, too.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    count = options.pick(1000, quick=60)
-    found = [interrupted(*what) for what in (*draws(ARMS, count, 0.5), *draws(BASES, count // 2, 2.0))]
+    arms, bases = options.pick((820, 180), quick=(60, 30))
+    found = [interrupted(*what) for what in (*draws(ARMS, arms, 0.5), *draws(BASES, bases, 2.0))]
     in_time = [x for x in found if x.late >= 0.0]
     late = np.array([x.late for x in in_time])
     goals = {
@@ -78,7 +77,11 @@ def run(options: suite.Options) -> str:
         for n in options.pick((300, 1000, 20_000), quick=(1000,))
         for free in FREE
     }
-    goals["300 grasps, one within reach"] = many_grasps(300)
+    goals |= {
+        f"{n} grasps, all but one {where}": many_grasps(n, where)
+        for n in options.pick((300, 1000), quick=(300,))
+        for where in GRASPS
+    }
     rows = [
         report.Target(
             what="interruptions after which there was no verified path, CANCELLED or KeyboardInterrupt",
@@ -230,14 +233,36 @@ def many_goals(count: int, free: str) -> tuple[str, float]:
     return timed(start, list(goals), scene)
 
 
-def many_grasps(count: int) -> tuple[str, float]:
-    """Plan to one of many poses, all of them but one inside of the table."""
+GRASPS = {
+    "inside of the table": ((0.55, 0.0, -0.25), (0.02, 0.02, 0.02)),
+    "with the hand in its surface": ((0.5, 0.0, -0.01), (0.1, 0.2, 0.004)),
+    "out of reach": ((1.3, 0.0, 0.5), (0.1, 0.1, 0.1)),
+    "in a closed box": ((0.5, 0.5, 0.5), (0.03, 0.03, 0.03)),
+}
+"""Where grasps are that do not work, and how far they are spread [m]."""
+
+
+def many_grasps(count: int, where: str) -> tuple[str, float]:
+    """Plan to one of many poses, the last; all the others are somewhere else."""
     start, goal, scene = tabletop()
+    middle, spread = GRASPS[where]
     rng = np.random.default_rng(0)
-    turned = rng.normal(size=(count, 4))
-    poses = [gp.PoseGoal.at([0.55, 0.0, -0.25] + rng.normal(0.0, 0.02, 3), q) for q in turned]
-    poses[count // 2] = gp.PoseGoal.from_tool(np.atleast_2d(goal)[0], scene)
+    poses = [gp.PoseGoal.at(rng.normal(middle, spread), rng.normal(size=4)) for _ in range(count)]
+    poses[-1] = gp.PoseGoal.from_tool(np.atleast_2d(goal)[0], scene)
+    if where == "in a closed box":
+        scene = closed_box(scene, np.array(middle))
+    compile_scene(scene)
     return timed(start, poses, scene)
+
+
+def closed_box(scene: gp.Scene, middle: Array) -> gp.Scene:
+    """Return a scene with six walls around a place in it."""
+    for k in range(6):
+        half, centre = np.full(3, 0.15), middle.copy()
+        half[k // 2] = 0.01
+        centre[k // 2] += 0.15 if k % 2 else -0.15
+        scene = scene.add_box(f"wall {k}", half, centre)
+    return scene
 
 
 def timed(start: Any, goals: list[Any], scene: gp.Scene) -> tuple[str, float]:

@@ -9,7 +9,6 @@ top, with probability 1, and is reported first.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -41,7 +40,7 @@ from failbench.recording.score import (
 from failbench.report import FAILURES_PER_HOUR, EntityReport, ValidationReport
 from failbench.rollouts.execution import Execution, execute
 from failbench.rollouts.rollout import run
-from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid
+from failbench.rollouts.sampling import MOST, check_whole, make_jobs, quantile_grid, thread_count
 from failbench.scenario import scenarios as find_scenarios
 from failbench.simulated.world import SimSettings, build_world
 from failbench.surroundings.registry import staged_for
@@ -111,6 +110,7 @@ def validate(
     _check_droppable(faults, scene)
     check_whole("n", n, 1, MOST)
     check_whole("seed", seed, 0)
+    cores = thread_count(threads)
     check_confidence(confidence)
     _check_rate(rate)
     for fault in faults:
@@ -123,7 +123,6 @@ def validate(
 
     proposal = (lambda times: predict(times).sum(axis=1)) if importance else None
     jobs = make_jobs(faults, execution.duration, n=n, seed=seed, predicted=proposal)
-    cores = (os.cpu_count() or 1) if threads is None else threads
     rollouts: list[Rollout] = []
     for first in range(0, len(jobs), _CHUNK):
         rollouts += run(execution, jobs[first : first + _CHUNK], horizon=horizon, threads=cores)

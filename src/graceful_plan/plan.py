@@ -84,7 +84,8 @@ def plan(
         planner: Name of a planner (see `PLANNERS`) or a settings object.
         objective: What to minimise, if not joint length plus `w` times the impact of carried object and contents.
         time_limit: Seconds for the whole call; 1 by default, none if `iterations` is given.
-        iterations: Planner iterations; with these alone, the result depends on the seed only.
+        iterations: Planner iterations; with these alone, the result depends on the seed only. A time limit besides
+            ends the call early, and is for nothing else.
         seed: Of all random numbers.
         speed: In (0, 1]: fraction of the velocity limits to use.
         risk: What of the distribution of impact counts: "expectation", "cvar" (the mean of the worst tenth; another

@@ -72,6 +72,26 @@ def test_bounds_of_two_slides_and_a_hinge_by_hand():
     assert lower_bound(start, turned, objective) == pytest.approx(1.2 - 0.05, rel=1e-5)
 
 
+def test_bounds_of_two_hinges_by_hand():
+    """The first joint counts as well: it moves the tool by .55 m a radian, the second by .25 m, both turn it."""
+    scene = Scene.from_mjcf(
+        """<mujoco><compiler angle="radian"/><worldbody>
+          <body name="arm/a"><joint name="arm/a" axis="0 0 1" range="-3 3"/><geom size=".02" mass="1"/>
+            <body name="arm/b" pos=".3 0 0"><joint name="arm/b" axis="0 0 1" range="-3 3"/>
+              <geom size=".02" mass="1" pos="0 0 .2"/><site name="arm/tool" pos=".25 0 0"/></body></body>
+        </worldbody></mujoco>""",
+        robot="arm/",
+        tool="arm/tool",
+        velocity=[1.0] * 2,
+        acceleration=[1.0] * 2,
+    )
+    objective, start = Objective().bind(scene), np.zeros(2)
+    far = PoseGoal.at([-0.45, 0.0, 0.0], position_tolerance=0.1)
+    assert lower_bound(start, far, objective) == pytest.approx(0.9 / np.hypot(0.55, 0.25), rel=1e-5)
+    turned = PoseGoal.at([0.55, 0.0, 0.0], [np.cos(0.6), 0.0, 0.0, np.sin(0.6)], orientation_tolerance=0.05)
+    assert lower_bound(start, turned, objective) == pytest.approx(1.15 / np.sqrt(2.0), rel=1e-5)
+
+
 def test_a_pose_far_away_has_a_bound_above_zero(tabletop: Scene):
     X = compile_scene(tabletop).kernels.tool_pose(tabletop.keyframes["right"])
     X[0, 3] += 0.3

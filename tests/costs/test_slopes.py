@@ -86,6 +86,24 @@ def test_broken_gradients_are_named(answer, message: str, scene: gp.Scene) -> No
         CostSlopes(Broken(), scene)(*states(scene, 4, 0))
 
 
+def test_only_the_direction_of_a_tangent_counts(scene: gp.Scene) -> None:
+    """Across it, where the slowest joint stays as fast as it is, the slope is that of differences."""
+    bound = Objective(motion=Haste(), w=0.7).bind(scene, search_paces())
+    q, tangent = states(scene, 6, 5)
+    value, _, d_tangent = bound.tangent_slopes(q, tangent)
+    np.testing.assert_allclose(bound.tangent_slopes(q, 3.0 * tangent)[0], value)
+    np.testing.assert_allclose(np.sum(d_tangent * tangent, axis=1), 0.0, atol=1e-9 * np.abs(d_tangent).max())
+    slowest = np.argmax(np.abs(tangent) / scene.limits.velocity, axis=1)
+    across = np.random.default_rng(1).normal(size=q.shape)
+    kept = np.where(np.arange(q.shape[1]) == slowest[:, None], 0.0, tangent)
+    across[np.arange(len(q)), slowest] = 0.0
+    across -= np.sum(across * kept, axis=1, keepdims=True) / np.sum(kept**2, axis=1, keepdims=True) * kept
+    after, before = (bound.tangent_slopes(q, tangent + way * STEP * across)[0] for way in (1.0, -1.0))
+    differences = (after - before) / (2.0 * STEP)
+    atol = _TOLERANCE * max(1.0, np.abs(differences).max())
+    np.testing.assert_allclose(np.sum(d_tangent * across, axis=1), differences, atol=atol)
+
+
 @pytest.mark.parametrize("exposure", ["time", "length", "waypoints"])
 @pytest.mark.parametrize("motion", [gp.JointLength(), gp.JointLength((1.0, 2.0, 1.0, 1.0, 1.0, 0.5, 1.0)), Crosswise()])
 @pytest.mark.parametrize("impact", [Bowl(), Bowl(told=False), Haste()], ids=repr)

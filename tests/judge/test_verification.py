@@ -310,9 +310,21 @@ def test_pose_goal_is_checked_by_its_tolerances(scene: Scene) -> None:
     X_WT = np.eye(4)
     X_WT[:3, :3], X_WT[:3, 3] = site.xmat.reshape(3, 3), site.xpos
     assert verify(_FREE, scene, goal=PoseGoal(X_WT)).passed
-    X_WT[0, 3] += 0.002
+    X_WT[0, 3] += 0.0009
+    assert verify(_FREE, scene, goal=PoseGoal(X_WT)).checks["goal"].detail == "of the tolerance: 0.9 mm, 0 rad"
+    X_WT[0, 3] += 0.0011
     assert verify(_FREE, scene, goal=PoseGoal(X_WT)).failures == ("goal",)
     assert verify(_FREE, scene, goal=PoseGoal(X_WT, position_tolerance=0.003)).passed
+
+
+@pytest.mark.parametrize("off", [0.5, 1.0 + 5e-7, 1.0 + 2e-6, 5.0])
+def test_a_pose_goal_may_be_turned_by_its_tolerance(scene: Scene, off: float) -> None:
+    site = scene.data_at(_FREE.q[1]).site("arm/tool")
+    X_WT, (c, s) = np.eye(4), (np.cos(off * 0.01), np.sin(off * 0.01))
+    X_WT[:3, :3] = site.xmat.reshape(3, 3) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    X_WT[:3, 3] = site.xpos
+    check = verify(_FREE, scene, goal=PoseGoal(X_WT, orientation_tolerance=0.01)).checks["goal"]
+    assert check.worst == pytest.approx(off, rel=1e-9) and check.passed == (off < 1.0 + 1e-6)
 
 
 @pytest.mark.parametrize("change", [{"motion": 0.5}, {"impact": 0.1}, {"impact_by_entity": {"vase": 1.0}}])

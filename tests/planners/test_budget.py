@@ -49,6 +49,21 @@ def test_all_is_granted_by_default() -> None:
         assert (part.time_limit, part.iterations) == (np.inf, None)
 
 
+@pytest.mark.parametrize(
+    ("budget", "timed"),
+    [
+        (Budget(time_limit=1.0), True),
+        (Budget(time_limit=1.0, iterations=7), False),
+        (Budget(iterations=7), False),
+        (Budget(), False),
+    ],
+)
+def test_time_says_when_there_was_enough_only_without_iterations(budget: Budget, timed: bool) -> None:
+    assert budget.timed is timed
+    with budget.share(seconds=0.5) as part:
+        assert part.timed is (budget.iterations is None)
+
+
 def test_what_was_spent_counts_after_an_exception() -> None:
     budget = Budget(time_limit=1e6, iterations=10)
     with pytest.raises(ValueError, match="midway"), budget.share(seconds=1.0, iterations=5) as part:

@@ -344,6 +344,8 @@ def test_a_wall_with_a_way_around_and_a_vase_beside_it():
         (lambda r, t: r.front(t.start, t.goal, max_points=0), SettingError),
         (lambda r, t: gp.Roadmap.build(t.scene, nodes=0), SettingError),
         (lambda r, t: gp.Roadmap.build(t.scene, neighbours=0), SettingError),
+        (lambda r, t: gp.Roadmap.build(t.scene, neighbours=1001), SettingError),
+        (lambda r, t: gp.Roadmap.build(t.scene, nodes=10**400), SettingError),
         (lambda r, t: gp.Roadmap.build(t.scene, seed=-1), SettingError),
         (lambda r, t: gp.Roadmap.build(t.scene, time_limit=-1.0), SettingError),
         (lambda r, t: gp.Roadmap.build(t.scene, motions=[(t.start[:2], t.goal)]), ShapeError),

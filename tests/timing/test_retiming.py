@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from graceful_plan.exceptions import RetimingError, SettingError, ShapeError
 from graceful_plan.path import Path
 from graceful_plan.scene.elements import Limits
-from graceful_plan.timing.blend import Polyline, rounded, sampled
+from graceful_plan.timing.blend import CurveGrid, Polyline, rounded, sampled
 from graceful_plan.timing.retiming import (
     ACCEPTED_SLOWDOWN,
     SHORTEST_PIECE,
@@ -265,6 +265,28 @@ def test_merging_keeps_both_ends_and_rests() -> None:
     assert without_short_pieces(merged) is not made and len(without_short_pieces(merged)) == 3
     even = Trajectory(1e-4 * np.arange(8), t[:, None], qd, qd, ("a",))
     assert without_short_pieces(even) is even
+
+
+def test_a_restraint_holds_at_the_speed_that_a_motion_has_in_the_end() -> None:
+    """Slowed to a half, an acceleration is a quarter: so much more was allowed before, and no more."""
+    line = Spline.through(np.linspace([0.0], [2.0], 9))
+    limits = _limits([10.0], [100.0])
+
+    def gentle(grid: CurveGrid) -> np.ndarray:
+        push = grid.slope[:, 0, 0]  # the line is straight: no bend
+        return np.stack([np.stack([way * push, 0.0 * push, 0.0 * push + 1.5], axis=1) for way in (1.0, -1.0)], axis=1)
+
+    for speed in (1.0, 0.5):
+        motion = timed(line, limits, ("a",), speed=speed, restraint=gentle)
+        assert np.abs(motion.qdd).max() == pytest.approx(1.5, rel=0.01)
+        assert motion.duration == pytest.approx(2.0 * np.sqrt(2.0 / 1.5), rel=0.01)
+
+
+def test_accelerations_that_are_said_of_samples_count_as_well() -> None:
+    t = np.linspace(0.0, 1.0, 5)
+    said = np.array([[0.0], [0.0], [8.0], [0.0], [0.0]])
+    motion = Trajectory(t, np.zeros((5, 1)), np.zeros((5, 1)), said, ("a",))
+    assert slowdown(motion, _limits([1.0], [2.0]), None) == pytest.approx(2.0)
 
 
 def test_the_last_acceleration_is_that_of_the_last_piece() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from failbench.policies.rollouts import PolicyRollout, roll_out
 from failbench.policies.task import PolicyTask
 from failbench.recording.records import Job
 from failbench.report import FAILURES_PER_HOUR
-from failbench.rollouts.sampling import MOST, Draws, check_whole, draw
+from failbench.rollouts.sampling import MOST, Draws, check_whole, draw, thread_count
 from failbench.validation import Scenarios, chosen_faults
 from graceful_plan.array_types import Float
 from graceful_plan.exceptions import SettingError
@@ -77,7 +76,7 @@ def evaluate(
             raise SettingError(name, value, "a finite number >= 0")
     if recovery is not None and not isinstance(recovery, Recovery):
         raise SettingError("recovery", recovery, "a Recovery, such as StopOnFailure()")
-    work = _Work(task, factory, (os.cpu_count() or 1) if threads is None else threads, recovery, delay)
+    work = _Work(task, factory, thread_count(threads), recovery, delay)
     draws, starts = draw(seed, n), [seed + i for i in range(n)]
     total = n * (1 + len(faults))
     healthy = work.episodes(starts, None)

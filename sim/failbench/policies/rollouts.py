@@ -16,7 +16,7 @@ from failbench.policies.policy import Policy, PolicyFactory, action_kind
 from failbench.policies.task import PolicyTask
 from failbench.recording.records import ContactEvent, Job
 from failbench.recording.score import observed_impact
-from failbench.rollouts.sampling import check_whole
+from failbench.rollouts.sampling import MOST, MOST_THREADS, check_whole
 from graceful_plan import Scene
 from graceful_plan.exceptions import SettingError
 
@@ -94,8 +94,10 @@ def roll_out(
     wanted: Sequence[Job | None] = [None] * len(seeds) if jobs is None else jobs
     if len(wanted) != len(seeds):
         raise SettingError("jobs", len(wanted), f"a job for each of the {len(seeds)} seeds")
-    for name, value in (("threads", threads), ("batch", batch), *(("seed", seed) for seed in seeds)):
-        check_whole(name, value, 0 if name == "seed" else 1)
+    check_whole("threads", threads, 1, MOST_THREADS)
+    check_whole("batch", batch, 1, MOST)
+    for seed in seeds:
+        check_whole("seed", seed, 0)
     if not seeds:
         return []
     todo = deque(enumerate(zip(seeds, wanted, strict=True)))

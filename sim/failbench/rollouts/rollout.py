@@ -18,11 +18,11 @@ from failbench.recording.recorder import Recorder
 from failbench.recording.records import Job, Rollout
 from failbench.rollouts.execution import Execution
 from failbench.rollouts.injection import Injection
+from failbench.rollouts.sampling import MOST, MOST_THREADS, check_whole
 from failbench.simulated.rest import PERIOD, let_sleep
 from failbench.simulated.states import CHECKPOINT, control_spec, put, warnings_counted_only
 from failbench.simulated.walkers import with_walkers
 from failbench.simulated.world import World
-from graceful_plan.exceptions import SettingError
 
 Array = np.ndarray
 
@@ -47,12 +47,11 @@ def run(
 
     Raises:
         UnknownNameError: If a fault strikes a joint that the robot does not have.
-        SettingError: If the horizon is too short or too long, or there are no threads or batches to do it.
+        SettingError: If the horizon is too short or too long, or there are no threads or batches to do it, or too many.
     """
     steps = execution.steps(horizon)
-    for name, count in (("threads", threads), ("batch", batch)):
-        if count < 1:
-            raise SettingError(name, count, "at least 1")
+    check_whole("threads", threads, 1, MOST_THREADS)
+    check_whole("batch", batch, 1, MOST)
     for job in jobs:
         execution.world.robot.check_targets(job.fault.targets or job.fault.TARGETS, job.fault.rates)
     if not jobs:
@@ -60,7 +59,7 @@ def run(
     # Faults of a kind act in the same steps, so they are kept together; those that act again and again take longest.
     order = sorted(range(len(jobs)), key=lambda i: (jobs[i].fault.period is None, jobs[i].fault.NAME, i))
     size = min(batch, -(-len(jobs) // threads))
-    groups = iter([order[first : first + size] for first in range(0, len(jobs), size)])
+    groups = [order[first : first + size] for first in range(0, len(jobs), size)]
     names = sorted({"tree_sleep_policy"}.union(*(job.fault.FIELDS for job in jobs)))
     rollouts: dict[int, Rollout] = {}
 
@@ -71,9 +70,9 @@ def run(
             rollouts.update(zip(group, done, strict=True))
 
     # Made here, not in the threads, whose separate heaps would grow.
-    batches = [Batch(execution.world.model, size, nthread=1, persistent=True) for _ in range(threads)]
+    batches = [Batch(execution.world.model, size, nthread=1, persistent=True) for _ in groups[:threads]]
     with warnings_counted_only():
-        _in_threads(work, batches, groups)
+        _in_threads(work, batches, iter(groups))
     return [rollouts[i] for i in range(len(jobs))]
 
 

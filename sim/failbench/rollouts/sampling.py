@@ -6,6 +6,7 @@ luck. Onsets are stratified; on request they are drawn more often where harm is 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -24,6 +25,8 @@ Prediction = Callable[[Float[Array, " n"]], Float[Array, " n"]]
 
 MOST = 10_000_000
 """Rollouts that may be asked for at once; their random numbers are in memory."""
+MOST_THREADS = 1024
+"""Of a simulation, each with a copy of the scene's state."""
 _CELLS = 512
 """Cells of even probability in which a proposal density is constant."""
 _UNIFORM = 0.1
@@ -84,6 +87,17 @@ def check_whole(name: str, value: object, least: int, most: int | None = None) -
         raise SettingError(name, value, f"a whole number, at least {least}")
     if most is not None and value > most:
         raise SettingError(name, value, f"a whole number, at most {most}")
+
+
+def thread_count(threads: int | None) -> int:
+    """Return a number of threads, one a core by default.
+
+    Raises:
+        SettingError: If it is none, or more than `MOST_THREADS`.
+    """
+    chosen = (os.cpu_count() or 1) if threads is None else threads
+    check_whole("threads", chosen, 1, MOST_THREADS)
+    return chosen
 
 
 def quantile_grid(count: int = _CELLS) -> Float[Array, " cell"]:

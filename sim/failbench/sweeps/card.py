@@ -50,9 +50,6 @@ Motions: {motions}. Faults: {faults}.
 
 def write_card(folder: Path, sweep: Sweep, manifest: Mapping[str, Any]) -> None:
     """Write the card of a dataset, but not over a README.md of somebody else."""
-    file = folder / CARD
-    if file.exists() and not (file.is_file() and _MARK in file.read_text(encoding="utf-8", errors="replace")):
-        return
     text = _TEXT.format(
         # Hugging Face refuses files without rows.
         configs="\n".join(f"- config_name: {t}\n  data_files: {t}/*.parquet" for t in TABLES if manifest["rows"][t]),
@@ -68,6 +65,13 @@ def write_card(folder: Path, sweep: Sweep, manifest: Mapping[str, Any]) -> None:
         faults=_listed([f"{fault.get('fault')} ({fault.get('degree', 'severe')})" for fault in sweep.faults]),
         tables="\n".join(_table(table) for table in TABLES),
     )
+    write_own(folder / CARD, text, _MARK)
+
+
+def write_own(file: Path, text: str, mark: str) -> None:
+    """Write a text with a mark in it, but not over a file without that mark: it is somebody else's."""
+    if file.exists() and not (file.is_file() and mark in file.read_text(encoding="utf-8", errors="replace")):
+        return
     file.write_text(text, encoding="utf-8")
 
 

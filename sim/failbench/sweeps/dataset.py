@@ -10,6 +10,7 @@ import hashlib
 import importlib.util
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,8 @@ _MOST_ROWS = 100_000
 
 _SCHEMA = "failbench.dataset"
 _TEMPORARY = ".unfinished-"
+_PART = re.compile(rf"({'|'.join(TABLES)})/part-[0-9]{{5,9}}\.parquet")
+"""Names of parts: nothing outside of the dataset's own folder is read."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +146,31 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise FormatError(str(file), f"version {manifest.get('version')!r}; this version reads 1 to {VERSION}")
     if manifest.get("sha256") != _self_checksum(manifest):
         raise FormatError(str(file), "damaged: its checksum does not fit")
+    _check_fields(manifest, str(file))
     return manifest
+
+
+def _check_fields(manifest: Mapping[str, Any], file: str) -> None:
+    """Refuse a manifest whose checksum fits and which is none all the same: anybody can work out a checksum."""
+    rows, versions, parts = (manifest.get(name) for name in ("rows", "versions", "parts"))
+    if not (isinstance(rows, dict) and all(_is_count(rows.get(table)) for table in TABLES)):
+        raise FormatError(file, "no numbers of rows of each table")
+    named = isinstance(versions, dict) and all(isinstance(versions.get(x), str) for x in ("graceful_plan", "mujoco"))
+    if not named:
+        raise FormatError(file, "no versions of what it was made with")
+    if not isinstance(manifest.get("sweep"), dict):
+        raise FormatError(file, "no sweep that it was made from")
+    for k, part in enumerate(parts if isinstance(parts, list) else [None]):
+        said = part if isinstance(part, dict) else {}
+        texts, counts = ([said.get(name) for name in names] for names in (("file", "sha256"), ("rows", "bytes")))
+        if not (all(isinstance(text, str) for text in texts) and all(map(_is_count, counts))):
+            raise FormatError(file, f"parts[{k}] does not say file, rows, bytes and checksum")
+        if not _PART.fullmatch(said["file"]):
+            raise FormatError(file, f"parts[{k}]: {said['file'][:80]!r} is no name of a part")
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 class _Writer:

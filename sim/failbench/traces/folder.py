@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from failbench.rollouts.sampling import check_whole
+from failbench.sweeps.card import CARD, write_own
 from failbench.sweeps.dataset import check_arrow, read_manifest
 from failbench.sweeps.work import Sweep, execution_of, jobs_of
 from failbench.traces.trace import Sampling, trace
@@ -53,6 +54,7 @@ dataset_info:
   - {name: time, dtype: float64}
   - {name: image, dtype: image}
 """
+_MARK = "<!-- made by failbench trace -->"
 _CARD = """\
 ---
 license: cc0-1.0
@@ -61,6 +63,7 @@ tags: [robot-failures, mujoco, failbench]
 configs:
 {configs}
 {features}---
+{mark}
 
 # Failures of a robot, step by step
 
@@ -92,7 +95,8 @@ def write_traces(
 
     Args:
         dataset: Folder of a dataset that `generate` completed.
-        output: Folder for `steps/`, `points/` and `images/` with one Parquet file each, and `README.md`, the card.
+        output: Folder for `steps/`, `points/` and `images/` with one Parquet file each, and `README.md`, the card,
+            unless there is one of somebody else.
         rollouts: Their numbers; all by default.
         sampling: What is kept of each.
 
@@ -120,7 +124,7 @@ def write_traces(
                 counts[table] += len(rows[table])
     for writer in writers.values():
         writer.close()
-    (output / "README.md").write_text(_card(sweep, manifest, counts, len(numbers), kept), encoding="utf-8")
+    write_own(output / CARD, _card(sweep, manifest, counts, len(numbers), kept), _MARK)
     return counts
 
 
@@ -204,6 +208,7 @@ def _card(sweep: Sweep, manifest: dict[str, Any], counts: dict[str, int], rollou
     faults = [f"{fault.get('fault')} ({fault.get('degree', 'severe')})" for fault in sweep.faults]
     return _CARD.format(
         configs="\n".join(configs),
+        mark=_MARK,
         features=_IMAGE_FEATURES if kept.images else "",
         rollouts=rollouts,
         version=manifest["versions"]["graceful_plan"],

@@ -180,7 +180,8 @@ class MotionDescents:
     ) -> list[Landed]:
         """Descend from all starts and hop, as far as the time allows; return free curves, the best first.
 
-        Without a time limit, the number of hops is fixed and the result does not depend on the clock.
+        With iterations, the number of hops is fixed and, unless a time limit ends it, the result does not depend on the
+        clock.
 
         Args:
             starts: What to descend from.
@@ -257,7 +258,7 @@ class _Descending:
             jobs = self._descended(_plain(jobs[: self._worth(len(jobs))]), effort.middle)
             fine = max(fine, len(jobs) // _GOES_ON) if fine else 0
         self._land(jobs[:fine])
-        most = _MOST_HOPS if self._timed() else _UNTIMED_HOPS
+        most = _MOST_HOPS if self.budget.timed else _UNTIMED_HOPS
         for _ in range(0, most if effort.hops is None else effort.hops, _WORKERS):
             if _out(self.budget) or not self._elite():
                 break
@@ -267,21 +268,18 @@ class _Descending:
     def _worth(self, coarse: int) -> int:
         """How many of so many coarse descents go on: no more than leave time for some that descend finely."""
         most = max(_LEAST, coarse // _GOES_ON)
-        if not self._timed() or coarse == 0:
+        if not self.budget.timed or coarse == 0:
             return most
         each = self.descents.effort.middle.work / COARSE.work * (self.budget.elapsed - self.began) / coarse
         fits = _MIDDLE_SHARE * self.budget.remaining_seconds / max(each, 1e-9)
         return int(np.clip(fits, min(_WORKERS, most), most))
-
-    def _timed(self) -> bool:
-        return bool(np.isfinite(self.budget.time_limit))
 
     def _coarse(self) -> list[tuple[float, Start, int]]:
         """Descend coarsely from all starts and from wide bends of them; the best first."""
         until = self.budget.elapsed + _COARSE_SHARE * self.budget.remaining_seconds
         jobs = self._descended([(start, k) for k, start in enumerate(self.starts)], COARSE)
         bends = self.descents.effort.bends
-        most = bends if bends is not None else _MOST_BENDS if self._timed() else _UNTIMED_BENDS
+        most = bends if bends is not None else _MOST_BENDS if self.budget.timed else _UNTIMED_BENDS
         for _ in range(0, most if self.starts else 0, _WORKERS):
             if self.budget.elapsed >= until or _out(self.budget):
                 break

@@ -142,6 +142,11 @@ class Budget:
         return np.inf if self.iterations is None else float(max(0, self.iterations - self.spent))
 
     @property
+    def timed(self) -> bool:
+        """Whether time alone says when there was enough effort; with iterations, a time limit only ends it early."""
+        return self.iterations is None and bool(np.isfinite(self.time_limit))
+
+    @property
     def exhausted(self) -> bool:
         """Whether nothing is left or somebody cancelled."""
         return self.remaining_iterations <= 0 or self.over

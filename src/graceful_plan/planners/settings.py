@@ -7,6 +7,9 @@ import numpy as np
 from graceful_plan.exceptions import SettingError
 from graceful_plan.path import is_real
 
+MOST = 2**31 - 1
+"""What the core counts to."""
+
 
 def positive(name: str, value: float | None) -> None:
     """Refuse numbers that are not finite and above 0; None means "choose by the problem" and passes.
@@ -38,11 +41,13 @@ def positive_fraction(name: str, value: float) -> None:
         raise SettingError(name, value, "a number in (0, 1]")
 
 
-def count(name: str, value: int, least: int = 1) -> None:
-    """Refuse anything but an integer of at least `least`.
+def count(name: str, value: int, least: int = 1, most: int = MOST) -> None:
+    """Refuse anything but an integer of at least `least` and at most `most`.
 
     Raises:
         SettingError: With the name of the setting.
     """
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise SettingError(name, value, f"an integer >= {least}")
+    if value > most:
+        raise SettingError(name, value, f"an integer <= {most}")

@@ -17,6 +17,7 @@ from graceful_plan.exceptions import SettingError, ShapeError, UnknownNameError
 from graceful_plan.judge.exact import exactly_free
 from graceful_plan.path import finite_array
 from graceful_plan.query.ik import solve_ik
+from graceful_plan.query.states.pose_sets import LEVER, reach_poses
 from graceful_plan.query.states.usable import Resolved, collision, usable
 from graceful_plan.query.whole_body import solve_whole_body
 from graceful_plan.scene.mobile.base_pose import BasePose
@@ -29,10 +30,9 @@ Configuration = ArrayLike | str
 """A configuration [nq] or the name of a keyframe."""
 Goal = Configuration | PoseGoal | BasePose | Sequence[Configuration | PoseGoal | BasePose]
 
-_LEVER = 0.25
-"""What a radian counts as distance where poses are sorted by how far they are [m/rad]."""
 _ENOUGH, _OF_EACH = 8, 2
-"""Configurations that are enough for several poses, and for one of them."""
+"""Configurations that are enough for several poses that are looked at one by one, and for one of them. Of more poses
+than that, all are looked at together first."""
 _HEADINGS = 16
 """Of a base where any heading will do."""
 
@@ -62,7 +62,7 @@ def resolve_goal(
 
     Many configurations are looked at from the nearest on, and no further than for `MOST_GOALS` that are usable. Of
     several poses, inverse kinematics begins with those nearest to where the tool is, and stops once there are enough
-    configurations for them.
+    configurations for them. More poses than that are first reached together, by arms without a base (see `pose_sets`).
 
     Args:
         goal: A configuration, a keyframe by name, a pose of tool or base, or several of these.
@@ -137,24 +137,57 @@ def _several(
     cancelled: Callable[[], bool],
     hurried: Callable[[], bool],
 ) -> Resolved:
-    """Resolve configurations, then poses from the nearest on until there is enough."""
+    """Resolve configurations, then many poses together, then poses one by one from the nearest on until it is enough.
+
+    Of many poses only those are looked at one by one that were reached together, if any was.
+    """
     given = [k for k, one in enumerate(goals) if not isinstance(one, PoseGoal | BasePose)]
-    found = _given(goals, given, scene, start, cancelled, hurried)
-    q, index = [found.q], list(found.index)
-    notes, problems = list(found.notes), list(found.problems)
-    for k in _from_the_nearest_on(goals, scene, start):
+    left = _from_the_nearest_on(goals, scene, start)
+    first = _given(goals, given, scene, start, cancelled, hurried)
+    over = (lambda: cancelled() or hurried()) if first.index else cancelled
+    together = _together(goals, left, scene, start, over, hurried)
+    if together.index:
+        reached = set(together.index)
+        left = [k for k in left if k in reached or not isinstance(goals[k], PoseGoal)]
+    found, count = [first, together], len(first.index)
+    for k in left:
         one = goals[k]
         if isinstance(one, PoseGoal):
-            if len(index) >= _ENOUGH or cancelled():
+            if count >= _ENOUGH or cancelled() or (together.index and hurried()):
                 break
-            found = _pose(one, scene, start, seed, cancelled, count=_OF_EACH, rounds=1)
+            own = _pose(one, scene, start, seed, cancelled, count=_OF_EACH, rounds=1)
         else:
-            found = _standing(cast("BasePose", one), scene, start)
-        q.append(found.q)
-        index += [k] * len(found.q)
-        notes += [text.replace("goal", f"goal {k}", 1) for text in found.notes]
-        problems += [text.replace("goal", f"goal {k}", 1) for text in found.problems]
-    return Resolved(np.concatenate(q), tuple(index), tuple(notes), tuple(problems))
+            own = _standing(cast("BasePose", one), scene, start)
+        notes, problems = (tuple(t.replace("goal", f"goal {k}", 1) for t in some) for some in (own.notes, own.problems))
+        found.append(Resolved(own.q, (k,) * len(own.index), notes, problems))
+        count += len(own.index)
+    return Resolved(
+        np.concatenate([one.q for one in found]),
+        tuple(k for one in found for k in one.index),
+        tuple(text for one in found for text in one.notes),
+        tuple(text for one in found for text in one.problems),
+    )
+
+
+def _together(
+    goals: Sequence[Configuration | PoseGoal | BasePose],
+    order: list[int],
+    scene: Scene,
+    start: Float[Array, " nq"],
+    cancelled: Callable[[], bool],
+    hurried: Callable[[], bool],
+) -> Resolved:
+    """Reach many poses together, by arms alone: one configuration for each pose that has one, in the order given."""
+    poses = {k: one for k in order if isinstance(one := goals[k], PoseGoal)}
+    if len(poses) <= _ENOUGH or scene.base is not None:
+        return Resolved(np.empty((0, len(start))), ())
+
+    def turned(q: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+        return _the_short_way(q, start, scene)
+
+    found = reach_poses(list(poses.values()), scene, start, turned=turned, cancelled=cancelled, hurried=hurried)
+    which = list(poses)
+    return Resolved(found.q, tuple(which[i] for i in found.index))
 
 
 def _given(
@@ -183,7 +216,7 @@ def _from_the_nearest_on(
     X_WT = np.eye(4)
     X_WT[:3, :3], X_WT[:3, 3] = placed.xmat.reshape(3, 3), placed.xpos
     away = {
-        k: float(np.dot(pose_error(one, X_WT), (1.0, _LEVER))) if isinstance(one, PoseGoal) else -1.0
+        k: float(np.dot(pose_error(one, X_WT), (1.0, LEVER))) if isinstance(one, PoseGoal) else -1.0
         for k, one in enumerate(goals)
         if isinstance(one, PoseGoal | BasePose)
     }

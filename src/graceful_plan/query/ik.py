@@ -30,7 +30,7 @@ Array = np.ndarray
 FreeTest = Callable[[Array], Array]
 """Which of the configurations [n, nq] are free: bool [n]."""
 
-_PRECISION = 1e-3
+PRECISION = 1e-3
 """Share of the tolerances that a solution may use up."""
 _NEAR = (1e-3, 1e-2)
 """Distance [m] and angle [rad] from the pose at which the search is done and mink takes over."""
@@ -166,12 +166,12 @@ class PoseSolver:
             active, error, jacobian = _select(going, active, error, jacobian)
             if not len(active) or self.cancelled():
                 break
-            step = _short_step(error, jacobian)
+            step = short_step(error, jacobian)
             blocked = ((q[active] + step < self.lower) & (step < 0.0)) | (
                 (q[active] + step > self.upper) & (step > 0.0)
             )
             # Joints that would leave their limits stay; the others make up for them.
-            again = _short_step(error, np.where(blocked[:, None, :], 0.0, jacobian))
+            again = short_step(error, np.where(blocked[:, None, :], 0.0, jacobian))
             q[active] = np.clip(q[active] + again, self.lower, self.upper)
         error, _ = self._linearised(q)
         return q[_within(error, *_NEAR)], q[_best_first(error)]
@@ -190,14 +190,14 @@ class PoseSolver:
             if not going.any() or self.cancelled():
                 break
             jacobian[:, :, held] = 0.0
-            q[going] = np.clip(q[going] + _short_step(error[going], jacobian[going]), self.lower, self.upper)
+            q[going] = np.clip(q[going] + short_step(error[going], jacobian[going]), self.lower, self.upper)
             error, jacobian = self._linearised(q)
         best = q[_best_first(error)[0]]
         return q[self._exact(error)], self.errors(best)
 
     def _exact(self, error: Float[Array, "n 6"]) -> Bool[Array, " n"]:
         goal = self.goal
-        return _within(error, _PRECISION * goal.position_tolerance, _PRECISION * goal.orientation_tolerance)
+        return _within(error, PRECISION * goal.position_tolerance, PRECISION * goal.orientation_tolerance)
 
     def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
         """Move configurations to the pose by mink; return what reached it, and where all of them ended, the best first.
@@ -290,7 +290,8 @@ def _best_first(error: Float[Array, "n 6"]) -> Int[Array, " n"]:
     return np.argsort(np.linalg.norm(error, axis=1), kind="stable")
 
 
-def _short_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
+def short_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
+    """Return damped steps towards poses in which no joint goes far."""
     step = damped_step(error, jacobian)
     return step * np.minimum(1.0, _LARGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
 

@@ -33,6 +33,8 @@ Array = np.ndarray
 Severity = SeverityTable | Mapping[str, float | Mapping[str, float]]
 """Other severities, as `Scene.with_severity` takes them."""
 
+_MOST_NODES, _MOST_NEIGHBOURS = 1_000_000, 1000
+"""What a roadmap may be asked for: edges are as many as nodes times neighbours, and all of them are in memory."""
 _KEPT = 8
 """How many graphs of pairs of ends are kept, and how many sets of severities."""
 
@@ -98,8 +100,8 @@ class Roadmap:
         """
         started = time.perf_counter()
         check_stands(scene, "a roadmap")
-        count("nodes", nodes)
-        count("neighbours", neighbours)
+        count("nodes", nodes, most=_MOST_NODES)
+        count("neighbours", neighbours, most=_MOST_NEIGHBOURS)
         rng, chosen = checked_seed(seed), checked_objective(objective, None)
         limit = np.inf if time_limit is None else checked_time_limit(time_limit, None)
         exposure = Exposure(chosen, scene)

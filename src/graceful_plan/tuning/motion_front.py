@@ -84,7 +84,7 @@ class MotionFront:
         """
         for _ in self._from_paths(paths, (budget, rng)):
             yield "descend"
-        timed = bool(np.isfinite(budget.time_limit))
+        timed = budget.timed
         for step in count():
             if budget.elapsed >= budget.time_limit or not len(self.archive):
                 return

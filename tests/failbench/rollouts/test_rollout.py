@@ -141,8 +141,9 @@ def test_misuse_is_refused(done):
     with pytest.raises(UnknownNameError, match="unknown target 'elbow'"):
         run(done, [Job(fault=Drop(targets=("elbow",)), onset=0.1, seed=0)])
     for setting in ("threads", "batch"):
-        with pytest.raises(SettingError, match=f"{setting} = 0, expected at least 1"):
-            run(done, [Job(fault=Drop(), onset=0.1, seed=0)], **{setting: 0})
+        for wrong, expected in ((0, "at least 1"), (10**400, "at most")):
+            with pytest.raises(SettingError, match=rf"{setting} = .*, expected a whole number, {expected}"):
+                run(done, [Job(fault=Drop(), onset=0.1, seed=0)], **{setting: wrong})
     assert run(done, []) == []
 
 

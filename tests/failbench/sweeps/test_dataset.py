@@ -14,7 +14,7 @@ from failbench.sweeps import dataset
 from failbench.sweeps.dataset import MANIFEST, read_dataset, write_dataset
 from graceful_plan.exceptions import FormatError
 
-ABOUT = {"sweep": {"schema": "failbench.sweep", "seed": 7}, "versions": {"mujoco": "4.0.0"}}
+ABOUT = {"sweep": {"schema": "failbench.sweep", "seed": 7}, "versions": {"graceful_plan": "0.1.0", "mujoco": "4.0.0"}}
 COUNT = 10
 
 
@@ -91,7 +91,7 @@ def test_every_part_says_what_it_is(folder):
         schema = pq.read_schema(folder / table / "part-00000.parquet")
         assert schema.metadata[b"failbench.schema"] == f"failbench.{table}".encode()
         assert json.loads(schema.metadata[b"failbench.sweep"]) == ABOUT["sweep"]
-        assert json.loads(schema.metadata[b"failbench.versions"]).keys() == {"mujoco", "pyarrow"}
+        assert json.loads(schema.metadata[b"failbench.versions"]).keys() == {*ABOUT["versions"], "pyarrow"}
         for column in columns:
             about = schema.field(column.name).metadata
             assert (about[b"unit"].decode(), about[b"meaning"].decode()) == (column.unit, column.meaning)
@@ -150,6 +150,35 @@ def test_a_manifest_that_was_touched_is_refused(folder):
         file.write_text(change)
         with pytest.raises(FormatError, match=rf"manifest\.json: .*{message}"):
             read_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (("rows",), 7, "no numbers of rows of each table"),
+        (("rows", "contacts"), -1, "no numbers of rows of each table"),
+        (("rows", "rollouts"), True, "no numbers of rows of each table"),
+        (("versions",), {"graceful_plan": "0.1.0"}, "no versions of what it was made with"),
+        (("sweep",), None, "no sweep that it was made from"),
+        (("parts",), {}, r"parts\[0\] does not say file"),
+        (("parts", 1), [], r"parts\[1\] does not say file"),
+        (("parts", 1, "file"), 0, r"parts\[1\] does not say file"),
+        (("parts", 1, "sha256"), None, r"parts\[1\] does not say file"),
+        (("parts", 1, "bytes"), 1.5, r"parts\[1\] does not say file"),
+        (("parts", 0, "file"), "rollouts/../../secret.parquet", "is no name of a part"),
+        (("parts", 0, "file"), "/rollouts/part-00000.parquet", "is no name of a part"),
+    ],
+)
+def test_a_manifest_whose_checksum_fits_may_be_none_all_the_same(folder, place, value, message):
+    manifest = json.loads((folder / MANIFEST).read_text())
+    inner = manifest
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = value
+    manifest["sha256"] = dataset._self_checksum(manifest)
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(FormatError, match=rf"manifest\.json: .*{message}"):
+        read_dataset(folder)
 
 
 def test_a_part_with_other_columns_is_refused_even_if_its_checksum_fits(folder):

@@ -114,10 +114,17 @@ def test_tables_are_read_by_pandas_and_polars_and_say_what_they_are(dataset, tmp
     assert card.startswith("---\n") and "config_name: points" in card and "images/*.parquet" not in card
     assert f"{counts['points']} rows" in card and "gripper_failure (critical)" in card
     again = tmp_path / "again"
+    again.mkdir()
+    (again / "README.md").write_text("of somebody else")
     write_traces(dataset, again, rollouts=[0, 2], sampling=Sampling(every=10))
     for table in ("steps", "points"):
         name = f"{table}/part-00000.parquet"
         assert (again / name).read_bytes() == (tmp_path / name).read_bytes()
+    assert (again / "README.md").read_text() == "of somebody else"
+    card_of_another_run = tmp_path / "README.md"
+    card_of_another_run.write_text(card + "more")
+    write_traces(dataset, tmp_path, rollouts=[0, 2], sampling=Sampling(every=10))
+    assert card_of_another_run.read_text() == card
 
 
 def test_hugging_face_datasets_reads_them(dataset, tmp_path):
