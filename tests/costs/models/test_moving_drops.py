@@ -13,8 +13,9 @@ from graceful_plan.costs.cost import StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.drop.constants import DropSettings
 from graceful_plan.costs.models.mixture.mixture import Footprint
+from graceful_plan.costs.models.moving.arm import moving_spheres
 from graceful_plan.costs.models.moving.drops import moving_probability
-from graceful_plan.costs.models.moving.whereabouts import _CELL, PLACES, normal_places
+from graceful_plan.costs.models.moving.whereabouts import _CELL, PLACES, OffPrediction, normal_places, touched
 
 _STANDING = (0.03, 0.15)
 """Largest mean and single difference from the model of what stands still: here the object is followed down the side of
@@ -182,6 +183,30 @@ def test_nobody_is_where_they_would_have_been_touched():
     assert P < 0.6 * blind  # most places from which it is hit are such
     inside = gp.MovingEntity("p", "adult", size=[0.2, 0.85], t=[0.0], position=[[0.0, 0.0, 0.85]], spread=0.02)
     assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # of none that is free, all
+
+
+@pytest.mark.parametrize("size", ["box", "cylinder"])
+def test_whom_links_touch_is_found_as_by_looking_at_every_sphere(size):
+    scene, rng, n = gp.load_scene("tabletop").tasks["right_to_left"].scene, np.random.default_rng(0), 600
+    entity = walker(0.4, size=size, speed=0.4, spread=0.3)
+    entity = replace(entity, position=entity.position + [0.0, 0.0, 0.5])
+    low, high = scene.limits.position.T
+    batch = StateBatch(scene, rng.uniform(low, high, (40, len(low))))
+    state, time = rng.integers(0, 40, n), rng.uniform(-1.0, 1.0, n)
+    who = OffPrediction(entity, rng.normal(size=(n, 2)), 0.3)
+    centre, radius = moving_spheres(batch)
+    here, there, half = who.at(time), entity.at(time), entity.half_size
+    expected = np.zeros(n, dtype=bool)
+    for i in range(n):
+        away = centre[state[i]] - [*here[i], there.position[i, 2]]
+        c, s = np.cos(there.yaw[i]), np.sin(there.yaw[i])
+        away = np.abs(away @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+        if entity.is_round:
+            away = np.stack([np.linalg.norm(away[:, :2], axis=1), away[:, 2]], axis=1)
+        gap = np.maximum(away - half[-away.shape[1] :], 0.0)
+        expected[i] = (np.linalg.norm(gap, axis=1) < radius - batch.compiled.robot.protrusion).any()
+    assert 0.05 < expected.mean() < 0.9
+    np.testing.assert_array_equal(touched(batch, who, state, time), expected)
 
 
 @pytest.mark.parametrize("geom", ["box", "cylinder"])

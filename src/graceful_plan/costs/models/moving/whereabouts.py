@@ -13,7 +13,6 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import StateBatch
-from graceful_plan.costs.models.moving.arm import moving_spheres
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -24,6 +23,7 @@ _SHARP = 0.01
 """Standard deviations below this need no more than one place [m]."""
 _CELL = float(np.sqrt(2.0 * np.pi / 12.0 / PLACES))
 """Standard deviation within what one of them stands for, over that of all."""
+_ROUNDING = 1e-9  # of what is near in one order of sums and not in another [m]
 _GOLDEN, _STRIDE = np.pi * (3.0 - np.sqrt(5.0)), 7
 
 
@@ -89,21 +89,40 @@ def off_predictions(
 def touched(
     batch: StateBatch, who: OffPrediction, state: Int[Array, " pair"], time: Float[Array, " pair"]
 ) -> Bool[Array, " pair"]:
-    """Tell for which pairs the entity would be touched by moving links or what they carry before anything fails."""
-    centre, radius = moving_spheres(batch)
-    radius = radius - batch.compiled.robot.protrusion
-    here, there, half = who.at(time), who.entity.at(time), who.entity.half_size
-    c, s = np.cos(there.yaw)[:, None], np.sin(there.yaw)[:, None]
+    """Tell for which pairs the entity would be touched by moving links or what they carry before anything fails.
+
+    A link's spheres are looked at for the pairs alone where a circle around all of them, seen from above, meets one
+    around the entity: mostly these are few.
+    """
+    robot, half, here = batch.compiled.robot, who.entity.half_size, who.at(time)
     found = np.zeros(len(state), dtype=bool)
-    for first in range(0, len(radius), 16):  # a few spheres at a time, to bound memory
-        part = slice(first, first + 16)
-        ball = centre[:, part][state]
-        x, y = ball[..., 0] - here[:, :1], ball[..., 1] - here[:, 1:]
-        if who.entity.is_round:
-            beside = np.maximum(np.hypot(x, y) - half[0], 0.0)
-        else:
-            along, across = np.abs(c * x + s * y), np.abs(c * y - s * x)
-            beside = np.hypot(np.maximum(along - half[0], 0.0), np.maximum(across - half[1], 0.0))
-        above = np.maximum(np.abs(ball[..., 2] - there.position[:, 2:]) - half[2], 0.0)
-        found |= (np.hypot(beside, above) < radius[part]).any(axis=1)
+    for link in np.unique(robot.sphere_link[robot.sphere_link != 0]).tolist():
+        centre, radius = (x[robot.sphere_link == link] for x in (robot.sphere[:, :3], robot.sphere[:, 3]))
+        radius = radius - robot.protrusion
+        middle = 0.5 * (centre.min(axis=0) + centre.max(axis=0))
+        reach = (np.linalg.norm(centre - middle, axis=1) + radius).max() + np.linalg.norm(half[:2]) + _ROUNDING
+        rotation, origin = batch.link_poses[:, link, :3, :3], batch.link_poses[:, link, :3, 3]
+        seen = (rotation @ middle + origin)[state, :2]
+        near = np.flatnonzero(~found & (np.hypot(*(seen - here).T) < reach))
+        of = state[near]
+        for first in range(0, len(radius) if len(near) else 0, 16):  # a few spheres at a time, to bound memory
+            part = slice(first, first + 16)
+            ball = np.einsum("pij,sj->psi", rotation[of], centre[part]) + origin[of, None]
+            found[near] |= (_away(who, ball, here[near], time[near]) < radius[part]).any(axis=1)
     return found
+
+
+def _away(
+    who: OffPrediction, point: Float[Array, "pair sphere 3"], here: Float[Array, "pair 2"], time: Float[Array, " pair"]
+) -> Float[Array, "pair sphere"]:
+    """Return how far points are from the entity when it is here at that time [m], 0 within."""
+    there, half = who.entity.at(time), who.entity.half_size
+    x, y = point[..., 0] - here[:, :1], point[..., 1] - here[:, 1:]
+    if who.entity.is_round:
+        beside = np.maximum(np.hypot(x, y) - half[0], 0.0)
+    else:
+        c, s = np.cos(there.yaw)[:, None], np.sin(there.yaw)[:, None]
+        along, across = np.abs(c * x + s * y), np.abs(c * y - s * x)
+        beside = np.hypot(np.maximum(along - half[0], 0.0), np.maximum(across - half[1], 0.0))
+    above = np.maximum(np.abs(point[..., 2] - there.position[:, 2:]) - half[2], 0.0)
+    return np.hypot(beside, above)
