@@ -28,6 +28,7 @@ from graceful_plan.core import _native
 from graceful_plan.core.kernels import instruction_sets
 from graceful_plan.floor.lattice import LatticeSettings, StateLattice
 from graceful_plan.floor.reeds_shepp import Steering
+from graceful_plan.floor.timed_paths import HEADINGS, LEAVES, STANDS, Others, TimedLattice
 from graceful_plan.planners.native import native_space
 from graceful_plan.planners.scene_problem import SceneProblem
 
@@ -255,7 +256,11 @@ def situations() -> None:
     ends = np.array([0, 1, 2], dtype=np.int32), np.array([1, 2, 3], dtype=np.int32)
     _native.GraphSearch(4, *ends).cheapest(np.ones(3), 0, ends[1])
     drive = next(iter(gp.load_scene("hallway").tasks.values()))
-    gp.plan(drive.start, drive.goal, drive.scene, iterations=60)
+    gp.plan(drive.start, drive.goal, drive.scene.without_moving(), iterations=60)  # among people NumPy takes long
+    walker = Others(shape=np.full((1, 4, 7), 0.5), velocity=np.zeros((1, 4), dtype=np.int32))
+    open_floor = np.full((HEADINGS, 6, 9), STANDS | LEAVES, dtype=np.uint8)
+    lattice = TimedLattice(open=open_floor, width=1.0, tick=0.5, ticks=40, outline=np.array([[0.1, 0.0, 0.3]]))
+    lattice.cheapest((0, 5, 0), (8, 3), others=walker)
     steering = Steering(radius=0.4)
     native = steering.native()
     native.along(np.zeros((4, 3)), native.curves(np.zeros((4, 3)), np.ones((4, 3)))[1], np.ones((4, 6)))

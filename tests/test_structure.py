@@ -12,6 +12,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,12 @@ def module_name(file: Path) -> str:
 MODULES = {module_name(file): file for file in FILES + HARNESS_FILES}
 
 
+@cache
+def syntax_of(file: Path) -> ast.Module:
+    """Parse a file, once."""
+    return ast.parse(file.read_text())
+
+
 def imports(tree: ast.Module) -> Iterator[str]:
     """Yield the full name of everything imported, for types and inside of functions too."""
     for node in ast.walk(tree):
@@ -110,7 +117,7 @@ def imports(tree: ast.Module) -> Iterator[str]:
 def imported_modules(name: str) -> set[str]:
     """Name the modules of both packages that a module imports; a name in a module stands for the module."""
     found = set()
-    for full in imports(ast.parse(MODULES[name].read_text())):
+    for full in imports(syntax_of(MODULES[name])):
         parts = full.split(".")
         known = [".".join(parts[:n]) for n in range(len(parts), 0, -1) if ".".join(parts[:n]) in MODULES]
         found.update(known[:1])
@@ -229,7 +236,7 @@ def test_no_class_name_stands_twice():
     names = Counter(
         node.name
         for file in FILES + HARNESS_FILES
-        for node in ast.walk(ast.parse(file.read_text()))
+        for node in ast.walk(syntax_of(file))
         if isinstance(node, ast.ClassDef)
     )
     assert {name for name, n in names.items() if n > 1} == set()
@@ -239,20 +246,20 @@ def test_no_call_has_more_than_six_positional_arguments():
     calls = [
         f"{file.name}:{node.lineno}"
         for file in FILES + HARNESS_FILES
-        for node in ast.walk(ast.parse(file.read_text()))
+        for node in ast.walk(syntax_of(file))
         if isinstance(node, ast.Call) and len(node.args) > 6
     ]
     assert calls == []
 
 
 def test_library_never_imports_what_is_built_on_it():
-    roots = {name.split(".")[0] for file in FILES for name in imports(ast.parse(file.read_text()))}
+    roots = {name.split(".")[0] for file in FILES for name in imports(syntax_of(file))}
     assert "numpy" in roots
     assert not roots & {"failbench", "benchmarks", "tests", "examples"}
 
 
 def test_the_harness_uses_what_is_public_and_nothing_above_it():
-    names = {name for file in HARNESS_FILES for name in imports(ast.parse(file.read_text()))}
+    names = {name for file in HARNESS_FILES for name in imports(syntax_of(file))}
     assert not {name for name in names if name.startswith("graceful_plan") and "._" in name}
     assert not {name.split(".")[0] for name in names} & {"benchmarks", "tests", "examples"}
 
@@ -261,7 +268,7 @@ def test_only_the_command_lines_print():
     printing = {
         file.name
         for file in FILES + HARNESS_FILES
-        for node in ast.walk(ast.parse(file.read_text()))
+        for node in ast.walk(syntax_of(file))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
     }
     assert printing == {"cli.py", "console.py"}

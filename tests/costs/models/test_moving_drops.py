@@ -185,22 +185,28 @@ def test_nobody_is_where_they_would_have_been_touched():
     assert probability(scene, inside, np.zeros(4), time=0.0)[0] > 0.9  # of none that is free, all
 
 
-@pytest.mark.parametrize("size", [[0.25, 0.85], [0.4, 0.2, 0.3]])
-def test_who_would_be_touched_is_whom_any_sphere_touches(size):
-    scene = gp.load_scene("hallway").tasks["carry_bottle"].scene
-    rng = np.random.default_rng(1)
-    q, t = rng.uniform(*np.clip(scene.limits.position.T, -1.0, 1.0), (200, len(scene.joints))), np.zeros(200)
-    who = gp.MovingEntity("a", "adult", size=size, t=[0.0], position=[[0.3, 0.2, 0.6]], yaw=[0.4], spread=0.3)
-    batch, off = StateBatch(scene, q, time=t), rng.normal(size=(200, 2))
-    there = off * 0.3 + [0.3, 0.2]
+@pytest.mark.parametrize("size", ["box", "cylinder"])
+def test_whom_links_touch_is_found_as_by_looking_at_every_sphere(size):
+    scene, rng, n = gp.load_scene("tabletop").tasks["right_to_left"].scene, np.random.default_rng(0), 600
+    entity = walker(0.4, size=size, speed=0.4, spread=0.3)
+    entity = replace(entity, position=entity.position + [0.0, 0.0, 0.5])
+    low, high = scene.limits.position.T
+    batch = StateBatch(scene, rng.uniform(low, high, (40, len(low))))
+    state, time = rng.integers(0, 40, n), rng.uniform(-1.0, 1.0, n)
+    who = OffPrediction(entity, rng.normal(size=(n, 2)), 0.3)
     centre, radius = moving_spheres(batch)
-    x, y, z = np.moveaxis(centre - np.column_stack([there, np.full(200, 0.6)])[:, None], -1, 0)
-    along, across = np.abs(np.cos(0.4) * x + np.sin(0.4) * y), np.abs(np.cos(0.4) * y - np.sin(0.4) * x)
-    beside = [np.hypot(x, y) - size[0]] if who.is_round else [along - size[0], across - size[1]]
-    beyond = np.maximum(np.stack([*beside, np.abs(z) - size[-1]]), 0.0)
-    expected = (np.linalg.norm(beyond, axis=0) < radius - batch.compiled.robot.protrusion).any(axis=1)
-    assert 20 < expected.sum() < 180
-    np.testing.assert_array_equal(touched(batch, OffPrediction(who, off, 1.0), np.arange(200), t), expected)
+    here, there, half = who.at(time), entity.at(time), entity.half_size
+    expected = np.zeros(n, dtype=bool)
+    for i in range(n):
+        away = centre[state[i]] - [*here[i], there.position[i, 2]]
+        c, s = np.cos(there.yaw[i]), np.sin(there.yaw[i])
+        away = np.abs(away @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+        if entity.is_round:
+            away = np.stack([np.linalg.norm(away[:, :2], axis=1), away[:, 2]], axis=1)
+        gap = np.maximum(away - half[-away.shape[1] :], 0.0)
+        expected[i] = (np.linalg.norm(gap, axis=1) < radius - batch.compiled.robot.protrusion).any()
+    assert 0.05 < expected.mean() < 0.9
+    np.testing.assert_array_equal(touched(batch, who, state, time), expected)
 
 
 @pytest.mark.parametrize("geom", ["box", "cylinder"])
