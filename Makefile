@@ -13,7 +13,7 @@ NATIVE := CMakeLists.txt pyproject.toml src/graceful_plan/_version.py $(CXX_FILE
 # Compiled modules are kept: every process that tests start would compile hundreds of files again.
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo picture sheet films gallery test test-long test-all test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
+.PHONY: help demo picture sheet films gallery test test-long test-robots test-policies test-viewer fuzz mutants audit lint docs bench wheel \
   release lock clean
 .DELETE_ON_ERROR:
 
@@ -21,7 +21,6 @@ help:
 	@echo "make demo   plan 'tabletop' with and without regard for failures; pictures in graceful_plan_demo/"
 	@echo "make test   run the tests, less than 4 minutes"
 	@echo "make test-long  run further cases, and tests that take longer"
-	@echo "make test-all  run both"
 	@echo "make test-robots  run tests with robots from packages, which are 370 MB"
 	@echo "make test-policies  run tests of policies with Stable-Baselines3 and torch, which are 200 MB"
 	@echo "make test-viewer  run tests of the viewer, in a browser if there are chromium and its driver"
@@ -64,10 +63,6 @@ test: $(VENV)/.package $(VENV)/.dev
 
 test-long: $(VENV)/.package $(VENV)/.dev
 	$(PYTEST) -m long $(ARGS)
-
-# Both at once: collecting takes each process a while, and what is shared by a file's tests is made once.
-test-all: $(VENV)/.package $(VENV)/.dev
-	$(PYTEST) $(ARGS)
 
 test-robots: $(VENV)/.package $(VENV)/.robots
 	$(PYTEST) tests/scene/urdf $(ARGS)
