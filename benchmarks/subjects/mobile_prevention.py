@@ -29,7 +29,7 @@ wheels that turn, and fails {FAILURES} times with each fault that its robot can 
 body of the base hits counts by the square of its speed up to 1 m/s, what is carried by what it falls on, the loss of
 itself included. **Per task**: failures come per hour, so it is harm per failure times duration; where nothing is hit,
 {LEAST:g} of a hit of severity 1 counts. "Refused": the healthy robot cannot execute the motion, for instance since
-somebody walks into it: planning does not know those who walk. "Worse": more harm per task than at w = 0, by more than
+somebody walks into it where it has to pass. "Worse": more harm per task than at w = 0, by more than
 twice the standard error of the paired difference.
 """
 
