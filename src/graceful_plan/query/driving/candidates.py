@@ -14,7 +14,6 @@ import numpy as np
 from graceful_plan.exceptions import RetimingError
 from graceful_plan.path import Path
 from graceful_plan.planners.driving.drive_lattice import DriveLattice
-from graceful_plan.planners.driving.roughly import rough_objective
 from graceful_plan.planners.planner import Budget
 from graceful_plan.planners.scene_problem import SceneProblem
 from graceful_plan.query.driving.among.pacing import paced
@@ -50,8 +49,6 @@ _REPOSED, _LINES = 8, 2
 """How often postures are chosen along a motion, and along how many that the arm stays in."""
 _WORTH = 1e-3
 """Relative gain below which no more postures are chosen."""
-_COMPETE = 6
-"""Motions that are charged in full: the others cost more by an objective that is within percents of the asked one."""
 _SLOWER = (0.6, 0.4, 0.8)
 """Shares of the speed at which curves among those who move are made as well."""
 _INTO = 1e6
@@ -75,19 +72,10 @@ class Drives:
     cancelled: Callable[[], bool] = lambda: False
     walkers: Walkers | None = field(init=False)
     """Those who move, if anybody does."""
-    closely: Request = field(init=False)
-    """The request with an objective that is close to the asked one and fast; the law of time knows when to go."""
 
     def __post_init__(self) -> None:
         objective = self.request.objective
-        walkers = Walkers(objective) if objective.scene.moving else None
-        object.__setattr__(self, "walkers", walkers)
-        closely = self.request
-        if walkers is not None:
-            closely = replace(self.request, max_wait=0.0, objective=walkers.rough)
-        elif self.request.preference is None:
-            closely = replace(self.request, objective=rough_objective(objective))
-        object.__setattr__(self, "closely", closely)
+        object.__setattr__(self, "walkers", Walkers(objective) if objective.scene.moving else None)
 
     def without_regard_for_impact(self) -> Drives:
         """Return the same for a weight of 0."""
@@ -107,7 +95,7 @@ class Drives:
         """Return the best of them, charged by J as `motions` are, None if it drives into somebody."""
         if not ordinary or ordinary[0][0].ranking >= _INTO:
             return None
-        return recharged(ordinary[0][0], self.closely if self.walkers is not None else self.request)
+        return recharged(ordinary[0][0], self._closely)
 
     def motions(
         self,
@@ -147,7 +135,7 @@ class Drives:
             scene = self.request.objective.scene
             return [charged(whole, retime(whole, scene.limits, scene.joints), arrival, self.request)]
         made = self._timed(connected(list(stopping(whole.q))), whole, arrival)
-        return self._in_order([motion for motion, _ in made], None)
+        return sorted((motion for motion, _ in made), key=lambda one: one.ranking)
 
     def in_full(self, motion: Motion) -> Motion:
         """Return a motion charged for what was asked; ranked behind all others if it was."""
@@ -156,16 +144,16 @@ class Drives:
         full = recharged(motion, replace(self.request, max_wait=0.0))
         return replace(full, ranking=full.ranking + _INTO * (motion.ranking >= _INTO))
 
+    @property
+    def _closely(self) -> Request:
+        """The request with an objective that is close to the asked one and fast; the law of time knows when to go."""
+        if self.walkers is None:
+            return self.request
+        return replace(self.request, max_wait=0.0, objective=self.walkers.rough)
+
     def _in_order(self, found: list[Motion], reference: Motion | None) -> list[Motion]:
         """Return motions, the best first; what costs more than the reference comes behind it."""
         found = sorted(found, key=lambda one: one.ranking)
-        if self.walkers is None and self.closely.objective is not self.request.objective:
-            full = []
-            for motion in found[:_COMPETE]:
-                if full and not self._has_plenty():
-                    break
-                full.append(recharged(motion, self.request))
-            found = sorted(full, key=lambda one: one.ranking)
         if reference is None:
             return found
         if self.request.preference is not None:
@@ -255,7 +243,7 @@ class Drives:
         """Return motions along a curve: as fast as can be, and with the law of time that pays."""
         if not drive.stretches:
             return []
-        request, price = self.closely, price_of_time(self.request)
+        request, price = self.request, price_of_time(self.request)
         if self.walkers is not None:
             return [(motion, drive) for motion in self._in_time(drive, whole, arrival, self.walkers)]
         with request.clock.measured("timing"):
@@ -270,7 +258,7 @@ class Drives:
 
     def _in_time(self, drive: Drive, whole: Path, arrival: int, walkers: Walkers) -> Iterator[Motion]:
         """Do so among those who move, charged closely; motions that drive into somebody rank behind all others."""
-        request = self.closely
+        request = self._closely
         with request.clock.measured("timing"):
             try:
                 fast = self._trajectory(drive)

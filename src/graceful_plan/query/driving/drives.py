@@ -70,8 +70,7 @@ def _smooth(stage: DriveStage, smoother: Smoother, problem: SceneProblem, budget
         return
     for spacing in _SPACINGS:
         roll = _fitted(stage, spacing)
-        near = smoother.roughly.descended(roll, budget)
-        for curve in (smoother.descended(near, budget), near, roll):
+        for curve in (smoother.descended(roll, budget), roll):
             if problem.states_free(curve.samples(2)[1][0]).all():
                 yield curve
                 return

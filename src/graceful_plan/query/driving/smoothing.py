@@ -13,13 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.costs.objective import SceneObjective
-from graceful_plan.planners.driving.roughly import rough_objective
 from graceful_plan.planners.planner import Budget
 from graceful_plan.query.driving.among.walkers import KEPT, Walkers
 from graceful_plan.query.driving.moving_curve import Curvature, MovingCurve
@@ -111,14 +109,6 @@ class Smoother:
     speed: float
     walkers: Walkers | None = None
     begins: float = 0.0
-
-    @cached_property
-    def roughly(self) -> Smoother:
-        """The same for an impact that is close to the asked one and takes a tenth of the time; see `rough_objective`.
-
-        It knows nothing of bases of which one side fails, so that what it ends with is where to go on from.
-        """
-        return replace(self, objective=rough_objective(self.objective))
 
     def shortest(self) -> Smoother:
         """Return the same for an objective in which no impact counts."""
