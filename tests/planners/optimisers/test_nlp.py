@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import signal
+from typing import Any
 
 import numpy as np
 import pytest
 
+from graceful_plan.planners.optimisers import nlp
 from graceful_plan.planners.optimisers.nlp import Pattern, Program, SolveOutcome, Values, minimise
 
 Array = np.ndarray
@@ -108,6 +110,26 @@ def test_interrupts_that_somebody_swallows_come_through_too() -> None:
             minimise(program, np.linspace(0.0, 0.3, 20))
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         assert program.asked == 1
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_interrupts_while_casadi_asks_for_shapes_come_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = nlp.callback_class
+
+    def interrupted(casadi: Any) -> Any:
+        class Interrupted(made(casadi)):
+            def get_n_in(self) -> int:
+                signal.raise_signal(signal.SIGINT)
+                return super().get_n_in()
+
+        return Interrupted
+
+    monkeypatch.setattr(nlp, "callback_class", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            minimise(Quartic(3, 1.0, curved=True), np.zeros(3))
     finally:
         signal.signal(signal.SIGINT, before)
 

@@ -126,9 +126,9 @@ def minimise(
     }
     if program.hessian_pattern is None:
         options["hessian_approximation"] = "limited-memory"
-    functions = _functions(program, calls, casadi)
-    solver = _solver(functions, options, program, casadi)
     with calls.remembering_interrupts():
+        functions = _functions(program, calls, casadi)
+        solver = _solver(functions, options, program, casadi)
         found = solver(x0=x, lbx=program.lower, ubx=program.upper, lbg=program.least, ubg=program.most)
     if calls.error is not None:
         raise calls.error
@@ -180,7 +180,11 @@ class _Calls:
 
     @contextmanager
     def remembering_interrupts(self) -> Generator[None]:
-        """Keep what Ctrl-C raises for later, too: CasADi looks for it between our answers, and would swallow it."""
+        """Keep what Ctrl-C raises for later, too.
+
+        CasADi looks for it between our answers and would swallow it; of one that comes while it asks for the shapes of
+        our functions, it makes a RuntimeError.
+        """
         before = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is not threading.main_thread() or not callable(before):
             yield
@@ -207,7 +211,7 @@ def _functions(program: Program, calls: _Calls, casadi: Any) -> dict[str, Any]:
     n, m = len(program.lower), len(program.least)
     x, p, g, one = (casadi.Sparsity.dense(*shape) for shape in ((n, 1), (0, 1), (m, 1), (1, 1)))
     jacobian, order = _sparsity(program.jacobian_pattern, (m, n), casadi)
-    callback = _callback_class(casadi)
+    callback = callback_class(casadi)
 
     def function(name: str, answer: Callable[..., list[Any]], inputs: list[Any], outputs: list[Any]) -> Any:
         nothing = [casadi.DM(sparsity, np.full(sparsity.nnz(), np.nan)) for sparsity in outputs]
@@ -261,7 +265,7 @@ def _sparsity(pattern: Pattern, shape: tuple[int, int], casadi: Any) -> tuple[An
     return casadi.Sparsity.triplet(*shape, rows, columns), order
 
 
-def _callback_class(casadi: Any) -> Any:
+def callback_class(casadi: Any) -> Any:
     """CasADi is imported on demand only, so the class that derives from its own is made on demand, too."""
 
     class Callback(casadi.Callback):
