@@ -51,19 +51,27 @@ def test_no_way_to_a_pose_is_shorter_than_the_lower_bound(tabletop: Scene, seed:
     assert bound is not None and 0.0 <= bound <= float(np.linalg.norm(end - start)) + 1e-9
 
 
+def arm_of(bodies: str, joints: int) -> Scene:
+    """An arm "arm/" with a tool, whose joints may all move at 1 rad/s or m/s."""
+    return Scene.from_mjcf(
+        f'<mujoco><compiler angle="radian"/><worldbody>{bodies}</worldbody></mujoco>',
+        robot="arm/",
+        tool="arm/tool",
+        velocity=[1.0] * joints,
+        acceleration=[1.0] * joints,
+    )
+
+
 def test_bounds_of_two_slides_and_a_hinge_by_hand():
     """A slide moves the tool by as much as it moves itself, the hinge by .25 m a radian and turns it by as much."""
-    scene = Scene.from_mjcf(
-        """<mujoco><compiler angle="radian"/><worldbody>
+    scene = arm_of(
+        """
           <body name="arm/x"><joint name="arm/x" type="slide" axis="1 0 0" range="-2 2"/><geom size=".02" mass="1"/>
             <body name="arm/y"><joint name="arm/y" type="slide" axis="0 1 0" range="-2 2"/><geom size=".02" mass="1"/>
               <body name="arm/turn"><joint name="arm/turn" axis="0 0 1" range="-3 3"/>
                 <geom size=".02" mass="1" pos="0 0 .2"/><site name="arm/tool" pos=".25 0 0"/></body></body></body>
-        </worldbody></mujoco>""",
-        robot="arm/",
-        tool="arm/tool",
-        velocity=[1.0] * 3,
-        acceleration=[1.0] * 3,
+        """,
+        joints=3,
     )
     objective, start = Objective().bind(scene), np.zeros(3)
     far = PoseGoal.at([1.25, 0.0, 0.0], position_tolerance=0.1)
@@ -74,16 +82,13 @@ def test_bounds_of_two_slides_and_a_hinge_by_hand():
 
 def test_bounds_of_two_hinges_by_hand():
     """The first joint counts as well: it moves the tool by .55 m a radian, the second by .25 m, both turn it."""
-    scene = Scene.from_mjcf(
-        """<mujoco><compiler angle="radian"/><worldbody>
+    scene = arm_of(
+        """
           <body name="arm/a"><joint name="arm/a" axis="0 0 1" range="-3 3"/><geom size=".02" mass="1"/>
             <body name="arm/b" pos=".3 0 0"><joint name="arm/b" axis="0 0 1" range="-3 3"/>
               <geom size=".02" mass="1" pos="0 0 .2"/><site name="arm/tool" pos=".25 0 0"/></body></body>
-        </worldbody></mujoco>""",
-        robot="arm/",
-        tool="arm/tool",
-        velocity=[1.0] * 2,
-        acceleration=[1.0] * 2,
+        """,
+        joints=2,
     )
     objective, start = Objective().bind(scene), np.zeros(2)
     far = PoseGoal.at([-0.45, 0.0, 0.0], position_tolerance=0.1)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from failbench.simulated.plant import Plant
+from failbench.simulated.robot import Robot
 from failbench.simulated.world import World
 from graceful_plan.exceptions import UnsupportedError
 
@@ -50,10 +51,7 @@ def add_friction(plant: Plant, share: float) -> Array:
     Raises:
         UnsupportedError: If the greatest torque of one of them is not known.
     """
-    limit = plant["actuator_forcerange"][plant.robot.actuators[plant.joints], 1]
-    for joint in plant.joints[limit <= 0.0]:
-        name = plant.robot.joints[joint]
-        raise UnsupportedError(f"the greatest torque of the joint {name!r} is not known; tell the scene")
+    limit = _greatest(plant["actuator_forcerange"], plant.robot, plant.joints)
     torque = share * limit
     _rub(plant.__getitem__, plant.robot.dofs[plant.joints], torque, plant.dt)
     return torque
@@ -72,11 +70,17 @@ def close_brakes(fields: Mapping[str, Array], world: World) -> None:
         UnsupportedError: If the greatest torque of a joint is not known.
     """
     robot, model = world.robot, world.model
-    limit = model.actuator_forcerange[robot.actuators, 1]
-    for joint in np.flatnonzero(limit <= 0.0):
-        raise UnsupportedError(f"the greatest torque of the joint {robot.joints[joint]!r} is not known; tell the scene")
+    limit = _greatest(model.actuator_forcerange, robot, np.arange(len(robot.joints)))
     _rub(fields.__getitem__, robot.dofs, BRAKE_TORQUE * limit, float(model.opt.timestep))
     fields["actuator_forcerange"][robot.actuators] = 0.0
+
+
+def _greatest(force_range: Array, robot: Robot, joints: Array) -> Array:
+    """Return what the motors of joints can give, which has to be known."""
+    limit = force_range[robot.actuators[joints], 1]
+    for joint in joints[limit <= 0.0]:
+        raise UnsupportedError(f"the greatest torque of the joint {robot.joints[joint]!r} is not known; tell the scene")
+    return limit
 
 
 def _rub(fields: Callable[[str], Array], dofs: Array, torque: Array, dt: float) -> None:

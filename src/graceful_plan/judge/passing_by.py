@@ -9,7 +9,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from graceful_plan.array_types import Float
+from graceful_plan.array_types import Bool, Float
 from graceful_plan.result import Check
 from graceful_plan.scene.edit import Solid
 from graceful_plan.scene.model_parts import colliding_geoms
@@ -20,7 +20,7 @@ from graceful_plan.timing.trajectory import Trajectory
 
 Array = np.ndarray
 
-STANDING = 0.01
+_STANDING = 0.01
 """Speed of every joint below which a robot stands still [m/s or rad/s]."""
 _STEP = 0.02
 """How far robot and others move at most between two looks [m]."""
@@ -29,11 +29,16 @@ _FAR = 1.0
 """Clearance beyond which it is not measured [m]."""
 
 
+def is_moving(qd: Float[Array, "n nq"]) -> Bool[Array, " n"]:
+    """Tell at which velocities of its joints a robot does not stand still."""
+    return np.abs(qd).max(axis=1) > _STANDING
+
+
 def passing_check(motion: Trajectory, scene: Scene) -> Check:
     """Check a trajectory at its own times; the worst is the least clearance to somebody who moves [m]."""
     t = _times(motion, scene)
     state = motion.at(t)
-    moves = np.abs(state.qd).max(axis=1) > STANDING
+    moves = is_moving(state.qd)
     model = _with_walkers(scene)
     placement, robot = Placement(scene, model), _robot_geoms(scene)
     worst, first, whom = _FAR, None, ""

@@ -158,7 +158,7 @@ class PoseSolver:
         past = np.full(len(q), np.inf)
         for iteration in range(iterations):
             error, jacobian = self._linearised(q[active])
-            going = ~_within(error, *_NEAR)
+            going = ~within(error, *_NEAR)
             if iteration % _PATIENCE == _PATIENCE - 1:
                 size = np.linalg.norm(error, axis=1)
                 going &= size < _PROGRESS * past[active]
@@ -166,15 +166,9 @@ class PoseSolver:
             active, error, jacobian = _select(going, active, error, jacobian)
             if not len(active) or self.cancelled():
                 break
-            step = short_step(error, jacobian)
-            blocked = ((q[active] + step < self.lower) & (step < 0.0)) | (
-                (q[active] + step > self.upper) & (step > 0.0)
-            )
-            # Joints that would leave their limits stay; the others make up for them.
-            again = short_step(error, np.where(blocked[:, None, :], 0.0, jacobian))
-            q[active] = np.clip(q[active] + again, self.lower, self.upper)
+            q[active] = stepped(q[active], error, jacobian, (self.lower, self.upper))
         error, _ = self._linearised(q)
-        return q[_within(error, *_NEAR)], q[_best_first(error)]
+        return q[within(error, *_NEAR)], q[_best_first(error)]
 
     def settled(
         self, seeds: Float[Array, "n nq"], iterations: int, held: slice
@@ -190,14 +184,14 @@ class PoseSolver:
             if not going.any() or self.cancelled():
                 break
             jacobian[:, :, held] = 0.0
-            q[going] = np.clip(q[going] + short_step(error[going], jacobian[going]), self.lower, self.upper)
+            q[going] = np.clip(q[going] + _short_step(error[going], jacobian[going]), self.lower, self.upper)
             error, jacobian = self._linearised(q)
         best = q[_best_first(error)[0]]
         return q[self._exact(error)], self.errors(best)
 
     def _exact(self, error: Float[Array, "n 6"]) -> Bool[Array, " n"]:
         goal = self.goal
-        return _within(error, PRECISION * goal.position_tolerance, PRECISION * goal.orientation_tolerance)
+        return within(error, PRECISION * goal.position_tolerance, PRECISION * goal.orientation_tolerance)
 
     def polish(self, q: Float[Array, "n nq"], iterations: int) -> tuple[Float[Array, "m nq"], Float[Array, "n nq"]]:
         """Move configurations to the pose by mink; return what reached it, and where all of them ended, the best first.
@@ -282,7 +276,10 @@ class PoseSolver:
         return error, jacobian
 
 
-def _within(error: Float[Array, "n 6"], distance: float, angle: float) -> Bool[Array, " n"]:
+def within(
+    error: Float[Array, "n 6"], distance: float | Float[Array, " n"], angle: float | Float[Array, " n"]
+) -> Bool[Array, " n"]:
+    """Tell which errors of poses are no more than a distance [m] and an angle [rad]."""
     return (np.linalg.norm(error[:, :3], axis=1) <= distance) & (np.linalg.norm(error[:, 3:], axis=1) <= angle)
 
 
@@ -290,8 +287,23 @@ def _best_first(error: Float[Array, "n 6"]) -> Int[Array, " n"]:
     return np.argsort(np.linalg.norm(error, axis=1), kind="stable")
 
 
-def short_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
-    """Return damped steps towards poses in which no joint goes far."""
+def stepped(
+    q: Float[Array, "n nq"],
+    error: Float[Array, "n 6"],
+    jacobian: Float[Array, "n 6 nq"],
+    limits: tuple[Float[Array, " nq"], Float[Array, " nq"]],
+) -> Float[Array, "n nq"]:
+    """Step towards poses; joints that would leave their limits stay, and the others make up for them."""
+    lower, upper = limits
+    step = _short_step(error, jacobian)
+    blocked = ((q + step < lower) & (step < 0.0)) | ((q + step > upper) & (step > 0.0))
+    held = blocked.any(axis=1)
+    if held.any():
+        step[held] = _short_step(error[held], np.where(blocked[held, None, :], 0.0, jacobian[held]))
+    return np.clip(q + step, lower, upper)
+
+
+def _short_step(error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]) -> Float[Array, "n nq"]:
     step = damped_step(error, jacobian)
     return step * np.minimum(1.0, _LARGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
 

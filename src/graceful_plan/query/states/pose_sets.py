@@ -17,7 +17,7 @@ from graceful_plan.core.compile import compile_scene
 from graceful_plan.core.kernels import Kernels
 from graceful_plan.core.tool_motion import missing_twist, tool_jacobian, without_yaw
 from graceful_plan.judge.exact import exactly_free
-from graceful_plan.query.ik import PRECISION, short_step
+from graceful_plan.query.ik import PRECISION, stepped, within
 from graceful_plan.query.states.usable import MOST_GOALS
 from graceful_plan.scene.per_scene import per_scene
 from graceful_plan.scene.pose_goal import PoseGoal
@@ -138,7 +138,7 @@ class _Poses:
         there = np.zeros(len(q), dtype=bool)
         for iteration in range(_ITERATIONS):
             error, jacobian = self._linearised(q[going], of[going])
-            exact = (_sizes(error) <= self.tolerance[of[going]]).all(axis=1)
+            exact = within(error, *self.tolerance[of[going]].T)
             there[going[exact]] = True
             on = ~exact
             if iteration % _PATIENCE == _PATIENCE - 1:
@@ -148,19 +148,8 @@ class _Poses:
             going, error, jacobian = going[on], error[on], jacobian[on]
             if not len(going):
                 break
-            q[going] = self._stepped(q[going], error, jacobian)
+            q[going] = stepped(q[going], error, jacobian, (self.lower, self.upper))
         return q[there], of[there]
-
-    def _stepped(
-        self, q: Float[Array, "n nq"], error: Float[Array, "n 6"], jacobian: Float[Array, "n 6 nq"]
-    ) -> Float[Array, "n nq"]:
-        """Step towards the poses; joints that would leave their limits stay, and the others make up for them."""
-        step = short_step(error, jacobian)
-        blocked = ((q + step < self.lower) & (step < 0.0)) | ((q + step > self.upper) & (step > 0.0))
-        held = blocked.any(axis=1)
-        if held.any():
-            step[held] = short_step(error[held], np.where(blocked[held, None, :], 0.0, jacobian[held]))
-        return np.clip(q + step, self.lower, self.upper)
 
     def _linearised(
         self, q: Float[Array, "n nq"], of: Int[Array, " n"]
@@ -222,7 +211,3 @@ def _places(X: Float[Array, "n 4 4"]) -> Float[Array, "n 12"]:
     """Return positions and rotations as one vector, whose distances are about those of poses with `LEVER` [m]."""
     # The matrices of rotations that are apart by a small angle are apart by the square root of 2 times that angle.
     return np.concatenate([X[:, :3, 3], LEVER / np.sqrt(2.0) * X[:, :3, :3].reshape(-1, 9)], axis=1)
-
-
-def _sizes(error: Float[Array, "n 6"]) -> Float[Array, "n 2"]:
-    return np.stack([np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)], axis=1)

@@ -14,6 +14,7 @@ from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.coast.native import coast_model, reals
 from graceful_plan.costs.models.coast.tables import coast_tables
 from graceful_plan.costs.models.moving.drops import mean_over_times, path_times
+from graceful_plan.costs.models.moving.outlines import outlines
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
 
@@ -68,11 +69,5 @@ def seen_from_above(
 ) -> tuple[Float[Array, "n 7"], Float[Array, "n 2"], Float[Array, " n"]]:
     """Return outlines of a moving entity at times, as in `CoastTables.shape`, its velocities [m/s] and spreads [m]."""
     there, soon = entity.at(t), entity.at(t + _SOON)
-    shape = np.zeros((len(t), 7))
-    shape[:, :2] = there.position[:, :2]
-    shape[:, 2], shape[:, 3] = np.cos(there.yaw), np.sin(there.yaw)
-    if entity.is_round:
-        shape[:, 6] = entity.size[0]
-    else:
-        shape[:, 4:6] = entity.size[:2]
+    shape = outlines(entity, there.position[:, :2], there.yaw)
     return shape, (soon.position - there.position)[:, :2] / _SOON, there.spread

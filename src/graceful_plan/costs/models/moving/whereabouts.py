@@ -13,6 +13,7 @@ import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
 from graceful_plan.costs.cost import StateBatch
+from graceful_plan.costs.models.moving.outlines import outlines, outside
 from graceful_plan.scene.moving import MovingEntity
 
 Array = np.ndarray
@@ -93,32 +94,14 @@ def touched(
     """Tell for which pairs the entity would be touched by moving links or what they carry before anything fails."""
     robot, half = batch.compiled.robot, who.entity.half_size
     here, there = who.at(time), who.entity.at(time)
-    place = np.column_stack([here, there.position[:, 2]])
-    turn = np.stack([np.cos(there.yaw), np.sin(there.yaw)], axis=-1)
+    shape, height = outlines(who.entity, here, there.yaw), there.position[:, 2]
     reach = float(half[0]) if who.entity.is_round else float(np.hypot(half[0], half[1]))
     found = np.zeros(len(state), dtype=bool)
-    for link in range(1, len(robot.bound)):
+    for link in np.unique(robot.sphere_link[robot.sphere_link > 0]):
         poses, (*middle, bound) = batch.link_poses[:, link], robot.bound[link]
         centre = (poses[:, :2, :3] @ np.array(middle) + poses[:, :2, 3])[state]
         near = np.flatnonzero(~found & (np.linalg.norm(centre - here, axis=1) < bound + reach))
         spheres = robot.sphere[robot.sphere_link == link] - [0.0, 0.0, 0.0, robot.protrusion]
         for rows in np.array_split(near, -(-len(near) * len(spheres) // _AT_ONCE) or 1):
-            X = poses[state[rows]]
-            away = spheres[:, :3] @ X[:, :3, :3].swapaxes(1, 2) + (X[:, :3, 3] - place[rows])[:, None]
-            found[rows] = _within(away, spheres[:, 3], who.entity, turn[rows]).any(axis=1)
+            found[rows] = outside(poses[state[rows]], spheres, shape[rows], height[rows], float(half[2])) < 0.0
     return found
-
-
-def _within(
-    away: Float[Array, "pair sphere 3"], radius: Float[Array, " sphere"], entity: MovingEntity, turn: Array
-) -> Bool[Array, "pair sphere"]:
-    """Tell which spheres touch somebody who is turned so, from where they are seen from her centre [m]."""
-    x, y = away[..., 0], away[..., 1]
-    if entity.is_round:
-        beside = np.maximum(np.hypot(x, y) - entity.half_size[0], 0.0)
-    else:
-        c, s = turn[:, :1], turn[:, 1:]
-        along, across = np.abs(c * x + s * y), np.abs(c * y - s * x)
-        beside = np.hypot(np.maximum(along - entity.half_size[0], 0.0), np.maximum(across - entity.half_size[1], 0.0))
-    above = np.maximum(np.abs(away[..., 2]) - entity.half_size[2], 0.0)
-    return np.hypot(beside, above) < radius

@@ -8,7 +8,7 @@ import numpy as np
 
 from graceful_plan.array_types import Float
 from graceful_plan.core.compile import compile_scene
-from graceful_plan.costs.models.coast.walkers import seen_from_above
+from graceful_plan.costs.models.moving.outlines import outlines, outside
 from graceful_plan.scene.moving import MovingEntity
 from graceful_plan.scene.scene import Scene
 
@@ -45,41 +45,18 @@ class Balls:
             entity: Who moves.
             t: When [s].
         """
-        shape, height = seen_from_above(entity, t)[0], entity.at(t).position[:, 2]
+        there = entity.at(t)
+        shape, height = outlines(entity, there.position[:, :2], there.yaw), there.position[:, 2]
         gap, poses = np.full(len(q), np.inf), self._kernels.link_poses(q)
         place = shape, height, float(entity.half_size[2])
         for link, bound, balls in self._groups:
-            around = _outside(poses[:, link], bound[None], *place)
+            around = outside(poses[:, link], bound[None], *place)
             near = np.flatnonzero(around < np.minimum(gap, FAR))
             gap = np.where(around < FAR, gap, np.minimum(gap, around))
             for rows in np.array_split(near, -(-len(near) * len(balls) // _AT_ONCE) or 1):
-                outside = _outside(poses[rows, link], balls, shape[rows], height[rows], place[2])
-                gap[rows] = np.minimum(gap[rows], outside)
+                found = outside(poses[rows, link], balls, shape[rows], height[rows], place[2])
+                gap[rows] = np.minimum(gap[rows], found)
         return gap
-
-
-def _outside(
-    X: Float[Array, "row 4 4"],
-    balls: Float[Array, "ball 4"],
-    shape: Float[Array, "row 7"],
-    height: Float[Array, " row"],
-    half: float,
-) -> Float[Array, " row"]:
-    """Return how far balls of a link are from upright outlines of this half height around this height [m]."""
-    p = balls[:, :3] @ X[:, :3, :3].swapaxes(1, 2) + X[:, None, :3, 3]
-    beside = _beside(p[..., :2], shape)
-    above = np.maximum(np.abs(p[..., 2] - height[:, None]) - half, 0.0)
-    outside = np.where(above > 0.0, np.hypot(np.maximum(beside, 0.0), above), beside)
-    return (outside - balls[:, 3]).min(axis=1)
-
-
-def _beside(p: Float[Array, "row ball 2"], shape: Float[Array, "row 7"]) -> Float[Array, "row ball"]:
-    """Return the signed distance of points from outlines, seen from above [m]."""
-    d, x, y = p - shape[:, None, :2], shape[:, 2, None], shape[:, 3, None]
-    along = np.abs(x * d[..., 0] + y * d[..., 1]) - shape[:, 4, None]
-    across = np.abs(x * d[..., 1] - y * d[..., 0]) - shape[:, 5, None]
-    outside = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-    return outside + np.minimum(np.maximum(along, across), 0.0) - shape[:, 6, None]
 
 
 def _divided(spheres: Float[Array, "sphere 4"]) -> list[Float[Array, " 4"]]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graceful_plan.array_types import Bool, Float, Int
-from graceful_plan.judge.passing_by import STANDING
+from graceful_plan.judge.passing_by import is_moving
 from graceful_plan.query.driving.among.walkers import KEPT, Walkers
 from graceful_plan.query.driving.slowing import capped
 from graceful_plan.timing.drive_curve import Drive
@@ -144,7 +144,7 @@ class Charges:
         low = np.minimum(np.floor(place).astype(int), len(_LOOKED_AT) - 2)
         part = (place - low)[:, None, None]
         moving = ((1.0 - part) * looked[low] + part * looked[low + 1]).swapaxes(0, 1)
-        moves = np.abs(pieces.qd).max(axis=1) * SHARES.min() > STANDING
+        moves = is_moving(SHARES.min() * pieces.qd)
         into = (walkers.gap(q, at).reshape(n, len(t)) < KEPT) & moves[:, None]
         return cls(time_price + w * rate, w * moving, into)
 

@@ -16,7 +16,7 @@ from graceful_plan.costs.cost import moving_batch
 from graceful_plan.costs.impact import ImpactCost
 from graceful_plan.costs.objective import SceneObjective
 from graceful_plan.costs.still import as_if_nobody_moved
-from graceful_plan.judge.passing_by import STANDING
+from graceful_plan.judge.passing_by import is_moving
 from graceful_plan.planners.driving.postures import BASE
 from graceful_plan.planners.driving.roughly import roughly
 from graceful_plan.query.driving.among.balls import Balls
@@ -103,8 +103,7 @@ class Walkers:
         """Whether the sound robot comes close to drive into one of them."""
         t = motion.t[0] + motion.duration * np.linspace(0.0, 1.0, _LOOKS)
         state = motion.at(t)
-        moves = np.abs(state.qd).max(axis=1) > STANDING
-        return bool((moves & (self.gap(state.q, t) < 0.5 * KEPT)).any())
+        return bool((is_moving(state.qd) & (self.gap(state.q, t) < 0.5 * KEPT)).any())
 
     @cached_property
     def _balls(self) -> Balls:
