@@ -48,6 +48,12 @@ def test_laws_of_time_are_as_good_as_the_best_of_all():
         assert best - 1e-9 <= found <= 1.03 * best
 
 
+@pytest.mark.long
+def test_the_planner_over_cells_and_time_where_nobody_moves():
+    result = planned(SCENE, planner="floor_in_time")
+    assert result.status is gp.PlanStatus.SOLVED
+
+
 def test_who_cancels_does_not_wait_for_all_looks_at_those_who_walk(monkeypatch):
     walkers = Walkers(gp.Objective().bind(SCENE.with_moving(CROSSING), (0.5, 1.0)))
     pieces = Pieces(np.zeros((2, 3)), np.array([[1.0, 0.0, 0.0]] * 2), np.ones(2), np.arange(2))

@@ -253,7 +253,9 @@ class _Beside:
         return rate.repeat(_COARSE, axis=1).repeat(_COARSE, axis=2)[:, : xy.shape[0], : xy.shape[1]]
 
     def others(self, origin: Float[Array, " 2"], half: float, halves: int) -> Others:
-        """Return those who move, at half ticks [s], as seen from the first cell."""
+        """Return those who move, at half ticks [s], as seen from the first cell; nobody where nobody does."""
+        if not self.objective.scene.moving:
+            return Others()
         t = half * np.arange(halves)
         n = math.ceil(_REACH / _APART)
         places, shapes, velocities = _APART * np.arange(-n, n + 1), [], []
