@@ -7,10 +7,13 @@ calls, or at any.
 from __future__ import annotations
 
 import functools
+import inspect
+import typing
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import jaxtyping
+from beartype.roar import BeartypeCallHintViolation, BeartypeDecorHintException
 
 FIRST = 20
 """So many calls of a function are checked in each test. Some functions are called 100,000 times in a test."""
@@ -65,10 +68,37 @@ def _function(typechecker: Callable[..., Any], function: Callable[..., Any]) -> 
         calls += 1
         if calls > FIRST and calls % EVERY:
             return function(*args, **kwargs)
-        checked = checked or _in_full(function, typechecker=typechecker)
+        checked = checked or _checked(typechecker, function)
         return checked(*args, **kwargs)
 
     return thinned
+
+
+def _checked(typechecker: Callable[..., Any], function: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a function that checks its calls.
+
+    jaxtyping has arguments and results checked by two functions of its own, which takes twice as long to make and to
+    call. Those are for what the checker alone gets wrong: generators, whose yields it would look at when their shapes
+    are forgotten, annotations that it does not understand as strings, and closures, which it keeps for ever: with what
+    is in them of the native core, which then complains when the process ends.
+    """
+    if inspect.isgeneratorfunction(function) or function.__closure__:
+        return _in_full(function, typechecker=typechecker)
+    try:
+        typing.get_type_hints(function, include_extras=True)  # the checker would only miss a name at a call
+        plain = typechecker(function)
+    except (NameError, BeartypeDecorHintException):
+        return _in_full(function, typechecker=typechecker)
+
+    @functools.wraps(function)
+    def checked(*args: Any, **kwargs: Any) -> Any:
+        with _in_full("context"):
+            try:
+                return plain(*args, **kwargs)
+            except BeartypeCallHintViolation as error:
+                raise jaxtyping.TypeCheckError(str(error)) from error
+
+    return checked
 
 
 def install() -> None:

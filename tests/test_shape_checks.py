@@ -1,5 +1,9 @@
 """Shapes and types are enforced while tests run: the first calls of a function in a test, and then one in many."""
 
+import gc
+import weakref
+from collections.abc import Iterator
+
 import jaxtyping
 import numpy as np
 import pytest
@@ -57,6 +61,51 @@ def test_methods_properties_and_dataclasses_are_checked():
         with pytest.raises(WRONG):
             call()
     assert (Plain().method(1), Plain.static(2)) == (1, 2)
+
+
+def test_closures_generators_and_unknown_names_are_checked():
+    """Each of which the plain checker would keep, look into too late, or miss at a call."""
+    kept = np.zeros(2)
+
+    @shape_checks.jaxtyped(typechecker=beartype)
+    def closure(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return np.concatenate([x, kept])
+
+    @shape_checks.jaxtyped(typechecker=beartype)
+    def numbers(x: Float[np.ndarray, " n"]) -> Iterator[Float[np.ndarray, " n"]]:
+        yield x
+        yield kept  # nobody looks at what is yielded
+
+    @shape_checks.jaxtyped(typechecker=beartype)
+    def unknown(x: Float[np.ndarray, " n"]) -> "Nobody":  # noqa: F821
+        return x
+
+    for call in (closure, numbers, unknown):
+        with pytest.raises(WRONG):
+            call(np.zeros((1, 1)))
+    with pytest.raises(WRONG):
+        closure(np.zeros(1))
+    assert len(list(numbers(np.zeros(1)))) == 2
+
+
+def test_nothing_of_a_closure_is_kept_by_its_checks():
+    class Held:
+        pass
+
+    def called() -> weakref.ref[Held]:
+        held = Held()
+
+        @shape_checks.jaxtyped(typechecker=beartype)
+        def closure(x: int) -> int:
+            assert held
+            return x
+
+        assert closure(1) == 1
+        return weakref.ref(held)
+
+    found = called()
+    gc.collect()
+    assert found() is None
 
 
 def test_the_library_is_checked():
