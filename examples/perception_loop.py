@@ -17,7 +17,7 @@ def measured(scene: gp.Scene, cycle: int) -> dict[str, np.ndarray]:
     return {"red4": X_WB}
 
 
-def main(cycles: int = 3, limit: float = LIMIT) -> list[gp.PlanResult]:
+def main(cycles: int = 3, limit: float = LIMIT, iterations: int | None = None) -> list[gp.PlanResult]:
     """Plan once a cycle, from the place that the robot has got to; return all results."""
     task = gp.load_scene("tabletop").tasks["lift_to_goal"]
     scene, q, results = task.scene, np.asarray(task.start), []
@@ -25,7 +25,7 @@ def main(cycles: int = 3, limit: float = LIMIT) -> list[gp.PlanResult]:
         began = time.perf_counter()
         scene = scene.edit(move=measured(task.scene, cycle))  # nothing else is compiled again
         seen = time.perf_counter() - began
-        result = gp.plan(q, task.goal, scene, w=0.5, time_limit=limit, seed=cycle)
+        result = gp.plan(q, task.goal, scene, w=0.5, time_limit=limit, iterations=iterations, seed=cycle)
         print(f"cycle {cycle}: scene {1e3 * seen:.0f} ms, {result.status.name}, impact {result.cost.impact:.2f}")
         results.append(result)
         if result.trajectory is not None:

@@ -35,7 +35,7 @@ def test_a_robot_of_ones_own_is_planned_for_and_fails(capsys):
 
 @pytest.mark.long
 def test_a_robot_that_sees_plans_among_what_has_moved(capsys):
-    results = _load("perception_loop").main(limit=3.0)
+    results = _load("perception_loop").main(iterations=200, limit=60.0)
     assert [result.status for result in results] == 3 * [gp.PlanStatus.SOLVED]
     ways = [result.trajectory.q[0] for result in results]
     assert abs(ways[1] - ways[0]).max() > 0.0  # each goes on from where the robot has got to
