@@ -124,7 +124,10 @@ def imported_modules(name: str) -> set[str]:
     return found - {name}
 
 
-IMPORTS = {name: imported_modules(name) for name in MODULES}
+@cache
+def all_imports() -> dict[str, set[str]]:
+    """Return what each module imports; every file is parsed for it, which not every process that runs tests needs."""
+    return {name: imported_modules(name) for name in MODULES}
 
 
 def room(module: str) -> str:
@@ -138,7 +141,7 @@ def above(package: str, floors: tuple[set[str], ...]) -> list[str]:
     floor = {name: i for i, names in enumerate(floors) for name in names}
     return [
         f"{module} imports {other}"
-        for module, others in IMPORTS.items()
+        for module, others in all_imports().items()
         for other in others
         if module.split(".")[0] == other.split(".")[0] == package
         and room(module) != room(other)
@@ -156,7 +159,7 @@ def circles() -> list[set[str]]:
     def visit(module: str) -> None:
         order[module] = low[module] = len(order)
         stack.append(module)
-        for other in IMPORTS[module]:
+        for other in all_imports()[module]:
             if other not in order:
                 visit(other)
             if other in stack:
@@ -189,12 +192,13 @@ def test_no_module_imports_itself_through_others():
 
 
 def test_circles_are_found(monkeypatch):
-    monkeypatch.setitem(IMPORTS, "graceful_plan.path", IMPORTS["graceful_plan.path"] | {"graceful_plan.result"})
+    known = all_imports()
+    monkeypatch.setitem(known, "graceful_plan.path", known["graceful_plan.path"] | {"graceful_plan.result"})
     assert any({"graceful_plan.path", "graceful_plan.result"} <= group for group in circles())
 
 
 def test_an_import_upwards_is_found(monkeypatch):
-    monkeypatch.setitem(IMPORTS, "graceful_plan.scene.roles", {"graceful_plan.core.compile"})
+    monkeypatch.setitem(all_imports(), "graceful_plan.scene.roles", {"graceful_plan.core.compile"})
     assert above("graceful_plan", FLOORS) == ["graceful_plan.scene.roles imports graceful_plan.core.compile"]
 
 
@@ -226,7 +230,7 @@ def test_the_judge_shares_nothing_with_the_planners():
     judges = [module for module in MODULES if room(module) == "judge"]
     seen, queue = set(judges), list(judges)
     while queue:
-        new = IMPORTS[queue.pop()] - seen
+        new = all_imports()[queue.pop()] - seen
         seen |= new
         queue += new
     assert judges and not {room(module) for module in seen} & {"core", "costs", "planners", "plan", "query"}
