@@ -65,7 +65,7 @@ test-long: $(VENV)/.package $(VENV)/.dev
 	$(PYTEST) -m long $(ARGS)
 
 test-robots: $(VENV)/.package $(VENV)/.robots
-	$(PYTEST) tests/scene/urdf $(ARGS)
+	$(PYTEST) tests/scene/urdf/test_robots.py tests/scene/urdf/test_convex_parts.py $(ARGS)
 
 test-policies: $(VENV)/.package $(VENV)/.policies
 	$(PYTEST) tests/failbench/policies $(ARGS)
