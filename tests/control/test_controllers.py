@@ -75,6 +75,14 @@ def test_a_base_that_slips_in_bends_stays_on_its_way_if_that_is_known():
     assert blind[-1] > 0.03 and aware[-1] < 0.3 * blind[-1]
 
 
+@pytest.mark.parametrize("turns", [-1.0, 1.0])
+def test_a_base_is_held_at_no_greater_angle_to_its_way_than_it_may_be(turns):
+    tracking = Tracking(pivot=Pivot(still=0.04, bend=0.2))
+    wanted = DriveState(0.0, 0.0, 0.3, 0.8, 2.5 * turns)  # where its pivot asks for 0.3 rad
+    held = DriveState(0.0, 0.0, 0.3 + turns * tracking.slant, 0.8, 2.5 * turns)
+    assert tracking.command(held, wanted).omega == pytest.approx(wanted.omega, abs=1e-9)
+
+
 def test_turning_in_place_about_another_point_is_off_by_less():
     def turn(t):
         return DriveState(0.0, 0.0, 2.0 * t, 0.0, 2.0)

@@ -35,7 +35,7 @@ _TRACKING = 0.05
 """A joint farther [rad or m] than this from where it should be does not follow."""
 _STRAYING = (0.2, 0.2, 0.35)
 """A base farther than this from where it should be along x, y [m] or in its heading [rad] does not follow. In tight
-bends a skid-steer is held at an angle of up to 0.2 rad to its way, so that its origin does not leave it."""
+bends a skid-steer is held at an angle of up to 0.15 rad to its way, so that its origin does not leave it."""
 _SLIP = 0.02
 """An object that moved farther [m] than this in the tool frame is not held."""
 _FALL = 1.0

@@ -120,6 +120,8 @@ class Tracking:
         lead: What motors need until they do as they are told [s]: speeds are looked up as much ahead.
         pivot: Where the base has no sideways speed.
         share: Of the distance to the pivot, where it turns in place.
+        slant: Greatest angle to its way at which the base is held [rad]. Bends may ask for more, but where it turns
+            so tightly, it cannot get there and back in time.
     """
 
     k_x: float = 6.0
@@ -131,9 +133,10 @@ class Tracking:
     lead: float = 0.05
     pivot: Pivot = Pivot()
     share: float = 0.6
+    slant: float = 0.15
 
     def __post_init__(self) -> None:
-        check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "alpha", "lead", "share"))
+        check_numbers(self, ("k_x", "k_y", "k_h", "k_rate", "k_integral", "alpha", "lead", "share", "slant"))
 
     def command(self, state: DriveState, wanted: DriveState) -> DriveCommand:
         """Return what leads to a state that moves on, before the measured rate of turning counts.
@@ -156,6 +159,7 @@ class Tracking:
         across = -s * dx + c * dy
         drives = wanted.v**2 / (wanted.v**2 + _DRIVES**2)
         slant = drives * rolls * math.atan2(sideways, abs(wanted.v)) * math.copysign(1.0, wanted.v)
+        slant = min(max(slant, -self.slant), self.slant)
         heading = wrapped(wanted.yaw + slant - state.yaw)
         v = wanted.v * math.cos(heading - slant) + self.k_x * along
         return DriveCommand(v, wanted.omega + self._pull(wanted.v, across, heading))

@@ -28,6 +28,8 @@ FETCH_CHAIN = [  # joint, origin in its parent, axis, range, velocity, accelerat
     ("wrist_flex", (0.1245, 0, 0), "y", (-2.16, 2.16), 2.268, 2.5, 25.7),
     ("wrist_roll", (0.1385, 0, 0), "x", None, 2.268, 2.5, 7.4),
 ]
+AHEAD = 0.035
+"""Of the middle of a Jackal's wheels, where it turns about in place [m]."""
 TUCKED = (0.35, 1.32, 1.4, -0.2, 1.72, 0.0, 1.66, 0.0)
 _AXES = {"x": 0, "y": 1, "z": 2}
 _WHEEL_INERTIA = {"jackal": 0.0024, "fetch": 0.005}
@@ -107,13 +109,13 @@ def test_a_jackal_has_the_published_masses_and_wheels():
     assert model.body_mass.sum() == pytest.approx(18.43, abs=0.005)
     chassis, wheel = model.body("jackal/base"), model.body("jackal/front_left")
     assert chassis.mass[0] == pytest.approx(16.523) and wheel.mass[0] == pytest.approx(0.477)
-    np.testing.assert_allclose(chassis.ipos, [0.012, 0.002, 0.0635 + 0.067])
+    np.testing.assert_allclose(chassis.ipos, [0.012 - AHEAD, 0.002, 0.0635 + 0.067])
     np.testing.assert_allclose(
         _inertia(model, "jackal/base"), [[0.3136, 0, 0.0164], [0, 0.3922, 0], [0.0164, 0, 0.4485]]
     )
     np.testing.assert_allclose(np.diag(_inertia(model, "jackal/front_left")), [0.0013, 0.0024, 0.0013])
     places = {tuple(np.round(model.body(name).pos, 4)) for name in scene_of("jackal").base.wheels}
-    assert places == {(x, y, 0.098) for x in (-0.131, 0.131) for y in (-0.1878, 0.1878)}
+    assert places == {(round(x - AHEAD, 4), y, 0.098) for x in (-0.131, 0.131) for y in (-0.1878, 0.1878)}
     assert model.geom("jackal/front_left").size[:2] == pytest.approx([0.098, 0.02])
     np.testing.assert_allclose(2 * model.geom("jackal/chassis").size, [0.42, 0.31, 0.184])
 

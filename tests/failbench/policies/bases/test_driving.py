@@ -100,3 +100,11 @@ def test_what_makes_no_sense_is_refused(scene, motion):
         drive(motion, scene, faults="power/*/severe", start=np.zeros(3))
     with pytest.raises(fb.ExecutionRefused, match="arrived"):
         drive(motion, scene, PurePursuit(speed=0.2), faults="power/*/severe", seconds=1.0)
+
+
+def test_a_skid_steer_turns_about_its_origin():
+    """Its wheels' middle was said to be where it turns about: the base was 40 mm away after a turn in place."""
+    scene = jackal()
+    result = gp.plan([0.0, 0.0, 0.0], [0.0, 0.0, 2.5], scene, w=0.0, iterations=100)
+    driven = drive(result.trajectory, scene)
+    assert np.abs(result.trajectory.q[:, :2]).max() < 1e-6 and driven.error.max() < 0.02

@@ -47,12 +47,14 @@ class BaseBody:
         mass: Of all that moves with it [kg].
         gyration: Radius of gyration about the vertical through its centre of mass [m].
         centre: Of its mass, in the frame of its joints [m].
+        middle: Of its driven wheels, likewise.
     """
 
     base: DiffDrive
     mass: float
     gyration: float
     centre: tuple[float, float]
+    middle: tuple[float, float] = (0.0, 0.0)
 
 
 class Ways(NamedTuple):
@@ -129,16 +131,17 @@ def integrated(
         x, y [m], angle turned [rad] in the frame of the base when it fails; speed of its origin [m/s]; time [s].
     """
     base = body.base
-    cx, cy = body.centre
-    x = 0.5 * base.wheel_base * np.array([1.0, -1.0, 1.0, -1.0])
-    y = 0.5 * base.track * np.array([1.0, 1.0, -1.0, -1.0])
-    broken = np.where(np.asarray(case.left)[..., None], y > 0.0, y < 0.0)
+    (cx, cy), (mx, my) = body.centre, body.middle
+    side = np.array([1.0, 1.0, -1.0, -1.0])
+    x = mx + 0.5 * base.wheel_base * np.array([1.0, -1.0, 1.0, -1.0])
+    y = my + 0.5 * base.track * side
+    broken = np.where(np.asarray(case.left)[..., None], side > 0.0, side < 0.0)
     held, free = broken & np.asarray(case.held)[..., None], broken & ~np.asarray(case.held)[..., None]
     grip = np.asarray(case.friction)[..., None] * _GRAVITY * base.load / 4.0
     rotor = max(base.rotor / (base.radius**2 * body.mass) * _wheels(base) / 4.0, _LEAST_ROTOR)
     weight = 1.0 + 4.0 * rotor
     rolling, drag = (np.asarray(value)[..., None] * weight / 4.0 for value in (case.rolling, case.drag))
-    rim = v[..., None] - np.sign(y) * base.lever * omega[..., None]
+    rim = v[..., None] - side * base.lever * omega[..., None]
     driven, rim = rim.copy(), np.where(held, 0.0, rim)
     vx, vy, w = v - omega * cy, omega * cx, omega.astype(float)
     px, py, turned = np.zeros_like(w), np.zeros_like(w), np.zeros_like(w)

@@ -82,9 +82,10 @@ def _body(base: DiffDrive, model: mujoco.MjModel, data: mujoco.MjData, body: int
     centre = mass @ x / max(total, 1e-9)
     R = data.ximat[bodies].reshape(-1, 3, 3)
     about = (R[:, 2] ** 2 * model.body_inertia[bodies]).sum(axis=1) + mass * ((x - centre) ** 2).sum(axis=1)
-    turned = data.xmat[body].reshape(3, 3)[:2, :2].T @ (centre - data.xpos[body][:2])
     gyration = float(np.sqrt(about.sum() / total)) if total > 0.0 else base.track
-    return BaseBody(base=base, mass=max(total, 1e-9), gyration=max(gyration, 1e-3), centre=(turned[0], turned[1]))
+    wheels = data.xpos[[model.body(name).id for name in base.wheels] or [body]][:, :2].mean(axis=0)
+    cx, cy, mx, my = ((np.array([centre, wheels]) - data.xpos[body][:2]) @ data.xmat[body].reshape(3, 3)[:2, :2]).ravel()
+    return BaseBody(base=base, mass=max(total, 1e-9), gyration=max(gyration, 1e-3), centre=(cx, cy), middle=(mx, my))
 
 
 def _outline(rows: Float[Array, "geom 7"], pose: Float[Array, " 3"]) -> Float[Array, "part 7"]:
