@@ -185,7 +185,7 @@ def test_the_motion_to_come_is_used_where_it_is_known(scenes: dict[str, gp.Scene
 
 
 def test_components_are_those_that_can_strike() -> None:
-    assert Footprint().components == ("carried", "contents") == gp.ImpactCost().components
+    assert Footprint().components == ("body", "carried", "contents") == gp.ImpactCost().components  # fingers open
     assert gp.ImpactCost(model="aabb").components == ("carried", "contents")
     for faults in ("arm", "service_robot", prior_of(stray=0.1)):
         assert Footprint(faults=faults).components == ("body", "carried", "contents")
