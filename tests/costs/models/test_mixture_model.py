@@ -209,7 +209,8 @@ def test_shares_of_faults_add_up_to_the_weights() -> None:
     for name in presets():
         model = Footprint(faults=name)
         shares = model.fault_shares()
-        assert shares == FaultPrior.preset(name).fault_shares()
+        prior = FaultPrior.preset(name)
+        assert shares == {**prior.fault_shares(), "opening": prior.opening_shares()}
         for generator, weight in model.prior.weights().items():
             assert sum(shares[generator].values()) == pytest.approx(weight)
 

@@ -201,12 +201,10 @@ class Footprint(NativeModel):
     def _finger_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of fingers that have let go, as far as the motion to come is known."""
         scene = batch.scene
-        if self._opening == 0.0 or scene.carried is None or "body" not in scene.components:
+        if self._opening == 0.0 or scene.carried is None or batch.ahead is None:
             return {}
         P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
-        if batch.ahead is not None:
-            row = list(scene.components).index("body")
-            P[:, row] = self._opening * opening_probability(scene, batch.q, batch.ahead)
+        P[:, list(scene.components).index("body")] = self._opening * opening_probability(scene, batch.q, batch.ahead)
         return {"opening": P}
 
     def _arm_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
