@@ -5,6 +5,7 @@ The models that are mixed have their specifications beside them, in `drop`, `spi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -24,6 +25,7 @@ from graceful_plan.costs.models.body.tables import ROWS as HOLDING
 from graceful_plan.costs.models.coast.coast import Coast
 from graceful_plan.costs.models.coast.constants import CoastSettings
 from graceful_plan.costs.models.drop.constants import DropSettings
+from graceful_plan.costs.models.drop.fingers import opening_probability
 from graceful_plan.costs.models.drop.kernel import ROWS, DropKernel, drop_kernel
 from graceful_plan.costs.models.drop.network import DropNetwork
 from graceful_plan.costs.models.moving.model import MovingModel
@@ -82,8 +84,13 @@ class Footprint(NativeModel):
 
     @property
     def components(self) -> tuple[str, ...]:
-        """The robot's body counts if there are failures of the arm to fear."""
-        return COMPONENTS if self._arm_weights().any() else FALLING
+        """The robot's body counts if there are failures of the arm, or fingers that open, to fear."""
+        return COMPONENTS if self.arm_may_fail or self._opening > 0.0 else FALLING
+
+    @property
+    def arm_may_fail(self) -> bool:
+        """Whether there are failures of the arm to fear."""
+        return bool(self._arm_weights().any())
 
     def probability(self, batch: StateBatch) -> Float[Array, "n component entity"]:
         """Return P of a contact, summed over all that may go wrong."""
@@ -92,7 +99,7 @@ class Footprint(NativeModel):
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
         """Return the same by generator, those that have a weight."""
-        found = {**self._gripper_sources(batch), **self._arm_sources(batch)}
+        found = {**self._gripper_sources(batch), **self._finger_sources(batch), **self._arm_sources(batch)}
         if batch.scene.base is None:
             return found
         coast = self.base.of_base(batch.scene) * Coast(self.base).probability(batch)
@@ -114,7 +121,7 @@ class Footprint(NativeModel):
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources, and how much they weigh."""
-        return self.prior.fault_shares()
+        return {**self.prior.fault_shares(), "opening": self.prior.opening_shares()}
 
     def moving(self) -> MovingModel:
         """Return the model for entities that move, with the constants and weights of this one."""
@@ -157,7 +164,7 @@ class Footprint(NativeModel):
 
         Those of the body model are good for descents but not exact: see `BodyModel.impact_gradient`.
         """
-        if self._arm_weights().any():
+        if self.arm_may_fail:
             return None
         scene, aboard, found = (
             batch.scene,
@@ -191,6 +198,15 @@ class Footprint(NativeModel):
                     found[source][:, row] += weights[source] * P[:, ROWS.index(own)]
         return found
 
+    def _finger_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
+        """What comes of fingers that have let go, as far as the motion to come is known."""
+        scene = batch.scene
+        if self._opening == 0.0 or scene.carried is None or batch.ahead is None:
+            return {}
+        P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
+        P[:, list(scene.components).index("body")] = self._opening * opening_probability(scene, batch.q, batch.ahead)
+        return {"opening": P}
+
     def _arm_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of failing arms."""
         scene, weights = batch.scene, self._arm_weights()
@@ -207,6 +223,11 @@ class Footprint(NativeModel):
                         k = HOLDING.index(component)
                         found[name][:, row] = weights[g, k] * P[:, g, k]
         return found
+
+    @property
+    def _opening(self) -> float:
+        """Weight of fingers that open."""
+        return math.fsum(self.prior.opening_shares().values())
 
     def _arm_weights(self) -> Float[Array, "generator 2"]:
         """Weight of each of `GENERATORS` for the arm and for what it still holds."""
