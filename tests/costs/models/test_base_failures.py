@@ -91,6 +91,11 @@ def test_left_and_right_are_mirror_images_and_what_stands_stays():
     assert np.abs(integrated(straight, np.array(0.0), np.array(0.0), case(False))[:, :4]).max() < 1e-12
 
 
+def test_a_jackals_wheels_are_behind_where_it_turns_about_and_its_mass_ahead_of_them():
+    body = coast_tables(jackal()).body
+    assert body.middle == pytest.approx((-0.035, 0.0)) and body.middle[0] < body.centre[0] < 0.0
+
+
 @pytest.mark.parametrize("held", [True, False])
 def test_it_goes_where_mujoco_has_it(held):
     scene = jackal()

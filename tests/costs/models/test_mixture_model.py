@@ -177,8 +177,9 @@ def test_the_motion_to_come_is_used_where_it_is_known(scenes: dict[str, gp.Scene
     rest = np.repeat(batch.q[:, None], _KNOWN_STEPS, axis=1)  # the motion is over, although the joints still turn
     over = StateBatch(scene, batch.q, batch.direction, batch.speed, ahead=rest)
     assert not np.allclose(model.probability(batch), model.probability(over))
-    dropped = Footprint()  # but for fingers that open, see test_opened_fingers.py
-    np.testing.assert_array_equal(dropped.sources(batch)["drop"], dropped.sources(over)["drop"])
+    falling = [row(scene, "carried"), row(scene, "contents")]  # fingers that open: see test_opened_fingers.py
+    alone, known = (Footprint().probability(given)[:, falling] for given in (batch, over))
+    np.testing.assert_array_equal(alone, known)
 
 
 # --- as settings ------------------------------------------------------------------------------------------------------
@@ -209,8 +210,7 @@ def test_shares_of_faults_add_up_to_the_weights() -> None:
     for name in presets():
         model = Footprint(faults=name)
         shares = model.fault_shares()
-        prior = FaultPrior.preset(name)
-        assert shares == {**prior.fault_shares(), "opening": prior.opening_shares()}
+        assert shares == FaultPrior.preset(name).fault_shares()
         for generator, weight in model.prior.weights().items():
             assert sum(shares[generator].values()) == pytest.approx(weight)
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import graceful_plan as gp
+from graceful_plan.analysis.harm_law import HarmLaw
 from graceful_plan.costs.cost import AHEAD, StateBatch
 from graceful_plan.costs.fault_prior import FaultPrior
 from graceful_plan.costs.models.drop.fingers import opened_fingers, opened_positions, opening_probability
@@ -137,13 +138,15 @@ def test_many_states_are_worked_on_in_parts(monkeypatch: pytest.MonkeyPatch) -> 
 def test_only_faults_that_open_the_gripper_count() -> None:
     batch = _states(_scene(), [0.3])
     for fault, share in (("gripper_failure", 1.0), ("stuck_gripper", 0.778), ("weak_grip", 0.0), ("power_loss", 0.0)):
-        model = gp.Footprint(faults=FaultPrior({fault: 1.0}))
-        opening = model.sources(batch).get("opening", np.zeros((1, 2, 1)))
-        assert opening[0, list(batch.scene.components).index("body"), 0] == pytest.approx(share, abs=0.01)
-        assert sum(model.fault_shares()["opening"].values()) == pytest.approx(share, abs=1e-6)
+        prior = FaultPrior({fault: 1.0})
+        drop = gp.Footprint(faults=prior).sources(batch).get("drop", np.zeros((1, 2, 1)))
+        assert drop[0, list(batch.scene.components).index("body"), 0] == pytest.approx(share, abs=0.01)
+        assert sum(prior.opening_shares().values()) == pytest.approx(share, abs=1e-6)
     assert gp.Footprint(faults=FaultPrior({"weak_grip": 1.0})).components == ("carried", "contents")
     falling = gp.ImpactCost(components=("carried", "contents"))
     assert falling.state(batch)[0] + 1.0 < gp.ImpactCost().state(batch)[0]
+    law = HarmLaw(gp.ImpactCost(), batch.scene)
+    np.testing.assert_allclose(law.states(batch) @ law.value, gp.ImpactCost().state(batch))
 
 
 def test_explanations_name_them() -> None:

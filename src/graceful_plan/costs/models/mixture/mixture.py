@@ -99,7 +99,7 @@ class Footprint(NativeModel):
 
     def sources(self, batch: StateBatch) -> Mapping[str, Float[Array, "n component entity"]]:
         """Return the same by generator, those that have a weight."""
-        found = {**self._gripper_sources(batch), **self._finger_sources(batch), **self._arm_sources(batch)}
+        found = {**self._gripper_sources(batch), **self._arm_sources(batch)}
         if batch.scene.base is None:
             return found
         coast = self.base.of_base(batch.scene) * Coast(self.base).probability(batch)
@@ -121,7 +121,7 @@ class Footprint(NativeModel):
 
     def fault_shares(self) -> Mapping[str, Mapping[str, float]]:
         """Return which faults are behind each of the sources, and how much they weigh."""
-        return {**self.prior.fault_shares(), "opening": self.prior.opening_shares()}
+        return self.prior.fault_shares()
 
     def moving(self) -> MovingModel:
         """Return the model for entities that move, with the constants and weights of this one."""
@@ -185,7 +185,7 @@ class Footprint(NativeModel):
         return replace(self, settings=wide[0], spill=wide[1], body=wide[2], stop=self.stop.widened(metres))
 
     def _gripper_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
-        """What comes of drops, of spills and of stops."""
+        """What comes of drops, those of fingers that open among them, of spills and of stops."""
         scene, weights = batch.scene, self.prior.weights()
         names = [name for name in ("drop", "spill", "stop") if weights[name] > 0.0]
         found = {name: np.zeros((len(batch), len(scene.components), len(scene.entities))) for name in names}
@@ -196,16 +196,10 @@ class Footprint(NativeModel):
             for own, source in _SOURCE.get(component, ()):
                 if source in found:
                     found[source][:, row] += weights[source] * P[:, ROWS.index(own)]
+        if self._opening > 0.0 and batch.ahead is not None:
+            body = list(scene.components).index("body")
+            found["drop"][:, body] = self._opening * opening_probability(scene, batch.q, batch.ahead)
         return found
-
-    def _finger_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
-        """What comes of fingers that have let go, as far as the motion to come is known."""
-        scene = batch.scene
-        if self._opening == 0.0 or scene.carried is None or batch.ahead is None:
-            return {}
-        P = np.zeros((len(batch), len(scene.components), len(scene.entities)))
-        P[:, list(scene.components).index("body")] = self._opening * opening_probability(scene, batch.q, batch.ahead)
-        return {"opening": P}
 
     def _arm_sources(self, batch: StateBatch) -> dict[str, Float[Array, "n component entity"]]:
         """What comes of failing arms."""
